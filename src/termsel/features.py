@@ -1,0 +1,284 @@
+"""What was measured: points and lines in the image and on the ground."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from termsel.errors import TermselError
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+IntArray = NDArray[np.intp]
+
+ROLES = ("control", "check", "independent", "off")
+
+
+def _frozen(values: ArrayLike, shape: tuple[int, ...], what: str) -> FloatArray:
+    array = np.array(values, dtype=np.float64)
+    if array.shape != shape:
+        raise TermselError(f"{what} has shape {array.shape}, expected {shape}")
+    array.setflags(write=False)
+    return array
+
+
+def _check_ids(ids: Sequence[str], kind: str) -> None:
+    twice = [name for name, count in Counter(ids).items() if count > 1]
+    if twice:
+        raise TermselError(f"{kind} id {twice[0]!r} is used {Counter(ids)[twice[0]]} times",
+                           hint="Give every feature an id of its own.", ids=twice[:1])
+    if any(not name for name in ids):
+        raise TermselError(f"a {kind} has no id", hint="Give every feature an id.")
+
+
+def _check_finite(values: FloatArray, ids: Sequence[str], kind: str, what: str) -> None:
+    bad = ~np.isfinite(values.reshape(len(ids), -1)).all(axis=1)
+    if bad.any():
+        name = ids[int(np.argmax(bad))]
+        raise TermselError(f"{kind} {name!r} has {what} that are not finite numbers",
+                           hint="Mend the values or remove the feature.", ids=[name])
+
+
+def _check_heights(z: FloatArray, ids: Sequence[str], kind: str) -> None:
+    """Refuse infinite heights; blank heights are NaN and are for models without height."""
+    bad = np.isinf(z.reshape(len(ids), -1)).any(axis=1)
+    if bad.any():
+        name = ids[int(np.argmax(bad))]
+        raise TermselError(f"{kind} {name!r} has an infinite height", ids=[name])
+
+
+@dataclass(frozen=True, eq=False)
+class Points:
+    """Conjugate points.
+
+    Parameters
+    ----------
+    ids : sequence of str, length n
+        Unique names.
+    image : array_like, shape (n, 2)
+        Line and sample [pixel]; the centre of the upper-left pixel is (0, 0).
+    ground : array_like, shape (n, 3)
+        X, Y, Z in the units of the feature set's CRS; NaN for a height that is not known.
+    sigma : array_like, shape (n, 2), optional
+        Standard deviations of line and sample [pixel].
+    roles : sequence of str, length n, optional
+        Role given in the file: "control", "check", "independent", "off" or "" for none.
+
+    Raises
+    ------
+    TermselError
+        For shapes that do not fit, values that are not finite, ids used twice, two points
+        at one place on the ground, or a role that does not exist.
+    """
+
+    ids: tuple[str, ...]
+    image: FloatArray
+    ground: FloatArray
+    sigma: FloatArray | None = None
+    roles: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        ids = tuple(str(name) for name in self.ids)
+        n = len(ids)
+        roles = tuple(self.roles) or ("",) * n
+        object.__setattr__(self, "ids", ids)
+        object.__setattr__(self, "roles", roles)
+        object.__setattr__(self, "image", _frozen(self.image, (n, 2), "image of points"))
+        object.__setattr__(self, "ground", _frozen(self.ground, (n, 3), "ground of points"))
+        _check_ids(ids, "point")
+        if n == 0:
+            return
+        _check_finite(self.image, ids, "point", "image coordinates")
+        _check_finite(self.ground[:, :2], ids, "point", "ground coordinates")
+        _check_heights(self.ground[:, 2], ids, "point")
+        if self.sigma is not None:
+            object.__setattr__(self, "sigma", _frozen(self.sigma, (n, 2), "sigma of points"))
+            bad = ~(np.isfinite(self.sigma) & (self.sigma > 0)).all(axis=1)
+            if bad.any():
+                name = ids[int(np.argmax(bad))]
+                raise TermselError(f"point {name!r} has a standard deviation that is not positive",
+                                   ids=[name])
+        if len(roles) != n:
+            raise TermselError(f"{len(roles)} roles for {n} points")
+        for name, role in zip(ids, roles, strict=True):
+            if role and role not in ROLES:
+                raise TermselError(f"point {name!r} has the unknown role {role!r}",
+                                   hint=f"Roles are {', '.join(ROLES)}, or blank.", ids=[name])
+        self._check_duplicates()
+
+    def _check_duplicates(self) -> None:
+        # One image position with several ground points is a line of sight through several
+        # heights; one ground point cannot be seen at two image positions.
+        ground = np.nan_to_num(self.ground, nan=0.0)
+        _, first, inverse = np.unique(ground, axis=0, return_index=True, return_inverse=True)
+        repeated = np.flatnonzero(first[inverse.ravel()] != np.arange(len(self.ids)))
+        if repeated.size:
+            i = int(repeated[0])
+            twin = self.ids[int(first[inverse.ravel()[i]])]
+            raise TermselError(
+                f"points {twin!r} and {self.ids[i]!r} have the same ground coordinates",
+                hint="Remove one of them, or average their image coordinates.",
+                ids=[self.ids[i], twin])
+
+    def __len__(self) -> int:
+        return len(self.ids)
+
+    def take(self, index: ArrayLike) -> Points:
+        """Return the points at `index` (integers or a mask)."""
+        index = np.arange(len(self))[np.asarray(index)]
+        return Points(
+            tuple(self.ids[i] for i in index), self.image[index], self.ground[index],
+            None if self.sigma is None else self.sigma[index],
+            tuple(self.roles[i] for i in index))
+
+
+@dataclass(frozen=True, eq=False)
+class Lines:
+    """Conjugate straight lines, whose end points are not conjugate.
+
+    Parameters
+    ----------
+    ids : sequence of str, length n
+        Unique names.
+    image : array_like, shape (n, 2, 2)
+        Two measured image points a line, each as line and sample [pixel].
+    ground : array_like, shape (n, 2, 3)
+        Two ground vertices a line, X, Y, Z; NaN for heights that are not known.
+
+    Raises
+    ------
+    TermselError
+        For shapes that do not fit, values that are not finite, ids used twice, lines of
+        zero length, or two lines with the same ground vertices.
+    """
+
+    ids: tuple[str, ...]
+    image: FloatArray
+    ground: FloatArray
+
+    def __post_init__(self) -> None:
+        ids = tuple(str(name) for name in self.ids)
+        n = len(ids)
+        object.__setattr__(self, "ids", ids)
+        object.__setattr__(self, "image", _frozen(self.image, (n, 2, 2), "image of lines"))
+        object.__setattr__(self, "ground", _frozen(self.ground, (n, 2, 3), "ground of lines"))
+        _check_ids(ids, "line")
+        if n == 0:
+            return
+        _check_finite(self.image, ids, "line", "image coordinates")
+        _check_finite(self.ground[..., :2], ids, "line", "ground coordinates")
+        _check_heights(self.ground[..., 2], ids, "line")
+        for values, where in ((self.image, "image"), (self.ground[..., :2], "ground")):
+            short = (values[:, 0] == values[:, 1]).all(axis=1)
+            if short.any():
+                name = ids[int(np.argmax(short))]
+                raise TermselError(f"line {name!r} has zero length on the {where}"
+                                   if where == "ground" else
+                                   f"line {name!r} has zero length in the {where}",
+                                   hint="A control line needs two different points.", ids=[name])
+        self._check_duplicates()
+
+    def _check_duplicates(self) -> None:
+        ends = np.nan_to_num(self.ground, nan=0.0)
+        swap = [tuple(a) > tuple(b) for a, b in ends]
+        ends[swap] = ends[swap][:, ::-1]
+        _, first, inverse = np.unique(ends.reshape(len(self.ids), -1), axis=0,
+                                      return_index=True, return_inverse=True)
+        repeated = np.flatnonzero(first[inverse.ravel()] != np.arange(len(self.ids)))
+        if repeated.size:
+            i = int(repeated[0])
+            twin = self.ids[int(first[inverse.ravel()[i]])]
+            raise TermselError(f"lines {twin!r} and {self.ids[i]!r} have the same ground vertices",
+                               hint="Remove one of them.", ids=[self.ids[i], twin])
+
+    def __len__(self) -> int:
+        return len(self.ids)
+
+    def take(self, index: ArrayLike) -> Lines:
+        """Return the lines at `index` (integers or a mask)."""
+        index = np.arange(len(self))[np.asarray(index)]
+        return Lines(tuple(self.ids[i] for i in index), self.image[index], self.ground[index])
+
+
+def no_points() -> Points:
+    """Return an empty set of points."""
+    return Points((), np.empty((0, 2)), np.empty((0, 3)))
+
+
+def no_lines() -> Lines:
+    """Return an empty set of lines."""
+    return Lines((), np.empty((0, 2, 2)), np.empty((0, 2, 3)))
+
+
+@dataclass(frozen=True, eq=False)
+class FeatureSet:
+    """Points and lines of one image.
+
+    Parameters
+    ----------
+    points : Points
+    lines : Lines
+    crs : str
+        Coordinate reference system of the ground coordinates, such as "EPSG:4979", or
+        "local" for plane coordinates without one.
+    image_size : tuple of int, optional
+        Lines and samples of the image [pixel].
+    noise : float, optional
+        Standard deviation of the image measurements [pixel], where it is known, as it is
+        for simulated data.
+
+    Raises
+    ------
+    TermselError
+        If a point and a line have the same id.
+    """
+
+    points: Points = field(default_factory=no_points)
+    lines: Lines = field(default_factory=no_lines)
+    crs: str = "local"
+    image_size: tuple[int, int] | None = None
+    noise: float | None = None
+
+    def __post_init__(self) -> None:
+        both = set(self.points.ids) & set(self.lines.ids)
+        if both:
+            name = min(both)
+            raise TermselError(f"{name!r} is the id of a point and of a line",
+                               hint="Give every feature an id of its own.", ids=[name])
+
+    @property
+    def ids(self) -> tuple[str, ...]:
+        """Ids of all features, points first."""
+        return self.points.ids + self.lines.ids
+
+    def __len__(self) -> int:
+        return len(self.points) + len(self.lines)
+
+    def with_(self, *, points: Points | None = None, lines: Lines | None = None) -> FeatureSet:
+        """Return a copy with other points or lines."""
+        return replace(self, points=self.points if points is None else points,
+                       lines=self.lines if lines is None else lines)
+
+    def without_height(self) -> tuple[str, ...]:
+        """Return the ids of features with an unknown height."""
+        points = np.isnan(self.points.ground[:, 2])
+        lines = np.isnan(self.lines.ground[..., 2]).any(axis=1)
+        missing = np.concatenate([points, lines])
+        return tuple(name for name, gone in zip(self.ids, missing, strict=True) if gone)
+
+    def ground_vertices(self) -> FloatArray:
+        """Return ground points and line vertices together, shape (n_points + 2 n_lines, 3)."""
+        return np.concatenate([self.points.ground, self.lines.ground.reshape(-1, 3)])
+
+    def image_vertices(self) -> FloatArray:
+        """Return image points and line ends together, shape (n_points + 2 n_lines, 2)."""
+        return np.concatenate([self.points.image, self.lines.image.reshape(-1, 2)])
+
+
+def select(names: Sequence[str], mask: Iterable[bool]) -> tuple[str, ...]:
+    """Return the names whose mask is set."""
+    return tuple(name for name, on in zip(names, mask, strict=True) if on)

@@ -1,0 +1,142 @@
+"""Typed, documented options of models, problems, solvers and criteria."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+from termsel.errors import TermselError, unknown_name
+
+_TRUE = {"true", "yes", "on", "1"}
+_FALSE = {"false", "no", "off", "0"}
+
+
+@dataclass(frozen=True)
+class Option:
+    """One setting, as ``--set name=value`` or as a keyword in Python.
+
+    Parameters
+    ----------
+    name : str
+        The key.
+    default : object
+        The value where none is given; None means "decided from the data", as `doc` says.
+    doc : str
+        One sentence: meaning, unit, source where there is one.
+    type : type
+        int, float, bool or str.
+    minimum, maximum : float, optional
+        Closed range of a number.
+    choices : tuple of str
+        The accepted values, where there are few.
+    """
+
+    name: str
+    default: Any
+    doc: str
+    type: type = str
+    minimum: float | None = None
+    maximum: float | None = None
+    choices: tuple[str, ...] = ()
+
+    @property
+    def accepts(self) -> str:
+        """The accepted values in words."""
+        if self.choices:
+            return " | ".join(self.choices)
+        kind = {int: "whole number", float: "number", bool: "true | false", str: "text"}[self.type]
+        if self.minimum is not None and self.maximum is not None:
+            return f"{kind} from {self.minimum:g} to {self.maximum:g}"
+        if self.minimum is not None:
+            return f"{kind} of at least {self.minimum:g}"
+        if self.maximum is not None:
+            return f"{kind} of at most {self.maximum:g}"
+        return kind
+
+    def parse(self, value: Any) -> Any:
+        """Return `value` in the option's type.
+
+        Parameters
+        ----------
+        value : object
+            A value of the type, or its text as typed on the command line.
+
+        Raises
+        ------
+        TermselError
+            If the value is not of the type, out of range or not one of the choices.
+        """
+        if value is None and self.default is None:
+            return None
+        wrong = TermselError(f"option {self.name!r} does not take {value!r}",
+                             hint=f"It takes: {self.accepts}.")
+        parsed: Any
+        if self.type is bool:
+            text = str(value).strip().lower()
+            if text not in _TRUE | _FALSE:
+                raise wrong
+            return text in _TRUE
+        if self.type is str:
+            parsed = str(value)
+        else:
+            try:
+                parsed = float(value)
+            except (TypeError, ValueError):
+                raise wrong from None
+            if isinstance(value, bool) or parsed != parsed or abs(parsed) == float("inf"):
+                raise wrong
+            if self.type is int:
+                if parsed != int(parsed):
+                    raise wrong
+                parsed = int(parsed)
+        if self.choices and str(parsed) not in self.choices:
+            raise wrong
+        if self.minimum is not None and parsed < self.minimum:
+            raise wrong
+        if self.maximum is not None and parsed > self.maximum:
+            raise wrong
+        return parsed
+
+
+def resolve(declared: Iterable[Option], given: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the value of every declared option.
+
+    Parameters
+    ----------
+    declared : iterable of Option
+        What may be set.
+    given : mapping
+        What was set.
+
+    Raises
+    ------
+    TermselError
+        For a key nobody declared, or a value its option does not take.
+    """
+    options = {option.name: option for option in declared}
+    for key in given:
+        if key not in options:
+            raise unknown_name("option", key, options)
+    return {name: option.parse(given.get(name, option.default)) for name, option in options.items()}
+
+
+class Configurable:
+    """A named thing with declared options; base of models, solvers and criteria.
+
+    Parameters
+    ----------
+    **options
+        Values of the options declared in `declared_options`.
+
+    Raises
+    ------
+    TermselError
+        For an unknown option or a value it does not take.
+    """
+
+    name: ClassVar[str]
+    declared_options: ClassVar[tuple[Option, ...]] = ()
+
+    def __init__(self, **options: Any) -> None:
+        self.options: dict[str, Any] = resolve(self.declared_options, options)
