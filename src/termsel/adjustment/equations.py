@@ -1,0 +1,75 @@
+"""Equations of control features: rows belong to features, columns to terms."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from termsel.features import BoolArray, FloatArray, IntArray, Lines
+
+
+@dataclass(frozen=True, eq=False)
+class Equations:
+    """A linear system A x = b over all terms and all control features.
+
+    Parameters
+    ----------
+    A : ndarray, shape (m, k)
+        Design matrix.
+    b : ndarray, shape (m,)
+        Observations, in the scaled image unit.
+    feature : ndarray of int, shape (m,)
+        The control feature each row belongs to: points from 0, then lines.
+    """
+
+    A: FloatArray
+    b: FloatArray
+    feature: IntArray
+
+    @property
+    def n_features(self) -> int:
+        """Number of features with equations."""
+        return int(self.feature.max()) + 1 if len(self.feature) else 0
+
+    def take(self, rows: BoolArray, columns: BoolArray) -> Equations:
+        """Return the system of some rows and columns."""
+        return Equations(np.ascontiguousarray(self.A[np.ix_(rows, columns)]),
+                         np.ascontiguousarray(self.b[rows]),
+                         np.ascontiguousarray(self.feature[rows]))
+
+
+def line_normals(lines: Lines) -> tuple[FloatArray, FloatArray]:
+    """Return the Hesse normal form of image lines.
+
+    The line through both image points is the set of (l, s) with nl * l + ns * s = rho.
+
+    Parameters
+    ----------
+    lines : Lines
+
+    Returns
+    -------
+    normal : ndarray, shape (n, 2)
+        Unit normals (nl, ns).
+    rho : ndarray, shape (n,)
+        Signed distances from the origin.
+    """
+    along = lines.image[:, 1] - lines.image[:, 0]
+    normal = np.stack([-along[:, 1], along[:, 0]], axis=1)
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    return normal, np.einsum("ij,ij->i", normal, lines.image.mean(axis=1))
+
+
+def row_axes(A: FloatArray, axis: IntArray) -> IntArray:
+    """Return which image axis each row speaks of: 0 line, 1 sample, 2 both.
+
+    Parameters
+    ----------
+    A : ndarray, shape (m, k)
+    axis : ndarray of int, shape (k,)
+        Axis of each term, in the same code.
+    """
+    line = (A[:, axis != 1] != 0).any(axis=1)
+    sample = (A[:, axis != 0] != 0).any(axis=1)
+    return np.where(line & sample, 2, np.where(sample, 1, 0)).astype(np.intp)

@@ -1,0 +1,126 @@
+"""One masked adjustment through LAPACK, with everything a photogrammetrist asks of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import linalg
+
+from termsel.adjustment.equations import Equations
+from termsel.features import BoolArray, FloatArray
+
+TOLERANCE = 1e-8
+"""A column is dependent if this part of its length or less is left once the columns before
+it are removed; predictions from a system nearer to singular would be rounding error."""
+
+
+@dataclass(frozen=True, eq=False)
+class Adjustment:
+    """A least-squares solution.
+
+    Parameters
+    ----------
+    coefficients : ndarray, shape (k,)
+        All terms; 0 where a term is not selected.
+    residuals : ndarray, shape (m,)
+        b - A x of all rows, selected or not.
+    deviations : ndarray, shape (k,)
+        Standard deviations of the coefficients; NaN without redundancy, 0 where a term is
+        not selected.
+    n_terms, n_equations, rank : int
+        Of the selected system.
+    condition : float
+        Ratio of the extreme singular values of the selected design matrix.
+    sigma0 : float
+        Standard deviation of unit weight; NaN without redundancy.
+    """
+
+    coefficients: FloatArray
+    residuals: FloatArray
+    deviations: FloatArray
+    n_terms: int
+    n_equations: int
+    rank: int
+    condition: float
+    sigma0: float
+
+    @property
+    def redundancy(self) -> int:
+        """Degrees of freedom: equations minus terms."""
+        return self.n_equations - self.n_terms
+
+    @property
+    def violation(self) -> int:
+        """How many terms too many for a unique solution; 0 is feasible."""
+        return self.n_terms - self.rank
+
+    @property
+    def feasible(self) -> bool:
+        """True if the selected terms are determined."""
+        return self.violation == 0
+
+
+def solve(
+    equations: Equations,
+    terms: BoolArray | None = None,
+    features: BoolArray | None = None,
+) -> Adjustment:
+    """Solve a masked least-squares system.
+
+    An under-determined or rank-deficient mask is not an error: its violation says by how
+    much it fails, and its coefficients are those of the least-norm solution.
+
+    Parameters
+    ----------
+    equations : Equations
+    terms : ndarray of bool, shape (k,), optional
+        Selected columns; all by default.
+    features : ndarray of bool, shape (n_features,), optional
+        Selected features, each with all of its rows; all by default.
+
+    Returns
+    -------
+    Adjustment
+    """
+    m, k = equations.A.shape
+    columns = np.ones(k, dtype=bool) if terms is None else np.asarray(terms, dtype=bool)
+    rows = np.ones(m, dtype=bool) if features is None else np.asarray(features)[equations.feature]
+    A, b = equations.A[np.ix_(rows, columns)], equations.b[rows]
+    n_equations, n_terms = A.shape
+    rank = _rank(A)
+    coefficients, deviations = np.zeros(k), np.zeros(k)
+    condition, sigma0 = float("inf"), float("nan")
+    if n_terms and n_equations:
+        # Columns of one length: the solution is the same and the condition is that of the
+        # question, not of the units.
+        lengths = np.linalg.norm(A, axis=0)
+        lengths[lengths == 0] = 1.0
+        if rank == n_terms:
+            q, r = linalg.qr(A / lengths, mode="economic")
+            x = linalg.solve_triangular(r, q.T @ b)
+            inverse = linalg.solve_triangular(r, np.eye(n_terms))
+            condition = float(np.linalg.cond(r))
+            if n_equations > n_terms:
+                v = b - A @ (x / lengths)
+                sigma0 = float(np.sqrt(v @ v / (n_equations - n_terms)))
+            deviations[columns] = sigma0 * np.sqrt((inverse**2).sum(axis=1)) / lengths
+        else:
+            x = linalg.lstsq(A / lengths, b)[0]
+        coefficients[columns] = x / lengths
+    return Adjustment(coefficients, equations.b - equations.A @ coefficients, deviations,
+                      n_terms, n_equations, rank, condition, sigma0)
+
+
+def _rank(A: FloatArray) -> int:
+    """Count the columns that keep more than TOLERANCE of their length beside the others."""
+    if 0 in A.shape:
+        return 0
+    lengths = np.linalg.norm(A, axis=0)
+    live = lengths > 0
+    if not live.any():
+        return 0
+    # Pivoting lets the largest independent set come first, so that columns after a
+    # dependent one are judged against independent ones alone.
+    r = linalg.qr(A[:, live] / lengths[live], mode="r", pivoting=True)[0]
+    return int((np.abs(np.diag(r)) > TOLERANCE).sum())

@@ -1,0 +1,349 @@
+"""Public base classes of sensor models."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, ClassVar
+
+import numpy as np
+
+from termsel.adjustment.equations import Equations, line_normals
+from termsel.errors import TermselError
+from termsel.features import FeatureSet, FloatArray, IntArray
+from termsel.options import Configurable
+
+LINE, SAMPLE, BOTH = 0, 1, 2
+"""Image axis a term acts on."""
+
+
+class SensorModel(Configurable, ABC):
+    """A mapping from ground to image whose terms can be switched on and off.
+
+    A model works in scaled coordinates: image and ground within about [-1, 1] (see
+    `termsel.scaling`).
+    """
+
+    uses_height: ClassVar[bool] = True
+
+    @property
+    @abstractmethod
+    def terms(self) -> tuple[str, ...]:
+        """Names of the k terms."""
+
+    @property
+    def axis(self) -> IntArray:
+        """Image axis of each term: 0 line, 1 sample, 2 both; shape (k,)."""
+        return np.full(len(self.terms), BOTH, dtype=np.intp)
+
+    @abstractmethod
+    def equations(self, features: FeatureSet) -> Equations:
+        """Return the linear equations of control features, in scaled coordinates.
+
+        Parameters
+        ----------
+        features : FeatureSet
+            In scaled coordinates.
+
+        Returns
+        -------
+        Equations
+            Rows of the points first, then of the lines; all k columns.
+        """
+
+    @abstractmethod
+    def project(self, coefficients: FloatArray, ground: FloatArray) -> FloatArray:
+        """Return image positions of ground points.
+
+        Parameters
+        ----------
+        coefficients : ndarray, shape (..., k)
+            One set or many.
+        ground : ndarray, shape (n, 3)
+            Scaled.
+
+        Returns
+        -------
+        ndarray, shape (..., n, 2)
+            Scaled line and sample.
+        """
+
+    def denominators(self, coefficients: FloatArray, ground: FloatArray) -> FloatArray | None:
+        """Return the denominators, shape (..., n, 2), or None where there are none.
+
+        A denominator that changes sign inside the scene is a pole.
+        """
+        return None
+
+    def residual_weights(self, control: FloatArray, ground: FloatArray) -> FloatArray | None:
+        """Return weights that spread control residuals over other places.
+
+        An interpolating model corrects its prediction by W v, where v are the residuals
+        of the control points.
+
+        Parameters
+        ----------
+        control : ndarray, shape (n, 3)
+            Scaled ground positions of the control points.
+        ground : ndarray, shape (m, 3)
+            Scaled ground positions to be corrected.
+
+        Returns
+        -------
+        ndarray, shape (m, n), or None
+            None for a model without such a correction.
+        """
+        return None
+
+
+@dataclass(frozen=True, eq=False)
+class Blocks:
+    """Columns of numerators and denominators at ground points.
+
+    Parameters
+    ----------
+    line, sample : ndarray, shape (n, columns)
+        Columns of the numerators.
+    line_denominator, sample_denominator : ndarray, shape (n, columns), optional
+        Columns of the denominators without their leading 1.
+    shared_denominator : ndarray, shape (n, columns), optional
+        Columns of a denominator that both axes share, without its leading 1.
+    """
+
+    line: FloatArray
+    sample: FloatArray
+    line_denominator: FloatArray | None = None
+    sample_denominator: FloatArray | None = None
+    shared_denominator: FloatArray | None = None
+
+
+# In the order of the terms: block, prefix of its term names, image axis.
+_LAYOUT = (
+    ("line", "line.num", LINE),
+    ("line_denominator", "line.den", LINE),
+    ("sample", "sample.num", SAMPLE),
+    ("sample_denominator", "sample.den", SAMPLE),
+    ("shared_denominator", "den", BOTH),
+)
+
+
+class RationalModel(SensorModel):
+    """A model whose line and sample are each a quotient of two linear forms.
+
+    With numerator columns n, denominator columns d and coefficients a, c: line = n a /
+    (1 + d c), sample likewise. Subclasses give the columns in `blocks`; equations of points
+    and lines, projection and fast evaluation follow.
+    """
+
+    @abstractmethod
+    def blocks(self, ground: FloatArray) -> Blocks:
+        """Return the columns at scaled ground points.
+
+        Parameters
+        ----------
+        ground : ndarray, shape (n, 3)
+
+        Returns
+        -------
+        Blocks
+        """
+
+    def column_names(self, block: str) -> tuple[str, ...] | None:
+        """Return names of a block's columns, or None to have them numbered.
+
+        Parameters
+        ----------
+        block : str
+            A field of `Blocks`, such as "line_denominator".
+        """
+        return None
+
+    @cached_property
+    def _layout(self) -> tuple[tuple[str, slice, int, tuple[str, ...]], ...]:
+        """(block, its columns among the terms, its axis, its term names) in order."""
+        sample = self.blocks(np.zeros((1, 3)))
+        layout = []
+        start = 0
+        for block, prefix, axis in _LAYOUT:
+            columns = getattr(sample, block)
+            if columns is None or not columns.shape[1]:
+                continue
+            width = columns.shape[1]
+            names = self.column_names(block) or tuple(str(i) for i in range(width))
+            if len(names) != width:
+                raise TermselError(
+                    f"model {self.name!r} names {len(names)} of {width} columns of {block!r}",
+                    hint="Tell the author of the model.")
+            layout.append((block, slice(start, start + width), axis,
+                           tuple(f"{prefix}:{name}" for name in names)))
+            start += width
+        return tuple(layout)
+
+    @property
+    def terms(self) -> tuple[str, ...]:
+        """Names of the terms: block and column, such as "line.den:XY"."""
+        return tuple(name for *_, names in self._layout for name in names)
+
+    @property
+    def axis(self) -> IntArray:
+        """Image axis of each term: 0 line, 1 sample, 2 both."""
+        return np.concatenate([np.full(len(names), axis, dtype=np.intp)
+                               for _, _, axis, names in self._layout])
+
+    def _columns(self, ground: FloatArray) -> dict[str, tuple[slice, FloatArray]]:
+        blocks = self.blocks(ground)
+        return {block: (where, np.asarray(getattr(blocks, block), dtype=np.float64))
+                for block, where, _, _ in self._layout}
+
+    def _axis_rows(self, ground: FloatArray, image: FloatArray) -> FloatArray:
+        """Return rows over all terms for line and sample, shape (n, 2, k).
+
+        From l (1 + d c) = n a follows n a - l d c = l: the denominator's columns enter
+        multiplied by minus the image coordinate, which is measured or approximate.
+        """
+        rows = np.zeros((len(ground), 2, len(self.terms)))
+        for block, (where, columns) in self._columns(ground).items():
+            if block in ("line", "line_denominator", "shared_denominator"):
+                rows[:, LINE, where] = columns if block == "line" else -image[:, :1] * columns
+            if block in ("sample", "sample_denominator", "shared_denominator"):
+                rows[:, SAMPLE, where] = columns if block == "sample" else -image[:, 1:] * columns
+        return rows
+
+    def equations(self, features: FeatureSet) -> Equations:
+        """Return the equations of points and of lines.
+
+        A point gives one row for its line and one for its sample. A control line gives
+        one row for each of its ground vertices G, which must lie on the image line:
+        nl l(G) + ns s(G) = rho, with unit normal (nl, ns) and offset rho of the image line
+        in Hesse form. This is linear for polynomials; with a shared denominator it becomes
+        linear when multiplied by it. With separate denominators the products of image
+        coordinate and denominator take approximate image coordinates of the vertices from
+        `approximate_image`, in the place of measured ones; the equations then hold to
+        first order. Rows of points are weighted by their standard deviations relative to
+        the median one.
+
+        The vector form follows from the requirement that conjugate lines coincide; the
+        published line equations of line-based RFMs (Teo 2013; Yavari et al. 2018) could
+        not be consulted, so this is termsel's own formulation.
+        """
+        points, lines = features.points, features.lines
+        parts = []
+        if len(points):
+            A = self._axis_rows(points.ground, points.image)
+            b = points.image.copy()
+            if points.sigma is not None:
+                weight = np.median(points.sigma) / points.sigma
+                A, b = A * weight[..., None], b * weight
+            parts.append((A.reshape(2 * len(points), -1), b.ravel()))
+        if len(lines):
+            parts.append(self._line_rows(features))
+        if not parts:
+            return Equations(np.zeros((0, len(self.terms))), np.zeros(0),
+                             np.zeros(0, dtype=np.intp))
+        return Equations(np.concatenate([A for A, _ in parts]),
+                         np.concatenate([b for _, b in parts]),
+                         np.repeat(np.arange(len(features)), 2))
+
+    def _line_rows(self, features: FeatureSet) -> tuple[FloatArray, FloatArray]:
+        lines = features.lines
+        normal, rho = line_normals(lines)
+        vertices = lines.ground.reshape(-1, 3)
+        normal, rho = np.repeat(normal, 2, axis=0), np.repeat(rho, 2)
+        present = {block for block, *_ in self._layout}
+        if present & {"line_denominator", "sample_denominator"}:
+            image = approximate_image(features)
+        else:
+            # On the image line nl l + ns s is rho itself, so a shared denominator needs no
+            # approximate coordinates: any point of the line serves.
+            image = normal * rho[:, None]
+        rows = self._axis_rows(vertices, image)
+        return np.einsum("na,nak->nk", normal, rows), rho
+
+    def project(self, coefficients: FloatArray, ground: FloatArray) -> FloatArray:
+        """Return image positions of ground points (see `SensorModel.project`)."""
+        columns = self._columns(ground)
+        image = self._axis_forms(coefficients, columns, "line", "sample")
+        below = self._denominators(coefficients, columns)
+        if below is not None:
+            with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+                image /= below
+        return image
+
+    def denominators(self, coefficients: FloatArray, ground: FloatArray) -> FloatArray | None:
+        """Return 1 + d c for line and sample, shape (..., n, 2), or None."""
+        return self._denominators(coefficients, self._columns(ground))
+
+    def _denominators(self, coefficients: FloatArray, columns: Any) -> FloatArray | None:
+        if not columns.keys() & {"line_denominator", "sample_denominator", "shared_denominator"}:
+            return None
+        below = 1.0 + self._axis_forms(coefficients, columns, "line_denominator",
+                                       "sample_denominator")
+        if "shared_denominator" in columns:
+            where, block = columns["shared_denominator"]
+            below += (coefficients[..., where] @ block.T)[..., None]
+        return below
+
+    @staticmethod
+    def _axis_forms(coefficients: FloatArray, columns: Any, *names: str) -> FloatArray:
+        """Return the linear forms of a line block and a sample block, shape (..., n, 2)."""
+        n = len(next(iter(columns.values()))[1])
+        forms = np.zeros((*coefficients.shape[:-1], n, 2))
+        for axis, name in enumerate(names):
+            if name in columns:
+                where, block = columns[name]
+                forms[..., axis] = coefficients[..., where] @ block.T
+        return forms
+
+
+def approximate_image(features: FeatureSet) -> FloatArray:
+    """Return approximate image positions of the ground vertices of control lines.
+
+    A polynomial without denominators (quadratic where the features determine it twice over,
+    else affine) is fitted to all control features and evaluated at the vertices.
+
+    Parameters
+    ----------
+    features : FeatureSet
+        In scaled coordinates.
+
+    Returns
+    -------
+    ndarray, shape (2 n_lines, 2)
+    """
+    def columns(ground: FloatArray, degree: int) -> FloatArray:
+        x, y, z = ground.T
+        linear = [np.ones_like(x), x, y, z]
+        return np.stack(linear if degree == 1 else
+                        [*linear, x * y, x * z, y * z, x * x, y * y, z * z], axis=1)
+
+    points, lines = features.points, features.lines
+    degree = 2 if 2 * len(features) >= 2 * 20 else 1
+    vertices = lines.ground.reshape(-1, 3)
+    normal, rho = line_normals(lines)
+    normal, rho = np.repeat(normal, 2, axis=0), np.repeat(rho, 2)
+    on_lines, on_points = columns(vertices, degree), columns(points.ground, degree)
+    nothing = np.zeros_like(on_points)
+    A = np.concatenate([
+        np.concatenate([normal[:, :1] * on_lines, normal[:, 1:] * on_lines], axis=1),
+        np.concatenate([on_points, nothing], axis=1),
+        np.concatenate([nothing, on_points], axis=1)])
+    b = np.concatenate([rho, points.image[:, 0], points.image[:, 1]])
+    x = np.linalg.lstsq(A, b, rcond=1e-6)[0].reshape(2, -1)
+    return np.asarray(on_lines @ x.T)
+
+
+def require_heights(model: SensorModel, features: FeatureSet) -> None:
+    """Refuse features without height for a model that uses it.
+
+    Raises
+    ------
+    TermselError
+        Naming the features and models that do without.
+    """
+    missing = features.without_height()
+    if model.uses_height and missing:
+        some = ", ".join(missing[:5]) + (" ..." if len(missing) > 5 else "")
+        raise TermselError(
+            f"model {model.name!r} needs heights and {len(missing)} features have none: {some}",
+            hint="Add heights, or choose a plane model such as --model poly2d.", ids=missing[:1])

@@ -1,0 +1,92 @@
+"""Offsets and half-ranges that bring control features to [-1, 1]."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from termsel.features import FeatureSet, FloatArray, Lines, Points
+
+
+@dataclass(frozen=True)
+class Scaling:
+    """Ground and image offsets and scales.
+
+    Line and sample share one scale, so that a residual in scaled units is the same number
+    of pixels along either axis and the normal of an image line keeps unit length.
+
+    Parameters
+    ----------
+    ground_offset, ground_scale : tuple of 3 floats
+        Mid-range and half-range of X, Y, Z.
+    image_offset : tuple of 2 floats
+        Mid-range of line and sample [pixel].
+    image_scale : float
+        The larger half-range of line and sample [pixel].
+    """
+
+    ground_offset: tuple[float, float, float]
+    ground_scale: tuple[float, float, float]
+    image_offset: tuple[float, float]
+    image_scale: float
+
+    def ground(self, ground: ArrayLike) -> FloatArray:
+        """Return scaled ground coordinates; unknown heights become 0."""
+        scaled = (np.asarray(ground) - self.ground_offset) / self.ground_scale
+        return np.nan_to_num(scaled, nan=0.0)
+
+    def image(self, image: ArrayLike) -> FloatArray:
+        """Return scaled image coordinates."""
+        return np.asarray((np.asarray(image) - self.image_offset) / self.image_scale)
+
+    def pixels(self, scaled: ArrayLike) -> FloatArray:
+        """Return image coordinates [pixel] from scaled ones."""
+        return np.asarray(np.asarray(scaled) * self.image_scale + self.image_offset)
+
+    def points(self, points: Points) -> Points:
+        """Return the points in scaled coordinates."""
+        return Points(points.ids, self.image(points.image), self.ground(points.ground),
+                      None if points.sigma is None else points.sigma / self.image_scale,
+                      points.roles)
+
+    def lines(self, lines: Lines) -> Lines:
+        """Return the lines in scaled coordinates."""
+        return Lines(lines.ids, self.image(lines.image), self.ground(lines.ground))
+
+    def features(self, features: FeatureSet) -> FeatureSet:
+        """Return the features in scaled coordinates."""
+        return replace(features, points=self.points(features.points),
+                       lines=self.lines(features.lines))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the scaling as plain numbers for result.json."""
+        return {
+            "line_offset": self.image_offset[0], "line_scale": self.image_scale,
+            "sample_offset": self.image_offset[1], "sample_scale": self.image_scale,
+            **{f"{axis}_{part}": getattr(self, f"ground_{part}")[i]
+               for part in ("offset", "scale") for i, axis in enumerate("xyz")}}
+
+
+def scaling_of(features: FeatureSet) -> Scaling:
+    """Return the scaling that brings these features to [-1, 1].
+
+    Parameters
+    ----------
+    features : FeatureSet
+        The control features.
+    """
+    ground, image = features.ground_vertices(), features.image_vertices()
+    known = np.where(np.isnan(ground), np.nanmin(ground[:, :2]), ground)
+    if np.isnan(ground[:, 2]).any():
+        known[:, 2] = 0.0
+    low, high = known.min(axis=0), known.max(axis=0)
+    half = (high - low) / 2
+    middle, image_half = (image.max(axis=0) + image.min(axis=0)) / 2, np.ptp(image, axis=0) / 2
+    scale = float(image_half.max())
+    gx, gy, gz = ((low + high) / 2).tolist()
+    sx, sy, sz = np.where(half > 0, half, 1.0).tolist()
+    return Scaling((gx, gy, gz), (sx, sy, sz), (float(middle[0]), float(middle[1])),
+                   scale if scale > 0 else 1.0)
