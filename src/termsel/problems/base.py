@@ -1,0 +1,166 @@
+"""Public base of problems: genes in, objectives and violations out."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from termsel.errors import unknown_name
+from termsel.features import BoolArray, FloatArray
+
+WORST = 1e9
+"""Objective of an individual that cannot be judged; finite, so that it can be compared."""
+
+
+@dataclass(frozen=True)
+class Segment:
+    """A named run of genes.
+
+    Parameters
+    ----------
+    name : str
+        Such as "terms.line" or "features".
+    labels : tuple of str
+        What each gene switches.
+    minimum, maximum : int
+        How many genes may be on; all of them where maximum is None.
+    """
+
+    name: str
+    labels: tuple[str, ...]
+    minimum: int = 0
+    maximum: int | None = None
+
+
+class Genome:
+    """The genes of a problem: segments, forced genes and cardinality.
+
+    Parameters
+    ----------
+    segments : iterable of Segment
+    on, off : iterable of str
+        Labels of genes that are always on, or always off.
+
+    Raises
+    ------
+    TermselError
+        For a label that no segment has.
+    """
+
+    def __init__(self, segments: Iterable[Segment], *, on: Iterable[str] = (),
+                 off: Iterable[str] = ()) -> None:
+        self.segments = tuple(segments)
+        self.labels = tuple(label for s in self.segments for label in s.labels)
+        self.size = len(self.labels)
+        self.on = self._mark(on)
+        self.off = self._mark(off)
+        self.free = ~(self.on | self.off)
+
+    def _mark(self, labels: Iterable[str]) -> BoolArray:
+        marked = np.zeros(self.size, dtype=bool)
+        for label in labels:
+            if label not in self.labels:
+                raise unknown_name("gene", label, self.labels)
+            marked[self.labels.index(label)] = True
+        return marked
+
+    def slices(self) -> dict[str, slice]:
+        """Return where each segment lies among the genes."""
+        ends = np.cumsum([len(s.labels) for s in self.segments])
+        return {s.name: slice(int(end) - len(s.labels), int(end))
+                for s, end in zip(self.segments, ends, strict=True)}
+
+    def random(self, rng: np.random.Generator, n: int) -> BoolArray:
+        """Return n individuals, each with a share of genes on that is drawn anew.
+
+        The share is uniform between 0 and 1, so that small and large selections are met
+        alike; with one half for all, a genome of 78 would hardly ever see 20.
+        """
+        share = rng.uniform(0.0, 1.0, (n, 1))
+        return self.repair(rng.uniform(size=(n, self.size)) < share, rng)
+
+    def repair(self, genes: BoolArray, rng: np.random.Generator) -> BoolArray:
+        """Return genes that keep the forced genes and each segment's cardinality.
+
+        Parameters
+        ----------
+        genes : ndarray of bool, shape (p, size)
+        rng : numpy.random.Generator
+            Draws which genes are switched where there are too many or too few.
+        """
+        genes = (genes | self.on) & ~self.off
+        for segment, where in zip(self.segments, self.slices().values(), strict=True):
+            most = len(segment.labels) if segment.maximum is None else segment.maximum
+            count = genes[:, where].sum(axis=1)
+            for i in np.flatnonzero((count < segment.minimum) | (count > most)):
+                part = genes[i, where]
+                short = count[i] < segment.minimum
+                movable = np.flatnonzero((part != short) & self.free[where])
+                wanted = segment.minimum - count[i] if short else count[i] - most
+                part[rng.permutation(movable)[:wanted]] = short
+        return genes
+
+
+@dataclass(frozen=True, eq=False)
+class Evaluation:
+    """Objectives and violations of a population; always finite, smaller is better.
+
+    Parameters
+    ----------
+    objectives : ndarray, shape (p, m)
+    violation : ndarray, shape (p,)
+        0 for a feasible individual, else by how much it fails.
+    """
+
+    objectives: FloatArray
+    violation: FloatArray
+
+    def take(self, index: object) -> Evaluation:
+        """Return the evaluation of some individuals."""
+        return Evaluation(self.objectives[index], self.violation[index])  # type: ignore[index]
+
+    def order(self) -> np.ndarray[tuple[int], np.dtype[np.intp]]:
+        """Return the individuals from best to worst by first objective, feasible ones first."""
+        return np.lexsort((self.objectives[:, 0], self.violation))
+
+
+@dataclass(frozen=True)
+class Selection:
+    """What a chromosome selects.
+
+    Parameters
+    ----------
+    terms, features : tuple of str
+        Names of the model terms and ids of the control features in use.
+    """
+
+    terms: tuple[str, ...]
+    features: tuple[str, ...]
+
+
+class Problem(ABC):
+    """What a solver sees: a genome, names of objectives, and an evaluation of genes."""
+
+    genome: Genome
+    objectives: tuple[str, ...]
+
+    @abstractmethod
+    def evaluate(self, genes: BoolArray) -> Evaluation:
+        """Return objectives and violations.
+
+        Parameters
+        ----------
+        genes : ndarray of bool, shape (p, genome.size)
+
+        Returns
+        -------
+        Evaluation
+            Finite for whatever genes.
+        """
+
+    @abstractmethod
+    def decode(self, genes: BoolArray) -> Selection:
+        """Return what one chromosome, shape (genome.size,), selects."""

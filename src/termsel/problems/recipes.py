@@ -1,0 +1,86 @@
+"""Recipes: named problems with everything they need by default."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from termsel.options import Option
+from termsel.problems.base import Problem
+from termsel.problems.selection import Inputs, SelectionProblem
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """A named problem: defaults, and how to build it from data and model.
+
+    Parameters
+    ----------
+    name, summary : str
+    build : callable
+        Takes `Inputs`, returns a `Problem`.
+    model, dataset, criterion, solver : str
+        Names of the defaults, so that the problem's name alone runs.
+    model_options : mapping
+        Options of the default model that differ from the model's own defaults.
+    control : {"points", "lines"}
+        Kind of control features.
+    options : tuple of Option
+        Further settings of the problem.
+    source : str
+        The paper the problem comes from.
+    """
+
+    name: str
+    summary: str
+    build: Callable[[Inputs], Problem]
+    model: str
+    dataset: str
+    criterion: str = "check-rmse"
+    solver: str = "ga"
+    model_options: Mapping[str, Any] = field(default_factory=dict)
+    control: str = "points"
+    options: tuple[Option, ...] = ()
+    source: str = ""
+
+
+MASK = Option("mask", "per-axis", "Whether line and sample select their terms each or together.",
+              choices=("per-axis", "shared"))
+MIXED = Option("mixed", False, "Use control points and control lines together in one adjustment.",
+               bool)
+
+
+def _terms(inputs: Inputs) -> Problem:
+    return SelectionProblem(inputs, terms=True, features=False, mask=inputs.options["mask"])
+
+
+def _features(inputs: Inputs) -> Problem:
+    return SelectionProblem(inputs, terms=False, features=True)
+
+
+def _both(inputs: Inputs) -> Problem:
+    return SelectionProblem(inputs, terms=True, features=True, mask=inputs.options["mask"])
+
+
+YAVARI = "Yavari, Valadan Zoej, Salehi 2018 (OWDIS)"
+
+RECIPES = (
+    Recipe("rfm-terms", "Which terms of a rational function model to use.", _terms,
+           model="rfm", dataset="ikonos-hamedan", options=(MASK, MIXED),
+           source="Valadan Zoej et al. 2007; Akhoundi Khezrabad et al. 2020"),
+    Recipe("poly-terms", "Which terms of a plane polynomial to use.", _terms,
+           model="poly2d", dataset="spot-isfahan", options=(MASK, MIXED),
+           source="Valadan Zoej et al. 2002; Zakaryaie Nejad et al. 2015"),
+    Recipe("owdis-points", "Which control points to use.", _features,
+           model="poly3d", dataset="ikonos-hamedan", options=(MIXED,), source=YAVARI),
+    Recipe("owdis-lines", "Which control lines to use.", _features,
+           model="rfm", model_options={"order": 2}, dataset="ikonos-hamedan", control="lines",
+           options=(MIXED,), source=YAVARI),
+    Recipe("owdis-points-terms", "Which control points and which model terms to use.", _both,
+           model="rfm", model_options={"order": 2}, dataset="ikonos-hamedan",
+           options=(MASK, MIXED), source=YAVARI),
+    Recipe("owdis-lines-terms", "Which control lines and which model terms to use.", _both,
+           model="rfm", dataset="ikonos-hamedan", control="lines", options=(MASK, MIXED),
+           source=YAVARI),
+)

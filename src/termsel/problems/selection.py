@@ -1,0 +1,217 @@
+"""Selection of model terms, of control features, or of both."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from termsel.adjustment.equations import Equations, row_axes
+from termsel.adjustment.kernels import solve_many
+from termsel.criteria import Criterion, Fits
+from termsel.errors import TermselError
+from termsel.features import BoolArray, FeatureSet, FloatArray, IntArray, Points, select
+from termsel.models.base import LINE, SAMPLE, SensorModel
+from termsel.problems.base import WORST, Evaluation, Genome, Problem, Segment, Selection
+
+POLE_MARGIN = 0.1
+"""Least value of a denominator over the scene; vendor RPCs stay within some hundredths of 1."""
+
+_GRID = np.stack(np.meshgrid(*[np.linspace(-1.0, 1.0, n) for n in (5, 5, 3)]), -1).reshape(-1, 3)
+
+
+@dataclass(frozen=True, eq=False)
+class Inputs:
+    """What a problem is made of.
+
+    Parameters
+    ----------
+    model : SensorModel
+    control : FeatureSet
+        Control features in scaled coordinates.
+    check : Points
+        Check points in scaled coordinates.
+    pixels : float
+        Pixels per scaled image unit.
+    criterion : Criterion
+    options : dict
+        Values of the recipe's options.
+    """
+
+    model: SensorModel
+    control: FeatureSet
+    check: Points
+    pixels: float
+    criterion: Criterion
+    options: dict[str, Any] = field(default_factory=dict)
+
+
+class SelectionProblem(Problem):
+    """Switch terms, features or both; fit by least squares; judge by the criterion.
+
+    Parameters
+    ----------
+    inputs : Inputs
+    terms, features : bool
+        What the chromosome selects. What it does not select is all in use.
+    mask : {"per-axis", "shared"}
+        Whether line and sample have a gene each for a monomial, or one together.
+
+    Raises
+    ------
+    TermselError
+        If the model cannot be selected from in this way, or the control is too small.
+    """
+
+    def __init__(self, inputs: Inputs, *, terms: bool, features: bool,
+                 mask: str = "per-axis") -> None:
+        model, control = inputs.model, inputs.control
+        self.inputs = inputs
+        self.objectives = (inputs.criterion.name,)
+        self.equations = model.equations(control)
+        self._guard = guard_points(control, inputs.check)
+        self._parts = _independent_parts(self.equations, model.axis)
+        names = model.terms
+        segments = []
+        self._gene_of_term: IntArray | None = None
+        if terms:
+            term_segments, self._gene_of_term = _term_segments(names, model.axis, mask)
+            segments += term_segments
+        self._n_term_genes = sum(len(s.labels) for s in segments)
+        self._selects_features = features
+        if features:
+            if _interpolates(model, control):
+                raise TermselError(
+                    f"features cannot be selected under the interpolating model {model.name!r}",
+                    hint="Choose a model without interpolation, such as --model poly3d.")
+            segments.append(Segment("features", control.ids))
+        self.genome = Genome(segments)
+        self._refuse_hopeless(terms)
+
+    def _refuse_hopeless(self, selects_terms: bool) -> None:
+        """Refuse before any search what no selection could solve."""
+        for part in self._parts:
+            rows, columns = part.rows.sum(), part.columns.sum()
+            if not selects_terms and rows < columns:
+                raise TermselError(
+                    f"model {self.inputs.model.name!r} has {columns} terms to be determined "
+                    f"together and the control gives {rows} equations",
+                    hint="Give more control, lower the order or degree of the model "
+                         "(--set order=1, --set degree=1), or select terms.")
+
+    def evaluate(self, genes: BoolArray) -> Evaluation:
+        """Return the criterion and the violation of a population (see `Problem.evaluate`).
+
+        The violation counts terms that are not determined, axes without a numerator term,
+        and by how much a denominator falls short of POLE_MARGIN somewhere in the scene.
+        """
+        inputs = self.inputs
+        terms, features = self.masks(genes)
+        coefficients, violation = self._coefficients(terms, features)
+        fits = Fits(inputs.model, inputs.control.points, inputs.check, inputs.pixels, terms,
+                    coefficients)
+        violation += self._empty_axes(terms)
+        violation += pole_violation(inputs.model, coefficients, self._guard)
+        score = np.full(len(genes), WORST)
+        good = violation == 0
+        score[good] = inputs.criterion.score(fits)[good]
+        score = np.minimum(np.nan_to_num(score, nan=WORST, posinf=WORST), WORST)
+        return Evaluation(score[:, None], violation)
+
+    def masks(self, genes: BoolArray) -> tuple[BoolArray, BoolArray | None]:
+        """Return masks of terms, shape (p, k), and of features, shape (p, f) or None for all."""
+        terms = (np.ones((len(genes), len(self.inputs.model.terms)), dtype=bool)
+                 if self._gene_of_term is None else genes[:, self._gene_of_term])
+        return terms, genes[:, self._n_term_genes:] if self._selects_features else None
+
+    def decode(self, genes: BoolArray) -> Selection:
+        """Return the names of the terms and features in use."""
+        terms, features = self.masks(np.atleast_2d(genes))
+        ids = self.inputs.control.ids
+        return Selection(select(self.inputs.model.terms, terms[0]),
+                         ids if features is None else select(ids, features[0]))
+
+    def _coefficients(self, terms: BoolArray, features: BoolArray | None,
+                      ) -> tuple[FloatArray, FloatArray]:
+        coefficients = np.zeros(terms.shape)
+        violation = np.zeros(len(terms))
+        for part in self._parts:
+            chosen = None if self._gene_of_term is None else terms[:, part.columns]
+            if chosen is None and features is None:
+                chosen = terms[:, part.columns]
+            solution, lacking = solve_many(part.equations, chosen, features)
+            coefficients[:, part.columns] = solution
+            violation += lacking
+        return coefficients, violation
+
+    def _empty_axes(self, terms: BoolArray) -> FloatArray:
+        axis = self.inputs.model.axis
+        if not np.isin([LINE, SAMPLE], axis).all():
+            return np.zeros(len(terms))
+        line, sample = terms[:, axis == LINE], terms[:, axis == SAMPLE]
+        return 1.0 * ~line.any(axis=1) + 1.0 * ~sample.any(axis=1)
+
+
+def guard_points(control: FeatureSet, check: Points) -> FloatArray:
+    """Return scaled ground points at which denominators must stay positive.
+
+    A grid over the box of X, Y, Z of control and check features, and the features
+    themselves.
+    """
+    vertices = np.concatenate([control.ground_vertices(), check.ground])
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    return np.concatenate([vertices, (low + high) / 2 + _GRID * (high - low) / 2])
+
+
+def pole_violation(model: SensorModel, coefficients: FloatArray,
+                   ground: FloatArray) -> FloatArray:
+    """Return by how much denominators fall short of POLE_MARGIN, shape (p,); 0 is safe."""
+    below = model.denominators(coefficients, ground)
+    if below is None:
+        return np.zeros(len(coefficients))
+    least = np.nan_to_num(below, nan=-WORST).min(axis=(1, 2))
+    return np.clip(POLE_MARGIN - least, 0.0, WORST)
+
+
+@dataclass(frozen=True, eq=False)
+class _Part:
+    rows: BoolArray
+    columns: BoolArray
+    equations: Equations
+
+
+def _independent_parts(equations: Equations, axis: IntArray) -> tuple[_Part, ...]:
+    """Split the system by axis where no row and no term speaks of both."""
+    rows = row_axes(equations.A, axis)
+    axes: tuple[IntArray, ...]
+    if (rows == 2).any() or (axis == 2).any():
+        masks = [(np.ones(len(rows), dtype=bool), np.ones(len(axis), dtype=bool))]
+    else:
+        masks = [(rows == side, axis == side) for side in (LINE, SAMPLE)]
+    return tuple(_Part(r, c, equations.take(r, c)) for r, c in masks)
+
+
+def _interpolates(model: SensorModel, control: FeatureSet) -> bool:
+    ground = control.points.ground
+    return len(ground) > 0 and model.residual_weights(ground, ground[:1]) is not None
+
+
+def _term_segments(names: tuple[str, ...], axis: IntArray, mask: str,
+                   ) -> tuple[list[Segment], IntArray]:
+    """Return the segments of term genes and the gene that switches each term."""
+    if mask == "shared":
+        # "line.num:X2Y" and "sample.num:X2Y" share the gene "num:X2Y".
+        shared = [name.split(".", 1)[-1] for name in names]
+        labels = tuple(dict.fromkeys(shared))
+        return ([Segment("terms", labels)],
+                np.array([labels.index(name) for name in shared], dtype=np.intp))
+    segments, order = [], []
+    for side, title in ((0, "terms.line"), (1, "terms.sample"), (2, "terms.shared")):
+        where = np.flatnonzero(axis == side)
+        if where.size:
+            segments.append(Segment(title, tuple(names[i] for i in where)))
+            order.extend(int(i) for i in where)
+    gene = np.empty(len(names), dtype=np.intp)
+    gene[order] = np.arange(len(names))
+    return segments, gene

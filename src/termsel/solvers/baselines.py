@@ -1,0 +1,39 @@
+"""Yardsticks: solvers that hardly search or do not search at all."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from termsel.options import Option
+from termsel.problems.base import Problem
+from termsel.solvers.base import Generation, Solver
+
+
+class RandomSearch(Solver):
+    """Random selections: what any search must beat at the same number of evaluations."""
+
+    name = "random"
+    default_generations = 80
+    declared_options = (Option("population", 200, "Selections drawn at a time.", int, 1),)
+
+    def generations(self, problem: Problem, rng: np.random.Generator) -> Iterator[Generation]:
+        """Yield fresh random populations without end."""
+        index = 0
+        while True:
+            genes = problem.genome.random(rng, self.options["population"])
+            yield Generation(index, genes, problem.evaluate(genes))
+            index += 1
+
+
+class AllTerms(Solver):
+    """The conventional approach: every term and every feature in use, no search."""
+
+    name = "all-terms"
+    default_generations = None
+
+    def generations(self, problem: Problem, rng: np.random.Generator) -> Iterator[Generation]:
+        """Yield the one full selection."""
+        genes = problem.genome.repair(np.ones((1, problem.genome.size), dtype=bool), rng)
+        yield Generation(0, genes, problem.evaluate(genes))
