@@ -1,0 +1,23 @@
+"""Simulated scenes: a rigorous pushbroom scanner over analytic terrain."""
+
+from termsel.simulate.pushbroom import Angle, Pushbroom, pushbroom_at
+from termsel.simulate.scenes import (
+    DATASETS,
+    SCENES,
+    SceneTruth,
+    scene_truth,
+    simulate_scene,
+)
+from termsel.simulate.terrain import Terrain
+
+__all__ = [
+    "DATASETS",
+    "SCENES",
+    "Angle",
+    "Pushbroom",
+    "SceneTruth",
+    "Terrain",
+    "pushbroom_at",
+    "scene_truth",
+    "simulate_scene",
+]

@@ -1,0 +1,397 @@
+"""Rigorous geometry of a pushbroom scanner on a circular orbit.
+
+Every scan line has an exposure station and an attitude of its own, and each detector of the
+linear array looks along one fixed direction in the camera. Not modelled: lens distortion,
+aberration of light, light travel time and the motion of the pole.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from termsel.errors import TermselError
+from termsel.features import FloatArray
+from termsel.simulate.wgs84 import (
+    EARTH_ROTATION,
+    GRAVITY_CONSTANT,
+    SEMI_MAJOR,
+    SEMI_MINOR,
+    from_ecef,
+    to_ecef,
+    vertical,
+)
+
+# Refractivity of air (n - 1) at sea level in the standard atmosphere, visible light, times the
+# height p0 / (rho0 g) = 8434 m of the equivalent homogeneous atmosphere: metres.
+_REFRACTIVITY_COLUMN = 2.778e-4 * 8434.0
+
+_CONVERGED = 1e-8  # pixel
+_ITERATIONS = 40
+
+
+@dataclass(frozen=True)
+class Angle:
+    """An attitude angle over time: slow drift and small jitter.
+
+    Parameters
+    ----------
+    drift : tuple of float
+        Coefficients of the polynomial in time, constant first [rad, rad/s, rad/s^2 ...].
+    jitter : tuple of (float, float, float)
+        Amplitude [rad], frequency [Hz] and phase [rad] of each sine.
+    """
+
+    drift: tuple[float, ...] = ()
+    jitter: tuple[tuple[float, float, float], ...] = ()
+
+    def __call__(self, time: FloatArray) -> FloatArray:
+        """Return the angle [rad] at `time` [s] from the centre of the scene."""
+        angle = np.zeros_like(time)
+        for coefficient in reversed(self.drift):
+            angle = angle * time + coefficient
+        for amplitude, frequency, phase in self.jitter:
+            angle = angle + amplitude * np.sin(2 * np.pi * frequency * time + phase)
+        return angle
+
+
+@dataclass(frozen=True)
+class Pushbroom:
+    """Rigorous model of a pushbroom scanner: collinearity for every scan line.
+
+    The satellite moves on a circle about the Earth's centre in inertial space; the Earth turns
+    below it. At time 0, the middle of the image, inertial and Earth-fixed axes coincide. The
+    orbital frame has x along the velocity, y to starboard and z towards the Earth's centre;
+    the attitude turns the camera by yaw about z, then pitch about y, then roll about x. The
+    array lies across the flight direction; samples run to port, so that an image shown with
+    line 0 on top is not mirrored. The centre of the upper-left pixel is (0, 0).
+
+    Parameters
+    ----------
+    altitude : float
+        Radius of the orbit above the WGS84 semi-major axis [m].
+    inclination, node, argument : float
+        Inclination, longitude of the ascending node and argument of latitude at time 0 [deg].
+    n_lines, n_samples : int
+        Size of the image [pixel].
+    ifov : float
+        Instantaneous field of view: detector pitch over focal length [rad].
+    line_period : float
+        Time from one line to the next [s].
+    roll, pitch, yaw : Angle
+        Attitude over time.
+    refraction : bool
+        Whether rays are bent by the atmosphere.
+
+    Raises
+    ------
+    TermselError
+        If the image is empty, or a length, angle or period that must be positive is not.
+
+    Notes
+    -----
+    Circular orbit and orbital frame as in V. Kratky, "Rigorous photogrammetric processing of
+    SPOT images at CCM Canada", ISPRS J. Photogramm. Remote Sens. 44 (1989) 53-71, and
+    P.V. Radhadevi, R. Ramachandran and A.S.R.K.V. Murali Mohan, "Restitution of IRS-1C PAN data
+    using an orbit attitude model and minimum control", ISPRS J. 53 (1998) 262-271.
+
+    A ray through plane layers of air keeps n sin(z), so it meets the ground nearer to the
+    nadir than the straight one by tan(z) / cos(z)^2 times the integral of (n - 1) over height.
+    By Gladstone-Dale that integral is proportional to the pressure on the ground, here of the
+    standard atmosphere. P. D. Noerdlinger, "Atmospheric refraction effects in Earth remote
+    sensing", ISPRS J. 54 (1999) 360-373, gives the curved layers; for z below 40 deg the
+    difference is centimetres.
+    """
+
+    altitude: float
+    inclination: float
+    node: float
+    argument: float
+    n_lines: int
+    n_samples: int
+    ifov: float
+    line_period: float
+    roll: Angle = Angle()
+    pitch: Angle = Angle()
+    yaw: Angle = Angle()
+    refraction: bool = True
+
+    def __post_init__(self) -> None:
+        for name in ("altitude", "n_lines", "n_samples", "ifov", "line_period"):
+            if not getattr(self, name) > 0:
+                raise TermselError(f"{name} of a pushbroom is {getattr(self, name)}",
+                                   hint="It must be positive.")
+
+    @property
+    def centre(self) -> tuple[float, float]:
+        """Line and sample of the middle of the image [pixel]."""
+        return (self.n_lines - 1) / 2, (self.n_samples - 1) / 2
+
+    def time(self, line: FloatArray) -> FloatArray:
+        """Return the time of exposure [s] of `line` [pixel]; 0 in the middle of the image."""
+        return (line - self.centre[0]) * self.line_period
+
+    def exposure(self, time: ArrayLike) -> tuple[FloatArray, FloatArray]:
+        """Return exposure stations and rotations from the camera to Earth-fixed axes.
+
+        Parameters
+        ----------
+        time : array_like, shape (n,)
+            Time from the middle of the image [s].
+
+        Returns
+        -------
+        station : ndarray, shape (n, 3)
+            Earth-fixed position [m].
+        rotation : ndarray, shape (n, 3, 3)
+            Columns are the camera's axes.
+        """
+        time = np.asarray(time, dtype=np.float64)
+        radius = SEMI_MAJOR + self.altitude
+        i = np.radians(self.inclination)
+        node = np.radians(self.node) - EARTH_ROTATION * time
+        u = np.radians(self.argument) + np.sqrt(GRAVITY_CONSTANT / radius**3) * time
+        cn, sn, cu, su = np.cos(node), np.sin(node), np.cos(u), np.sin(u)
+        ci, si = np.cos(i), np.sin(i)
+        outward = np.stack([cn * cu - sn * su * ci, sn * cu + cn * su * ci, su * si], axis=-1)
+        forward = np.stack([-cn * su - sn * cu * ci, -sn * su + cn * cu * ci, cu * si], axis=-1)
+        normal = np.stack([sn * si, -cn * si, np.full_like(cn, ci)], axis=-1)
+        orbital = np.stack([forward, -normal, -outward], axis=-1)
+        attitude = _attitude(self.roll(time), self.pitch(time), self.yaw(time))
+        return radius * outward, orbital @ attitude
+
+    def project(self, ground: ArrayLike) -> FloatArray:
+        """Return where ground points are seen.
+
+        Parameters
+        ----------
+        ground : array_like, shape (n, 3)
+            WGS84 longitude, latitude [deg] and ellipsoidal height [m].
+
+        Returns
+        -------
+        ndarray, shape (n, 2)
+            Line and sample [pixel], also beyond the edges of the image.
+
+        Raises
+        ------
+        TermselError
+            For an array of another shape, or points the scanner never passes.
+
+        Notes
+        -----
+        The line is the root of the along-track camera coordinate over time, found by the
+        secant method for all points at once, to 1e-8 pixel.
+        """
+        ground = _columns(ground, 3, "ground")
+        target, up = to_ecef(ground), vertical(ground)
+        line = np.full(len(target), self.centre[0])
+        along, sample = self._view(target, up, ground[:, 2], line)
+        step = along  # one pixel of the along-track coordinate is about one line
+        slope = np.full_like(line, -1.0)
+        for _ in range(_ITERATIONS):
+            active = np.abs(along) > _CONVERGED
+            if not active.any():
+                break
+            line = line + step
+            before = along
+            along, sample = self._view(target, up, ground[:, 2], line)
+            # Steps of a few nano-pixels say nothing about the slope, so the last one is kept.
+            np.divide(along - before, step, out=slope, where=np.abs(step) > 1e-4)
+            step = -along / slope
+        station, _ = self.exposure(self.time(line))
+        hidden = active | ~(np.einsum("ni,ni->n", station - target, up) > 0)
+        if hidden.any():
+            raise TermselError(f"{int(hidden.sum())} ground points are out of the scanner's sight",
+                               hint="Give longitude, latitude and height of points near the scene.")
+        return np.stack([line, sample], axis=-1)
+
+    def locate(self, image: ArrayLike, height: ArrayLike) -> FloatArray:
+        """Return where the rays of image points reach the given heights.
+
+        Parameters
+        ----------
+        image : array_like, shape (n, 2)
+            Line and sample [pixel].
+        height : array_like, shape (n,) or a number
+            Ellipsoidal heights [m].
+
+        Returns
+        -------
+        ndarray, shape (n, 2)
+            WGS84 longitude and latitude [deg].
+
+        Raises
+        ------
+        TermselError
+            For an array of another shape, or rays that miss the Earth.
+        """
+        image = _columns(image, 2, "image")
+        height = np.broadcast_to(np.asarray(height, dtype=np.float64), len(image))
+        station, rotation = self.exposure(self.time(image[:, 0]))
+        across = -(image[:, 1] - self.centre[1]) * self.ifov
+        look = np.stack([np.zeros_like(across), across, np.ones_like(across)], axis=-1)
+        look /= np.linalg.norm(look, axis=1, keepdims=True)
+        straight = _meet(station, np.einsum("nij,nj->ni", rotation, look), height)
+        place = from_ecef(straight)
+        if self.refraction:
+            # The shift is about a metre and changes by less than a micrometre over itself.
+            for _ in range(2):
+                bent = straight - _refraction(to_ecef(place), vertical(place), height, station)
+                place = from_ecef(bent)
+        return place[:, :2]
+
+    def off_nadir(self, line: float | None = None) -> float:
+        """Return the angle between the middle detector's ray and the Earth's centre [deg].
+
+        Parameters
+        ----------
+        line : float, optional
+            Line [pixel]; the middle of the image where none is given.
+        """
+        at = np.array([self.centre[0] if line is None else line])
+        station, rotation = self.exposure(self.time(at))
+        nadir = -station[0] / np.linalg.norm(station[0])
+        ray = rotation[0, :, 2]
+        return float(np.degrees(np.arctan2(np.linalg.norm(np.cross(nadir, ray)), nadir @ ray)))
+
+    def _view(self, target: FloatArray, up: FloatArray, height: FloatArray, line: FloatArray,
+              ) -> tuple[FloatArray, FloatArray]:
+        """Return the along-track camera coordinate of targets at `line`, and their sample."""
+        station, rotation = self.exposure(self.time(line))
+        if self.refraction:
+            target = target + _refraction(target, up, height, station)
+        x, y, z = np.einsum("nij,ni->jn", rotation, target - station)
+        return x / z / self.ifov, self.centre[1] - y / z / self.ifov
+
+
+def pushbroom_at(
+    lon: float,
+    lat: float,
+    *,
+    height: float = 0.0,
+    off_nadir: float = 0.0,
+    look_azimuth: float = 90.0,
+    gsd: float,
+    image_size: tuple[int, int],
+    altitude: float,
+    inclination: float,
+    refraction: bool = True,
+) -> Pushbroom:
+    """Return a pushbroom whose image is centred at a place, on a descending pass.
+
+    Parameters
+    ----------
+    lon, lat, height : float
+        Centre of the image: WGS84 longitude, latitude [deg], ellipsoidal height [m].
+    off_nadir : float
+        Angle at the satellite between the Earth's centre and the ray to that place [deg].
+    look_azimuth : float
+        Direction of the ray from the flight direction [deg]: 0 ahead, 90 to starboard.
+    gsd : float
+        Distance on the ground between neighbouring pixels at the centre, both ways [m].
+    image_size : tuple of int
+        Lines and samples [pixel].
+    altitude : float
+        Radius of the orbit above the WGS84 semi-major axis [m].
+    inclination : float
+        Inclination of the orbit [deg].
+    refraction : bool
+        Whether rays are bent by the atmosphere.
+
+    Returns
+    -------
+    Pushbroom
+        With constant attitude; give it drift and jitter with `dataclasses.replace`.
+
+    Raises
+    ------
+    TermselError
+        If no such orbit reaches the latitude.
+    """
+    tilt, turn = np.radians(off_nadir), np.radians(look_azimuth)
+    roll = -np.arctan2(np.sin(tilt) * np.sin(turn), np.cos(tilt))
+    pitch = np.arcsin(np.sin(tilt) * np.cos(turn))
+    ratio = np.sin(np.radians(lat)) / np.sin(np.radians(inclination))
+    if abs(ratio) >= 1:
+        raise TermselError(f"an orbit of {inclination:g} deg does not reach latitude {lat:g} deg",
+                           hint="Take an inclination nearer to 90 deg.")
+    argument = 180 - float(np.degrees(np.arcsin(ratio)))
+    sensor = Pushbroom(altitude, inclination, 0.0, argument, *image_size,
+                       ifov=gsd / altitude, line_period=gsd / 7000,
+                       roll=Angle((float(roll),)), pitch=Angle((float(pitch),)),
+                       refraction=refraction)
+
+    def seen(candidate: Pushbroom) -> FloatArray:
+        line, sample = candidate.centre
+        return candidate.locate([[line, sample], [line + 1, sample], [line, sample + 1]], height)
+
+    # Seen from the node the scene is the same for every longitude of the node: find the
+    # argument that gives the latitude (descending: a larger argument lies further south),
+    # then turn the orbit.
+    for _ in range(_ITERATIONS):
+        error = float(seen(sensor)[0, 1]) - lat
+        if abs(error) < 1e-12:
+            break
+        sensor = replace(sensor, argument=sensor.argument + error)
+    else:
+        raise TermselError(f"no view {off_nadir:g} deg off nadir reaches latitude {lat:g} deg",
+                           hint="Take a smaller off-nadir angle.")
+    sensor = replace(sensor, node=(lon - float(seen(sensor)[0, 0]) + 180) % 360 - 180)
+    places = to_ecef(np.column_stack([seen(sensor), np.full(3, height)]))
+    along, across = np.linalg.norm(places[1:] - places[0], axis=1)
+    return replace(sensor, line_period=sensor.line_period * gsd / float(along),
+                   ifov=sensor.ifov * gsd / float(across))
+
+
+def _attitude(roll: FloatArray, pitch: FloatArray, yaw: FloatArray) -> FloatArray:
+    """Return Rx(roll) Ry(pitch) Rz(yaw), shape (n, 3, 3)."""
+    cr, sr, cp, sp = np.cos(roll), np.sin(roll), np.cos(pitch), np.sin(pitch)
+    cy, sy = np.cos(yaw), np.sin(yaw)
+    return np.stack([
+        np.stack([cp * cy, -cp * sy, sp], axis=-1),
+        np.stack([cr * sy + sr * sp * cy, cr * cy - sr * sp * sy, -sr * cp], axis=-1),
+        np.stack([sr * sy - cr * sp * cy, sr * cy + cr * sp * sy, cr * cp], axis=-1),
+    ], axis=-2)
+
+
+def _refraction(target: FloatArray, up: FloatArray, height: FloatArray, station: FloatArray,
+                ) -> FloatArray:
+    """Return the shift from targets to where straight rays would show them [m], (n, 3)."""
+    pressure = (1 - 2.25577e-5 * height) ** 5.25588  # standard atmosphere, over sea level's
+    ray = station - target
+    ray = ray / np.linalg.norm(ray, axis=1, keepdims=True)
+    cosine = np.einsum("ni,ni->n", ray, up)[:, None]
+    shift: FloatArray = (_REFRACTIVITY_COLUMN * pressure)[:, None] * (cosine * up - ray) / cosine**3
+    return shift
+
+
+def _meet(station: FloatArray, ray: FloatArray, height: FloatArray) -> FloatArray:
+    """Return where rays reach ellipsoidal heights, Earth-fixed [m], shape (n, 3).
+
+    Starts on the ellipsoid with both axes longer by the height, which is not quite the
+    surface of that height, and goes on by Newton's method along the ray.
+    """
+    axes = np.stack([SEMI_MAJOR + height, SEMI_MAJOR + height, SEMI_MINOR + height], axis=-1)
+    s, d = station / axes, ray / axes
+    a, b, c = (d * d).sum(axis=1), (s * d).sum(axis=1), (s * s).sum(axis=1) - 1
+    root = b * b - a * c
+    if (root <= 0).any():
+        raise TermselError(f"the rays of {int((root <= 0).sum())} image points miss the Earth",
+                           hint="Take a smaller off-nadir angle, or points in the image.")
+    distance = (-b - np.sqrt(root)) / a
+    for _ in range(2):
+        place = from_ecef(station + distance[:, None] * ray)
+        climb = np.einsum("ni,ni->n", ray, vertical(place))
+        distance = distance + (height - place[:, 2]) / climb
+    along: FloatArray = distance[:, None] * ray
+    return station + along
+
+
+def _columns(values: ArrayLike, width: int, what: str) -> FloatArray:
+    array = np.asarray(values, dtype=np.float64)
+    if array.ndim != 2 or array.shape[1] != width:
+        raise TermselError(f"{what} coordinates have shape {array.shape}, expected (n, {width})")
+    return array

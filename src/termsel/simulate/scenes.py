@@ -1,0 +1,375 @@
+"""Simulated scenes named after the published test areas they imitate.
+
+Place, extent, heights, off-nadir angle and numbers of points are those of the papers named
+at each scene; orbit, attitude, terrain and every measurement are computed. The geometry of a
+scene is fixed by its name. A seed draws points, lines and noise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import lru_cache, partial
+
+import numpy as np
+from numpy.random import Generator
+
+from termsel.datasets import DatasetSpec
+from termsel.errors import TermselError, unknown_name
+from termsel.features import FeatureSet, FloatArray, IntArray, Lines, Points, no_lines, no_points
+from termsel.simulate.pushbroom import Angle, Pushbroom, pushbroom_at
+from termsel.simulate.terrain import Terrain, hilly
+from termsel.simulate.wgs84 import SEMI_MAJOR
+
+_ROLES = ("control", "check", "independent")
+_EDGE = 0.015  # share of the image at each edge where nothing is measured
+_CANDIDATES = 24  # places tried for each point
+_SMALLEST, _LARGEST = 4.0, 15.0  # sideways displacement of a wrong line [pixel]
+
+
+@dataclass(frozen=True)
+class Scene:
+    """Settings of a simulated scene.
+
+    Parameters
+    ----------
+    name, summary : str
+        As in `DatasetSpec`.
+    number : int
+        Seed of the terrain, and first part of the seed of everything drawn.
+    lon, lat : float
+        Centre of the image [deg].
+    heights : tuple of float
+        Lowest and highest terrain in the image, ellipsoidal [m].
+    image_size : tuple of int
+        Lines and samples [pixel].
+    gsd, altitude : float
+        Ground sample distance and altitude of the orbit [m].
+    inclination, off_nadir, look_azimuth : float
+        See `pushbroom_at` [deg].
+    drift : tuple of three tuples
+        Change of roll, pitch and yaw from the middle to the end of the scene by each power of
+        time from the first, as movement in the image [pixel]; for yaw, of the array's ends.
+    jitter : tuple of float
+        Amplitudes of roll and pitch [pixel].
+    relief : float
+        Root mean square of the local relief, which no low polynomial follows [m].
+    roles : tuple of int
+        Numbers of control, check and independent points.
+    lines, wrong_lines : int
+        Numbers of lines, and of wrongly matched ones among them.
+    noise : float
+        Standard deviation of line and sample [pixel].
+    """
+
+    name: str
+    summary: str
+    number: int
+    lon: float
+    lat: float
+    heights: tuple[float, float]
+    image_size: tuple[int, int]
+    gsd: float
+    altitude: float
+    inclination: float
+    off_nadir: float
+    look_azimuth: float
+    drift: tuple[tuple[float, ...], tuple[float, ...], tuple[float, ...]]
+    jitter: tuple[float, float]
+    relief: float
+    roles: tuple[int, int, int]
+    lines: int = 0
+    wrong_lines: int = 0
+    noise: float = 0.5
+
+
+SCENES: dict[str, Scene] = {scene.name: scene for scene in (
+    Scene("ikonos-hamedan",
+          "simulated IKONOS scene of Hamedan, 1 m: 74 points, 120 lines of which 8 are wrong "
+          "(after Valadan Zoej et al. 2002, Akhoundi Khezrabad et al. 2020)",
+          number=1, lon=48.5, lat=34.8, heights=(1700.0, 1990.0), image_size=(7000, 8000), gsd=1.0,
+          altitude=681e3, inclination=98.1, off_nadir=20.4, look_azimuth=65.0,
+          drift=((1.0, 1.2, 0.2), (1.0, 1.5, 0.2), (0.5, 0.5)), jitter=(0.12, 0.15),
+          relief=5.5, roles=(24, 24, 26), lines=120, wrong_lines=8),
+    Scene("spot-isfahan",
+          "simulated SPOT scene of Isfahan, 10 m: 35 points "
+          "(after Zakaryaie Nejad et al. 2015)",
+          number=2, lon=51.7, lat=32.6, heights=(528.0, 1147.0), image_size=(6000, 6000), gsd=10.0,
+          altitude=822e3, inclination=98.7, off_nadir=20.8, look_azimuth=90.0,
+          drift=((1.0, 0.8, 0.2), (1.0, 0.8, 0.2), (0.5, 0.5)), jitter=(0.15, 0.15),
+          relief=70.0, roles=(12, 11, 12)),
+    Scene("irs1c-mashad",
+          "simulated IRS-1C scene of Mashad, 5.8 m: 62 points "
+          "(after Valadan Zoej et al. 2002)",
+          number=3, lon=59.6, lat=36.3, heights=(900.0, 1300.0), image_size=(4000, 4000), gsd=5.8,
+          altitude=817e3, inclination=98.7, off_nadir=15.0, look_azimuth=90.0,
+          drift=((1.0, 1.5, 0.2), (1.0, 1.5, 0.2), (0.5, 0.5)), jitter=(0.12, 0.15),
+          relief=46.0, roles=(20, 20, 22)),
+)}
+
+
+@dataclass(frozen=True)
+class SceneTruth:
+    """What a simulated scene was made from.
+
+    Parameters
+    ----------
+    sensor : Pushbroom
+        The scanner, free of noise.
+    terrain : callable
+        Ellipsoidal heights [m], shape (n,), of longitude and latitude [deg], shape (n, 2).
+    wrong_lines : tuple of str
+        Ids of the wrongly matched lines.
+    """
+
+    sensor: Pushbroom
+    terrain: Callable[[FloatArray], FloatArray]
+    wrong_lines: tuple[str, ...]
+
+
+def simulate_scene(
+    name: str,
+    *,
+    seed: int | None = None,
+    noise: float | None = None,
+    n_points: int | None = None,
+    n_lines: int | None = None,
+    wrong_lines: int | None = None,
+) -> FeatureSet:
+    """Return the measured features of a simulated scene.
+
+    Parameters
+    ----------
+    name : str
+        "ikonos-hamedan", "spot-isfahan" or "irs1c-mashad".
+    seed : int, optional
+        Draws points, lines and noise; 0 where none is given. Sensor and terrain stay.
+    noise : float, optional
+        Standard deviation of line and sample [pixel]; the scene's, 0.5, where none is given.
+    n_points, n_lines : int, optional
+        Numbers of points and lines; the scene's where none is given.
+    wrong_lines : int, optional
+        Number of wrongly matched lines; the scene's share of `n_lines` where none is given.
+
+    Returns
+    -------
+    FeatureSet
+        Longitude, latitude [deg] and ellipsoidal height [m] on WGS84, roles in thirds.
+        Two points, both control, lie at the lowest and the highest place.
+
+    Raises
+    ------
+    TermselError
+        For an unknown name, a negative number or seed, or more wrong lines than lines.
+    """
+    scene = _scene(name)
+    n_lines, wrong = _line_counts(scene, n_lines, wrong_lines)
+    n_points = sum(scene.roles) if n_points is None else n_points
+    noise = scene.noise if noise is None else noise
+    if n_points < 0 or not 0 <= noise < float("inf"):
+        raise TermselError(f"{n_points} points with a noise of {noise} pixels cannot be simulated",
+                           hint="Give a number of points and a noise of at least 0.")
+    point_rng, line_rng, wrong_rng, noise_rng = _streams(scene, seed)
+    points = _points(scene, point_rng, n_points)
+    lines = _lines(scene, line_rng, n_lines)
+    image = _displaced(lines.image, wrong_rng, wrong)
+    point_noise, line_noise = noise_rng.spawn(2)
+    points = replace(points, image=points.image
+                     + noise * point_noise.standard_normal(points.image.shape))
+    lines = replace(lines, image=image + noise * line_noise.standard_normal(image.shape))
+    return FeatureSet(points, lines, "EPSG:4979", scene.image_size, noise)
+
+
+def scene_truth(
+    name: str,
+    *,
+    seed: int | None = None,
+    n_lines: int | None = None,
+    wrong_lines: int | None = None,
+) -> SceneTruth:
+    """Return sensor, terrain and wrong lines of what `simulate_scene` gives.
+
+    Parameters
+    ----------
+    name, seed, n_lines, wrong_lines
+        As given to `simulate_scene`.
+
+    Returns
+    -------
+    SceneTruth
+
+    Raises
+    ------
+    TermselError
+        As `simulate_scene`.
+    """
+    scene = _scene(name)
+    n_lines, wrong = _line_counts(scene, n_lines, wrong_lines)
+    sensor, terrain, _ = _geometry(name)
+    ids = _ids("L", n_lines)
+    picked = _picked(_streams(scene, seed)[2], n_lines, wrong)
+    return SceneTruth(sensor, terrain, tuple(ids[i] for i in picked))
+
+
+def _scene(name: str) -> Scene:
+    if name not in SCENES:
+        raise unknown_name("simulated scene", name, SCENES)
+    return SCENES[name]
+
+
+def _line_counts(scene: Scene, n_lines: int | None, wrong: int | None) -> tuple[int, int]:
+    n_lines = scene.lines if n_lines is None else n_lines
+    if wrong is None:
+        wrong = round(n_lines * scene.wrong_lines / scene.lines) if scene.lines else 0
+    if not 0 <= wrong <= n_lines:
+        raise TermselError(f"{wrong} wrong ones among {n_lines} lines cannot be simulated",
+                           hint="Give numbers of at least 0, and no more wrong lines than lines.")
+    return n_lines, wrong
+
+
+def _streams(scene: Scene, seed: int | None) -> list[Generator]:
+    """Return generators of points, lines, wrong lines and noise, each a stream of its own."""
+    if seed is not None and seed < 0:
+        raise TermselError(f"the seed is {seed}", hint="Give a whole number of at least 0.")
+    return np.random.default_rng([scene.number, seed or 0]).spawn(4)
+
+
+def _ids(letter: str, count: int) -> tuple[str, ...]:
+    return tuple(f"{letter}{i + 1:03d}" for i in range(count))
+
+
+@lru_cache
+def _geometry(name: str) -> tuple[Pushbroom, Terrain, FloatArray]:
+    """Return sensor, terrain, and the image places (2, 2) of lowest and highest terrain."""
+    scene = SCENES[name]
+    middle = sum(scene.heights) / 2
+    sensor = _shaken(scene, pushbroom_at(
+        scene.lon, scene.lat, height=middle, off_nadir=scene.off_nadir,
+        look_azimuth=scene.look_azimuth, gsd=scene.gsd, image_size=scene.image_size,
+        altitude=scene.altitude, inclination=scene.inclination))
+    width = scene.gsd * scene.image_size[1], scene.gsd * scene.image_size[0]
+    terrain = hilly(scene.number, scene.lon, scene.lat, width, scene.relief)
+    share = np.linspace(_EDGE, 1 - _EDGE, 81)
+    image = np.stack(np.meshgrid(share, share, indexing="ij"), axis=-1).reshape(-1, 2)
+    image *= np.array(scene.image_size) - 1
+    terrain, low, high = terrain.between(sensor.locate(image, middle), *scene.heights)
+    return sensor, terrain, image[[low, high]]
+
+
+def _shaken(scene: Scene, sensor: Pushbroom) -> Pushbroom:
+    """Return the sensor with drift and jitter of its attitude."""
+    end = sensor.centre[0] * sensor.line_period
+    per_pixel = (sensor.ifov, sensor.ifov, 1 / sensor.centre[1])
+    jitter = (*scene.jitter, 0.0)
+    cycles, phases = (2.3, 1.7, 1.0), (0.4, 2.0, 0.0)
+    angles = [
+        Angle((*(still.drift or (0.0,)),
+               *(pixels * unit / end ** (power + 1) for power, pixels in enumerate(drift))),
+              ((amplitude * unit, count / (2 * end), phase),) if amplitude else ())
+        for still, drift, unit, amplitude, count, phase in zip(
+            (sensor.roll, sensor.pitch, sensor.yaw), scene.drift, per_pixel, jitter, cycles,
+            phases, strict=True)]
+    return replace(sensor, roll=angles[0], pitch=angles[1], yaw=angles[2])
+
+
+def _on_ground(name: str, image: FloatArray) -> FloatArray:
+    """Return lon, lat, height, shape (n, 3), where rays of image points meet the terrain."""
+    sensor, terrain, _ = _geometry(name)
+    height = np.full(len(image), sum(SCENES[name].heights) / 2)
+    # Slopes are gentle, so each round leaves about a twentieth of the error.
+    for _ in range(8):
+        place = sensor.locate(image, height)
+        height = terrain(place)
+    return np.column_stack([place, height])
+
+
+def _role_counts(scene: Scene, count: int) -> tuple[int, ...]:
+    if count == sum(scene.roles):
+        return scene.roles
+    third, rest = divmod(count, 3)
+    return third + (rest == 2), third, third + (rest > 0)
+
+
+def _points(scene: Scene, rng: Generator, count: int) -> Points:
+    """Return points free of noise, spread over the image as a whole and role by role."""
+    if count == 0:
+        return no_points()
+    sensor, _, extremes = _geometry(scene.name)
+    numbers = _role_counts(scene, count)
+    turns = sorted(((k + 0.5) / number, role) for role, number in enumerate(numbers)
+                   for k in range(number))
+    roles = np.array([role for _, role in turns])
+    extent = np.array(scene.image_size) - 1.0
+    image = np.empty((count, 2))
+    at_extremes = np.flatnonzero(roles == 0)[:2]
+    image[at_extremes] = extremes[:len(at_extremes)]
+    done = np.zeros(count, dtype=bool)
+    done[at_extremes] = True
+    for i in np.flatnonzero(~done):
+        tried = extent * rng.uniform(_EDGE, 1 - _EDGE, (_CANDIDATES, 2))
+        apart = np.linalg.norm(tried[:, None] - image[done], axis=2)
+        # Best candidate (Mitchell 1991) over all points and over those of its role, which are
+        # three times as thin.
+        same = roles[done] == roles[i]
+        room = np.minimum(apart.min(axis=1, initial=np.inf),
+                          apart[:, same].min(axis=1, initial=np.inf) / np.sqrt(3))
+        image[i] = tried[room.argmax()]
+        done[i] = True
+    ground = _on_ground(scene.name, image)
+    return Points(_ids("P", count), sensor.project(ground), ground, None,
+                  tuple(_ROLES[role] for role in roles))
+
+
+def _lines(scene: Scene, rng: Generator, count: int) -> Lines:
+    """Return lines free of noise, crowded like a town's streets, thin elsewhere.
+
+    The image line runs through two other places of the ground line than its vertices, in
+    either order.
+    """
+    if count == 0:
+        return no_lines()
+    sensor, terrain, _ = _geometry(scene.name)
+    # A town with 55 % of the lines, two villages with 15 % each, the rest anywhere.
+    where = rng.choice(4, count, p=(0.55, 0.15, 0.15, 0.15))
+    centre = np.array([[0.42, 0.38], [0.75, 0.70], [0.22, 0.74], [0.5, 0.5]])[where]
+    radius = np.array([0.20, 0.10, 0.08, 0.0])[where]
+    bearing, reach = rng.uniform(0, 2 * np.pi, count), radius * np.sqrt(rng.random(count))
+    share = centre + reach[:, None] * np.column_stack([np.sin(bearing), np.cos(bearing)])
+    anywhere = rng.uniform(0.06, 0.94, (count, 2))
+    share[where == 3] = anywhere[where == 3]
+    middle = _on_ground(scene.name, share * (np.array(scene.image_size) - 1))[:, :2]
+    azimuth = rng.uniform(0, 2 * np.pi, count)
+    length = scene.gsd * np.exp(rng.uniform(np.log(40), np.log(400), count))
+    half = np.degrees(length / 2 / SEMI_MAJOR)
+    step = np.column_stack([half * np.sin(azimuth) / np.cos(np.radians(scene.lat)),
+                            half * np.cos(azimuth)])
+    ends = np.stack([middle - step, middle + step], axis=1)
+    ground = np.dstack([ends, terrain(ends.reshape(-1, 2)).reshape(-1, 2)])
+    along = np.column_stack([rng.uniform(-0.2, 0.3, count), rng.uniform(0.7, 1.2, count)])
+    swap = rng.random(count) < 0.5
+    along[swap] = along[swap, ::-1]
+    measured = ground[:, :1] + along[..., None] * (ground[:, 1:] - ground[:, :1])
+    image = sensor.project(measured.reshape(-1, 3)).reshape(-1, 2, 2)
+    return Lines(_ids("L", count), image, ground)
+
+
+def _picked(rng: Generator, n_lines: int, wrong: int) -> IntArray:
+    """Return which lines are wrong, in order; the first numbers `rng` gives."""
+    return np.sort(rng.choice(n_lines, wrong, replace=False))
+
+
+def _displaced(image: FloatArray, rng: Generator, wrong: int) -> FloatArray:
+    """Return image lines (n, 2, 2) of which `wrong` are moved sideways."""
+    picked = _picked(rng, len(image), wrong)
+    run = image[picked, 1] - image[picked, 0]
+    sideways = np.column_stack([-run[:, 1], run[:, 0]])
+    sideways /= np.linalg.norm(run, axis=1, keepdims=True)
+    offset = rng.uniform(_SMALLEST, _LARGEST, wrong) * rng.choice([-1.0, 1.0], wrong)
+    moved = image.copy()
+    moved[picked] += (offset[:, None] * sideways)[:, None]
+    return moved
+
+
+DATASETS: tuple[DatasetSpec, ...] = tuple(
+    DatasetSpec(scene.name, scene.summary, partial(simulate_scene, scene.name), simulated=True)
+    for scene in SCENES.values())

@@ -1,0 +1,123 @@
+"""Smooth analytic terrain."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from termsel.features import FloatArray
+from termsel.simulate.wgs84 import SEMI_MAJOR
+
+_WAVES = 16
+
+
+@dataclass(frozen=True)
+class Terrain:
+    """Smooth heights: a sloping plane, broad hills, and waves of local relief.
+
+    Parameters
+    ----------
+    lon, lat : float
+        Origin of the plane coordinates u (east) and v (north) [deg].
+    scale : tuple of float
+        Degrees of longitude and latitude to one unit of u and v.
+    base, gain : float
+        Height [m] = base + gain * (plane + hills) + relief.
+    slope : tuple of float
+        Rise of the plane to one unit of u and v.
+    hills : tuple of (float, float, float, float)
+        Rise, u, v and radius of each Gaussian hill.
+    relief : tuple of (float, float, float, float)
+        Amplitude [m], wave numbers along u and v [rad] and phase [rad] of each wave.
+    """
+
+    lon: float
+    lat: float
+    scale: tuple[float, float]
+    base: float
+    gain: float
+    slope: tuple[float, float]
+    hills: tuple[tuple[float, float, float, float], ...]
+    relief: tuple[tuple[float, float, float, float], ...]
+
+    def __call__(self, place: FloatArray) -> FloatArray:
+        """Return ellipsoidal heights [m], shape (n,), of lon, lat [deg], shape (n, 2)."""
+        broad, local = self.parts(place)
+        return self.base + self.gain * broad + local
+
+    def parts(self, place: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the regional form without gain, and the local relief [m], each (n,)."""
+        u = (place[:, 0] - self.lon) / self.scale[0]
+        v = (place[:, 1] - self.lat) / self.scale[1]
+        broad = self.slope[0] * u + self.slope[1] * v
+        for rise, east, north, radius in self.hills:
+            broad += rise * np.exp(-((u - east) ** 2 + (v - north) ** 2) / (2 * radius**2))
+        local = np.zeros_like(u)
+        for amplitude, k_east, k_north, phase in self.relief:
+            local += amplitude * np.sin(k_east * u + k_north * v + phase)
+        return broad, local
+
+    def between(self, place: FloatArray, low: float, high: float) -> tuple[Terrain, int, int]:
+        """Return the terrain whose heights at some places go from `low` to `high`.
+
+        The relief keeps its size; the gain of the regional form makes up the rest.
+
+        Parameters
+        ----------
+        place : ndarray, shape (n, 2)
+            Longitude and latitude [deg].
+        low, high : float
+            Ellipsoidal heights [m].
+
+        Returns
+        -------
+        terrain : Terrain
+        lowest, highest : int
+            Indices of the lowest and the highest place.
+        """
+        broad, local = self.parts(place)
+        gain = 0.0
+        for _ in range(30):
+            gain += (high - low - float(np.ptp(gain * broad + local))) / float(np.ptp(broad))
+        form = gain * broad + local
+        terrain = replace(self, gain=gain, base=low - float(form.min()))
+        return terrain, int(form.argmin()), int(form.argmax())
+
+
+def hilly(seed: int, lon: float, lat: float, extent: tuple[float, float], relief: float,
+          ) -> Terrain:
+    """Return terrain with regional hills of unit size, to be scaled by `Terrain.between`.
+
+    Parameters
+    ----------
+    seed : int
+        Draws the direction of slope and hills, and the waves.
+    lon, lat : float
+        Centre [deg].
+    extent : tuple of float
+        Width to the east and to the north [m].
+    relief : float
+        Root mean square of the local relief [m], of wavelengths of a sixth to a third of the
+        extent, which no low polynomial follows.
+    """
+    rng = np.random.default_rng(seed)
+    scale = (float(np.degrees(extent[0] / 2 / (SEMI_MAJOR * np.cos(np.radians(lat))))),
+             float(np.degrees(extent[1] / 2 / SEMI_MAJOR)))
+    number = 2 * np.pi / rng.uniform(0.35, 0.7, _WAVES)
+    direction = np.pi * (np.arange(_WAVES) + rng.random(_WAVES)) / _WAVES
+    phase = rng.uniform(0, 2 * np.pi, _WAVES)
+    turn = float(rng.uniform(0, 2 * np.pi))
+    waves = np.column_stack([np.full(_WAVES, relief * np.sqrt(2 / _WAVES)),
+                             number * np.cos(direction), number * np.sin(direction), phase])
+    # A high, a basin opposite and a lower rise between, all nearly as wide as the scene.
+    hills = [(rise, 0.55 * np.cos(turn + off), 0.55 * np.sin(turn + off), radius)
+             for rise, off, radius in ((1.0, 0.0, 0.9), (-0.8, 2.6, 0.8), (0.3, 4.4, 0.8))]
+    return Terrain(lon, lat, scale, base=0.0, gain=1.0,
+                   slope=(0.1 * float(np.cos(turn)), 0.1 * float(np.sin(turn))),
+                   hills=_rows(hills), relief=_rows(waves))
+
+
+def _rows(values: ArrayLike) -> tuple[tuple[float, float, float, float], ...]:
+    return tuple((float(a), float(b), float(c), float(d)) for a, b, c, d in np.asarray(values))
