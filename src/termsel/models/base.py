@@ -218,9 +218,9 @@ class RationalModel(SensorModel):
         nl l(G) + ns s(G) = rho, with unit normal (nl, ns) and offset rho of the image line
         in Hesse form. This is linear for polynomials; with a shared denominator it becomes
         linear when multiplied by it. With separate denominators the products of image
-        coordinate and denominator take approximate image coordinates of the vertices from
-        `approximate_image`, in the place of measured ones; the equations then hold to
-        first order. Rows of points are weighted by their standard deviations relative to
+        coordinate and denominator need the image position of the vertex: across the image
+        line it is measured, along it the one of `approximate_image` is taken, so that the
+        equations hold to first order. Rows of points are weighted by their standard deviations relative to
         the median one.
 
         The vector form follows from the requirement that conjugate lines coincide; the
@@ -251,12 +251,12 @@ class RationalModel(SensorModel):
         vertices = lines.ground.reshape(-1, 3)
         normal, rho = np.repeat(normal, 2, axis=0), np.repeat(rho, 2)
         present = {block for block, *_ in self._layout}
+        image = normal * rho[:, None]
         if present & {"line_denominator", "sample_denominator"}:
-            image = approximate_image(features)
-        else:
-            # On the image line nl l + ns s is rho itself, so a shared denominator needs no
-            # approximate coordinates: any point of the line serves.
-            image = normal * rho[:, None]
+            # Across the image line a vertex is measured, along it only the approximate
+            # position is known. With a shared denominator the place along it cancels.
+            along = np.stack([-normal[:, 1], normal[:, 0]], axis=1)
+            image += along * np.einsum("na,na->n", along, approximate_image(features))[:, None]
         rows = self._axis_rows(vertices, image)
         return np.einsum("na,nak->nk", normal, rows), rho
 

@@ -1,0 +1,162 @@
+"""The command `termsel run`."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from contextlib import nullcontext
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from termsel.cli.names import complete
+from termsel.errors import TermselError
+
+if TYPE_CHECKING:
+    from termsel.features import FeatureSet
+    from termsel.searching import Progress
+
+INTERRUPTED = 130
+
+
+@click.command()
+@click.option("--problem", metavar="NAME", shell_complete=complete("problems"),
+              required=True, help="The problem to solve; see `termsel list problems`.")
+@click.option("--dataset", metavar="NAME", shell_complete=complete("datasets"),
+              help="A data set known by name; the problem's own by default.")
+@click.option("--points", metavar="FILE", type=click.Path(path_type=Path),
+              help="Points: id,role,line,sample,x,y,z.")
+@click.option("--lines", metavar="FILE", type=click.Path(path_type=Path),
+              help="Control lines: id,line1,sample1,line2,sample2,x1,y1,z1,x2,y2,z2.")
+@click.option("--crs", metavar="CRS",
+              help="CRS of the ground coordinates: EPSG:4979 for longitude, latitude and "
+                   "ellipsoidal height; `local` for plane coordinates without a CRS.")
+@click.option("--model", metavar="NAME", shell_complete=complete("models"),
+              help="Sensor model; see `termsel list models`.")
+@click.option("--solver", metavar="NAME", shell_complete=complete("solvers"),
+              help="Solver; see `termsel list solvers`.")
+@click.option("--criterion", metavar="NAME", shell_complete=complete("criteria"),
+              help="What is minimised; see `termsel list criteria`.")
+@click.option("--set", "settings", metavar="KEY=VALUE", multiple=True,
+              help="An option of the problem, model, solver, criterion or data; may be "
+                   "repeated. `termsel describe NAME` lists them.")
+@click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True,
+              help="Seed of the search; the same seed gives the same selection.")
+@click.option("--generations", type=click.IntRange(min=1), help="Stop after N generations.")
+@click.option("--evaluations", type=click.IntRange(min=1), help="Stop after N evaluations.")
+@click.option("--seconds", type=click.FloatRange(min=0, min_open=True), help="Stop after S seconds.")
+@click.option("--out", metavar="DIR", type=click.Path(path_type=Path),
+              help="Folder for result.json, residuals.csv and summary.txt.")
+@click.option("--json", "as_json", is_flag=True, help="Print result.json alone on stdout.")
+@click.option("--quiet", is_flag=True, help="No progress bar.")
+def run(
+    problem: str, dataset: str | None, points: Path | None, lines: Path | None, crs: str | None,
+    model: str | None, solver: str | None, criterion: str | None, settings: tuple[str, ...],
+    seed: int, generations: int | None, evaluations: int | None, seconds: float | None,
+    out: Path | None, as_json: bool, quiet: bool,
+) -> None:
+    """Search for the terms or control features that serve best.
+
+    Points in the role check judge each selection; independent points judge the result and
+    take no part in any choice. Ctrl-C ends the search with the best found so far.
+
+    \b
+    Examples:
+      termsel run --problem owdis-lines
+      termsel run --problem rfm-terms --points gcp.csv --crs EPSG:4979 --out result
+      termsel run --problem poly-terms --points gcp.csv --crs local --set degree=5
+      termsel run --problem owdis-lines --points points.csv --lines roads.csv \\
+          --crs EPSG:32639 --model poly3d --seed 7 --json > result.json
+    """
+    options = parse_settings(settings)
+    if dataset is not None and (points is not None or lines is not None):
+        raise TermselError("--dataset and files of your own exclude each other",
+                           hint="Give --dataset NAME, or --points FILE and --lines FILE.")
+    if crs is not None and points is None and lines is None:
+        raise TermselError("--crs speaks of the ground coordinates of a file, and none is given",
+                           hint="Give --points FILE, or leave --crs out.")
+
+    from termsel import running
+    from termsel.report.text import summary
+
+    features = _read(points, lines, crs)
+    source = ", ".join(str(path) for path in (points, lines) if path is not None)
+    task = running.prepare(problem, features=features, dataset=dataset, source=source or None,
+                           model=model, solver=solver, criterion=criterion, options=options)
+    with _progress(f"{problem} ({task.solver.name})", quiet) as observe:
+        result = running.run(task, seed=seed, generations=generations, evaluations=evaluations,
+                             seconds=seconds, observers=[observe] if observe else [], out=out)
+    click.echo(result.to_json() if as_json else summary(result), nl=False)
+    if out is not None:
+        click.echo(f"Written: {out}/result.json, residuals.csv, summary.txt", err=True)
+    if result.interrupted:
+        click.echo("Interrupted. The same command with the same seed takes the same way again.",
+                   err=True)
+        sys.exit(INTERRUPTED)
+
+
+def parse_settings(settings: tuple[str, ...]) -> dict[str, str]:
+    """Return the options of ``--set KEY=VALUE``.
+
+    Raises
+    ------
+    TermselError
+        For a setting without an equals sign, or a key set twice.
+    """
+    options: dict[str, str] = {}
+    for setting in settings:
+        key, equals, value = setting.partition("=")
+        if not equals or not key.strip():
+            raise TermselError(f"--set {setting!r} is not of the form KEY=VALUE",
+                               hint="For example --set population=300.")
+        if key.strip() in options:
+            raise TermselError(f"--set {key.strip()} is given twice", hint="Give it once.")
+        options[key.strip()] = value.strip()
+    return options
+
+
+def _read(points: Path | None, lines: Path | None, crs: str | None) -> FeatureSet | None:
+    if points is None and lines is None:
+        return None
+    from termsel.io.base import read_features
+    from termsel.plugins.manager import registry
+
+    readers = [entry.object for entry in registry().entries("readers")]
+    return read_features(points, lines, crs=crs, readers=readers)
+
+
+def _progress(title: str, quiet: bool) -> Any:
+    """Return a context that yields an observer, or None where nobody would see it."""
+    if quiet or not sys.stderr.isatty():
+        return nullcontext(None)
+    return _Bar(title)
+
+
+class _Bar:
+    """A progress bar on stderr that is driven by a search."""
+
+    def __init__(self, title: str) -> None:
+        from rich.console import Console
+        from rich.progress import BarColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+        from rich.progress import Progress as RichProgress
+
+        self._bar = RichProgress(
+            TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:>3.0f}%"),
+            TextColumn("best {task.fields[best]}"), TextColumn("{task.fields[count]} evaluations"),
+            TimeElapsedColumn(), TimeRemainingColumn(), console=Console(stderr=True),
+            transient=True)
+        self._task = self._bar.add_task(title, total=1.0, best="-", count=0)
+
+    def __enter__(self) -> Callable[[Progress], None]:
+        self._bar.start()
+        return self._observe
+
+    def __exit__(self, *error: object) -> None:
+        self._bar.stop()
+
+    def _observe(self, progress: Progress) -> None:
+        best = f"{progress.best:.4f}" if progress.violation == 0 else "infeasible"
+        self._bar.update(self._task, completed=progress.share, best=best,
+                         count=progress.evaluations,
+                         total=None if progress.share is None else 1.0)

@@ -1,0 +1,149 @@
+"""One fitted model: its adjustment, its residuals, its RMSE, and plain models beside it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from termsel.adjustment.equations import line_normals
+from termsel.adjustment.solve import Adjustment, solve
+from termsel.criteria import predict
+from termsel.features import BoolArray, FeatureSet, FloatArray, Points
+from termsel.models.base import SensorModel
+from termsel.models.polynomial import Polynomial2D, Polynomial3D
+from termsel.scaling import Scaling, scaling_of
+
+
+@dataclass(frozen=True)
+class Rmse:
+    """Root mean square errors [pixel] over n features.
+
+    `total` is sqrt(mean(dl^2 + ds^2)) over points. For control lines the error is the
+    distance of each projected ground vertex from the image line, taken along its normal.
+    """
+
+    line: float
+    sample: float
+    total: float
+    n: int
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """A model fitted to control features.
+
+    Parameters
+    ----------
+    model : SensorModel
+    scaling : Scaling
+    control : FeatureSet
+        All control features on offer [pixel, ground units].
+    terms : ndarray of bool, shape (k,)
+    used : ndarray of bool, shape (len(control),)
+        Features in the adjustment, points before lines.
+    adjustment : Adjustment
+    """
+
+    model: SensorModel
+    scaling: Scaling
+    control: FeatureSet
+    terms: BoolArray
+    used: BoolArray
+    adjustment: Adjustment
+
+    def project(self, ground: FloatArray) -> FloatArray:
+        """Return line and sample [pixel] of ground points, shape (n, 2)."""
+        points = self.control.points.take(self.used[:len(self.control.points)])
+        scaled = predict(self.model, self.adjustment.coefficients, self.scaling.points(points),
+                         self.scaling.ground(ground))
+        return self.scaling.pixels(scaled)
+
+    def errors(self, points: Points) -> FloatArray:
+        """Return measured minus computed line and sample [pixel], shape (n, 2)."""
+        return points.image - self.project(points.ground)
+
+    def line_errors(self) -> FloatArray:
+        """Return the errors of the control lines' ground vertices [pixel], shape (n, 2, 2).
+
+        For each line and vertex: the vector along the normal from the projected vertex to
+        the image line, as line and sample.
+        """
+        lines = self.control.lines
+        normal, rho = line_normals(lines)
+        image = self.project(lines.ground.reshape(-1, 3)).reshape(-1, 2, 2)
+        distance = rho[:, None] - np.einsum("ia,iva->iv", normal, image)
+        return np.asarray(distance[..., None] * normal[:, None, :])
+
+    def control_rmse(self) -> Rmse | None:
+        """Return the RMSE of the control features in use."""
+        n = len(self.control.points)
+        errors = np.concatenate([self.errors(self.control.points)[self.used[:n]],
+                                 self.line_errors()[self.used[n:]].reshape(-1, 2)])
+        return _rmse(errors, int(self.used.sum()))
+
+    def rmse(self, points: Points) -> Rmse | None:
+        """Return the RMSE of points that took no part in the adjustment; None without points."""
+        return _rmse(self.errors(points), len(points))
+
+
+def _rmse(errors: FloatArray, n: int) -> Rmse | None:
+    if not n:
+        return None
+    line, sample = np.sqrt((errors**2).mean(axis=0)).tolist()
+    return Rmse(line, sample, float(np.hypot(line, sample)), n)
+
+
+def fit(model: SensorModel, control: FeatureSet, scaling: Scaling,
+        terms: BoolArray | None = None, used: BoolArray | None = None) -> Fit:
+    """Fit a model to control features.
+
+    Parameters
+    ----------
+    model : SensorModel
+    control : FeatureSet
+        In pixels and ground units.
+    scaling : Scaling
+    terms : ndarray of bool, shape (k,), optional
+        Terms in use; all by default.
+    used : ndarray of bool, shape (len(control),), optional
+        Features in use; all by default.
+    """
+    terms = np.ones(len(model.terms), dtype=bool) if terms is None else terms
+    used = np.ones(len(control), dtype=bool) if used is None else used
+    equations = model.equations(scaling.features(control))
+    return Fit(model, scaling, control, terms, used, solve(equations, terms, used))
+
+
+def plain_fits(control: FeatureSet, check: Points) -> Iterator[tuple[str, Fit]]:
+    """Fit plain polynomials, with which any selection has to bear comparison.
+
+    Nothing is chosen here, so the check points are free to serve as control as well.
+
+    Parameters
+    ----------
+    control : FeatureSet
+    check : Points
+
+    Yields
+    ------
+    name : str
+        "affine", "quadratic" or "cubic".
+    fit : Fit
+        Only of polynomials that the features determine with redundancy.
+    """
+    both = control.with_(points=_join(control.points, check))
+    scaling = scaling_of(both)
+    family = Polynomial2D if both.without_height() else Polynomial3D
+    for degree, name in ((1, "affine"), (2, "quadratic"), (3, "cubic")):
+        fitted = fit(family(degree=degree), both, scaling)
+        if fitted.adjustment.feasible and fitted.adjustment.redundancy > 0:
+            yield name, fitted
+
+
+def _join(first: Points, second: Points) -> Points:
+    sigma = (None if first.sigma is None or second.sigma is None
+             else np.concatenate([first.sigma, second.sigma]))
+    return Points(first.ids + second.ids, np.concatenate([first.image, second.image]),
+                  np.concatenate([first.ground, second.ground]), sigma)

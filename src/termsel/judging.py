@@ -1,0 +1,105 @@
+"""Plain words on what a selection is worth."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from termsel.fitting import Fit, Rmse
+from termsel.problems.recipes import Recipe
+from termsel.roles import Observations
+from termsel.searching import Search
+
+if TYPE_CHECKING:
+    from termsel.result import Baseline
+
+ALIKE = 1.05
+"""Two RMSE whose ratio is below this are called alike: with a few dozen independent points
+an RMSE is itself uncertain by more."""
+
+
+def judge(recipe: Recipe, rmse: Mapping[str, Rmse | None], baselines: tuple[Baseline, ...],
+          feasible: bool, noise: float | None) -> str:
+    """Return one or two sentences that compare the selection with what needs no search.
+
+    Parameters
+    ----------
+    recipe : Recipe
+    rmse : mapping
+        Of the selection, by role.
+    baselines : tuple of Baseline
+        The conventional fit first.
+    feasible : bool
+    noise : float or None
+        Standard deviation of the measurements [pixel], where it is known.
+    """
+    if not feasible:
+        return ("No selection satisfied all conditions: every one had undetermined terms, an "
+                "empty axis or a pole. Do not use this result; give more control or a smaller "
+                "model.")
+    mine = rmse["independent"]
+    if mine is None:
+        return ("There are no independent points, so the accuracy of this selection is not "
+                "known: the check RMSE is what the search drove down.")
+    whole = {"terms": "all terms", "features": "all lines" if recipe.control == "lines"
+             else "all control points"}
+    conventional = whole["features"] if recipe.name.startswith("owdis") else whole["terms"]
+    if recipe.name.endswith("-terms") and recipe.name.startswith("owdis"):
+        conventional = f"{whole['features']} with {whole['terms']}"
+    sentences = [_compare("The selection is", mine.total, baselines[0], conventional)
+                 + f" on {mine.n} independent points."]
+    plain = [b for b in baselines[1:] if b.rmse["independent"] is not None]
+    if plain:
+        best = min(plain, key=_independent)
+        article = "an" if best.name[0] in "aeiou" else "a"
+        title = f"{article} {best.name} polynomial over control and check together"
+        ratio = mine.total / _independent(best)
+        if ratio > ALIKE:
+            sentences.append(f"Use something plainer: {title} is {ratio:.1f} times better "
+                             f"({_independent(best):.2f} px).")
+        elif ratio > 1 / ALIKE:
+            sentences.append(f"It is no better than {title} ({_independent(best):.2f} px).")
+        else:
+            sentences.append(f"It beats {title}, the best plain fit, by {1 / ratio:.1f} times "
+                             f"({_independent(best):.2f} px).")
+    if noise is not None:
+        sentences.append(f"Measurement noise alone gives {noise * np.sqrt(2):.2f} px.")
+    return " ".join(sentences)
+
+
+def _independent(baseline: Baseline) -> float:
+    value = baseline.rmse["independent"]
+    return float("inf") if value is None else value.total
+
+
+def _compare(start: str, mine: float, other: Baseline, title: str) -> str:
+    theirs = _independent(other)
+    figures = f"({mine:.2f} px against {theirs:.2f} px"
+    figures += ")" if other.determined else \
+        ", which the control does not even determine: least-norm solution)"
+    ratio = theirs / mine if mine > 0 else float("inf")
+    if ratio > ALIKE:
+        return f"{start} {ratio:.1f} times better than {title} {figures}"
+    if ratio > 1 / ALIKE:
+        return f"{start} no better than {title} {figures}"
+    return f"{start} {1 / ratio:.1f} times worse than {title} {figures}"
+
+
+def notes_on(recipe: Recipe, observations: Observations, found: Search,
+             chosen: Fit) -> Iterator[str]:
+    """Yield what else the reader of a result must know."""
+    if recipe.control == "lines" and not len(observations.control.points):
+        idle = len(observations.off)
+        if idle:
+            yield (f"{idle} control points of the file stay out, as lines are the control here; "
+                   "--set mixed=true uses both.")
+    if found.interrupted:
+        yield "The search was interrupted; this is the best it had found."
+    check, independent = chosen.rmse(observations.check), chosen.rmse(observations.independent)
+    if check and independent and independent.total > 1.5 * check.total:
+        yield (f"The independent RMSE is {independent.total / check.total:.1f} times the check "
+               "RMSE: the selection is fitted to the check points.")
+    if chosen.adjustment.redundancy == 0:
+        yield "The adjustment has no redundancy: its residuals say nothing."

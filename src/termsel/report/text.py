@@ -1,0 +1,71 @@
+"""A result as a page of text."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Iterator
+
+from termsel.fitting import Rmse
+from termsel.result import ROLES, Result, Rmses
+
+_WIDTH = 88
+_TITLES = {"all-terms": "conventional (all)", "affine": "affine *", "quadratic": "quadratic *",
+           "cubic": "cubic *"}
+
+
+def summary(result: Result) -> str:
+    """Return a page that a person reads: what was selected, how good it is, what it is worth.
+
+    Parameters
+    ----------
+    result : Result
+    """
+    return "\n".join([*_head(result), "", *_table(result), "", *_foot(result)]) + "\n"
+
+
+def _head(result: Result) -> Iterator[str]:
+    counts = result.data["counts"]
+    yield (f"{result.problem}: model {result.model}, solver {result.solver}, criterion "
+           f"{result.criterion}, seed {result.seed}")
+    yield f"Data: {result.data['source']}"
+    control = [f"{counts[key]} {word}" for key, word in (("control", "points"), ("lines", "lines"))
+               if counts[key]]
+    yield (f"Control: {' and '.join(control)}; {counts['check']} check points; "
+           f"{counts['independent']} independent points")
+    offered = result.fit.control
+    yield (f"Selected: {len(result.selection.features)} of {len(offered)} control features, "
+           f"{len(result.selection.terms)} of {len(result.fit.model.terms)} terms; "
+           f"redundancy {result.fit.adjustment.redundancy}")
+    yield (f"Search: {result.evaluations} evaluations ({result.lookups} looked up), "
+           f"{result.generations} generations, {result.seconds:.1f} s")
+
+
+def _table(result: Result) -> Iterator[str]:
+    yield f"{'RMSE [pixel]':<24}{'terms':>6}{'control':>12}{'check':>12}{'independent':>14}"
+    rows: list[tuple[str, int, Rmses]] = [
+        ("selection", len(result.selection.terms), result.rmse)]
+    rows += [(_TITLES.get(b.name, b.name), b.n_terms, b.rmse) for b in result.baselines]
+    for name, n_terms, rmse in rows:
+        control, check, independent = (_figure(rmse.get(role)) for role in ROLES)
+        yield f"{name:<24}{n_terms:>6}{control:>12}{check:>12}{independent:>14}"
+    yield "* plain polynomial fitted to control and check together, so its check figure is a fit"
+    yield "check = the fitness the search drove down; independent = the accuracy"
+
+
+def _figure(rmse: Rmse | None) -> str:
+    return "-" if rmse is None else f"{rmse.total:.3f}" if rmse.total < 1e5 else f"{rmse.total:.2g}"
+
+
+def _foot(result: Result) -> Iterator[str]:
+    yield from textwrap.wrap(result.judgement, _WIDTH)
+    for note in result.notes:
+        yield from textwrap.wrap(note, _WIDTH, initial_indent="Note: ", subsequent_indent="      ")
+    if len(result.selection.features) < len(result.fit.control):
+        yield from _names("Features", result.selection.features)
+    if len(result.selection.terms) < len(result.fit.model.terms):
+        yield from _names("Terms", result.selection.terms)
+
+
+def _names(title: str, names: tuple[str, ...]) -> Iterator[str]:
+    yield from textwrap.wrap(f"{title}: {' '.join(names)}", _WIDTH, subsequent_indent="  ",
+                             break_on_hyphens=False)

@@ -1,0 +1,260 @@
+"""One search: budget, observers, record of evaluations, interrupt."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from termsel.errors import TermselError
+from termsel.features import BoolArray
+from termsel.problems.base import Evaluation, Problem, Selection
+from termsel.solvers.base import Generation, Solver
+
+
+@dataclass(frozen=True, eq=False)
+class Progress:
+    """What an observer sees after each generation.
+
+    Parameters
+    ----------
+    generation : Generation
+    evaluations : int
+        Individuals evaluated so far.
+    share : float or None
+        Share of the budget that is spent, 0 to 1; None without a budget.
+    best : float
+        Best first objective so far.
+    violation : float
+        Its violation; 0 is feasible.
+    genes : ndarray of bool, shape (size,)
+        The best individual so far.
+    """
+
+    generation: Generation
+    evaluations: int
+    share: float | None
+    best: float
+    violation: float
+    genes: BoolArray
+
+
+Observer = Callable[[Progress], None]
+
+
+@dataclass(frozen=True, eq=False)
+class Search:
+    """A finished or interrupted search.
+
+    Parameters
+    ----------
+    genes : ndarray of bool, shape (size,)
+        The best individual found.
+    objectives : ndarray, shape (m,)
+        Its objectives.
+    violation : float
+        Its violation; 0 is feasible.
+    seed, evaluations, generations : int
+    lookups : int
+        Evaluations that were looked up, as the same individual had been evaluated before.
+    seconds : float
+    interrupted : bool
+        True if the user stopped it.
+    """
+
+    genes: BoolArray
+    objectives: np.ndarray[tuple[int], np.dtype[np.float64]]
+    violation: float
+    seed: int
+    evaluations: int
+    generations: int
+    lookups: int
+    seconds: float
+    interrupted: bool
+
+
+class _BudgetSpent(Exception):
+    """Ends a search from within an evaluation."""
+
+
+class Ledger(Problem):
+    """A problem that counts, looks up what it has seen, and remembers the best.
+
+    Parameters
+    ----------
+    problem : Problem
+    evaluations : int, optional
+        Individuals that may be evaluated.
+    deadline : float, optional
+        Time, on the clock of `time.perf_counter`, after which nothing is evaluated.
+    """
+
+    def __init__(self, problem: Problem, *, evaluations: int | None = None,
+                 deadline: float | None = None) -> None:
+        self.problem = problem
+        self.genome = problem.genome
+        self.objectives = problem.objectives
+        self.limit = evaluations
+        self.deadline = deadline
+        self.count = 0
+        self.lookups = 0
+        self.best: tuple[float, float] = (np.inf, np.inf)
+        self.best_genes: BoolArray | None = None
+        self.best_objectives = np.full(len(problem.objectives), np.inf)
+        self._row_of: dict[bytes, int] = {}
+        self._objectives: list[np.ndarray[tuple[int], np.dtype[np.float64]]] = []
+        self._violation: list[float] = []
+
+    def evaluate(self, genes: BoolArray) -> Evaluation:
+        """Return the evaluation, computing only what was not seen before."""
+        if self.deadline is not None and self.count and time.perf_counter() > self.deadline:
+            raise _BudgetSpent
+        allowed = len(genes) if self.limit is None else self.limit - self.count
+        evaluation = self._look_up(genes[:allowed])
+        if allowed < len(genes):
+            raise _BudgetSpent
+        return evaluation
+
+    def decode(self, genes: BoolArray) -> Selection:
+        """Return what one chromosome selects."""
+        return self.problem.decode(genes)
+
+    def _look_up(self, genes: BoolArray) -> Evaluation:
+        keys = _keys(genes)
+        new: dict[bytes, int] = {}
+        for i, key in enumerate(keys):
+            if key not in self._row_of and key not in new:
+                new[key] = i
+        if new:
+            rows = list(new.values())
+            evaluation = self.problem.evaluate(genes[rows])
+            self._check(evaluation, len(rows))
+            for key in new:
+                self._row_of[key] = len(self._row_of)
+            self._objectives.extend(evaluation.objectives)
+            self._violation.extend(evaluation.violation.tolist())
+            self._remember(genes[rows], evaluation)
+        self.count += len(genes)
+        self.lookups += len(genes) - len(new)
+        where = [self._row_of[key] for key in keys]
+        return Evaluation(
+            np.array([self._objectives[i] for i in where]).reshape(len(genes), -1),
+            np.array([self._violation[i] for i in where]))
+
+    def _check(self, evaluation: Evaluation, n: int) -> None:
+        if (evaluation.objectives.shape != (n, len(self.objectives))
+                or evaluation.violation.shape != (n,)
+                or not np.isfinite(evaluation.objectives).all()
+                or not np.isfinite(evaluation.violation).all()):
+            raise TermselError(
+                f"problem {type(self.problem).__name__!r} returned an evaluation that is not "
+                f"finite numbers of shape ({n}, {len(self.objectives)}) and ({n},)",
+                hint="Tell the author of the problem.")
+
+    def _remember(self, genes: BoolArray, evaluation: Evaluation) -> None:
+        first = int(evaluation.order()[0])
+        found = (float(evaluation.violation[first]), float(evaluation.objectives[first, 0]))
+        if found < self.best:
+            self.best = found
+            self.best_genes = genes[first].copy()
+            self.best_objectives = evaluation.objectives[first].copy()
+
+
+def _keys(genes: BoolArray) -> list[bytes]:
+    packed = np.packbits(genes, axis=1)
+    return packed.view(f"V{packed.shape[1]}").ravel().tolist() if packed.size else [b""] * len(genes)
+
+
+def search(
+    problem: Problem,
+    solver: Solver,
+    *,
+    seed: int = 1,
+    generations: int | None = None,
+    evaluations: int | None = None,
+    seconds: float | None = None,
+    observers: Iterable[Observer] = (),
+) -> Search:
+    """Search a problem with a solver.
+
+    Parameters
+    ----------
+    problem : Problem
+    solver : Solver
+    seed : int
+        Seed of the one random generator of the search.
+    generations, evaluations : int, optional
+        Budgets; the search ends with whichever is spent first. Without any budget the
+        solver's default number of generations holds.
+    seconds : float, optional
+        Budget of time; the evaluation under way is finished.
+    observers : iterable of callable
+        Called with `Progress` after each generation.
+
+    Returns
+    -------
+    Search
+        Also when interrupted with Ctrl-C, once anything has been evaluated.
+
+    Raises
+    ------
+    TermselError
+        For a budget that is not positive, or a solver that cannot handle the objectives.
+    """
+    for name, value in (("generations", generations), ("evaluations", evaluations),
+                        ("seconds", seconds)):
+        if value is not None and not value > 0:
+            raise TermselError(f"a budget of {value} {name} is not positive")
+    if len(problem.objectives) > solver.max_objectives:
+        raise TermselError(
+            f"solver {solver.name!r} handles {solver.max_objectives} objective(s) and the problem "
+            f"has {len(problem.objectives)}: {', '.join(problem.objectives)}")
+    if generations is None and evaluations is None and seconds is None:
+        generations = solver.default_generations
+    start = time.perf_counter()
+    ledger = Ledger(problem, evaluations=evaluations,
+                    deadline=None if seconds is None else start + seconds)
+    rng = np.random.default_rng(seed)
+    done = 0
+    interrupted = False
+    running = solver.generations(ledger, rng)
+    try:
+        for generation in running:
+            done = generation.index + 1
+            share = _share(done, generations, ledger, evaluations,
+                           time.perf_counter() - start, seconds)
+            for observe in observers:
+                observe(Progress(generation, ledger.count, share, ledger.best[1], ledger.best[0],
+                                 ledger.best_genes if ledger.best_genes is not None
+                                 else generation.genes[0]))
+            if generations is not None and generation.index >= generations:
+                break
+            if evaluations is not None and ledger.count >= evaluations:
+                break
+            if seconds is not None and time.perf_counter() - start >= seconds:
+                break
+    except _BudgetSpent:
+        pass
+    except KeyboardInterrupt:
+        if ledger.best_genes is None:
+            raise
+        interrupted = True
+    finally:
+        close = getattr(running, "close", None)
+        if close is not None:
+            close()
+    if ledger.best_genes is None:
+        raise TermselError(f"solver {solver.name!r} evaluated nothing",
+                           hint="Raise the budget.")
+    return Search(ledger.best_genes, ledger.best_objectives, ledger.best[0], seed, ledger.count,
+                  done, ledger.lookups, time.perf_counter() - start, interrupted)
+
+
+def _share(done: int, generations: int | None, ledger: Ledger, evaluations: int | None,
+           elapsed: float, seconds: float | None) -> float | None:
+    shares = [value / limit for value, limit in
+              ((done - 1, generations), (ledger.count, evaluations), (elapsed, seconds))
+              if limit is not None]
+    return min(1.0, max(shares)) if shares else None
