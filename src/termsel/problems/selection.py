@@ -122,7 +122,7 @@ class SelectionProblem(Problem):
     def masks(self, genes: BoolArray) -> tuple[BoolArray, BoolArray | None]:
         """Return masks of terms, shape (p, k), and of features, shape (p, f) or None for all."""
         terms = (np.ones((len(genes), len(self.inputs.model.terms)), dtype=bool)
-                 if self._gene_of_term is None else genes[:, self._gene_of_term])
+                 if self._gene_of_term is None else np.ascontiguousarray(genes[:, self._gene_of_term]))
         return terms, genes[:, self._n_term_genes:] if self._selects_features else None
 
     def decode(self, genes: BoolArray) -> Selection:
@@ -137,9 +137,9 @@ class SelectionProblem(Problem):
         coefficients = np.zeros(terms.shape)
         violation = np.zeros(len(terms))
         for part in self._parts:
-            chosen = None if self._gene_of_term is None else terms[:, part.columns]
+            chosen = None if self._gene_of_term is None else np.ascontiguousarray(terms[:, part.columns])
             if chosen is None and features is None:
-                chosen = terms[:, part.columns]
+                chosen = np.ascontiguousarray(terms[:, part.columns])
             solution, lacking = solve_many(part.equations, chosen, features)
             coefficients[:, part.columns] = solution
             violation += lacking

@@ -53,7 +53,9 @@ def _table(result: Result) -> Iterator[str]:
 
 
 def _figure(rmse: Rmse | None) -> str:
-    return "-" if rmse is None else f"{rmse.total:.3f}" if rmse.total < 1e5 else f"{rmse.total:.2g}"
+    if rmse is None:
+        return "-"
+    return f"{rmse.total:.3f}" if 0.01 <= rmse.total < 1e5 else f"{rmse.total:.2e}"
 
 
 def _foot(result: Result) -> Iterator[str]:
