@@ -1,0 +1,193 @@
+"""Coordinate reference systems: names, kinds, and coordinates that cannot be in them.
+
+pyproj is optional. Without it only the form of a name and the well-known codes are checked.
+In termsel x is always longitude or easting and y latitude or northing, whatever axis order
+the authority gives.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from termsel.errors import TermselError
+from termsel.features import BoolArray, FeatureSet, FloatArray
+
+if TYPE_CHECKING:
+    from pyproj import CRS
+
+LOCAL = "local"
+EXAMPLES = ("EPSG:4979 (longitude, latitude, ellipsoidal height), EPSG:32631 (UTM zone 31 north) "
+            "or local (plane coordinates without a CRS)")
+
+_GEOGRAPHIC = frozenset({"EPSG:4326", "EPSG:4979"})
+_CODE = re.compile(r"(?:urn:ogc:def:crs:)?(EPSG|OGC):(?:[\d.]*:)?(\w+)", re.IGNORECASE)
+# x is longitude in termsel, so the OGC names say nothing more than the EPSG codes.
+_OGC = {"CRS84": "EPSG:4326", "CRS84H": "EPSG:4979"}
+_UTM = re.compile(r"EPSG:32([67])(0[1-9]|[1-5]\d|60)")
+_WKT = re.compile(r"(GEOG|GEOD|GEOC|PROJ|COMP|LOCAL_CS|ENG|BOUND|DERIVED)\w*\s*\[.*\]",
+                  re.IGNORECASE | re.DOTALL)
+
+_DEGREES = ((-180.0, -90.0), (360.0, 90.0))
+# Generous: scenes reach into the next zone, and some producers keep northern zones with
+# negative northings south of the equator.
+_UTM_RANGE = {"6": ((0.0, -9.4e6), (1e6, 9.4e6)), "7": ((0.0, 0.0), (1e6, 10.5e6))}
+
+
+def normalise(crs: str) -> str:
+    """Return the one form of a CRS that names are compared in.
+
+    Parameters
+    ----------
+    crs : str
+        "EPSG:n", "OGC:CRS84", their URN forms, WKT, or "local".
+
+    Returns
+    -------
+    str
+        "EPSG:n" where the code is known or pyproj finds it, else the WKT, or "local".
+
+    Raises
+    ------
+    TermselError
+        For text in none of these forms, and, where pyproj is installed, for a code that does
+        not exist, WKT that cannot be read, or a CRS without horizontal coordinates.
+    """
+    text = crs.strip()
+    if text.lower() == LOCAL:
+        return LOCAL
+    code = _CODE.fullmatch(text)
+    if code:
+        authority, number = code[1].upper(), code[2].upper()
+        if authority == "OGC" and number in _OGC:
+            return _OGC[number]
+        if authority == "EPSG" and number.isdecimal():
+            name = f"EPSG:{int(number)}"
+            if name not in _GEOGRAPHIC and not _UTM.fullmatch(name):
+                _with_pyproj(name)
+            return name
+    elif _WKT.fullmatch(text):
+        known = _with_pyproj(text)
+        epsg = None if known is None else known.to_epsg(min_confidence=100)
+        return text if epsg is None else f"EPSG:{epsg}"
+    guess = f"Did you mean EPSG:{text}? " if text.isdecimal() else ""
+    raise TermselError(f"unknown CRS {crs!r}", hint=f"{guess}Examples: {EXAMPLES}; or WKT.")
+
+
+def is_geographic(crs: str) -> bool:
+    """Return True where x and y are longitude and latitude.
+
+    Parameters
+    ----------
+    crs : str
+        As for `normalise`.
+
+    Returns
+    -------
+    bool
+        False also for a CRS whose kind only pyproj knows, where it is not installed.
+
+    Raises
+    ------
+    TermselError
+        For a CRS `normalise` refuses.
+    """
+    return _kind(normalise(crs)) == "geographic"
+
+
+def check_ground(features: FeatureSet) -> None:
+    """Refuse ground coordinates that cannot be in the CRS of the features.
+
+    Parameters
+    ----------
+    features : FeatureSet
+        With a CRS; "local" takes any coordinates.
+
+    Raises
+    ------
+    TermselError
+        For longitudes outside -180 to 360 or latitudes outside -90 to 90 degrees in a
+        geographic CRS, coordinates that all look like degrees in a projected one, and
+        eastings or northings that no UTM zone has.
+    """
+    crs = normalise(features.crs)
+    kind = _kind(crs)
+    ids = features.points.ids + tuple(name for name in features.lines.ids for _ in range(2))
+    xy = features.ground_vertices()[:, :2]
+    if not ids:
+        return
+    if kind == "geographic":
+        metres = (np.abs(xy) > 360).any(axis=1).mean() > 0.5
+        hint = ("These look like metres: state the projected CRS with --crs." if metres else
+                "x is longitude and y latitude, in degrees.")
+        _check_range(xy, ids, *_DEGREES, f"cannot be longitude and latitude in {crs}", hint)
+    elif kind == "projected":
+        if (np.abs(xy) <= (180, 90)).all():
+            raise TermselError(
+                f"the ground coordinates look like degrees, but {_short(crs)} is a projected CRS: "
+                f"{_values(xy, ids, 0)}", ids=ids[:1],
+                hint="State --crs EPSG:4979 for longitude, latitude and ellipsoidal height, or "
+                     "--crs local for plane coordinates without a CRS.")
+        utm = _UTM.fullmatch(crs)
+        if utm:
+            _check_range(xy, ids, *_UTM_RANGE[utm[1]],
+                         f"cannot be easting and northing in {crs} (UTM)",
+                         "x is easting and y northing, in metres; is this the CRS of the file?")
+
+
+def _check_range(xy: FloatArray, ids: Sequence[str], low: tuple[float, float],
+                 high: tuple[float, float], what: str, hint: str) -> None:
+    def outside(values: FloatArray) -> BoolArray:
+        bad: BoolArray = np.any((values < low) | (values > high), axis=1)
+        return bad
+
+    bad = outside(xy)
+    if not bad.any():
+        return
+    first = int(np.argmax(bad))
+    if not outside(xy[:, ::-1]).any():
+        hint = f"The columns look swapped. {hint}"
+    raise TermselError(f"{_values(xy, ids, first)} {what}", hint=hint, ids=[ids[first]])
+
+
+def _values(xy: FloatArray, ids: Sequence[str], i: int) -> str:
+    return f"feature {ids[i]!r} with x = {xy[i, 0]:.10g}, y = {xy[i, 1]:.10g}"
+
+
+def _short(crs: str) -> str:
+    return crs if len(crs) <= 40 else f"{crs[:40]}..."
+
+
+def _kind(crs: str) -> str:
+    """Return "geographic", "projected", or "" where neither or not known."""
+    if crs in _GEOGRAPHIC:
+        return "geographic"
+    if _UTM.fullmatch(crs):
+        return "projected"
+    known = None if crs == LOCAL else _with_pyproj(crs)
+    if known is not None:
+        return ("geographic" if known.is_geographic else
+                "projected" if known.is_projected else "")
+    root = crs.upper()[:4]
+    return {"GEOG": "geographic", "PROJ": "projected"}.get(root, "")
+
+
+def _with_pyproj(crs: str) -> CRS | None:
+    """Return the CRS, or None where pyproj is not installed."""
+    try:
+        from pyproj import CRS
+        from pyproj.exceptions import CRSError
+    except ImportError:
+        return None
+    try:
+        known = CRS.from_user_input(crs)
+    except CRSError:
+        raise TermselError(f"CRS {_short(crs)!r} does not exist or cannot be read",
+                           hint=f"Examples: {EXAMPLES}.") from None
+    if known.is_geographic or known.is_projected or known.is_geocentric or known.is_engineering:
+        return known
+    raise TermselError(f"CRS {_short(crs)!r} ({known.name}) has no horizontal coordinates",
+                       hint=f"Examples: {EXAMPLES}.")

@@ -1,0 +1,265 @@
+"""What every file format shares: the interfaces, and finding the reader for a file."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterable
+from pathlib import Path
+from typing import TYPE_CHECKING, ClassVar
+
+from termsel.crs import EXAMPLES, check_ground, normalise
+from termsel.errors import TermselError, unknown_name
+from termsel.features import FeatureSet, no_lines, no_points
+
+if TYPE_CHECKING:
+    from termsel.result import Result
+
+_HEAD = 65536  # bytes shown to sniff(): room for a long comment before a header
+_UTF16 = (b"\xff\xfe", b"\xfe\xff")
+
+
+class Reader(ABC):
+    """Reads one format of ground control features.
+
+    Attributes
+    ----------
+    name : str
+        As in ``termsel list readers``.
+    summary : str
+        One line that says what a file of this format holds and how it begins.
+    """
+
+    name: ClassVar[str]
+    summary: ClassVar[str]
+
+    @abstractmethod
+    def sniff(self, path: Path, head: bytes) -> bool:
+        """Return True if the file is of this format, judged by its content.
+
+        Parameters
+        ----------
+        path : pathlib.Path
+        head : bytes
+            The first 64 KiB of the file.
+        """
+
+    @abstractmethod
+    def read(self, path: Path) -> FeatureSet:
+        """Return the features of a file.
+
+        Parameters
+        ----------
+        path : pathlib.Path
+
+        Returns
+        -------
+        FeatureSet
+            Image coordinates as line and sample with the centre of the upper-left pixel at
+            (0, 0); `crs` is "" where the file does not declare one.
+
+        Raises
+        ------
+        TermselError
+            Naming file, line and column, for anything in the file the user must mend.
+        """
+
+
+class Writer(ABC):
+    """Writes a result in one format.
+
+    Attributes
+    ----------
+    name : str
+        As in ``termsel export --to``.
+    summary : str
+        One line that says what is written and who reads it.
+    """
+
+    name: ClassVar[str]
+    summary: ClassVar[str]
+
+    @abstractmethod
+    def accepts(self, result: Result) -> bool:
+        """Return True if this format can hold `result`."""
+
+    @abstractmethod
+    def write(self, result: Result, path: Path) -> None:
+        """Write `result` to `path`, whole or not at all (`termsel.io.atomic`).
+
+        Raises
+        ------
+        TermselError
+            If the result does not fit the format or the file cannot be written.
+        """
+
+
+def located(error: TermselError, file: Path, line: int | None = None,
+            column: str | None = None) -> TermselError:
+    """Return `error` with the place it was found at.
+
+    Parameters
+    ----------
+    error : TermselError
+    file : pathlib.Path
+    line, column : optional
+        Kept as they are in `error` where not given.
+    """
+    return TermselError(error.what, hint=error.hint, file=file, line=line or error.line,
+                        column=column or error.column, ids=error.ids)
+
+
+def read_text(path: Path) -> str:
+    """Return the text of a UTF-8 file, without a byte order mark, line ends as they are.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+
+    Raises
+    ------
+    TermselError
+        If the file cannot be read, is binary or is in another encoding.
+    """
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise _unreadable(path, error) from error
+    if data.startswith(_UTF16):
+        raise _utf16(path)
+    if b"\0" in data:
+        raise TermselError("this is a binary file, expected UTF-8 text", file=path)
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = error.object[:error.start].count(b"\n") + 1
+        raise TermselError("this text is not UTF-8", file=path, line=line,
+                           hint="Save it again with the encoding UTF-8.") from error
+
+
+def read_file(path: Path, readers: Iterable[Reader], format: str | None = None) -> FeatureSet:
+    """Return the features of a file, with the first reader that recognises its content.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+    readers : iterable of Reader
+        In the order they are asked.
+    format : str, optional
+        The name of the reader to use, whatever the content looks like.
+
+    Raises
+    ------
+    TermselError
+        If there is no such reader, the file is missing, empty, a folder or not readable, no
+        reader recognises it, or its content is at fault.
+    """
+    known = list(readers)
+    chosen = [reader for reader in known if reader.name == format]
+    if format is not None and not chosen:
+        raise unknown_name("file format", format, [reader.name for reader in known])
+    expected = "Expected one of: " + "; ".join(f"{r.name}: {r.summary}" for r in known) + "."
+    if path.is_dir():
+        raise TermselError("this is a folder, expected a file", file=path, hint=expected)
+    try:
+        with path.open("rb") as file:
+            head = file.read(_HEAD)
+    except FileNotFoundError as error:
+        raise TermselError("there is no such file", file=path,
+                           hint="Check the name and the folder it is given from.") from error
+    except OSError as error:
+        raise _unreadable(path, error) from error
+    if not head.strip():
+        raise TermselError("the file is empty", file=path, hint=expected)
+    for reader in chosen or known:
+        if chosen or reader.sniff(path, head):
+            return reader.read(path)
+    if head.startswith(_UTF16):
+        raise _utf16(path)
+    kind = "binary file" if b"\0" in head else "file"
+    raise TermselError(f"this {kind} is in no format termsel knows", file=path, hint=expected)
+
+
+def read_features(points: Path | None, lines: Path | None, *, crs: str | None,
+                  readers: Iterable[Reader]) -> FeatureSet:
+    """Return the points of one file and the lines of another, in one CRS.
+
+    Parameters
+    ----------
+    points, lines : pathlib.Path, optional
+        At least one of them. A file that holds both is given as both.
+    crs : str, optional
+        What the user states; needed where no file declares one.
+    readers : iterable of Reader
+
+    Raises
+    ------
+    TermselError
+        As `read_file`; if a file holds no features of its kind, or others that were not asked
+        for; if the CRS is not known or stated twice and differently; if coordinates cannot
+        be in it; if a point and a line have the same id.
+    """
+    if points is None and lines is None:
+        raise TermselError("no file of features is given",
+                           hint="Give --points FILE, --lines FILE or both.")
+    known = list(readers)
+    stated = None if crs is None else normalise(crs)
+    sets = {path: read_file(path, known) for path in (points, lines) if path is not None}
+    for path, features in sets.items():
+        counts = {"points": len(features.points), "lines": len(features.lines)}
+        _check_kinds(path, counts, {"points": path == points, "lines": path == lines})
+    measured = FeatureSet(
+        no_points() if points is None else sets[points].points,
+        no_lines() if lines is None else sets[lines].lines,
+        _agreed_crs(sets, stated),
+        next((one.image_size for one in sets.values() if one.image_size), None))
+    try:
+        check_ground(measured)
+    except TermselError as error:
+        place = points if error.ids[0] in measured.points.ids else lines
+        raise (located(error, place) if place else error) from error
+    return measured
+
+
+def _check_kinds(path: Path, counts: dict[str, int], asked: dict[str, bool]) -> None:
+    there = [kind for kind, count in counts.items() if count]
+    for kind in counts:
+        if asked[kind] and kind not in there:
+            raise TermselError(f"the file holds no {kind}", file=path, hint=" ".join(
+                f"It holds {other}: give it with --{other}." for other in there) or None)
+    for kind in there:
+        if not asked[kind]:
+            raise TermselError(f"the file also holds {kind}", file=path,
+                               hint=f"Give it with --{kind} too, or keep points and lines in "
+                                    "files of their own.")
+
+
+def _agreed_crs(sets: dict[Path, FeatureSet], stated: str | None) -> str:
+    agreed, source = stated, "--crs"
+    for path, features in sets.items():
+        if not features.crs:
+            continue
+        try:
+            declared = normalise(features.crs)
+        except TermselError as error:
+            raise located(error, path) from error
+        if agreed is None:
+            agreed, source = declared, str(path)
+        # EPSG:4979 only adds the meaning of the heights to EPSG:4326, as the user may.
+        elif declared != agreed and (stated, declared) != ("EPSG:4979", "EPSG:4326"):
+            raise TermselError(
+                f"the file declares the CRS {declared}, but {source} says {agreed}", file=path,
+                hint="Mend the one that is wrong; termsel does not transform coordinates.")
+    if agreed is None:
+        raise TermselError("the CRS of the ground coordinates is not known",
+                           file=" and ".join(str(path) for path in sets),
+                           hint=f"State it with --crs: {EXAMPLES}.")
+    return agreed
+
+
+def _unreadable(path: Path, error: OSError) -> TermselError:
+    return TermselError(f"cannot read this file: {error.strerror or error}", file=path)
+
+
+def _utf16(path: Path) -> TermselError:
+    return TermselError("this text is UTF-16, expected UTF-8", file=path,
+                        hint="Save it again with the encoding UTF-8.")

@@ -1,0 +1,138 @@
+"""Names of coordinate reference systems, and coordinates that cannot be in them."""
+
+from __future__ import annotations
+
+import sys
+
+import numpy as np
+import pytest
+
+from termsel.crs import check_ground, is_geographic, normalise
+from termsel.errors import TermselError
+from termsel.features import FeatureSet, Lines, Points, no_points
+
+
+def ground(crs: str, *xy: tuple[float, float]) -> FeatureSet:
+    n = len(xy)
+    return FeatureSet(Points(tuple(f"p{i}" for i in range(n)), np.zeros((n, 2)),
+                             np.reshape([(x, y, 0.0) for x, y in xy], (n, 3))), crs=crs)
+
+
+@pytest.fixture
+def _no_pyproj(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pyproj", None)
+
+
+@pytest.mark.parametrize(("given", "expected"), [
+    ("EPSG:4979", "EPSG:4979"), (" epsg:4326 ", "EPSG:4326"), ("EPSG:04326", "EPSG:4326"),
+    ("LOCAL", "local"), ("OGC:CRS84", "EPSG:4326"), ("ogc:crs84h", "EPSG:4979"),
+    ("urn:ogc:def:crs:OGC:1.3:CRS84", "EPSG:4326"), ("urn:ogc:def:crs:EPSG::32631", "EPSG:32631"),
+    ("EPSG:2100", "EPSG:2100")])
+def test_normalise(given: str, expected: str) -> None:
+    assert normalise(given) == expected
+    assert normalise(expected) == expected
+
+
+@pytest.mark.parametrize("given", ["", "WGS84", "EPSG:", "EPSG:abc", "4979", "UTM 31", "OGC:x",
+                                   "EPSG:32735+4326", "POINT[3]", "[]"])
+def test_unknown_names_come_with_examples(given: str) -> None:
+    with pytest.raises(TermselError, match=r"unknown CRS .*EPSG:4979 .*EPSG:32631 .*local"):
+        normalise(given)
+
+
+def test_a_bare_number_is_guessed() -> None:
+    with pytest.raises(TermselError, match=r"Did you mean EPSG:4979\?"):
+        normalise("4979")
+
+
+def test_pyproj_knows_which_codes_exist() -> None:
+    pytest.importorskip("pyproj")
+    with pytest.raises(TermselError, match="'EPSG:99999' does not exist"):
+        normalise("EPSG:99999")
+    with pytest.raises(TermselError, match=r"EGM96 height.*no horizontal coordinates"):
+        normalise("EPSG:5773")
+    with pytest.raises(TermselError, match="cannot be read"):
+        normalise('PROJCS["half"]')
+
+
+def test_wkt_becomes_its_code() -> None:
+    pyproj = pytest.importorskip("pyproj")
+    for code in ("EPSG:4979", "EPSG:32631", "EPSG:2100"):
+        for version in ("WKT2_2019", "WKT1_GDAL"):
+            if (code, version) != ("EPSG:4979", "WKT1_GDAL"):  # WKT1 has no such CRS
+                text = pyproj.CRS(code).to_wkt(version, pretty=True)
+                assert normalise(text) == code
+    local = 'LOCAL_CS["site",UNIT["metre",1]]'
+    assert normalise(local) == local
+    assert not is_geographic(local)
+
+
+@pytest.mark.usefixtures("_no_pyproj")
+def test_without_pyproj_form_and_known_codes_are_checked() -> None:
+    assert normalise("EPSG:99999") == "EPSG:99999"
+    assert is_geographic("EPSG:4979")
+    assert not is_geographic("EPSG:4258")
+    geographic = 'GEOGCRS["of my own",DATUM["d",ELLIPSOID["e",6378137,298]]]'
+    assert normalise(geographic) == geographic
+    assert is_geographic(geographic)
+    check_ground(ground("EPSG:4258", (5, 44)))
+    with pytest.raises(TermselError, match="look like degrees"):
+        check_ground(ground("EPSG:32631", (5, 44)))
+    with pytest.raises(TermselError, match="unknown CRS"):
+        normalise("WGS84")
+
+
+def test_is_geographic() -> None:
+    assert is_geographic("OGC:CRS84")
+    assert not is_geographic("EPSG:32631")
+    assert not is_geographic("local")
+    pytest.importorskip("pyproj")
+    assert is_geographic("EPSG:4258")
+    assert not is_geographic("EPSG:3857")
+    assert not is_geographic("EPSG:4978")
+
+
+@pytest.mark.parametrize(("crs", "xy"), [
+    ("EPSG:4979", [(-180, -90), (180, 90)]), ("EPSG:4326", [(359, 10)]),
+    ("EPSG:4258", [(5, 44)]), ("EPSG:32631", [(500_000, 4_880_000)]),
+    ("EPSG:32621", [(560_000, -3_800_000)]), ("EPSG:32721", [(560_000, 6_130_000)]),
+    ("EPSG:2100", [(268_968.6, 4_488_342.0)]), ("EPSG:3857", [(15_114_673.7, 4_155_984.2)]),
+    ("EPSG:4978", [(4_000_000, 400_000)]), ("local", [(5, 44)]), ("local", [(1e9, -1e9)]),
+    ("EPSG:32631", []), ("EPSG:4979", [])])
+def test_coordinates_that_fit(crs: str, xy: list[tuple[float, float]]) -> None:
+    check_ground(ground(crs, *xy))
+
+
+@pytest.mark.parametrize(("crs", "xy", "words"), [
+    ("EPSG:4979", [(5, 44), (5, 91)], "feature 'p1' with x = 5, y = 91"),
+    ("EPSG:4979", [(5, 44), (5, 190)], "x is longitude and y latitude"),
+    ("EPSG:4979", [(5, 44), (-181, 9)], "feature 'p1' with x = -181, y = 9"),
+    ("EPSG:4326", [(-34.9, -56.2), (44.0, 145.5)], "The columns look swapped"),
+    ("EPSG:4979", [(500_000, 4_880_000)], "look like metres: state the projected CRS with --crs"),
+    ("EPSG:4258", [(500_000, 4_880_000)], "look like metres"),
+    ("EPSG:4979", [(5, 44), (6, 45), (500_000, 45)], "feature 'p2' with x = 500000, y = 45"),
+    ("EPSG:32631", [(5.2, 44.1), (5.3, 44.2)], "--crs EPSG:4979"),
+    ("EPSG:2100", [(21.2, 40.5)], "look like degrees"),
+    ("EPSG:32631", [(4_880_000, 500_000)], "The columns look swapped"),
+    ("EPSG:32731", [(6_130_000, 560_000)], "The columns look swapped"),
+    ("EPSG:32631", [(500_000, 4_880_000), (1_500_000, 4_880_000)], "feature 'p1' with x = 1500000"),
+    ("EPSG:32631", [(500_000, 12_000_000)], "easting and northing in EPSG:32631"),
+    ("EPSG:32731", [(500_000, -3_800_000)], "easting and northing in EPSG:32731")])
+def test_coordinates_that_cannot_be(crs: str, xy: list[tuple[float, float]], words: str) -> None:
+    with pytest.raises(TermselError) as caught:
+        check_ground(ground(crs, *xy))
+    assert words in str(caught.value)
+    assert caught.value.ids
+
+
+def test_one_wild_value_is_not_called_metres() -> None:
+    with pytest.raises(TermselError) as caught:
+        check_ground(ground("EPSG:4979", (5, 44), (6, 45), (500_000, 45)))
+    assert "metres" not in str(caught.value)
+
+
+def test_vertices_of_lines_are_checked() -> None:
+    lines = Lines(("l", "m"), [[[0, 0], [1, 1]]] * 2,
+                  [[[5, 44, 0], [6, 44, 0]], [[5, 45, 0], [6, 145, 0]]])
+    with pytest.raises(TermselError, match="feature 'm' with x = 6, y = 145"):
+        check_ground(FeatureSet(no_points(), lines, crs="EPSG:4979"))

@@ -1,0 +1,465 @@
+"""Tables of points and lines, reading whole feature sets, and atomic writing."""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+from contextlib import suppress
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from termsel.errors import TermselError
+from termsel.features import ROLES, FeatureSet, Lines, Points
+from termsel.io.atomic import atomic_path, write_bytes, write_text
+from termsel.io.base import Reader, read_features, read_file
+from termsel.io.csv_tables import LinesCsv, PointsCsv, write_lines_csv, write_points_csv
+
+DATA = Path(os.environ.get("TERMSEL_DATA", Path(__file__).parents[2] / "shared" / "data"))
+READERS: list[Reader] = [PointsCsv(), LinesCsv()]
+POINTS = "id,role,line,sample,x,y,z\n"
+LINES = "id,line1,sample1,line2,sample2,x1,y1,z1,x2,y2,z2\n"
+A = "a,control,1.5,2.5,5.25,44.5,300\n"
+L = "l,1,2,3,4,5,44,10,5.1,44.1,20\n"
+
+
+def put(folder: Path, text: str | bytes, name: str = "data.csv") -> Path:
+    path = folder / name
+    path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    return path
+
+
+def read(folder: Path, text: str | bytes) -> FeatureSet:
+    return read_file(put(folder, text), READERS)
+
+
+def refusal(folder: Path, text: str | bytes, format: str | None = None) -> TermselError:
+    path = put(folder, text)
+    with pytest.raises(TermselError) as caught:
+        read_file(path, READERS, format)
+    assert str(caught.value).startswith(str(path))
+    return caught.value
+
+
+# What is read
+
+
+def test_points(tmp_path: Path) -> None:
+    features = read(tmp_path, POINTS + A + "b,,3,4,6,45,\n")
+    points = features.points
+    assert features.crs == ""
+    assert points.ids == ("a", "b")
+    assert points.roles == ("control", "")
+    assert points.sigma is None
+    np.testing.assert_array_equal(points.image, [[1.5, 2.5], [3, 4]])
+    np.testing.assert_array_equal(points.ground, [[5.25, 44.5, 300], [6, 45, np.nan]])
+
+
+def test_lines(tmp_path: Path) -> None:
+    lines = read(tmp_path, LINES + L).lines
+    assert lines.ids == ("l",)
+    np.testing.assert_array_equal(lines.image, [[[1, 2], [3, 4]]])
+    np.testing.assert_array_equal(lines.ground, [[[5, 44, 10], [5.1, 44.1, 20]]])
+
+
+@pytest.mark.parametrize("header", [
+    "name,ROLE,row,col,lon,lat,h", "ID,role,y_px,x_px,Easting,Northing,Height",
+    " id , role , Row , pixel , Longitude , Latitude , elevation "])
+def test_aliases(tmp_path: Path, header: str) -> None:
+    points = read(tmp_path, f"{header}\n{A}").points
+    np.testing.assert_array_equal(points.ground, [[5.25, 44.5, 300]])
+    np.testing.assert_array_equal(points.image, [[1.5, 2.5]])
+
+
+def test_aliases_of_lines(tmp_path: Path) -> None:
+    text = "name,row1,col1,row2,col2,lon1,lat1,h1,lon2,lat2,h2\n" + L
+    assert read(tmp_path, text).lines.ids == ("l",)
+
+
+@pytest.mark.parametrize("text", [
+    "id;role;line;sample;x;y;z\na;control;1,5;2,5;5,25;44,5;300\n",
+    "id\trole\tline\tsample\tx\ty\tz\na\tcontrol\t1,5\t2,5\t5,25\t44,5\t300\n",
+    "id;role;line;sample;x;y;z\na;control;1.5;2.5;5.25;44.5;300\n",
+    '"id","role","line","sample","x","y","z"\n"a","control","1.5","2.5","5.25","44.5","300"\n',
+    "\ufeff" + POINTS + A,
+    (POINTS + A).replace("\n", "\r\n"),
+    (POINTS + A).replace("\n", "\r"),
+    "# a note, with commas\n\n" + POINTS + "#\n" + A + "\n,,,,,,\n",
+    "id,role,line,sample,x,y,z,remark,remark\na, Control , 1.5 ,2.5,5.25,44.5,3e2,u,v\n",
+    (POINTS + A).rstrip(),
+])
+def test_ways_to_write_one_point(tmp_path: Path, text: str) -> None:
+    points = read(tmp_path, text).points
+    assert points.ids == ("a",)
+    assert points.roles == ("control",)
+    np.testing.assert_array_equal(points.image, [[1.5, 2.5]])
+    np.testing.assert_array_equal(points.ground, [[5.25, 44.5, 300]])
+
+
+def test_order_of_columns_is_free(tmp_path: Path) -> None:
+    points = read(tmp_path, "z,y,x,sample,line,id\n300,44.5,5.25,2.5,1.5,a\n").points
+    np.testing.assert_array_equal(points.image, [[1.5, 2.5]])
+    np.testing.assert_array_equal(points.ground, [[5.25, 44.5, 300]])
+
+
+def test_quoted_id_keeps_delimiters_and_line_ends(tmp_path: Path) -> None:
+    text = POINTS + '"a,\n""b""",,1,2,3,4,5\nc,,1,2,3,x,5\n'
+    assert refusal(tmp_path, text).line == 4
+    assert read(tmp_path, text.replace("3,x", "3,9")).points.ids == ('a,\n"b"', "c")
+
+
+def test_sigma(tmp_path: Path) -> None:
+    two = read(tmp_path, "id,line,sample,x,y,z,sigma_line,sigma_sample\na,1,2,3,4,5,.5,.25\n")
+    one = read(tmp_path, "id,line,sample,x,y,z,sigma_px\na,1,2,3,4,5,.5\n")
+    none = read(tmp_path, "id,line,sample,x,y,z,sigma_px\na,1,2,3,4,5,\n")
+    np.testing.assert_array_equal(two.points.sigma, [[0.5, 0.25]])
+    np.testing.assert_array_equal(one.points.sigma, [[0.5, 0.5]])
+    assert none.points.sigma is None
+
+
+def test_disabled_points_are_off(tmp_path: Path) -> None:
+    text = "id,line,sample,x,y,z,enabled\na,1,2,3,4,5,0\nb,1,2,3,5,5,\nc,1,2,3,6,5,TRUE\n"
+    assert read(tmp_path, text).points.roles == ("off", "", "")
+
+
+def test_lines_that_are_off_are_left_out(tmp_path: Path) -> None:
+    text = LINES.replace("id", "id,role") + "k,off,0,0,3,4,5,6,7,8,9,0\n" + "l,control" + L[1:]
+    assert read(tmp_path, text).lines.ids == ("l",)
+    error = refusal(tmp_path, text.replace("control", "check"))
+    assert (error.line, error.column) == (3, "role")
+
+
+def test_declarations(tmp_path: Path) -> None:
+    text = "# CRS: epsg:4979\n# units: degrees, metres\n" + POINTS + A
+    assert read(tmp_path, text).crs == "EPSG:4979"
+
+
+# What is refused, and where
+
+
+@pytest.mark.parametrize(("text", "line", "column", "words"), [
+    (POINTS + "a,,1,two,3,4,5\n", 2, "sample", "'two' is not a number"),
+    (POINTS + A + "b,,1,2,3,nan,5\n", 3, "y", "not a finite number"),
+    (POINTS + A + "b,,1,2,-inf,4,5\n", 3, "x", "not a finite number"),
+    (POINTS + "a,,1,2,3,4,NaN\n", 2, "z", "Leave the cell blank"),
+    (POINTS + "a,,1,2,3,4,1e999\n", 2, "z", "not a finite number"),
+    (POINTS + "a,,1,2_0,3,4,5\n", 2, "sample", "underscores"),
+    (POINTS + "a,,1,2\x1c,3,4,5\n", 2, "sample", "not a number"),
+    (POINTS + "a,,1,,3,4,5\n", 2, "sample", "blank"),
+    (POINTS + "# note\n\n" + A + "b,,1, ,3,4,5\n", 5, "sample", "blank"),
+    (POINTS + A + ",,1,2,3,4,5\n", 3, "id", "id is blank"),
+    (POINTS + A + "b,,1,2,3,4\n", 3, None, "6 cells, but the header has 7"),
+    (POINTS + A + "b,,1,2,3,4,5,6\n", 3, None, "8 cells, but the header has 7"),
+    (POINTS + "a,,1,5,2,5,3,4,5\n", 2, None, "decimal comma needs semicolons"),
+    (POINTS + A + "b,,1,2,3,4,5\n" + A, 4, "id", "used already on line 2"),
+    (POINTS + A + "b,chek,1,2,3,4,5\n", 3, "role", "unknown role 'chek'"),
+    (POINTS, 1, None, "no rows below the header"),
+    ("# crs: EPSG:4979\n" + POINTS, 2, None, "no rows below the header"),
+    ("name;lat;lon;row;col\n", 1, "z", "The columns here are: name, lat, lon, row, col. "
+                                      "Accepted names: z, h, height"),
+    ("id,line,sample,lon,z\na,1,2,3,4\n", 1, "y", "Accepted names: y, lat"),
+    ("id,line,sample,x,y,x,y,z\n", 1, "x", "columns 'x' and 'x' both mean x"),
+    ("id,line,Row,sample,x,y,z\n", 1, "Row", "columns 'line' and 'Row' both mean line"),
+    ("id,line,sample,x,y,z,sigma_px,sigma_line\n", 1, "sigma_line", "both mean sigma_line"),
+    ("id,line,sample,x,y,z,sigma_line\na,1,2,3,4,5,1\n", 1, "sigma_sample", "no column"),
+    ("id,line,sample,x,y,z,sigma_px\na,1,2,3,4,5,1\nb,1,2,3,5,5,\n", 3, "sigma_px", "blank"),
+    ("id,line,sample,x,y,z,sigma_px\na,1,2,3,4,5,1\nb,1,2,3,5,5,0\n", 3, None, "not positive"),
+    ("id,line,sample,x,y,z,enabled\na,1,2,3,4,5,perhaps\n", 2, "enabled", "Write 1 or 0"),
+    (POINTS + A + A.replace("a", "b", 1), 3, None, "same ground coordinates"),
+    ("id;line;sample;x;y;z\na;1,5;2;3;4;5\nb;1;2.5;3;5;5\n", 3, "sample", "decimal point"),
+    ("id;line;sample;x;y;z\na;1;2;1.234,5;4;5\n", 2, "x", "decimal point"),
+    ("id;line;sample;lon;lat;z\na;1;2;5;44°30';5\n", 2, "lat", "not a number"),
+    (POINTS + 'a,,1,2,3,4,5\n"b,,1,2,3,4,5\nc,,1,2,3,4,5\n', 3, None, "quotation mark"),
+    ("# crs: WGS84\n" + POINTS + A, 1, None, "unknown CRS 'WGS84'"),
+    ("# crs: EPSG:4979\n# crs: EPSG:4326\n" + POINTS + A, 2, None, "EPSG:4979 before"),
+    ("#\n# units: feet\n" + POINTS + A, 2, None, "Convert the ground coordinates"),
+    ((POINTS + "é").encode("latin-1") + A[1:].encode(), 2, None, "UTF-8"),
+    (LINES + "l,1,2,3,4,5,44,10,5.1,north,20\n", 2, "y2", "not a number"),
+    (LINES + L + "m,1,2,1,2,5,44,10,5.1,44.2,20\n", 3, None, "zero length in the image"),
+    (LINES + L + "m,1,2,3,5,5,44,10,5,44,20\n", 3, None, "zero length on the ground"),
+    (LINES + L + L.replace("l", "m"), 3, None, "same ground vertices"),
+    (LINES + L + L, 3, "id", "used already on line 2"),
+    (LINES.replace("z2", "zz"), 1, "z2", "Accepted names: z2, h2"),
+])
+def test_bad_tables(tmp_path: Path, text: str | bytes, line: int, column: str | None,
+                    words: str) -> None:
+    error = refusal(tmp_path, text)
+    assert (error.line, error.column) == (line, column)
+    assert words in str(error)
+    assert f"line {line}" in str(error)
+
+
+@pytest.mark.parametrize(("content", "words"), [
+    (b"", "is empty"),
+    (b"\r\n  \n", "is empty"),
+    (b"\x89PNG\0\0\0", "binary"),
+    ((POINTS + A).encode("utf-16"), "UTF-16"),
+    (b"1,2,3,4,5\n", "headed id,role,line,sample,x,y,z"),
+    (b"# only a comment\n", "in no format termsel knows"),
+    (b'{"type": "FeatureCollection"}', "in no format termsel knows"),
+])
+def test_not_a_table(tmp_path: Path, content: bytes, words: str) -> None:
+    assert words in str(refusal(tmp_path, content))
+
+
+@pytest.mark.parametrize("content", [
+    b"\x89PNG\0\0\0", (POINTS + A).encode("utf-16"), b"1,2,3\n", b"# only a comment\n",
+    b"x" * 300_000, b'"' + b"x" * 300_000])
+def test_forced_format_is_read_or_refused(tmp_path: Path, content: bytes) -> None:
+    refusal(tmp_path, content, "points-csv")
+
+
+def test_missing_folder_and_unknown_format(tmp_path: Path) -> None:
+    for path in (tmp_path, tmp_path / "none.csv", put(tmp_path, POINTS) / "below.csv"):
+        with pytest.raises(TermselError) as caught:
+            read_file(path, READERS)
+        assert str(path) in str(caught.value)
+    with pytest.raises(TermselError, match="Did you mean 'points-csv'"):
+        read_file(tmp_path, READERS, "point-csv")
+
+
+def test_file_that_may_not_be_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def denied(*_: object, **__: object) -> None:
+        raise PermissionError(13, "Permission denied")
+
+    path = put(tmp_path, POINTS + A)
+    monkeypatch.setattr(Path, "open", denied)
+    with pytest.raises(TermselError, match="cannot read this file: Permission denied"):
+        read_file(path, READERS)
+
+
+def test_sniffing_tells_points_from_lines() -> None:
+    points = b"id,role,enabled,line,sample,x,y,z\n"
+    lines = b"id,role,enabled,line1,sample1,line2,sample2\n"
+    here = Path("any")
+    assert (PointsCsv().sniff(here, points), LinesCsv().sniff(here, points)) == (True, False)
+    assert (PointsCsv().sniff(here, lines), LinesCsv().sniff(here, lines)) == (False, True)
+
+
+# Round trips
+
+names = st.text(st.characters(exclude_categories=["C", "Z"]), min_size=1, max_size=6)
+numbers = st.floats(-1e12, 1e12, allow_subnormal=False)
+
+
+@st.composite
+def points(draw: st.DrawFn) -> Points:
+    ids = draw(st.lists(names, min_size=1, max_size=6, unique=True))
+    n = len(ids)
+    ground = np.column_stack([
+        draw(arrays(float, (n, 2), elements=numbers, unique=True)),
+        draw(arrays(float, n, elements=st.one_of(numbers, st.just(np.nan))))])
+    sigma = draw(st.none() | arrays(float, (n, 2), elements=st.floats(1e-9, 1e9)))
+    roles = draw(st.lists(st.sampled_from(("", *ROLES)), min_size=n, max_size=n))
+    return Points(tuple(ids), draw(arrays(float, (n, 2), elements=numbers)), ground, sigma,
+                  tuple(roles))
+
+
+@st.composite
+def lines(draw: st.DrawFn) -> Lines:
+    ids = draw(st.lists(names, min_size=1, max_size=6, unique=True))
+    n = len(ids)
+    xy = draw(arrays(float, (n, 2, 2), elements=numbers, unique=True))
+    z = draw(arrays(float, (n, 2, 1), elements=st.one_of(numbers, st.just(np.nan))))
+    image = draw(arrays(float, (n, 2, 2), elements=numbers, unique=True))
+    return Lines(tuple(ids), image, np.concatenate([xy, z], axis=2))
+
+
+@settings(max_examples=60, deadline=None)
+@given(points())
+def test_points_round_trip(tmp_path_factory: pytest.TempPathFactory, written: Points) -> None:
+    path = tmp_path_factory.mktemp("points") / "points.csv"
+    write_points_csv(written, path, "EPSG:4979")
+    features = read_file(path, READERS)
+    assert features.crs == "EPSG:4979"
+    assert features.points.ids == written.ids
+    assert features.points.roles == written.roles
+    np.testing.assert_array_equal(features.points.image, written.image)
+    np.testing.assert_array_equal(features.points.ground, written.ground)
+    if written.sigma is None:
+        assert features.points.sigma is None
+    else:
+        np.testing.assert_array_equal(features.points.sigma, written.sigma)
+
+
+@settings(max_examples=60, deadline=None)
+@given(lines())
+def test_lines_round_trip(tmp_path_factory: pytest.TempPathFactory, written: Lines) -> None:
+    path = tmp_path_factory.mktemp("lines") / "lines.csv"
+    write_lines_csv(written, path)
+    features = read_file(path, READERS)
+    assert features.crs == ""
+    assert features.lines.ids == written.ids
+    np.testing.assert_array_equal(features.lines.image, written.image)
+    np.testing.assert_array_equal(features.lines.ground, written.ground)
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.sampled_from((POINTS, LINES, "", "# crs: EPSG:4979\n" + POINTS)),
+       st.text('ab,;\t"#\r\n 0123456789.-e\x1cé:', max_size=80) | st.binary(max_size=40),
+       st.sampled_from((None, "points-csv", "lines-csv")))
+def test_any_content_is_read_or_refused(tmp_path_factory: pytest.TempPathFactory, head: str,
+                                        rest: str | bytes, format: str | None) -> None:
+    content = head.encode() + (rest if isinstance(rest, bytes) else rest.encode())
+    path = put(tmp_path_factory.mktemp("any"), content)
+    with suppress(TermselError):
+        read_file(path, READERS, format)
+
+
+def test_ids_that_look_like_comments_and_quotations(tmp_path: Path) -> None:
+    ids = ("#1", 'say "a"', "b;c", "d,e", "f#")
+    written = Points(ids, np.arange(10.0).reshape(5, 2), np.arange(15.0).reshape(5, 3))
+    write_points_csv(written, tmp_path / "p.csv")
+    assert read_file(tmp_path / "p.csv", READERS).points.ids == ids
+
+
+def test_a_hundred_thousand_points(tmp_path: Path) -> None:
+    n = 100_000
+    values = np.random.default_rng(1).random((n, 5)) * 1000
+    path = tmp_path / "many.csv"
+    write_points_csv(Points(tuple(map(str, range(n))), values[:, :2], values[:, 2:]), path)
+    start = time.process_time()
+    assert len(read_file(path, READERS)) == n
+    # About a second on an idle core; the bound only catches reading cell by cell.
+    assert time.process_time() - start < 8
+
+
+# Feature sets from two files
+
+
+def test_points_and_lines_together(tmp_path: Path) -> None:
+    p, q = put(tmp_path, POINTS + A, "p.csv"), put(tmp_path, LINES + L, "l.csv")
+    features = read_features(p, q, crs="epsg:4979", readers=READERS)
+    assert features.crs == "EPSG:4979"
+    assert features.ids == ("a", "l")
+    assert read_features(None, q, crs="local", readers=READERS).ids == ("l",)
+
+
+def test_crs_comes_from_either_file_or_the_user(tmp_path: Path) -> None:
+    p = put(tmp_path, POINTS + A, "p.csv")
+    q = put(tmp_path, "# crs: EPSG:4326\n" + LINES + L, "l.csv")
+    assert read_features(p, q, crs=None, readers=READERS).crs == "EPSG:4326"
+    # The user may say what the heights are.
+    assert read_features(p, q, crs="EPSG:4979", readers=READERS).crs == "EPSG:4979"
+
+
+def test_crs_not_known_or_contradicted(tmp_path: Path) -> None:
+    p = put(tmp_path, POINTS + A, "p.csv")
+    q = put(tmp_path, "# crs: EPSG:4979\n" + LINES + L, "l.csv")
+    r = put(tmp_path, "# crs: EPSG:4326\n" + POINTS + A, "r.csv")
+    for files, crs, words in [
+            ((p, None), None, "EPSG:4979 (longitude, latitude, ellipsoidal height)"),
+            ((p, None), None, "EPSG:32631"), ((p, None), None, "local"),
+            ((p, None), "WGS 84", "unknown CRS"),
+            ((p, q), "EPSG:32631", "declares the CRS EPSG:4979, but --crs says EPSG:32631"),
+            ((p, q), "local", "declares the CRS EPSG:4979, but --crs says local"),
+            ((r, q), None, f"declares the CRS EPSG:4979, but {r} says EPSG:4326"),
+            ((p, None), "EPSG:32631", "look like degrees")]:
+        with pytest.raises(TermselError) as caught:
+            read_features(*files, crs=crs, readers=READERS)
+        assert words in str(caught.value)
+        assert crs == "WGS 84" or str(tmp_path) in str(caught.value)
+
+
+def test_coordinates_that_cannot_be_name_their_file(tmp_path: Path) -> None:
+    p = put(tmp_path, POINTS + A, "p.csv")
+    q = put(tmp_path, LINES + L.replace("44.1", "144.1"), "l.csv")
+    with pytest.raises(TermselError, match=r"l\.csv: feature 'l' with x = 5\.1, y = 144\.1"):
+        read_features(p, q, crs="EPSG:4979", readers=READERS)
+
+
+def test_features_of_the_other_kind(tmp_path: Path) -> None:
+    class Both(Reader):
+        name = "both"
+        summary = "points and lines"
+
+        def sniff(self, path: Path, head: bytes) -> bool:
+            return head == b"both"
+
+        def read(self, path: Path) -> FeatureSet:
+            one = Points(("p",), [[1, 2]], [[3, 4, 5]])
+            two = Lines(("l",), [[[1, 2], [3, 4]]], [[[1, 2, 3], [4, 5, 6]]])
+            return FeatureSet(one, two, crs="", image_size=(10, 20))
+
+    readers = [*READERS, Both()]
+    p, both = put(tmp_path, POINTS + A, "p.csv"), put(tmp_path, "both", "both")
+    features = read_features(both, both, crs="local", readers=readers)
+    assert features.ids == ("p", "l")
+    assert features.image_size == (10, 20)
+    with pytest.raises(TermselError, match="also holds lines"):
+        read_features(both, None, crs="local", readers=readers)
+    with pytest.raises(TermselError, match="It holds points: give it with --points"):
+        read_features(None, p, crs="local", readers=readers)
+    with pytest.raises(TermselError, match="--points FILE"):
+        read_features(None, None, crs="local", readers=readers)
+
+
+def test_one_id_in_both_files(tmp_path: Path) -> None:
+    p, q = put(tmp_path, POINTS + A, "p.csv"), put(tmp_path, LINES + "a" + L[1:], "l.csv")
+    with pytest.raises(TermselError, match="'a' is the id of a point and of a line"):
+        read_features(p, q, crs="local", readers=READERS)
+
+
+real = sorted(DATA.glob("*/meta.json"))
+
+
+@pytest.mark.skipif(not real, reason="no real data here")
+@pytest.mark.parametrize("meta", real, ids=lambda path: path.parent.name)
+def test_real_data(meta: Path) -> None:
+    facts = json.loads(meta.read_text(encoding="utf-8"))
+    p, q = meta.with_name("points.csv"), meta.with_name("lines.csv")
+    features = read_features(p, q if q.exists() else None, crs=facts["crs"].split(" ")[0],
+                             readers=READERS)
+    assert len(features.points) == facts["npoints"]
+    assert len(features.lines) == facts.get("nlines", 0)
+
+
+# Atomic writing
+
+
+def test_atomic_writing_replaces_whole_files(tmp_path: Path) -> None:
+    path = tmp_path / "out.txt"
+    write_text(path, "né\r\n")
+    assert path.read_bytes() == "né\r\n".encode()
+    write_bytes(path, b"new")
+    assert path.read_bytes() == b"new"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_atomic_path_keeps_the_old_file_on_failure(tmp_path: Path) -> None:
+    path = put(tmp_path, "old", "out.tif")
+
+    def fail() -> None:
+        with atomic_path(path) as temporary:
+            assert temporary.parent == path.parent
+            assert temporary.suffix == ".tif"
+            temporary.write_text("half")
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        fail()
+    assert path.read_text() == "old"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_atomic_writing_through_a_link(tmp_path: Path) -> None:
+    path = put(tmp_path, "old", "real.txt")
+    link = tmp_path / "link.txt"
+    link.symlink_to(path)
+    write_text(link, "new")
+    assert link.is_symlink()
+    assert path.read_text() == "new"
+
+
+def test_places_that_cannot_be_written(tmp_path: Path) -> None:
+    file = put(tmp_path, "a file")
+    for path in (tmp_path, tmp_path / "none" / "out.txt", file / "out.txt", Path(os.devnull)):
+        with pytest.raises(TermselError) as caught:
+            write_text(path, "text")
+        assert str(path) in str(caught.value)
+    assert list(tmp_path.iterdir()) == [file]
