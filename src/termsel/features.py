@@ -129,11 +129,11 @@ class Points:
 
     def take(self, index: ArrayLike) -> Points:
         """Return the points at `index` (integers or a mask)."""
-        index = np.arange(len(self))[np.asarray(index)]
+        chosen = np.arange(len(self))[np.asarray(index)]
         return Points(
-            tuple(self.ids[i] for i in index), self.image[index], self.ground[index],
-            None if self.sigma is None else self.sigma[index],
-            tuple(self.roles[i] for i in index))
+            tuple(self.ids[i] for i in chosen), self.image[chosen], self.ground[chosen],
+            None if self.sigma is None else self.sigma[chosen],
+            tuple(self.roles[i] for i in chosen))
 
 
 @dataclass(frozen=True, eq=False)
@@ -184,7 +184,11 @@ class Lines:
 
     def _check_duplicates(self) -> None:
         ends = np.nan_to_num(self.ground, nan=0.0)
-        swap = [tuple(a) > tuple(b) for a, b in ends]
+        # One order of the ends, by X, then Y, then Z, so that a line met backwards is found.
+        differs = ends[:, 0] != ends[:, 1]
+        first_difference = np.argmax(differs, axis=1)
+        each = np.arange(len(ends))
+        swap = ends[each, 0, first_difference] > ends[each, 1, first_difference]
         ends[swap] = ends[swap][:, ::-1]
         _, first, inverse = np.unique(ends.reshape(len(self.ids), -1), axis=0,
                                       return_index=True, return_inverse=True)
@@ -200,8 +204,8 @@ class Lines:
 
     def take(self, index: ArrayLike) -> Lines:
         """Return the lines at `index` (integers or a mask)."""
-        index = np.arange(len(self))[np.asarray(index)]
-        return Lines(tuple(self.ids[i] for i in index), self.image[index], self.ground[index])
+        chosen = np.arange(len(self))[np.asarray(index)]
+        return Lines(tuple(self.ids[i] for i in chosen), self.image[chosen], self.ground[chosen])
 
 
 def no_points() -> Points:

@@ -22,7 +22,7 @@ from termsel.options import Option, resolve
 from termsel.plugins.manager import registry
 from termsel.problems.base import Problem
 from termsel.problems.recipes import Recipe
-from termsel.problems.selection import Inputs, pole_violation
+from termsel.problems.selection import Inputs
 from termsel.result import Baseline, Residual, Result, residuals_of
 from termsel.roles import Observations, observe
 from termsel.scaling import Scaling, scaling_of

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -12,6 +13,7 @@ from termsel.errors import TermselError
 from termsel.features import BoolArray
 from termsel.problems.base import Evaluation, Problem, Selection
 from termsel.solvers.base import Generation, Solver
+from termsel.solvers.local import descend
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,6 +46,22 @@ class Progress:
 Observer = Callable[[Progress], None]
 
 
+@dataclass(frozen=True)
+class Polish:
+    """What the local search after a solver added.
+
+    Parameters
+    ----------
+    found, polished : float
+        First objective before and after.
+    evaluations : int
+    """
+
+    found: float
+    polished: float
+    evaluations: int
+
+
 @dataclass(frozen=True, eq=False)
 class Search:
     """A finished or interrupted search.
@@ -57,11 +75,16 @@ class Search:
     violation : float
         Its violation; 0 is feasible.
     seed, evaluations, generations : int
+        Of the solver, without those of the polish.
     lookups : int
         Evaluations that were looked up, as the same individual had been evaluated before.
     seconds : float
     interrupted : bool
         True if the user stopped it.
+    polish : Polish, optional
+        None where the solver is not polished.
+    certificate : mapping, optional
+        What the solver proved, if anything.
     """
 
     genes: BoolArray
@@ -73,6 +96,8 @@ class Search:
     lookups: int
     seconds: float
     interrupted: bool
+    polish: Polish | None = None
+    certificate: Mapping[str, Any] | None = None
 
 
 class _BudgetSpent(Exception):
@@ -121,6 +146,11 @@ class Ledger(Problem):
         """Return what one chromosome selects."""
         return self.problem.decode(genes)
 
+    def progress(self, generation: Generation, share: float | None) -> Progress:
+        """Return what an observer is told."""
+        genes = generation.genes[0] if self.best_genes is None else self.best_genes
+        return Progress(generation, self.count, share, self.best[1], self.best[0], genes)
+
     def _look_up(self, genes: BoolArray) -> Evaluation:
         keys = _keys(genes)
         new: dict[bytes, int] = {}
@@ -163,8 +193,8 @@ class Ledger(Problem):
 
 
 def _keys(genes: BoolArray) -> list[bytes]:
-    packed = np.packbits(genes, axis=1)
-    return packed.view(f"V{packed.shape[1]}").ravel().tolist() if packed.size else [b""] * len(genes)
+    packed = np.ascontiguousarray(np.packbits(genes, axis=1))
+    return [row.tobytes() for row in packed]
 
 
 def search(
@@ -216,45 +246,71 @@ def search(
     start = time.perf_counter()
     ledger = Ledger(problem, evaluations=evaluations,
                     deadline=None if seconds is None else start + seconds)
-    rng = np.random.default_rng(seed)
-    done = 0
+    budget = _Budget(generations, evaluations, seconds, start)
+    generation: Generation | None = None
+    polish = None
     interrupted = False
-    running = solver.generations(ledger, rng)
+    running = solver.generations(ledger, np.random.default_rng(seed))
     try:
-        for generation in running:
-            done = generation.index + 1
-            share = _share(done, generations, ledger, evaluations,
-                           time.perf_counter() - start, seconds)
+        for generation in _until_spent(running):
+            progress = ledger.progress(generation, budget.share(generation, ledger))
             for observe in observers:
-                observe(Progress(generation, ledger.count, share, ledger.best[1], ledger.best[0],
-                                 ledger.best_genes if ledger.best_genes is not None
-                                 else generation.genes[0]))
-            if generations is not None and generation.index >= generations:
+                observe(progress)
+            if budget.spent(generation, ledger):
                 break
-            if evaluations is not None and ledger.count >= evaluations:
-                break
-            if seconds is not None and time.perf_counter() - start >= seconds:
-                break
-    except _BudgetSpent:
-        pass
+        done = ledger.count
+        if solver.options.get("polish") and len(problem.objectives) == 1:
+            polish = _polish(ledger)
     except KeyboardInterrupt:
         if ledger.best_genes is None:
             raise
-        interrupted = True
-    finally:
-        close = getattr(running, "close", None)
-        if close is not None:
-            close()
+        done, interrupted = ledger.count, True
     if ledger.best_genes is None:
-        raise TermselError(f"solver {solver.name!r} evaluated nothing",
-                           hint="Raise the budget.")
-    return Search(ledger.best_genes, ledger.best_objectives, ledger.best[0], seed, ledger.count,
-                  done, ledger.lookups, time.perf_counter() - start, interrupted)
+        raise TermselError(f"solver {solver.name!r} evaluated nothing", hint="Raise the budget.")
+    return Search(ledger.best_genes, ledger.best_objectives, ledger.best[0], seed, done,
+                  generation.index + 1 if generation else 0, ledger.lookups,
+                  time.perf_counter() - start, interrupted, polish,
+                  generation.details.get("certificate") if generation else None)
 
 
-def _share(done: int, generations: int | None, ledger: Ledger, evaluations: int | None,
-           elapsed: float, seconds: float | None) -> float | None:
-    shares = [value / limit for value, limit in
-              ((done - 1, generations), (ledger.count, evaluations), (elapsed, seconds))
-              if limit is not None]
-    return min(1.0, max(shares)) if shares else None
+def _until_spent(running: Iterator[Generation]) -> Iterator[Generation]:
+    try:
+        yield from running
+    except _BudgetSpent:
+        return
+
+
+def _polish(ledger: Ledger) -> Polish | None:
+    """Descend from the best individual, beyond the budget."""
+    if ledger.best_genes is None:
+        return None
+    found, count = ledger.best[1], ledger.count
+    ledger.limit = ledger.deadline = None
+    start = ledger.best_genes[None]
+    for _ in descend(ledger, start, ledger.evaluate(start)):
+        pass
+    return Polish(found, ledger.best[1], ledger.count - count)
+
+
+@dataclass(frozen=True)
+class _Budget:
+    generations: int | None
+    evaluations: int | None
+    seconds: float | None
+    start: float
+
+    def share(self, generation: Generation, ledger: Ledger) -> float | None:
+        """Return the spent share of whichever budget is spent first."""
+        elapsed = time.perf_counter() - self.start
+        shares = [value / limit for value, limit in (
+            (generation.index, self.generations), (ledger.count, self.evaluations),
+            (elapsed, self.seconds)) if limit is not None]
+        known = generation.details.get("share")
+        return min(1.0, max(shares)) if shares else known
+
+    def spent(self, generation: Generation, ledger: Ledger) -> bool:
+        """Return True where no further generation may begin."""
+        return ((self.generations is not None and generation.index >= self.generations)
+                or (self.evaluations is not None and ledger.count >= self.evaluations)
+                or (self.seconds is not None
+                    and time.perf_counter() - self.start >= self.seconds))

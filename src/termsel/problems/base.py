@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from termsel.errors import unknown_name
-from termsel.features import BoolArray, FloatArray
+from termsel.features import BoolArray, FloatArray, IntArray
 
 WORST = 1e9
 """Objective of an individual that cannot be judged; finite, so that it can be compared."""
@@ -118,11 +118,11 @@ class Evaluation:
     objectives: FloatArray
     violation: FloatArray
 
-    def take(self, index: object) -> Evaluation:
+    def take(self, index: IntArray) -> Evaluation:
         """Return the evaluation of some individuals."""
-        return Evaluation(self.objectives[index], self.violation[index])  # type: ignore[index]
+        return Evaluation(self.objectives[index], self.violation[index])
 
-    def order(self) -> np.ndarray[tuple[int], np.dtype[np.intp]]:
+    def order(self) -> IntArray:
         """Return the individuals from best to worst by first objective, feasible ones first."""
         return np.lexsort((self.objectives[:, 0], self.violation))
 

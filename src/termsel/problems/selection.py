@@ -122,7 +122,7 @@ class SelectionProblem(Problem):
     def masks(self, genes: BoolArray) -> tuple[BoolArray, BoolArray | None]:
         """Return masks of terms, shape (p, k), and of features, shape (p, f) or None for all."""
         terms = (np.ones((len(genes), len(self.inputs.model.terms)), dtype=bool)
-                 if self._gene_of_term is None else np.ascontiguousarray(genes[:, self._gene_of_term]))
+                 if self._gene_of_term is None else genes[:, self._gene_of_term])
         return terms, genes[:, self._n_term_genes:] if self._selects_features else None
 
     def decode(self, genes: BoolArray) -> Selection:
@@ -137,9 +137,7 @@ class SelectionProblem(Problem):
         coefficients = np.zeros(terms.shape)
         violation = np.zeros(len(terms))
         for part in self._parts:
-            chosen = None if self._gene_of_term is None else np.ascontiguousarray(terms[:, part.columns])
-            if chosen is None and features is None:
-                chosen = np.ascontiguousarray(terms[:, part.columns])
+            chosen = None if self._gene_of_term is None else terms[:, part.columns]
             solution, lacking = solve_many(part.equations, chosen, features)
             coefficients[:, part.columns] = solution
             violation += lacking
@@ -150,7 +148,7 @@ class SelectionProblem(Problem):
         if not np.isin([LINE, SAMPLE], axis).all():
             return np.zeros(len(terms))
         line, sample = terms[:, axis == LINE], terms[:, axis == SAMPLE]
-        return 1.0 * ~line.any(axis=1) + 1.0 * ~sample.any(axis=1)
+        return np.asarray(2.0 - line.any(axis=1) - sample.any(axis=1))
 
 
 def guard_points(control: FeatureSet, check: Points) -> FloatArray:
@@ -171,7 +169,7 @@ def pole_violation(model: SensorModel, coefficients: FloatArray,
     if below is None:
         return np.zeros(len(coefficients))
     least = np.nan_to_num(below, nan=-WORST).min(axis=(1, 2))
-    return np.clip(POLE_MARGIN - least, 0.0, WORST)
+    return np.asarray(np.clip(POLE_MARGIN - least, 0.0, WORST))
 
 
 @dataclass(frozen=True, eq=False)
@@ -184,7 +182,6 @@ class _Part:
 def _independent_parts(equations: Equations, axis: IntArray) -> tuple[_Part, ...]:
     """Split the system by axis where no row and no term speaks of both."""
     rows = row_axes(equations.A, axis)
-    axes: tuple[IntArray, ...]
     if (rows == 2).any() or (axis == 2).any():
         masks = [(np.ones(len(rows), dtype=bool), np.ones(len(axis), dtype=bool))]
     else:
@@ -206,7 +203,8 @@ def _term_segments(names: tuple[str, ...], axis: IntArray, mask: str,
         labels = tuple(dict.fromkeys(shared))
         return ([Segment("terms", labels)],
                 np.array([labels.index(name) for name in shared], dtype=np.intp))
-    segments, order = [], []
+    segments: list[Segment] = []
+    order: list[int] = []
     for side, title in ((0, "terms.line"), (1, "terms.sample"), (2, "terms.shared")):
         where = np.flatnonzero(axis == side)
         if where.size:

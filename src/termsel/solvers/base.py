@@ -10,8 +10,13 @@ from typing import Any, ClassVar
 import numpy as np
 
 from termsel.features import BoolArray
-from termsel.options import Configurable
+from termsel.options import Configurable, Option
 from termsel.problems.base import Evaluation, Problem
+
+POLISH = Option("polish", True, "Follow the search by adding, dropping and swapping genes as "
+                "long as that helps. The result says what the solver found and what this added; "
+                "its evaluations come on top of the budget.", bool)
+"""Declared by solvers whose find is to be polished by the run."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,7 +10,7 @@ from deap import base
 from termsel.features import BoolArray, IntArray
 from termsel.options import Option
 from termsel.problems.base import Evaluation, Problem
-from termsel.solvers.base import Generation, Solver
+from termsel.solvers.base import POLISH, Generation, Solver
 
 
 def tournament(order: IntArray, n: int, size: int, rng: np.random.Generator) -> IntArray:
@@ -24,7 +24,8 @@ def tournament(order: IntArray, n: int, size: int, rng: np.random.Generator) -> 
         Number of tournaments, and of individuals drawn for each.
     rng : numpy.random.Generator
     """
-    return order[rng.integers(0, len(order), (n, size)).min(axis=1)]
+    drawn: IntArray = rng.integers(0, len(order), (n, size)).min(axis=1)
+    return order[drawn]
 
 
 def uniform_crossover(genes: BoolArray, probability: float, rng: np.random.Generator) -> BoolArray:
@@ -71,6 +72,7 @@ class GeneticAlgorithm(Solver):
         Option("mutation", None, "Chance that a gene flips; by default 1 over the number of "
                "genes. Akhoundi Khezrabad et al. 2020 use 0.001.", float, 0.0, 1.0),
         Option("elite", 2, "Best chromosomes that survive unchanged.", int, 0),
+        POLISH,
     )
 
     def toolbox(self, problem: Problem, rng: np.random.Generator) -> base.Toolbox:

@@ -1,0 +1,19 @@
+"""What all tests share."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+HERE = Path(__file__).resolve()
+
+
+@pytest.fixture(scope="session")
+def data_folder() -> Path:
+    """Real data that are not part of the project; tests that need them are skipped without."""
+    folder = Path(os.environ.get("TERMSEL_DATA", HERE.parents[2] / "shared" / "data"))
+    if not folder.is_dir():
+        pytest.skip("real data are not here; set TERMSEL_DATA to their folder")
+    return folder

@@ -1,0 +1,217 @@
+"""From names to a Result, through the public API."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import termsel
+from termsel.features import FeatureSet, Points
+from termsel.report.text import summary
+from termsel.simulate import simulate_scene
+
+PROBLEMS = ("rfm-terms", "poly-terms", "owdis-points", "owdis-lines", "owdis-points-terms",
+            "owdis-lines-terms")
+
+
+def quick(problem: str, **more: object) -> termsel.Result:
+    given = {"generations": 8, "options": {"population": 60}, **more}
+    return termsel.run(problem, **given)
+
+
+@pytest.mark.parametrize("problem", PROBLEMS)
+def test_a_problem_runs_by_its_name_alone(problem: str) -> None:
+    result = quick(problem)
+    assert result.feasible
+    assert result.problem == problem
+    assert result.rmse["check"].total == pytest.approx(result.objectives["check-rmse"], rel=1e-9)
+    assert set(result.rmse) == {"control", "check", "independent"}
+    assert result.baselines[0].name == "all-terms"
+    assert "independent points" in result.judgement
+
+
+def test_selected_lines_beat_all_lines_on_independent_points() -> None:
+    result = termsel.run("owdis-lines", seed=1)
+    everything = result.baselines[0].rmse["independent"].total
+    assert result.rmse["independent"].total < 0.7 * everything
+    assert result.data["counts"] == {"control": 0, "check": 24, "independent": 26, "lines": 120,
+                                     "off": 24}
+    assert any("control points of the file stay out" in note for note in result.notes)
+
+
+def test_independent_figures_are_recomputed_by_hand() -> None:
+    result = quick("poly-terms")
+    points = simulate_scene("ikonos-hamedan").points
+    independent = points.take([role == "independent" for role in points.roles])
+    s = result.to_dict()["scaling"]
+    x = (independent.ground[:, 0] - s["x_offset"]) / s["x_scale"]
+    y = (independent.ground[:, 1] - s["y_offset"]) / s["y_scale"]
+    computed = np.zeros((len(x), 2))
+    for term, coefficient in result.to_dict()["coefficients"].items():
+        axis, monomial = term.split(".num:")
+        column = np.ones_like(x)
+        for letter, values in (("X", x), ("Y", y)):
+            if letter in monomial:
+                power = monomial.partition(letter)[2][:1]
+                column = column * values ** (int(power) if power.isdigit() else 1)
+        computed[:, ("line", "sample").index(axis)] += coefficient * column
+    computed = computed * s["line_scale"] + [s["line_offset"], s["sample_offset"]]
+    error = computed - independent.image
+    assert result.rmse["independent"].total == pytest.approx(
+        np.sqrt((error**2).sum(axis=1).mean()), rel=1e-9)
+
+
+def test_independent_points_take_no_part_in_any_choice() -> None:
+    features = simulate_scene("ikonos-hamedan")
+    points = features.points
+    moved = points.image.copy()
+    independent = np.array([role == "independent" for role in points.roles])
+    moved[independent] += 50.0
+    other = features.with_(points=Points(points.ids, moved, points.ground, None, points.roles))
+    first = quick("rfm-terms", features=features).to_dict()
+    second = quick("rfm-terms", features=other).to_dict()
+    assert first["rmse"].pop("independent") != second["rmse"].pop("independent")
+    for result in (first, second):
+        for varying in ("baselines", "judgement", "notes", "seconds", "data"):
+            result.pop(varying)
+    assert first == second
+
+
+def test_same_seed_same_selection_also_in_another_process() -> None:
+    result = quick("rfm-terms", seed=5)
+    assert quick("rfm-terms", seed=5).selection == result.selection
+    assert quick("rfm-terms", seed=6).selection != result.selection
+    code = ("import termsel; r = termsel.run('rfm-terms', seed=5, generations=8, "
+            "options={'population': 60}); print(' '.join(r.selection.terms))")
+    there = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True,
+                           check=True)
+    assert tuple(there.stdout.split()) == result.selection.terms
+
+
+def test_mixed_control_uses_points_and_lines() -> None:
+    result = quick("owdis-lines", options={"population": 60, "mixed": True})
+    assert result.data["counts"]["control"] == 24
+    assert len(result.fit.control) == 144
+
+
+def test_shared_mask_selects_the_same_monomials_for_both_axes() -> None:
+    result = quick("poly-terms", options={"population": 60, "mask": "shared"})
+    line = {t.split(":")[1] for t in result.selection.terms if t.startswith("line")}
+    sample = {t.split(":")[1] for t in result.selection.terms if t.startswith("sample")}
+    assert line == sample
+
+
+def test_without_independent_points_the_accuracy_is_said_to_be_unknown() -> None:
+    features = simulate_scene("irs1c-mashad")
+    roles = tuple("off" if role == "independent" else role for role in features.points.roles)
+    points = replace(features.points, roles=roles)
+    result = quick("poly-terms", features=features.with_(points=points))
+    assert result.rmse["independent"] is None
+    assert result.to_dict()["rmse"]["independent"] == {"line": None, "sample": None,
+                                                       "total": None, "n": 0}
+    assert "accuracy of this selection is not known" in result.judgement
+
+
+def test_budgets_are_honoured() -> None:
+    assert termsel.run("poly-terms", evaluations=333).evaluations == 333
+    assert termsel.run("poly-terms", generations=3).generations == 4
+    assert termsel.run("owdis-lines", seconds=0.2, options={"polish": False}).seconds < 2
+
+
+def test_out_holds_the_result_the_residuals_and_the_summary(tmp_path) -> None:
+    result = quick("owdis-lines", out=tmp_path / "new" / "folder")
+    folder = tmp_path / "new" / "folder"
+    stored = json.loads((folder / "result.json").read_text())
+    assert stored == json.loads(result.to_json())
+    assert stored["schema"] == "termsel-result-1"
+    assert stored["selection"]["n_features"] == len(result.selection.features)
+    rows = (folder / "residuals.csv").read_text().splitlines()
+    assert len(rows) == 1 + 2 * 120 + 24 + 26
+    assert (folder / "summary.txt").read_text() == summary(result)
+    assert sorted(p.name for p in folder.iterdir()) == ["residuals.csv", "result.json",
+                                                        "summary.txt"]
+
+
+def test_residuals_agree_with_the_rmse() -> None:
+    result = quick("owdis-lines")
+    used = [r.distance for r in result.residuals if r.used]
+    assert np.sqrt(np.mean(np.square(used))) == pytest.approx(result.rmse["control"].total)
+    check = [r.distance for r in result.residuals if r.role == "check"]
+    assert np.sqrt(np.mean(np.square(check))) == pytest.approx(result.rmse["check"].total)
+
+
+def test_plain_fits_are_judged_beside_the_selection() -> None:
+    result = quick("rfm-terms")
+    names = [b.name for b in result.baselines]
+    assert names == ["all-terms", "affine", "quadratic", "cubic"]
+    assert not result.baselines[0].determined  # 39 terms an axis, 24 control points
+    assert "does not even determine" in result.judgement
+    quadratic = result.baselines[2].rmse["independent"].total
+    assert f"{quadratic:.2f} px" in result.judgement
+
+
+@pytest.mark.parametrize(("problem", "more", "message"), [
+    ("rfm-tems", {}, "Did you mean 'rfm-terms'"),
+    ("rfm-terms", {"model": "rfn"}, "unknown model 'rfn'"),
+    ("rfm-terms", {"options": {"populaton": 3}}, "unknown option 'populaton'"),
+    ("rfm-terms", {"options": {"order": 4}}, "whole number from 1 to 3"),
+    ("rfm-terms", {"options": {"population": "many"}}, "option 'population' does not take"),
+    ("rfm-terms", {"options": {"fractions": "1:0:1"}}, "check must be above 0"),
+    ("owdis-lines", {"dataset": "spot-isfahan"}, "needs control lines"),
+    ("owdis-points", {"model": "rfm"}, "39 terms to be determined together and the control"),
+    ("rfm-terms", {"generations": 0}, "0 generations is not positive"),
+    ("rfm-terms", {"seconds": -1.0}, "is not positive"),
+])
+def test_what_the_user_can_mend_is_said(problem: str, more: dict, message: str) -> None:
+    with pytest.raises(termsel.TermselError, match=message):
+        termsel.run(problem, **more)
+
+
+def test_points_without_height_are_for_plane_models() -> None:
+    ground = simulate_scene("irs1c-mashad").points
+    flat = ground.ground.copy()
+    flat[:, 2] = np.nan
+    features = FeatureSet(Points(ground.ids, ground.image, flat, None, ground.roles),
+                          crs="EPSG:4979")
+    assert quick("poly-terms", features=features).feasible
+    with pytest.raises(termsel.TermselError, match="needs heights and 62 features have none"):
+        termsel.run("rfm-terms", features=features)
+
+
+def test_control_on_one_straight_line_is_refused() -> None:
+    rng = np.random.default_rng(0)
+    x = np.linspace(0, 1000, 30)
+    points = Points(tuple(f"P{i}" for i in range(30)), rng.uniform(0, 500, (30, 2)),
+                    np.stack([x, 2 * x + 5, rng.uniform(0, 50, 30)], axis=1))
+    with pytest.raises(termsel.TermselError, match="one straight line"):
+        termsel.run("rfm-terms", features=FeatureSet(points))
+
+
+REAL = {
+    "ventoux_lines": ("owdis-lines", {}), "ikonos_lines": ("owdis-lines", {}),
+    "phr_grid_nice_a": ("rfm-terms", {}), "s1_grd_iw": ("rfm-terms", {}),
+    "rpcfit_s1_train": ("rfm-terms", {}), "kastoria_1925": ("poly-terms", {}),
+    "maplat_fushimijo": ("poly-terms", {}),
+}
+
+
+@pytest.mark.parametrize("name", REAL)
+def test_real_data_run_and_make_sense(name: str, data_folder) -> None:
+    from termsel.io.base import read_features
+    from termsel.plugins.manager import registry
+
+    folder = data_folder / name
+    problem, options = REAL[name]
+    crs = json.loads((folder / "meta.json").read_text())["crs"].split()[0]
+    lines = folder / "lines.csv" if problem == "owdis-lines" else None
+    features = read_features(folder / "points.csv", lines, crs=crs,
+                             readers=[e.object for e in registry().entries("readers")])
+    result = termsel.run(problem, features=features, options=options)
+    assert result.feasible
+    affine = next(b for b in result.baselines if b.name == "affine")
+    assert result.rmse["independent"].total < affine.rmse["independent"].total
