@@ -1,3 +1,112 @@
-"""Select sensor-model terms and ground control features for georeferencing images."""
+"""Select sensor-model terms and ground control features for georeferencing images.
+
+The names below are the public API. They are imported when first used, so that importing
+termsel, and answering ``termsel --help``, costs next to nothing.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
 
 __version__ = "0.1.0"
+
+if TYPE_CHECKING:
+    from termsel.adjustment import Equations
+    from termsel.criteria import Criterion, Fits
+    from termsel.datasets import DatasetSpec
+    from termsel.errors import TermselError
+    from termsel.features import FeatureSet, Lines, Points
+    from termsel.io.base import Reader, Writer
+    from termsel.models import Blocks, RationalModel, SensorModel
+    from termsel.options import Option
+    from termsel.plugins import hookimpl
+    from termsel.problems.base import Evaluation, Genome, Problem, Segment, Selection
+    from termsel.problems.recipes import Recipe
+    from termsel.problems.selection import Inputs
+    from termsel.result import Result
+    from termsel.running import Task, prepare, run
+    from termsel.searching import Search, search
+    from termsel.simulate import simulate_scene
+    from termsel.solvers import Generation, Solver
+
+_HOME = {
+    "Blocks": "termsel.models",
+    "Criterion": "termsel.criteria",
+    "DatasetSpec": "termsel.datasets",
+    "Equations": "termsel.adjustment",
+    "Evaluation": "termsel.problems.base",
+    "FeatureSet": "termsel.features",
+    "Fits": "termsel.criteria",
+    "Generation": "termsel.solvers",
+    "Genome": "termsel.problems.base",
+    "Inputs": "termsel.problems.selection",
+    "Lines": "termsel.features",
+    "Option": "termsel.options",
+    "Points": "termsel.features",
+    "Problem": "termsel.problems.base",
+    "RationalModel": "termsel.models",
+    "Reader": "termsel.io.base",
+    "Recipe": "termsel.problems.recipes",
+    "Result": "termsel.result",
+    "Search": "termsel.searching",
+    "Segment": "termsel.problems.base",
+    "Selection": "termsel.problems.base",
+    "SensorModel": "termsel.models",
+    "Solver": "termsel.solvers",
+    "Task": "termsel.running",
+    "TermselError": "termsel.errors",
+    "Writer": "termsel.io.base",
+    "hookimpl": "termsel.plugins",
+    "prepare": "termsel.running",
+    "run": "termsel.running",
+    "search": "termsel.searching",
+    "simulate_scene": "termsel.simulate",
+}
+
+__all__ = [
+    "Blocks",
+    "Criterion",
+    "DatasetSpec",
+    "Equations",
+    "Evaluation",
+    "FeatureSet",
+    "Fits",
+    "Generation",
+    "Genome",
+    "Inputs",
+    "Lines",
+    "Option",
+    "Points",
+    "Problem",
+    "RationalModel",
+    "Reader",
+    "Recipe",
+    "Result",
+    "Search",
+    "Segment",
+    "Selection",
+    "SensorModel",
+    "Solver",
+    "Task",
+    "TermselError",
+    "Writer",
+    "__version__",
+    "hookimpl",
+    "prepare",
+    "run",
+    "search",
+    "simulate_scene",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOME:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    value = getattr(import_module(_HOME[name]), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -1,0 +1,41 @@
+"""Entry of the command line, ``termsel`` or ``python -m termsel``."""
+
+from __future__ import annotations
+
+import os
+import sys
+from types import TracebackType
+
+from termsel import __version__
+from termsel.cli.main import cli
+
+FAULT = """\
+Error: termsel has failed: {what}. This is a fault of termsel, or of a plugin in use, and not
+yours. Please report it with the command you typed, the version of termsel ({version}) and what
+the same command says with TERMSEL_DEBUG=1 set. TERMSEL_PLUGINS= (empty) runs without plugins."""
+
+
+def report_fault(
+    kind: type[BaseException], error: BaseException, trace: TracebackType | None
+) -> None:
+    """Say on stderr that termsel has failed; Python then exits with code 1.
+
+    Parameters
+    ----------
+    kind, error, trace
+        As for `sys.excepthook`.
+    """
+    if os.environ.get("TERMSEL_DEBUG") == "1":
+        sys.__excepthook__(kind, error, trace)
+    what = " ".join(f"{kind.__name__}: {error}".split()).rstrip(".: ")
+    print(FAULT.format(what=what, version=__version__), file=sys.stderr)
+
+
+def main() -> None:
+    """Run the command line."""
+    sys.excepthook = report_fault
+    cli.main(prog_name="termsel")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,16 @@
+"""The command line: one module a command.
+
+`COMMANDS` is all that ``termsel --help`` reads: modules of commands, and plugins, are imported
+when a command is used.
+"""
+
+COMMANDS = {
+    "run": ("termsel.cli.run:run", "Search for the terms or control features that serve best."),
+    "list": ("termsel.cli.list:list_", "List what can be asked for by name."),
+    "describe": ("termsel.cli.describe:describe",
+                 "Describe a problem, model, solver or anything else that has a name."),
+    "plugins": ("termsel.cli.plugins:plugins", "List plugins, and what is wrong with them."),
+    "completion": ("termsel.cli.completion:completion",
+                   "Print a script that completes commands and names in a shell."),
+}
+"""Built-in commands by name: where the command is, as "module:attribute", and its summary."""

@@ -1,0 +1,132 @@
+"""The command `termsel describe`."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Iterable
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from termsel.cli.names import complete
+from termsel.cli.tables import print_table
+from termsel.errors import unknown_name
+
+if TYPE_CHECKING:
+    from termsel.options import Option
+    from termsel.plugins.manager import Entry
+
+
+@click.command()
+@click.argument("name", shell_complete=complete())
+def describe(name: str) -> None:
+    """Describe a problem, model, solver or anything else that has a name.
+
+    Options are shown with their defaults and what they accept; they are set by
+    `termsel run --set KEY=VALUE`.
+
+    \b
+    Examples:
+      termsel describe owdis-lines
+      termsel describe rfm
+      termsel describe ga
+    """
+    from termsel.plugins.kinds import KINDS
+    from termsel.plugins.manager import registry
+
+    names = registry()
+    found = names.find(name)
+    if not found:
+        known = [known for kind in KINDS for known in names.names(kind)]
+        raise unknown_name("name", name, known, names.hint(name, *KINDS))
+    for i, (kind, entry) in enumerate(found):
+        if i:
+            click.echo()
+        click.echo(f"{entry.name}: {KINDS[kind].word} of {entry.provided_by}")
+        _DESCRIBE.get(kind, _describe_format)(entry)
+
+
+def _describe_problem(entry: Entry) -> None:
+    recipe = entry.object
+    settings = "".join(f" --set {key}={value}" for key, value in recipe.model_options.items())
+    click.echo(f"\n{recipe.summary}\n")
+    _pairs({
+        "model": f"{recipe.model}{settings}", "data set": recipe.dataset,
+        "criterion": recipe.criterion, "solver": recipe.solver,
+        "control": recipe.control, "source": recipe.source})
+    _options(recipe.options)
+    click.echo("\nModel, solver and criterion have options of their own: "
+               "termsel describe NAME.")
+
+
+def _describe_model(entry: Entry) -> None:
+    from termsel.plugins.loading import attempt
+
+    _document(entry)
+    _pairs({"heights": "needed" if entry.object.uses_height else "not used"})
+    _options(entry.object.declared_options)
+    # A plugin's model may fail here, and its description is still worth having.
+    terms, reason = attempt(lambda: list(entry.object().terms))
+    if terms is None:
+        click.echo(f"\nTerms: cannot be listed: {reason}")
+        return
+    click.echo(f"\nTerms at the default options: {len(terms)}")
+    click.echo(click.wrap_text(", ".join(terms), 78, "  ", "  "))
+
+
+def _describe_solver(entry: Entry) -> None:
+    _document(entry)
+    generations = entry.object.default_generations
+    _pairs({
+        "objectives": f"at most {entry.object.max_objectives}",
+        "ends": "by itself" if generations is None else
+                f"with the budget; after {generations} generations where none is given"})
+    _options(entry.object.declared_options)
+
+
+def _describe_criterion(entry: Entry) -> None:
+    _document(entry)
+    _options(entry.object.declared_options)
+
+
+def _describe_dataset(entry: Entry) -> None:
+    click.echo(f"\n{entry.summary}\n")
+    _pairs({"measurements": "simulated" if entry.object.simulated else "real"})
+
+
+def _describe_format(entry: Entry) -> None:
+    click.echo(f"\n{entry.summary}")
+    _document(entry)
+
+
+_DESCRIBE: dict[str, Callable[[Entry], None]] = {
+    "problems": _describe_problem, "models": _describe_model, "solvers": _describe_solver,
+    "criteria": _describe_criterion, "datasets": _describe_dataset}
+
+
+def _document(entry: Entry) -> None:
+    thing = entry.object
+    text = (thing if isinstance(thing, type) else type(thing)).__doc__
+    if text:
+        click.echo(f"\n{inspect.cleandoc(text)}\n")
+
+
+def _pairs(values: dict[str, Any]) -> None:
+    shown = {key: value for key, value in values.items() if value}
+    width = max(map(len, shown))
+    for key, value in shown.items():
+        click.echo(f"{key.capitalize() + ':':{width + 2}}{value}")
+
+
+def _options(options: Iterable[Option]) -> None:
+    rows = [(option.name, "from the data" if option.default is None else _text(option.default),
+             option.accepts, option.doc) for option in options]
+    if not rows:
+        click.echo("\nNo options.")
+        return
+    click.echo("\nOptions:")
+    print_table(("key", "default", "accepts", "meaning"), rows)
+
+
+def _text(value: Any) -> str:
+    return str(value).lower() if isinstance(value, bool) else str(value)

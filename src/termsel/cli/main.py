@@ -1,0 +1,158 @@
+"""The group of all commands, and what becomes of their errors.
+
+Exit codes: 0 done; 2 the user can mend it; 1 a fault of termsel; 130 interrupted. In tests,
+``click.testing.CliRunner().invoke(cli, [...])`` gives output and exit code.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from importlib import import_module
+from typing import Any
+
+import click
+
+from termsel import __version__
+from termsel.cli import COMMANDS
+from termsel.errors import TermselError, unknown_name
+
+MENDABLE, INTERRUPTED = 2, 130
+
+
+@contextmanager
+def _closed_pipe_ends_quietly() -> Iterator[None]:
+    """End the program without a word when the reader of its output, such as head, is gone."""
+    try:
+        yield
+    except BrokenPipeError:
+        # Python flushes stdout once more when it ends.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        raise click.exceptions.Exit(0) from None
+
+
+class Commands(click.Group):
+    """Commands that are imported when used: built-in ones, then those of plugins."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:  # noqa: ARG002
+        """Return the built-in commands; plugins are not loaded, as help has to be quick."""
+        return list(COMMANDS)
+
+    def get_command(
+        self, ctx: click.Context, cmd_name: str  # noqa: ARG002
+    ) -> click.Command | None:
+        """Return a command; that of a broken plugin is one that says why."""
+        if cmd_name in COMMANDS:
+            module, _, attribute = COMMANDS[cmd_name][0].partition(":")
+            command: click.Command = getattr(import_module(module), attribute)
+            return command
+        return _plugin_command(cmd_name)
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """Return name, command and remaining arguments.
+
+        Raises
+        ------
+        TermselError
+            For an unknown command, with the known ones.
+        """
+        command = self.get_command(ctx, args[0])
+        if command is None and not ctx.resilient_parsing:
+            from termsel.plugins.manager import registry
+
+            known = [*COMMANDS, *registry().names("commands")]
+            raise unknown_name("command", args[0], known, registry().hint(args[0], "commands"))
+        return args[0], command, args[1:]
+
+    def format_commands(
+        self, ctx: click.Context, formatter: click.HelpFormatter  # noqa: ARG002
+    ) -> None:
+        """Write the commands' summaries without importing them."""
+        with formatter.section("Commands"):
+            formatter.write_dl([(name, summary) for name, (_, summary) in COMMANDS.items()])
+
+    def make_context(
+        self, info_name: str | None, args: list[str], parent: click.Context | None = None,
+        **extra: Any,
+    ) -> click.Context:
+        """Return the context of a call; prints help and version."""
+        with _closed_pipe_ends_quietly():
+            return super().make_context(info_name, args, parent, **extra)
+
+    def invoke(self, ctx: click.Context) -> Any:
+        """Call the command."""
+        with _closed_pipe_ends_quietly():
+            value = super().invoke(ctx)
+            sys.stdout.flush()
+            return value
+
+    def main(
+        self,
+        args: Sequence[str] | None = None,
+        prog_name: str | None = None,
+        complete_var: str | None = None,
+        standalone_mode: bool = True,
+        **extra: Any,
+    ) -> Any:
+        """Run the command line and leave the program with an exit code.
+
+        A command that returns a whole number chooses the exit code.
+        """
+        if not standalone_mode:
+            return super().main(args, prog_name, complete_var, False, **extra)
+        try:
+            value = super().main(args, prog_name, complete_var, False, **extra)
+        except TermselError as error:
+            click.echo(f"Error: {error}", err=True)
+            sys.exit(MENDABLE)
+        except click.ClickException as error:
+            error.show()
+            sys.exit(MENDABLE)
+        except (click.Abort, KeyboardInterrupt):
+            click.echo("Interrupted.", err=True)
+            sys.exit(INTERRUPTED)
+        sys.exit(value if isinstance(value, int) else 0)
+
+
+def _plugin_command(name: str) -> click.Command | None:
+    from termsel.plugins.manager import registry
+
+    names = registry()
+    for entry in names.entries("commands"):
+        if entry.answers_to(name):
+            command: click.Command = entry.object
+            return command
+    for failure in names.failures("commands"):
+        if failure.plugin == name:
+            return _broken_command(name, str(failure))
+    return None
+
+
+def _broken_command(name: str, why: str) -> click.Command:
+    def say_why() -> None:
+        raise TermselError(f"{name!r} cannot be used, as {why}",
+                           hint="Tell its author, or install another version.")
+
+    return click.Command(
+        name, callback=say_why, help=f"This command cannot be used, as {why}",
+        context_settings={"ignore_unknown_options": True, "allow_extra_args": True})
+
+
+@click.group(
+    cls=Commands, context_settings={"help_option_names": ["-h", "--help"]},
+    epilog="Plugins may add commands; `termsel plugins` lists them.")
+@click.version_option(__version__, message="termsel %(version)s")
+def cli() -> None:
+    """Select sensor-model terms and ground control features for georeferencing images.
+
+    \b
+    Examples:
+      termsel run --problem owdis-lines
+      termsel run --problem rfm-terms --points gcp.csv --crs EPSG:4979 --out result
+      termsel list problems
+      termsel describe rfm-terms
+    """

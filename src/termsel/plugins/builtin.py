@@ -1,0 +1,70 @@
+"""What termsel itself provides, through the hooks any plugin uses.
+
+Each hook imports what it returns, so that listing solvers does not load the models.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import TYPE_CHECKING
+
+from termsel.plugins.hookspecs import hookimpl
+
+if TYPE_CHECKING:
+    from termsel.criteria import Criterion
+    from termsel.datasets import DatasetSpec
+    from termsel.io.base import Reader
+    from termsel.models import SensorModel
+    from termsel.problems.recipes import Recipe
+    from termsel.solvers import Solver
+
+
+@hookimpl
+def termsel_models() -> Iterable[type[SensorModel]]:
+    """Return the built-in sensor models."""
+    from termsel.models.polynomial import Affine, Polynomial2D, Polynomial3D
+    from termsel.models.rational import RationalFunctions
+
+    return [RationalFunctions, Polynomial2D, Polynomial3D, Affine]
+
+
+@hookimpl
+def termsel_problems() -> Iterable[Recipe]:
+    """Return the built-in problems."""
+    from termsel.problems.recipes import RECIPES
+
+    return RECIPES
+
+
+@hookimpl
+def termsel_criteria() -> Iterable[Criterion]:
+    """Return the built-in criteria."""
+    from termsel.criteria import CheckRmse
+
+    return [CheckRmse()]
+
+
+@hookimpl
+def termsel_solvers() -> Iterable[type[Solver]]:
+    """Return the built-in solvers."""
+    from termsel.solvers.baselines import AllTerms, RandomSearch
+    from termsel.solvers.ga import GeneticAlgorithm
+    from termsel.solvers.local import Swap
+
+    return [GeneticAlgorithm, Swap, RandomSearch, AllTerms]
+
+
+@hookimpl
+def termsel_datasets() -> Iterable[DatasetSpec]:
+    """Return the embedded data sets."""
+    from termsel.simulate.scenes import DATASETS
+
+    return DATASETS
+
+
+@hookimpl
+def termsel_readers() -> Iterable[Reader]:
+    """Return the built-in readers."""
+    from termsel.io.csv_tables import LinesCsv, PointsCsv
+
+    return [PointsCsv(), LinesCsv()]

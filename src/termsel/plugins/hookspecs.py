@@ -1,0 +1,152 @@
+"""The hooks a plugin may implement.
+
+A plugin is a module named by an entry point of the group ``termsel``::
+
+    [project.entry-points.termsel]
+    demo = "termsel_demo"
+
+Its functions bear the name of a hook and the decorator `hookimpl`, and return what the plugin
+adds::
+
+    from termsel import hookimpl
+
+    @hookimpl
+    def termsel_models():
+        return [DLT]
+
+A function may leave out arguments it does not need. termsel calls each function once a
+process, when something of its kind is wanted.
+"""
+
+# Specifications are never called: they have no bodies.
+# mypy: disable-error-code="empty-body"
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import TYPE_CHECKING
+
+import pluggy
+
+if TYPE_CHECKING:
+    import click
+
+    from termsel.criteria import Criterion
+    from termsel.datasets import DatasetSpec
+    from termsel.io.base import Reader, Writer
+    from termsel.models import SensorModel
+    from termsel.problems.recipes import Recipe
+    from termsel.result import Result
+    from termsel.solvers import Solver
+
+PROJECT = "termsel"
+"""Name of the entry-point group, and prefix of the hooks."""
+
+hookspec = pluggy.HookspecMarker(PROJECT)
+hookimpl = pluggy.HookimplMarker(PROJECT)
+
+
+@hookspec
+def termsel_models() -> Iterable[type[SensorModel]]:
+    """Return sensor models.
+
+    Returns
+    -------
+    iterable of type
+        Subclasses of `SensorModel` or `RationalModel`, each with a `name` as in ``--model``,
+        and a docstring whose first line is shown by ``termsel list models``.
+    """
+
+
+@hookspec
+def termsel_problems() -> Iterable[Recipe]:
+    """Return problems.
+
+    Returns
+    -------
+    iterable of Recipe
+        Each names the model, data set, criterion and solver to use by default, so that
+        ``termsel run --problem NAME`` alone runs.
+    """
+
+
+@hookspec
+def termsel_criteria() -> Iterable[Criterion]:
+    """Return criteria, by which a search judges fitted models.
+
+    Returns
+    -------
+    iterable of Criterion
+        Instances with their default options, each with a `name` as in ``--criterion``.
+    """
+
+
+@hookspec
+def termsel_solvers() -> Iterable[type[Solver]]:
+    """Return solvers.
+
+    Returns
+    -------
+    iterable of type
+        Subclasses of `Solver`, each with a `name` as in ``--solver``.
+    """
+
+
+@hookspec
+def termsel_datasets() -> Iterable[DatasetSpec]:
+    """Return data sets that are known by name.
+
+    Returns
+    -------
+    iterable of DatasetSpec
+        Each with a `name` as in ``--dataset``; its `load` is called when the data are needed.
+    """
+
+
+@hookspec
+def termsel_readers() -> Iterable[Reader]:
+    """Return readers of files of ground control features.
+
+    Returns
+    -------
+    iterable of Reader
+        Instances. The first whose `sniff` recognises a file reads it; built-in readers are
+        asked first.
+    """
+
+
+@hookspec
+def termsel_writers() -> Iterable[Writer]:
+    """Return writers of results.
+
+    Returns
+    -------
+    iterable of Writer
+        Instances, each with a `name` as in ``termsel export --to``.
+    """
+
+
+@hookspec
+def termsel_commands(cli: click.Group) -> None:
+    """Add commands to the command line.
+
+    The hook is called for a command that is not built in and for ``termsel plugins``, but
+    not for ``termsel --help``, which has to be quick.
+
+    Parameters
+    ----------
+    cli : click.Group
+        Takes the commands: ``cli.add_command(command)`` or ``@cli.command()``. It is a group
+        of the plugin's own; what it holds is added to termsel's commands afterwards.
+    """
+
+
+@hookspec
+def termsel_run_finished(result: Result) -> None:
+    """Take note of a finished run, for a log or a database of runs.
+
+    Parameters
+    ----------
+    result : Result
+        As written to ``result.json``.
+    """

@@ -1,0 +1,287 @@
+"""The command line as a frame: help, names, plugins' commands, errors and exit codes."""
+
+import json
+import os
+import subprocess
+import sys
+from importlib.metadata import distributions
+from textwrap import dedent
+
+import pytest
+from click.testing import CliRunner
+
+from termsel import __version__
+from termsel.cli import COMMANDS, tables
+from termsel.cli.main import cli
+from termsel.plugins import manager
+from termsel.plugins.kinds import KINDS
+from termsel.plugins.manager import Registry
+
+PLUGIN = """
+    import click
+    from termsel import TermselError, hookimpl
+
+    @hookimpl
+    def termsel_commands(cli):
+        @cli.command()
+        @click.argument('how')
+        def greet(how):
+            '''Greet the photogrammetrist.'''
+            if how == 'fault':
+                raise ZeroDivisionError('no\\nluck')
+            if how == 'refuse':
+                raise TermselError('no greeting', file='gcp.csv', line=7, hint='Try hello')
+            if how == 'interrupt':
+                raise KeyboardInterrupt
+            if how == 'seven':
+                return 7
+            click.echo(how)
+"""
+
+
+@pytest.fixture
+def built_in(monkeypatch):
+    """Without the plugins that happen to be installed."""
+    names = Registry([])
+    monkeypatch.setattr(manager, "registry", lambda: names)
+    return names
+
+
+@pytest.fixture
+def plugin_folder(tmp_path):
+    """Return a folder with one sound and one broken plugin."""
+    for module, code in (("greeter", PLUGIN), ("broken", "import no_such_module")):
+        (tmp_path / f"{module}.py").write_text(dedent(code))
+        info = tmp_path / f"{module}-2.5.dist-info"
+        info.mkdir()
+        (info / "METADATA").write_text(
+            f"Metadata-Version: 2.1\nName: {module}-package\nVersion: 2.5\n")
+        (info / "entry_points.txt").write_text(f"[termsel]\n{module} = {module}\n")
+    return tmp_path
+
+
+@pytest.fixture
+def with_plugins(plugin_folder, monkeypatch):
+    monkeypatch.syspath_prepend(plugin_folder)
+    monkeypatch.delitem(sys.modules, "greeter", raising=False)
+    names = Registry([point for found in distributions(path=[str(plugin_folder)])
+                      for point in found.entry_points])
+    monkeypatch.setattr(manager, "registry", lambda: names)
+    return names
+
+
+def call(*args, **settings):
+    return CliRunner(**settings).invoke(cli, args)
+
+
+def shell(*args, folder=None, **environment):
+    """Run termsel in a process of its own."""
+    path = os.pathsep.join(str(p) for p in [folder, *sys.path] if p)
+    return subprocess.run(
+        [sys.executable, "-m", "termsel", *args], capture_output=True, text=True, check=False,
+        env={**os.environ, "PYTHONPATH": path, "TERMSEL_PLUGINS": "greeter-package",
+             "TERMSEL_DEBUG": "", **environment})
+
+
+def test_help_imports_nothing_heavy():
+    code = ("import sys; sys.argv = ['termsel', '--help']\n"
+            "from termsel.__main__ import main\n"
+            "try: main()\n"
+            "except SystemExit: print(*sys.modules, file=sys.stderr)")
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert "Commands:" in done.stdout
+    loaded = set(done.stderr.split())
+    assert "termsel.cli.main" in loaded
+    assert not loaded & {"numpy", "scipy", "numba", "deap", "pymoo", "rich", "pluggy",
+                         "importlib.metadata", "termsel.cli.run"}
+
+
+def test_help_tells_all_commands_as_they_tell_themselves():
+    text = call("--help").stdout
+    for name, (_, summary) in COMMANDS.items():
+        assert f"\n  {name} " in text
+        command = cli.get_command(None, name)
+        assert command.help.partition("\n")[0] == summary
+        assert call(name, "--help").exit_code == 0
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_command_gives_examples(name):
+    text = call(name, "--help").stdout
+    assert "Examples:" in text
+    assert "termsel" in text.partition("Examples:")[2]
+
+
+def test_version():
+    assert call("--version").stdout == f"termsel {__version__}\n"
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_list_as_json_is_an_array_of_three_fields(built_in, kind):
+    done = call("list", kind, "--json")
+    assert (done.exit_code, done.stderr) == (0, "")
+    listed = json.loads(done.stdout)
+    assert [entry["name"] for entry in listed] == built_in.names(kind)
+    for entry in listed:
+        assert set(entry) == {"name", "summary", "provided_by"}
+
+
+def test_list_in_a_pipe_is_aligned_text(built_in):
+    lines = call("list", "models").stdout.splitlines()
+    column = lines[0].index("provided by")
+    assert lines[0].startswith("name ")
+    assert all(line[column:] == "termsel" for line in lines[1:])
+    assert [line.split()[0] for line in lines[1:]] == built_in.names("models")
+
+
+def test_list_on_a_terminal_is_a_table_that_shows_brackets(monkeypatch, capsys):
+    monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
+    tables.print_table(("name", "summary"), [("a", "RMSE [pixel]"), ("b", "[bold]none")])
+    drawn = capsys.readouterr().out
+    assert "RMSE [pixel]" in drawn
+    assert "[bold]none" in drawn
+    assert "─" in drawn
+
+
+def test_list_warns_of_broken_plugins_on_stderr(with_plugins):
+    done = call("list", "models", "--json")
+    assert json.loads(done.stdout)
+    assert done.stderr.startswith("Warning: plugin 'broken' of broken-package 2.5: cannot be")
+
+
+def test_everything_with_a_name_can_be_described(built_in):
+    for kind in KINDS:
+        for entry in built_in.entries(kind):
+            done = call("describe", entry.name)
+            assert done.exit_code == 0, entry.name
+            assert done.stdout.startswith(f"{entry.name}: {KINDS[kind].word} of termsel\n")
+            assert entry.summary in done.stdout
+            declared = (entry.object.options if kind == "problems"
+                        else getattr(entry.object, "declared_options", ()))
+            for option in declared:
+                assert f"\n{option.name} " in done.stdout
+                assert option.accepts in done.stdout
+                assert option.doc in done.stdout
+
+
+def test_describe_tells_terms_of_models_and_defaults_of_problems(built_in):
+    model = call("describe", "termsel:rfm").stdout
+    terms = built_in.get("models", "rfm")().terms
+    assert f"Terms at the default options: {len(terms)}" in model
+    assert all(term in model for term in terms)
+    problem = call("describe", "poly-terms").stdout
+    recipe = built_in.get("problems", "poly-terms")
+    for default in (recipe.model, recipe.dataset, recipe.criterion, recipe.solver, recipe.source):
+        assert f" {default}\n" in problem
+    assert "Measurements: simulated" in call("describe", "spot-isfahan").stdout
+
+
+def test_describe_of_a_model_whose_terms_fail(built_in, monkeypatch):
+    class Ill(built_in.get("models", "poly2d")):
+        @property
+        def terms(self):
+            raise ZeroDivisionError
+
+    entry = manager.Entry("ill", "Ill.", "someone", Ill)
+    monkeypatch.setattr(Registry, "find", lambda *_: [("models", entry)])
+    done = call("describe", "ill")
+    assert done.exit_code == 0
+    assert "Terms: cannot be listed: ZeroDivisionError" in done.stdout
+
+
+def test_plugins_are_listed_with_what_is_wrong(with_plugins):
+    records = json.loads(call("plugins", "--json").stdout)
+    assert [(r["name"], r["distribution"], r["version"], r["status"]) for r in records] == [
+        ("builtin", "termsel", __version__, "ok"), ("broken", "broken-package", "2.5", "broken"),
+        ("greeter", "greeter-package", "2.5", "ok")]
+    assert records[2]["hooks"] == ["termsel_commands"]
+    assert "no_such_module" in records[1]["reasons"][0]
+    text = call("plugins").stdout
+    assert "Command 'greet' of greeter-package: Greet the photogrammetrist." in text
+    assert "Broken: plugin 'broken' of broken-package 2.5: cannot be imported" in text
+
+
+@pytest.mark.parametrize(("args", "message"), [
+    (["lits", "models"], "Error: unknown command 'lits'. Did you mean 'list'? Known: "),
+    (["list", "cameras"], "'cameras' is not one of 'problems', 'models'"),
+    (["list"], "Missing argument 'KIND'"),
+    (["--colour"], "No such option"),
+    (["describe", "rfn"], "Error: unknown name 'rfn'. Did you mean 'rfm'? Known: "),
+    (["completion", "tcsh"], "'tcsh' is not one of 'bash', 'zsh', 'fish'"),
+])
+def test_what_the_user_can_mend_is_one_message_and_exit_code_2(built_in, args, message):
+    done = call(*args)
+    assert done.exit_code == 2
+    assert done.stdout == ""
+    assert message in done.stderr
+    assert "Traceback" not in done.stderr
+    assert done.stderr.count("Error:") == 1
+
+
+def test_commands_of_plugins(with_plugins):
+    assert call("greet", "hello").stdout == "hello\n"
+    assert call("greeter-package:greet", "hello").stdout == "hello\n"
+    done = call("greet", "refuse")
+    assert (done.exit_code, done.stdout) == (2, "")
+    assert done.stderr == "Error: gcp.csv, line 7: no greeting. Try hello\n"
+    assert call("greet", "interrupt").exit_code == 130
+    assert call("greet", "seven").exit_code == 7
+    unknown = call("gret")
+    assert "Did you mean 'greet'?" in unknown.stderr
+    assert "does not work (broken-package): see termsel plugins" in unknown.stderr
+
+
+def test_a_broken_plugin_is_a_command_that_says_why(with_plugins):
+    for args in (["broken"], ["broken", "--any", "thing"]):
+        done = call(*args)
+        assert done.exit_code == 2
+        assert "broken-package 2.5: cannot be imported: ModuleNotFoundError" in done.stderr
+    helped = call("broken", "--help")
+    assert helped.exit_code == 0
+    assert "ModuleNotFoundError" in helped.stdout
+
+
+def test_a_fault_is_one_paragraph_and_exit_code_1(plugin_folder):
+    done = shell("greet", "fault", folder=plugin_folder)
+    assert (done.returncode, done.stdout) == (1, "")
+    assert done.stderr.startswith("Error: termsel has failed: ZeroDivisionError: no luck. ")
+    assert "Please report it" in done.stderr
+    assert "Traceback" not in done.stderr
+    shown = shell("greet", "fault", folder=plugin_folder, TERMSEL_DEBUG="1")
+    assert shown.returncode == 1
+    assert "Traceback (most recent call last)" in shown.stderr
+    assert "Please report it" in shown.stderr
+
+
+@pytest.mark.skipif(os.name == "nt", reason="closed pipes are told otherwise on Windows")
+@pytest.mark.parametrize("args", [["--help"], ["list", "solvers"], ["list", "--help"]])
+def test_a_closed_pipe_is_quiet(args):
+    reading, writing = os.pipe()
+    os.close(reading)
+    done = subprocess.run([sys.executable, "-m", "termsel", *args], stdout=writing,
+                          stderr=subprocess.PIPE, text=True, check=False)
+    os.close(writing)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+@pytest.mark.parametrize("name", ["bash", "zsh", "fish"])
+def test_completion_scripts(name):
+    done = call("completion", name)
+    assert (done.exit_code, done.stderr) == (0, "")
+    assert f"_TERMSEL_COMPLETE={name}_complete" in done.stdout
+
+
+@pytest.mark.parametrize(("words", "expected"), [
+    ("termsel de", ["describe"]),
+    ("termsel list mo", ["models"]),
+    ("termsel describe owdis-l", ["owdis-lines", "owdis-lines-terms"]),
+    ("termsel run --problem poly", ["poly-terms"]),
+    ("termsel run --model poly", ["poly2d", "poly3d"]),
+    ("termsel run --solver all", ["all-terms"]),
+    ("termsel run --dataset spot", ["spot-isfahan"]),
+])
+def test_commands_and_names_are_completed(built_in, words, expected):
+    done = CliRunner().invoke(cli, prog_name="termsel", env={
+        "_TERMSEL_COMPLETE": "bash_complete", "COMP_WORDS": words,
+        "COMP_CWORD": str(len(words.split()) - 1)})
+    assert [line.partition(",")[2] for line in done.stdout.split()] == expected

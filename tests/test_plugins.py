@@ -1,0 +1,401 @@
+"""The registry: built-ins through hooks, third parties in isolation."""
+
+import ast
+import inspect
+import sys
+from importlib.metadata import distributions
+from pathlib import Path
+from textwrap import dedent
+
+import pytest
+
+import termsel
+from termsel.errors import TermselError
+from termsel.plugins import builtin, hookspecs
+from termsel.plugins.kinds import KINDS
+from termsel.plugins.loading import HOOKS
+from termsel.plugins.manager import Registry
+
+BUILT_IN = {
+    "problems": {"rfm-terms", "poly-terms", "owdis-points", "owdis-lines", "owdis-points-terms",
+                 "owdis-lines-terms"},
+    "models": {"rfm", "poly2d", "poly3d", "affine"},
+    "solvers": {"ga", "swap", "random", "all-terms"},
+    "criteria": {"check-rmse"},
+    "datasets": {"ikonos-hamedan", "spot-isfahan", "irs1c-mashad"},
+    "readers": {"points-csv", "lines-csv"},
+}
+
+MODEL = """
+    import numpy as np
+    from termsel import Blocks, RationalModel, hookimpl
+
+    class DLT(RationalModel):
+        '''Direct linear transformation: one shared denominator, 11 terms.'''
+        name = {name!r}
+        def blocks(self, ground):
+            one = np.column_stack([np.ones(len(ground)), ground])
+            return Blocks(line=one, sample=one, shared_denominator=ground)
+
+    @hookimpl
+    def termsel_models():
+        return [DLT]
+"""
+
+
+@pytest.fixture
+def install(tmp_path, monkeypatch):
+    """Return a function that installs a plugin package in a folder of its own."""
+    monkeypatch.syspath_prepend(tmp_path)
+
+    def package(distribution, code, name=None, version="1.0"):
+        module = distribution.replace("-", "_")
+        monkeypatch.delitem(sys.modules, module, raising=False)
+        (tmp_path / f"{module}.py").write_text(dedent(code))
+        info = tmp_path / f"{module}-{version}.dist-info"
+        info.mkdir()
+        (info / "METADATA").write_text(
+            f"Metadata-Version: 2.1\nName: {distribution}\nVersion: {version}\n")
+        (info / "entry_points.txt").write_text(
+            f"[termsel]\n{name or module} = {module}\n")
+
+    return package
+
+
+@pytest.fixture
+def registry(tmp_path):
+    """Return a function that makes a registry of what was installed."""
+    return lambda: Registry(
+        [point for found in distributions(path=[str(tmp_path)]) for point in found.entry_points])
+
+
+@pytest.mark.parametrize("kind", BUILT_IN)
+def test_built_ins_are_registered(kind):
+    names = Registry([])
+    assert set(names.names(kind)) >= BUILT_IN[kind]
+    assert not names.failures()
+    assert {entry.provided_by for entry in names.entries(kind)} == {"termsel"}
+
+
+@pytest.mark.parametrize("kind", BUILT_IN)
+def test_built_ins_say_what_they_are(kind):
+    for entry in Registry([]).entries(kind):
+        assert entry.summary, entry.name
+        assert "\n" not in entry.summary
+
+
+def test_built_ins_come_by_hooks_alone():
+    implemented = {name for name in vars(builtin) if name.startswith("termsel_")}
+    assert implemented <= set(HOOKS)
+    assert set(Registry([]).plugins[0].hooks) == implemented
+
+
+@pytest.mark.parametrize("hook", HOOKS)
+def test_every_hook_is_documented(hook):
+    specification = getattr(hookspecs, hook)
+    text = inspect.getdoc(specification)
+    assert text.partition("\n")[0].endswith(".")
+    for argument in inspect.signature(specification).parameters:
+        assert f"{argument} : " in text
+    assert inspect.signature(specification).return_annotation == "None" or "Returns\n---" in text
+
+
+def test_every_kind_has_a_hook():
+    assert {f"termsel_{kind}" for kind in KINDS} | {"termsel_commands", "termsel_run_finished"} \
+        == set(HOOKS)
+
+
+def test_a_plugin_provides_a_model(install, registry):
+    install("dlt-demo-package", MODEL.format(name="dlt-demo"))
+    names = registry()
+    entry = names.entries("models")[-1]
+    assert (entry.name, entry.provided_by) == ("dlt-demo", "dlt-demo-package")
+    assert entry.summary == "Direct linear transformation: one shared denominator, 11 terms."
+    assert len(names.get("models", "dlt-demo")().terms) == 11
+    assert names.get("models", "DLT_demo.package:dlt-demo") is entry.object
+    assert names.failures() == []
+
+
+BROKEN = {
+    "missing import": ("import no_such_module", "No module named 'no_such_module'"),
+    "syntax error": ("def x(:", "SyntaxError"),
+    "leaves the program": ("import sys; sys.exit(3)", "SystemExit"),
+    "no hooks": ("def termsel_models(): return []", "no hooks"),
+    "wrong argument": ("""
+        from termsel import hookimpl
+        @hookimpl
+        def termsel_models(scene): return []""", "scene"),
+    "unknown hook": ("""
+        from termsel import hookimpl
+        @hookimpl
+        def termsel_modells(): return []""", "Did you mean 'termsel_models'?"),
+    "raises": ("""
+        from termsel import hookimpl
+        @hookimpl
+        def termsel_models(): return 1 / 0""", "termsel_models: ZeroDivisionError"),
+    "raises on the way": ("""
+        from termsel import hookimpl
+        @hookimpl
+        def termsel_models():
+            raise ValueError("late")
+            yield""", "termsel_models: ValueError: late"),
+    "returns nothing": ("""
+        from termsel import hookimpl
+        @hookimpl
+        def termsel_models(): pass""", "returned None, not a list"),
+    "returns text": ("""
+        from termsel import hookimpl
+        @hookimpl
+        def termsel_solvers(): return 'ga'""", "returned 'ga', not a list"),
+    "returns a class itself": ("""
+        from termsel import SensorModel, hookimpl
+        @hookimpl
+        def termsel_models(): return SensorModel""", "not a list"),
+    "of another kind": ("""
+        from termsel import Solver, hookimpl
+        class Mine(Solver):
+            name = 'mine'
+            def generations(self, problem, rng): yield
+        @hookimpl
+        def termsel_models(): return [Mine]""", "the class Mine, not a subclass of SensorModel"),
+    "instance for a class": ("""
+        from termsel import hookimpl
+        @hookimpl
+        def termsel_models(): return [42]""", "of type int, not a subclass of SensorModel"),
+    "instance of another kind": ("""
+        from termsel import hookimpl
+        @hookimpl
+        def termsel_problems(): return [{'name': 'x'}]""", "type dict, not an instance of Recipe"),
+    "methods missing": ("""
+        from termsel import RationalModel, hookimpl
+        class Half(RationalModel):
+            name = 'half'
+        @hookimpl
+        def termsel_models(): return [Half]""", "the class Half, which lacks blocks"),
+    "no name": ("""
+        from termsel import Blocks, RationalModel, hookimpl
+        class Nameless(RationalModel):
+            def blocks(self, ground): return Blocks(ground, ground)
+        @hookimpl
+        def termsel_models(): return [Nameless]""", "Nameless with the name None"),
+    "impossible name": ("""
+        from termsel import Blocks, RationalModel, hookimpl
+        class Odd(RationalModel):
+            name = 'a b'
+            def blocks(self, ground): return Blocks(ground, ground)
+        @hookimpl
+        def termsel_models(): return [Odd]""", "the name 'a b'"),
+    "command raises": ("""
+        from termsel import hookimpl
+        @hookimpl
+        def termsel_commands(cli): cli.add_command('view')""", "termsel_commands: AttributeError"),
+}
+
+
+@pytest.mark.parametrize(("code", "reason"), BROKEN.values(), ids=BROKEN)
+def test_a_broken_plugin_harms_nothing_else(install, registry, code, reason):
+    install("a-broken-one", code, version="0.3")
+    install("b-sound-one", MODEL.format(name="sound"))
+    names = registry()
+    (failure,) = names.failures()
+    assert reason in failure.what
+    assert (failure.plugin, failure.distribution, failure.version) \
+        == ("a_broken_one", "a-broken-one", "0.3")
+    assert "\n" not in str(failure)
+    assert names.names("models") == [*Registry([]).names("models"), "sound"]
+    assert [p.distribution for p in names.plugins] == ["termsel", "a-broken-one", "b-sound-one"]
+
+
+def test_other_hooks_of_a_plugin_with_an_unknown_one_count(install, registry):
+    install("newer", MODEL.format(name="kept") + """
+    @hookimpl
+    def termsel_cameras():
+        return []
+    """)
+    names = registry()
+    assert names.get("models", "kept").name == "kept"
+    assert "termsel_cameras" in names.failures()[0].what
+    assert names.plugins[1].hooks == ("termsel_models",)
+
+
+def test_a_clash_keeps_the_built_in(install, registry):
+    install("rival", MODEL.format(name="rfm"))
+    names = registry()
+    assert names.get("models", "rfm").__module__ == "termsel.models.rational"
+    assert names.get("models", "termsel:rfm") is names.get("models", "rfm")
+    assert names.get("models", "rival:rfm").__module__ == "rival"
+    listed = [(e.name, e.provided_by) for e in names.entries("models") if "rfm" in e.name]
+    assert listed == [("rfm", "termsel"), ("rival:rfm", "rival")]
+    (failure,) = names.failures()
+    assert "'rfm', a name that termsel has too; 'rival:rfm' selects this one" in failure.what
+
+
+def test_between_third_parties_the_first_by_distribution_keeps_the_name(install, registry):
+    install("zebra", MODEL.format(name="same"), name="a")
+    install("ant", MODEL.format(name="same"), name="z")
+    names = registry()
+    assert names.get("models", "same").__module__ == "ant"
+    assert names.get("models", "zebra:same").__module__ == "zebra"
+    assert [failure.distribution for failure in names.failures()] == ["zebra"]
+
+
+def test_a_name_given_twice_by_one_plugin_counts_once(install, registry):
+    install("twice", MODEL.format(name="dup").replace("return [DLT]", "return [DLT, DLT]"))
+    names = registry()
+    assert names.names("models").count("dup") == 1
+    assert "twice; only the first is kept" in names.failures()[0].what
+
+
+def test_a_class_stands_for_its_instance(install, registry):
+    install("classy", """
+        from termsel import Criterion, Reader, hookimpl
+        class Worst(Criterion):
+            '''Largest check error.'''
+            name = 'worst'
+            def score(self, fits): return abs(fits.check_errors).max(axis=(1, 2))
+        class Gcp(Reader):
+            name = 'gcp'
+            summary = 'points as a gcp file'
+            def sniff(self, path, head): return False
+            def read(self, path): raise AssertionError
+        @hookimpl
+        def termsel_criteria(): return [Worst]
+        @hookimpl
+        def termsel_readers(): return [Gcp, Gcp()]
+        """)
+    names = registry()
+    assert names.get("criteria", "worst").options == {}
+    assert names.get("readers", "gcp").sniff(Path("x"), b"") is False
+    assert len(names.failures()) == 1  # the reader's name, which it provides twice
+
+
+def test_an_unknown_name_lists_the_known_ones_and_who_may_have_it(install, registry):
+    with pytest.raises(TermselError, match="Did you mean 'rfm'") as found:
+        Registry([]).get("models", "rfn")
+    assert "poly2d" in str(found.value)
+    assert "plugin" not in str(found.value)
+    install("a-broken-one", "import no_such_module")
+    with pytest.raises(TermselError, match=r"does not work \(a-broken-one\): see termsel plugins"):
+        registry().get("models", "fancy")
+    with pytest.raises(TermselError, match="package termsel-hybrids, which is not installed"):
+        Registry([]).get("models", "multiquadric")
+
+
+def test_a_plugin_is_asked_once(install, registry):
+    install("counting", """
+        from termsel import hookimpl
+        calls = []
+        @hookimpl
+        def termsel_models():
+            calls.append(1)
+            return []
+        """)
+    names = registry()
+    calls = sys.modules["counting"].calls
+    assert not calls
+    for _ in range(2):
+        names.entries("models")
+        names.entries("problems")
+    assert calls == [1]
+
+
+def test_what_a_plugin_prints_does_not_reach_stdout(install, registry, capsys):
+    install("chatty", "print('hello')" + MODEL.format(name="chatty").replace("\n    ", "\n"))
+    assert "chatty" in registry().names("models")
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert captured.err == "hello\n"
+
+
+def test_the_traceback_of_a_plugin_is_shown_for_its_author(install, registry, capsys, monkeypatch):
+    install("a-broken-one", "import no_such_module")
+    monkeypatch.setenv("TERMSEL_DEBUG", "1")
+    registry()
+    assert "Traceback" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("wanted", "expected"), [
+    (None, ["termsel", "ant", "zebra-one"]), ("", ["termsel"]), (" , ", ["termsel"]),
+    ("Zebra_One", ["termsel", "zebra-one"]), ("ant,zebra-one", ["termsel", "ant", "zebra-one"])])
+def test_plugins_are_restricted_by_the_environment(install, monkeypatch, wanted, expected):
+    install("zebra-one", MODEL.format(name="z"))
+    install("ant", MODEL.format(name="a"))
+    monkeypatch.setenv("TERMSEL_PLUGINS", wanted) if wanted is not None else \
+        monkeypatch.delenv("TERMSEL_PLUGINS", raising=False)
+    names = Registry()
+    ours = {"termsel", "ant", "zebra-one"}
+    assert [p.distribution for p in names.plugins if p.distribution in ours] == expected
+
+
+def test_a_plugin_asked_for_and_not_installed_is_a_failure(monkeypatch):
+    monkeypatch.setenv("TERMSEL_PLUGINS", "no-such-package")
+    (failure,) = Registry().failures()
+    assert failure.distribution == "no-such-package"
+    assert "not installed" in failure.what
+
+
+def test_unreadable_metadata_of_another_package_hides_no_plugin(install, tmp_path, monkeypatch):
+    install("sound", MODEL.format(name="sound"))
+    ruin = tmp_path / "aaa-1.0.dist-info"
+    ruin.mkdir()
+    (ruin / "entry_points.txt").write_text("[termsel]\nthis is no entry point\n")
+    monkeypatch.setenv("TERMSEL_PLUGINS", "sound")
+    assert "sound" in Registry().names("models")
+
+
+def test_every_plugin_hears_of_a_finished_run(install, registry, capsys):
+    install("a-deaf-one", """
+        from termsel import hookimpl
+        @hookimpl
+        def termsel_run_finished(result): raise OSError('disk full')""")
+    install("b-listener", """
+        from termsel import hookimpl
+        heard = []
+        @hookimpl
+        def termsel_run_finished(result): heard.append(result)""")
+    names = registry()
+    names.notify_run_finished("the result")
+    assert sys.modules["b_listener"].heard == ["the result"]
+    captured = capsys.readouterr()
+    assert "a-deaf-one 1.0: termsel_run_finished: OSError: disk full" in captured.err
+    assert captured.out == ""
+
+
+def test_a_hook_may_leave_out_its_argument(install, registry):
+    install("brief", """
+        from termsel import hookimpl
+        heard = []
+        @hookimpl
+        def termsel_run_finished(): heard.append(1)""")
+    registry().notify_run_finished("the result")
+    assert sys.modules["brief"].heard == [1]
+
+
+def test_commands_replace_no_built_in_ones(install, registry):
+    install("commander", """
+        import click
+        from termsel import hookimpl
+        @hookimpl
+        def termsel_commands(cli):
+            @cli.command()
+            def view(): '''Show a thing.'''
+            @cli.command('list')
+            def other(): '''Another list.'''
+            raise RuntimeError('too late to take them back')""")
+    names = registry()
+    assert [(e.name, e.summary) for e in names.entries("commands")] == [
+        ("view", "Show a thing."), ("commander:list", "Another list.")]
+    assert [f.what.partition(":")[0] for f in names.failures()] == ["termsel_commands"] * 2
+
+
+def test_public_names_can_be_imported_and_are_typed():
+    for name in termsel.__all__:
+        assert getattr(termsel, name) is not None
+    assert set(termsel.__all__) <= set(dir(termsel))
+    assert termsel.__all__ == sorted(termsel.__all__)
+    with pytest.raises(AttributeError, match="no attribute 'nonsense'"):
+        termsel.nonsense  # noqa: B018
+    source = Path(termsel.__file__).read_text()
+    typed = {alias.name for node in ast.parse(source).body if isinstance(node, ast.If)
+             for statement in node.body for alias in statement.names}
+    assert typed == set(termsel.__all__) - {"__version__"}
