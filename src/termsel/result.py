@@ -71,6 +71,9 @@ class Result:
     evaluations, lookups, generations : int
     seconds : float
     interrupted : bool
+    polish : mapping, optional
+        First objective as the solver found it and after the polish, and the evaluations of
+        the polish, which come on top of the solver's.
     fit : Fit
         The fitted model.
     residuals : tuple of Residual
@@ -100,6 +103,7 @@ class Result:
     generations: int
     seconds: float
     interrupted: bool
+    polish: Mapping[str, float] | None
     fit: Fit
     residuals: tuple[Residual, ...]
     versions: Mapping[str, str]
@@ -130,7 +134,7 @@ class Result:
             "front": list(self.front), "certificate": self.certificate,
             "evaluations": self.evaluations, "lookups": self.lookups,
             "generations": self.generations, "seconds": self.seconds,
-            "interrupted": self.interrupted,
+            "interrupted": self.interrupted, "polish": self.polish,
             "coefficients": {terms[i]: float(adjustment.coefficients[i]) for i in chosen},
             "standard_deviations": {terms[i]: _number(adjustment.deviations[i]) for i in chosen},
             "adjustment": {

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import platform
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -115,12 +115,12 @@ def prepare(
     recipe: Recipe = names.get("problems", problem)
     given = dict(options or {})
     model_type = names.get("models", model or recipe.model)
-    criterion_type = names.get("criteria", criterion or recipe.criterion)
+    the_criterion: Criterion = names.get("criteria", criterion or recipe.criterion)
     solver_type = names.get("solvers", solver or recipe.solver)
     own = {**recipe.model_options} if model is None or model == recipe.model else {}
     declared = {
         "problem": recipe.options, "data": DATA_OPTIONS,
-        "model": model_type.declared_options, "criterion": criterion_type.declared_options,
+        "model": model_type.declared_options, "criterion": the_criterion.declared_options,
         "solver": solver_type.declared_options}
     _refuse_unknown(given, declared)
     chosen = {part: {o.name: given[o.name] for o in known if o.name in given}
@@ -128,7 +128,7 @@ def prepare(
     of_problem = resolve(recipe.options, chosen["problem"])
     of_data = resolve(DATA_OPTIONS, chosen["data"])
     the_model = model_type(**{**own, **chosen["model"]})
-    the_criterion = criterion_type(**chosen["criterion"])
+    the_criterion = type(the_criterion)(**{**the_criterion.options, **chosen["criterion"]})
     the_solver = solver_type(**chosen["solver"])
     if features is None:
         spec = names.get("datasets", dataset or recipe.dataset)
@@ -283,8 +283,10 @@ def assess(task: Task, found: Search) -> Result:
         notes=tuple(notes_on(task.recipe, observations, found, chosen)),
         objectives=dict(zip(task.problem.objectives, found.objectives.tolist(), strict=True)),
         evaluations=found.evaluations, lookups=found.lookups, generations=found.generations,
-        seconds=found.seconds, interrupted=found.interrupted, fit=chosen,
-        residuals=tuple(_residuals(chosen, observations)), versions=_versions())
+        seconds=found.seconds, interrupted=found.interrupted,
+        polish=asdict(found.polish) if found.polish else None, fit=chosen,
+        residuals=tuple(_residuals(chosen, observations)), versions=_versions(),
+        certificate=found.certificate)
 
 
 def _mask(names: tuple[str, ...], chosen: Iterable[str]) -> BoolArray:

@@ -38,6 +38,10 @@ def _head(result: Result) -> Iterator[str]:
            f"redundancy {result.fit.adjustment.redundancy}")
     yield (f"Search: {result.evaluations} evaluations ({result.lookups} looked up), "
            f"{result.generations} generations, {result.seconds:.1f} s")
+    if result.polish:
+        yield (f"Polish: {result.criterion} {result.polish['found']:.4g} as {result.solver} found "
+               f"it, {result.polish['polished']:.4g} after {result.polish['evaluations']} "
+               "evaluations more")
 
 
 def _table(result: Result) -> Iterator[str]:

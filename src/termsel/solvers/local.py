@@ -6,47 +6,56 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from termsel.features import BoolArray
+from termsel.features import BoolArray, IntArray
 from termsel.options import Option
 from termsel.problems.base import Evaluation, Genome, Problem
 from termsel.solvers.base import Generation, Solver
 
 
-def neighbours(genes: BoolArray, genome: Genome) -> BoolArray:
-    """Return all selections one step away.
+def neighbours(genes: BoolArray, genome: Genome) -> Iterator[BoolArray]:
+    """Yield all selections one step away, in batches of one kind.
 
-    A step adds a gene, drops one, or swaps one that is on for one of the same segment that
-    is off. Forced genes stay and each segment keeps its cardinality.
+    First come the selections with a gene more or less, then, for each gene that is on, those
+    in which another of its segment takes its place. Forced genes stay and each segment keeps
+    its cardinality.
 
     Parameters
     ----------
     genes : ndarray of bool, shape (size,)
     genome : Genome
 
-    Returns
-    -------
+    Yields
+    ------
     ndarray of bool, shape (n, size)
     """
-    steps: list[tuple[int, ...]] = []
+    flips: list[int] = []
+    swaps: list[tuple[int, IntArray]] = []
     for segment, where in zip(genome.segments, genome.slices().values(), strict=True):
         most = len(segment.labels) if segment.maximum is None else segment.maximum
         count = int(genes[where].sum())
         free = np.flatnonzero(genome.free[where]) + where.start
         on, off = free[genes[free]], free[~genes[free]]
-        if count < most:
-            steps += [(i,) for i in off]
-        if count > segment.minimum:
-            steps += [(i,) for i in on]
-        steps += [(i, j) for i in on for j in off]
-    around = np.repeat(genes[None], len(steps), axis=0)
-    for row, step in zip(around, steps, strict=True):
-        row[list(step)] ^= True
-    return around
+        flips += off.tolist() if count < most else []
+        flips += on.tolist() if count > segment.minimum else []
+        swaps += [(int(i), off) for i in on if len(off)]
+    if flips:
+        around = np.repeat(genes[None], len(flips), axis=0)
+        around[np.arange(len(flips)), flips] ^= True
+        yield around
+    for gone, off in swaps:
+        around = np.repeat(genes[None], len(off), axis=0)
+        around[:, gone] = False
+        around[np.arange(len(off)), off] = True
+        yield around
 
 
 def descend(problem: Problem, genes: BoolArray, evaluation: Evaluation, index: int = 0,
             ) -> Iterator[Generation]:
-    """Step to the best neighbour until none is better.
+    """Step to better neighbours until there is none.
+
+    A step goes to the best of the first batch of `neighbours` that holds a better one: most
+    steps then cost a handful of evaluations, and where the descent ends no neighbour at all
+    is better.
 
     Parameters
     ----------
@@ -63,18 +72,17 @@ def descend(problem: Problem, genes: BoolArray, evaluation: Evaluation, index: i
     Generation
         One a step, the place reached; the start first.
     """
-    yield Generation(index, genes, evaluation)
-    while True:
-        around = neighbours(genes[0], problem.genome)
-        if not len(around):
-            return
-        judged = problem.evaluate(around)
-        best = judged.order()[:1]
-        if _rank(judged.take(best)) >= _rank(evaluation):
-            return
-        genes, evaluation = around[best], judged.take(best)
-        index += 1
+    better = True
+    while better:
         yield Generation(index, genes, evaluation)
+        index += 1
+        better = False
+        for around in neighbours(genes[0], problem.genome):
+            judged = problem.evaluate(around)
+            best = judged.order()[:1]
+            if _rank(judged.take(best)) < _rank(evaluation):
+                genes, evaluation, better = around[best], judged.take(best), True
+                break
 
 
 def _rank(one: Evaluation) -> tuple[float, float]:
@@ -84,8 +92,8 @@ def _rank(one: Evaluation) -> tuple[float, float]:
 class Swap(Solver):
     """Add, drop and swap genes as long as that helps, from many random starts.
 
-    termsel's own formulation: steepest descent over all single additions, omissions and
-    exchanges. The same descent is the polish that heuristics are followed by.
+    termsel's own formulation; see `descend`. The same descent is the polish that heuristics
+    are followed by.
     """
 
     name = "swap"
