@@ -6,9 +6,9 @@ import subprocess
 import sys
 from importlib.metadata import distributions
 from textwrap import dedent
+from types import SimpleNamespace
 
 import pytest
-from click.testing import CliRunner
 
 from termsel import __version__
 from termsel.cli import COMMANDS, tables
@@ -70,8 +70,16 @@ def with_plugins(plugin_folder, monkeypatch):
     return names
 
 
-def call(*args, **settings):
-    return CliRunner(**settings).invoke(cli, args)
+@pytest.fixture
+def call(capsys):
+    """Return a function that runs a command line in this process."""
+    def run(*args):
+        with pytest.raises(SystemExit) as stop:
+            cli.main(list(args), prog_name="termsel")
+        out, err = capsys.readouterr()
+        return SimpleNamespace(exit_code=stop.value.code, stdout=out, stderr=err)
+
+    return run
 
 
 def shell(*args, folder=None, **environment):
@@ -96,7 +104,7 @@ def test_help_imports_nothing_heavy():
                          "importlib.metadata", "termsel.cli.run"}
 
 
-def test_help_tells_all_commands_as_they_tell_themselves():
+def test_help_tells_all_commands_as_they_tell_themselves(call):
     text = call("--help").stdout
     for name, (_, summary) in COMMANDS.items():
         assert f"\n  {name} " in text
@@ -106,18 +114,18 @@ def test_help_tells_all_commands_as_they_tell_themselves():
 
 
 @pytest.mark.parametrize("name", COMMANDS)
-def test_every_command_gives_examples(name):
+def test_every_command_gives_examples(call, name):
     text = call(name, "--help").stdout
     assert "Examples:" in text
     assert "termsel" in text.partition("Examples:")[2]
 
 
-def test_version():
+def test_version(call):
     assert call("--version").stdout == f"termsel {__version__}\n"
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_list_as_json_is_an_array_of_three_fields(built_in, kind):
+def test_list_as_json_is_an_array_of_three_fields(call, built_in, kind):
     done = call("list", kind, "--json")
     assert (done.exit_code, done.stderr) == (0, "")
     listed = json.loads(done.stdout)
@@ -126,7 +134,7 @@ def test_list_as_json_is_an_array_of_three_fields(built_in, kind):
         assert set(entry) == {"name", "summary", "provided_by"}
 
 
-def test_list_in_a_pipe_is_aligned_text(built_in):
+def test_list_in_a_pipe_is_aligned_text(call, built_in):
     lines = call("list", "models").stdout.splitlines()
     column = lines[0].index("provided by")
     assert lines[0].startswith("name ")
@@ -143,13 +151,13 @@ def test_list_on_a_terminal_is_a_table_that_shows_brackets(monkeypatch, capsys):
     assert "─" in drawn
 
 
-def test_list_warns_of_broken_plugins_on_stderr(with_plugins):
+def test_list_warns_of_broken_plugins_on_stderr(call, with_plugins):
     done = call("list", "models", "--json")
     assert json.loads(done.stdout)
     assert done.stderr.startswith("Warning: plugin 'broken' of broken-package 2.5: cannot be")
 
 
-def test_everything_with_a_name_can_be_described(built_in):
+def test_everything_with_a_name_can_be_described(call, built_in):
     for kind in KINDS:
         for entry in built_in.entries(kind):
             done = call("describe", entry.name)
@@ -164,7 +172,7 @@ def test_everything_with_a_name_can_be_described(built_in):
                 assert option.doc in done.stdout
 
 
-def test_describe_tells_terms_of_models_and_defaults_of_problems(built_in):
+def test_describe_tells_terms_of_models_and_defaults_of_problems(call, built_in):
     model = call("describe", "termsel:rfm").stdout
     terms = built_in.get("models", "rfm")().terms
     assert f"Terms at the default options: {len(terms)}" in model
@@ -176,7 +184,7 @@ def test_describe_tells_terms_of_models_and_defaults_of_problems(built_in):
     assert "Measurements: simulated" in call("describe", "spot-isfahan").stdout
 
 
-def test_describe_of_a_model_whose_terms_fail(built_in, monkeypatch):
+def test_describe_of_a_model_whose_terms_fail(call, built_in, monkeypatch):
     class Ill(built_in.get("models", "poly2d")):
         @property
         def terms(self):
@@ -189,7 +197,7 @@ def test_describe_of_a_model_whose_terms_fail(built_in, monkeypatch):
     assert "Terms: cannot be listed: ZeroDivisionError" in done.stdout
 
 
-def test_plugins_are_listed_with_what_is_wrong(with_plugins):
+def test_plugins_are_listed_with_what_is_wrong(call, with_plugins):
     records = json.loads(call("plugins", "--json").stdout)
     assert [(r["name"], r["distribution"], r["version"], r["status"]) for r in records] == [
         ("builtin", "termsel", __version__, "ok"), ("broken", "broken-package", "2.5", "broken"),
@@ -209,7 +217,7 @@ def test_plugins_are_listed_with_what_is_wrong(with_plugins):
     (["describe", "rfn"], "Error: unknown name 'rfn'. Did you mean 'rfm'? Known: "),
     (["completion", "tcsh"], "'tcsh' is not one of 'bash', 'zsh', 'fish'"),
 ])
-def test_what_the_user_can_mend_is_one_message_and_exit_code_2(built_in, args, message):
+def test_what_the_user_can_mend_is_one_message_and_exit_code_2(call, built_in, args, message):
     done = call(*args)
     assert done.exit_code == 2
     assert done.stdout == ""
@@ -218,7 +226,7 @@ def test_what_the_user_can_mend_is_one_message_and_exit_code_2(built_in, args, m
     assert done.stderr.count("Error:") == 1
 
 
-def test_commands_of_plugins(with_plugins):
+def test_commands_of_plugins(call, with_plugins):
     assert call("greet", "hello").stdout == "hello\n"
     assert call("greeter-package:greet", "hello").stdout == "hello\n"
     done = call("greet", "refuse")
@@ -231,7 +239,7 @@ def test_commands_of_plugins(with_plugins):
     assert "does not work (broken-package): see termsel plugins" in unknown.stderr
 
 
-def test_a_broken_plugin_is_a_command_that_says_why(with_plugins):
+def test_a_broken_plugin_is_a_command_that_says_why(call, with_plugins):
     for args in (["broken"], ["broken", "--any", "thing"]):
         done = call(*args)
         assert done.exit_code == 2
@@ -265,7 +273,7 @@ def test_a_closed_pipe_is_quiet(args):
 
 
 @pytest.mark.parametrize("name", ["bash", "zsh", "fish"])
-def test_completion_scripts(name):
+def test_completion_scripts(call, name):
     done = call("completion", name)
     assert (done.exit_code, done.stderr) == (0, "")
     assert f"_TERMSEL_COMPLETE={name}_complete" in done.stdout
@@ -280,8 +288,9 @@ def test_completion_scripts(name):
     ("termsel run --solver all", ["all-terms"]),
     ("termsel run --dataset spot", ["spot-isfahan"]),
 ])
-def test_commands_and_names_are_completed(built_in, words, expected):
-    done = CliRunner().invoke(cli, prog_name="termsel", env={
-        "_TERMSEL_COMPLETE": "bash_complete", "COMP_WORDS": words,
-        "COMP_CWORD": str(len(words.split()) - 1)})
+def test_commands_and_names_are_completed(call, built_in, monkeypatch, words, expected):
+    monkeypatch.setenv("_TERMSEL_COMPLETE", "bash_complete")
+    monkeypatch.setenv("COMP_WORDS", words)
+    monkeypatch.setenv("COMP_CWORD", str(len(words.split()) - 1))
+    done = call()
     assert [line.partition(",")[2] for line in done.stdout.split()] == expected
