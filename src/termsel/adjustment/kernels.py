@@ -1,29 +1,299 @@
-"""Many masked adjustments at once."""
+"""Many masked adjustments at once, by Householder QR in compiled code.
+
+The work of an adjustment is the application of reflections to columns. Here the columns lie in
+panels of eight, row by row, and a panel takes all earlier reflections, two at a time, before its
+own columns are eliminated (left-looking). A panel stays in the first-level cache meanwhile, and
+the sums of a scalar product run over rows in eight lanes, so that they vectorise without being
+reordered: the result does not depend on the width of the machine's registers.
+
+Term masks see the design matrix once. It is reduced to its k by k triangle first, which every
+individual then shares: of its selected columns, the one of index c has c + 1 entries that are not
+zero, and a reflection covers those alone.
+
+Feature masks leave no such common factor, as a triangle of all rows cannot have rows taken out
+without loss of accuracy (downdating squares the condition number, and designs reach 3e7). Every
+individual is therefore factored from its own rows, gathered into the panels; those of many rows
+are folded into their triangle block by block, so that panels never outgrow the cache. Sharing
+blocks of rows between individuals would not help: with k terms nothing is gained from fewer than
+k common rows, and masks seldom agree in so many.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeVar, cast
+from weakref import WeakKeyDictionary
+
+import numba
 import numpy as np
+from numpy.typing import NDArray
 
 from termsel.adjustment.equations import Equations
-from termsel.adjustment.solve import solve
+from termsel.adjustment.reflections import LANES, apply_one, apply_two
+from termsel.adjustment.solve import TOLERANCE
 from termsel.features import BoolArray, FloatArray, IntArray
+
+BLOCK = 192
+"""Rows folded into a triangle at once."""
+
+UintArray = NDArray[np.uintp]
+Work = tuple[FloatArray, FloatArray, FloatArray, IntArray]
+"""Of the reflections: vectors, factors, products of neighbours, and the rows they reach."""
+
+_Function = TypeVar("_Function", bound=Callable[..., Any])
+
+
+def _compiled(function: _Function) -> _Function:
+    """Compile on first call and keep the machine code on disk."""
+    return cast(_Function, numba.njit(cache=True, nogil=True, error_model="numpy")(function))
+
+
+@_compiled
+def _dot(u: FloatArray, v: FloatArray) -> float:
+    """Return u' v, in four sums as one would wait for each addition before the next."""
+    a = b = c = d = 0.0
+    quarter = len(v) // 4
+    for i in range(quarter):
+        a += u[4 * i] * v[4 * i]
+        b += u[4 * i + 1] * v[4 * i + 1]
+        c += u[4 * i + 2] * v[4 * i + 2]
+        d += u[4 * i + 3] * v[4 * i + 3]
+    for i in range(4 * quarter, len(v)):
+        a += u[i] * v[i]
+    return (a + b) + (c + d)
+
+
+@_compiled
+def _eliminate(
+    panels: FloatArray, work: Work, heights: IntArray, n: int, tolerance: float,
+) -> int:
+    """Bring n columns, and the right-hand side after them, to triangular form; return the rank.
+
+    Column s has its entries in the first heights[s] rows, which do not decrease. A column that
+    keeps no more than `tolerance` of its length beside those before it gets no reflection and
+    no row of the triangle; with a negative tolerance none is judged.
+    """
+    vectors, beta, gram, stop = work
+    rank = 0
+    for c in range(n // LANES + 1):
+        known = rank
+        for t in range(0, known - 1, 2):
+            apply_two(panels, vectors, beta, gram, c, t, stop[t + 1])
+        if known % 2:
+            apply_one(panels, vectors, beta, gram, c, known - 1, stop[known - 1])
+        for lane in range(min(LANES, n - LANES * c)):
+            height = heights[LANES * c + lane]
+            if rank >= height:
+                continue
+            column = panels[c, :height, lane]
+            v = vectors[rank, rank:height]
+            for i in range(len(v)):
+                v[i] = column[rank + i]
+            square = _dot(v, v)
+            norm = np.sqrt(square)
+            if tolerance >= 0.0:
+                # Reflections preserve a column's length, so that it is still to be had.
+                for i in range(rank):
+                    square += column[i] * column[i]
+                if norm <= tolerance * np.sqrt(square):
+                    continue
+            diagonal = v[0]
+            beta[rank] = 0.0
+            if len(v) > 1 and norm > 0.0:
+                beta[rank] = 1.0 / (norm * (norm + abs(diagonal)))
+                norm = -norm if diagonal > 0.0 else norm
+                v[0] -= norm
+                diagonal = norm
+            stop[rank] = height
+            if rank % 2:
+                # Made fit to be applied together with the one before.
+                before = vectors[rank - 1, rank:height]
+                before[stop[rank - 1] - rank:] = 0.0
+                vectors[rank, rank - 1] = 0.0
+                gram[rank - 1] = _dot(before, v)
+            if beta[rank] > 0.0 and lane < LANES - 1:
+                apply_one(panels, vectors, beta, gram, c, rank, height)
+            column[rank] = diagonal
+            rank += 1
+    return rank
+
+
+@_compiled
+def _gather(
+    panels: FloatArray, source: FloatArray, rows: UintArray, columns: UintArray,
+    heights: IntArray, n: int,
+) -> None:
+    """Copy n columns and the right-hand side after them into the panels, as far as they reach."""
+    for c in range(n // LANES + 1):
+        some = columns[LANES * c:LANES * c + LANES]
+        reach = min(len(rows), heights[min(LANES * c + LANES, n) - 1])
+        for i in range(reach):
+            target, line = panels[c, i], source[rows[i]]
+            for lane in range(LANES):
+                target[lane] = line[some[lane]]
+
+
+@_compiled
+def _lower(panels: FloatArray, n: int, shift: int) -> None:
+    """Move the triangle of n columns down, and clear what elimination left below it."""
+    for c in range(n // LANES + 1):
+        for i in range(n - 1, -1, -1):
+            for lane in range(LANES):
+                inside = LANES * c + lane >= i
+                panels[c, i + shift, lane] = panels[c, i, lane] if inside else 0.0
+
+
+@_compiled
+def _factor(
+    panels: FloatArray, work: Work, source: FloatArray, triangular: bool, rows: UintArray,
+    columns: UintArray, heights: IntArray, n: int, tolerance: float,
+) -> int:
+    """Triangularise the system of some rows and n columns; return its rank.
+
+    More rows than the panels hold are folded in block by block, on top of the triangle of
+    those before. No column is judged then before all rows are in, in a last round without a
+    block of its own.
+    """
+    m, start, kept = len(rows), 0, 0
+    while True:
+        block = min(m - start, panels.shape[1] - kept)
+        if kept:
+            _lower(panels, n, block)
+        for s in range(n):
+            reach = min(block, np.intp(columns[s]) + 1) if triangular else block
+            heights[s] = reach + min(kept, s + 1)
+        _gather(panels, source, rows[start:start + block], columns, heights, n)
+        start += block
+        complete = start == m and (kept == 0 or block == 0)
+        rank = _eliminate(panels, work, heights, n, tolerance if complete else -1.0)
+        if complete:
+            return rank
+        kept = n
+
+
+@_compiled
+def _substitute(panels: FloatArray, columns: UintArray, n: int, coefficients: FloatArray) -> None:
+    """Solve the triangle of n columns into the coefficients of those columns."""
+    right = panels[n // LANES, :, n % LANES]
+    for s in range(n - 1, -1, -1):
+        column = panels[s // LANES, :s + 1, s % LANES]
+        x = right[s] / column[s]
+        for i in range(s):
+            right[i] -= x * column[i]
+        coefficients[columns[s]] = x
+
+
+@_compiled
+def _solve(
+    panels: FloatArray, work: Work, source: FloatArray, triangular: bool, feature: IntArray,
+    rows: UintArray, columns: UintArray, heights: IntArray, terms: BoolArray,
+    features: BoolArray, tolerance: float, coefficients: FloatArray, violation: IntArray,
+) -> None:
+    """Solve a population; rows, columns and heights are work space."""
+    k = terms.shape[1]
+    for one in range(len(terms)):
+        # A plain 0 would have everything below compiled for that constant too.
+        n = int(np.intp(0))
+        for j in range(k):
+            if terms[one, j]:
+                columns[n] = j
+                n += 1
+        if n == 0:
+            continue
+        columns[n] = k
+        for j in range(n + 1, len(columns)):
+            columns[j] = k + 1
+        m = 0
+        for i in range(len(feature)):
+            if features[one, feature[i]]:
+                rows[m] = i
+                m += 1
+        violation[one] = n - _factor(panels, work, source, triangular, rows[:m], columns,
+                                     heights, n, tolerance)
+        if violation[one] == 0:
+            _substitute(panels, columns, n, coefficients[one])
+
+
+def _workspace(k: int, m: int) -> tuple[FloatArray, Work, IntArray, UintArray]:
+    """Return panels, reflections, heights and columns for up to k columns of m rows."""
+    width, rows = k // LANES + 1, min(m, k + BLOCK)
+    columns = np.full(width * LANES, k + 1, dtype=np.uintp)
+    columns[:k + 1] = np.arange(k + 1)
+    work = np.zeros((k, rows)), np.zeros(k), np.zeros(k), np.zeros(k, dtype=np.intp)
+    return np.zeros((width, rows, LANES)), work, np.zeros(k, dtype=np.intp), columns
+
+
+def _triangle(source: FloatArray) -> FloatArray:
+    """Reduce all columns and the right-hand side; not by LAPACK, whose rounding varies."""
+    m, k = source.shape[0], source.shape[1] - 2
+    panels, work, heights, columns = _workspace(k, m)
+    _factor(panels, work, source, False, np.arange(m, dtype=np.uintp), columns, heights, k, -1.0)
+    triangle = np.zeros((min(m, k), k + 2))
+    by_rows = panels.transpose(1, 0, 2).reshape(panels.shape[1], panels.shape[0] * LANES)
+    triangle[:, :k + 1] = np.triu(by_rows[:len(triangle), :k + 1])
+    return triangle
+
+
+@dataclass(frozen=True, eq=False)
+class _Prepared:
+    """What all populations over the same equations share.
+
+    Parameters
+    ----------
+    source : ndarray, shape (m, k + 2)
+        Design matrix, right-hand side, and a column of zeros that fills up the last panel.
+    feature : ndarray of int, shape (m,)
+    triangle : ndarray, shape (min(m, k), k + 2)
+        The same after reduction to a triangle by QR.
+    """
+
+    source: FloatArray
+    feature: IntArray
+    triangle: FloatArray
+
+
+_PREPARED: WeakKeyDictionary[Equations, _Prepared] = WeakKeyDictionary()
+
+
+def _prepared(equations: Equations) -> _Prepared:
+    """Return what is kept for the equations, computing it the first time."""
+    known = _PREPARED.get(equations)
+    if known is None:
+        source = np.column_stack([equations.A, equations.b, np.zeros(len(equations.b))])
+        source = np.ascontiguousarray(source, dtype=np.float64)
+        known = _Prepared(source, np.array(equations.feature, dtype=np.intp), _triangle(source))
+        _PREPARED[equations] = known
+    return known
 
 
 def solve_many(
     equations: Equations,
     terms: BoolArray | None,
     features: BoolArray | None,
+    *,
+    threads: int = 1,
 ) -> tuple[FloatArray, IntArray]:
     """Solve a population of masked least-squares systems.
+
+    A term is dependent if it keeps no more than `termsel.adjustment.solve.TOLERANCE` of its
+    length over the selected rows once the selected terms before it are removed. Masks that
+    occur several times are solved once. The result depends neither on the other individuals
+    nor on the number of threads.
 
     Parameters
     ----------
     equations : Equations
-        m rows, k columns.
+        m rows, k columns. What is computed from them is kept as long as the object lives, so
+        its arrays must not be changed afterwards.
     terms : ndarray of bool, shape (p, k), optional
         Selected columns of each individual; all by default.
     features : ndarray of bool, shape (p, n_features), optional
         Selected features of each individual; all by default.
+    threads : int
+        How many threads share the population.
 
     Returns
     -------
@@ -32,13 +302,47 @@ def solve_many(
     violation : ndarray of int, shape (p,)
         Selected terms minus rank; 0 is feasible.
     """
-    p = len(terms) if terms is not None else len(features) if features is not None else 1
-    coefficients = np.zeros((p, equations.A.shape[1]))
-    violation = np.zeros(p, dtype=np.intp)
-    for i in range(p):
-        one = solve(equations, None if terms is None else terms[i],
-                    None if features is None else features[i])
-        violation[i] = one.violation
-        if one.feasible:
-            coefficients[i] = one.coefficients
-    return coefficients, violation
+    shared = _prepared(equations)
+    k = equations.A.shape[1]
+    p = next((len(mask) for mask in (terms, features) if mask is not None), 1)
+    columns = np.ones((p, k), dtype=bool) if terms is None else np.asarray(terms, dtype=bool)
+    if features is None:
+        # The triangle's rows belong to no feature: one feature with all of them is always on.
+        source, feature = shared.triangle, np.zeros(len(shared.triangle), dtype=np.intp)
+        rows = np.ones((p, 1), dtype=bool)
+    else:
+        source, feature = shared.source, shared.feature
+        rows = np.asarray(features, dtype=bool)
+    if columns.shape != (p, k) or len(rows) != p or rows.shape[1] <= feature.max(initial=-1):
+        raise ValueError(f"masks of shapes {columns.shape} and {rows.shape} do not fit {k} terms "
+                         f"and {equations.n_features} features")
+    packed = np.ascontiguousarray(np.packbits(np.concatenate([columns, rows], axis=1), axis=1))
+    _, first, copies = np.unique(packed.view(np.dtype((np.void, packed.shape[1]))).ravel(),
+                                 return_index=True, return_inverse=True)
+    columns, rows = columns[first], rows[first]
+    coefficients, violation = np.zeros(columns.shape), np.zeros(len(first), dtype=np.intp)
+
+    def solve(part: slice) -> None:
+        panels, work, heights, index = _workspace(k, len(source))
+        _solve(panels, work, source, features is None, feature,
+               np.zeros(len(source), dtype=np.uintp), index, heights, columns[part],
+               rows[part], TOLERANCE, coefficients[part], violation[part])
+
+    if threads == 1:
+        solve(slice(None))
+    else:
+        edges = np.linspace(0, len(first), threads + 1).astype(int)
+        with ThreadPoolExecutor(threads) as pool:
+            list(pool.map(solve, map(slice, edges[:-1], edges[1:])))
+    return coefficients[copies], violation[copies]
+
+
+def needs_compilation() -> bool:
+    """Return True if the first evaluation will spend some seconds on compilation.
+
+    It does so once a machine and version, after which machine code is read from disk.
+    """
+    kernel = cast(Any, _solve)
+    source = Path(__file__).stat().st_mtime
+    kept = Path(kernel.stats.cache_path).glob(f"kernels.{kernel.__name__}-*.nbi")
+    return not kernel.signatures and all(one.stat().st_mtime < source for one in kept)
