@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from functools import cached_property
+from typing import ClassVar
 
 import numpy as np
 
@@ -71,9 +72,22 @@ class Fits:
 class Criterion(Configurable, ABC):
     """A figure of merit of fitted models; smaller is better."""
 
+    subset_score: ClassVar[str] = ""
+    """Score of `termsel.adjustment.subsets.search` from which the figure follows, if any."""
+
     @abstractmethod
     def score(self, fits: Fits) -> FloatArray:
         """Return one figure for each of the p fitted models, shape (p,)."""
+
+    def subset_cost(self, scores: FloatArray) -> FloatArray:
+        """Return what adds up over line and sample, from the best score of each size.
+
+        Parameters
+        ----------
+        scores : ndarray, shape (k + 1,)
+            Of the best selections of 0 to k terms of one part.
+        """
+        return scores
 
 
 class CheckRmse(Criterion):
@@ -84,6 +98,7 @@ class CheckRmse(Criterion):
     """
 
     name = "check-rmse"
+    subset_score = "check"
 
     def score(self, fits: Fits) -> FloatArray:
         """Return the RMSE [pixel]."""

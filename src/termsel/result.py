@@ -126,10 +126,10 @@ class Result:
                 "n_features": len(self.selection.features)},
             "feasible": self.feasible,
             "objectives": {k: _number(v) for k, v in self.objectives.items()},
-            "rmse": _rmses(self.rmse),
+            "rmse": plain_rmse(self.rmse),
             "baselines": [
                 {"name": b.name, "n_terms": b.n_terms, "fitted_to": list(b.fitted_to),
-                 "determined": b.determined, "rmse": _rmses(b.rmse)} for b in self.baselines],
+                 "determined": b.determined, "rmse": plain_rmse(b.rmse)} for b in self.baselines],
             "judgement": self.judgement, "notes": list(self.notes),
             "front": list(self.front), "certificate": self.certificate,
             "evaluations": self.evaluations, "lookups": self.lookups,
@@ -195,7 +195,8 @@ def residuals_of(ids: tuple[str, ...], errors: FloatArray, role: str,
             for name, on, (line, sample) in zip(ids, used, errors, strict=True)]
 
 
-def _rmses(rmse: Rmses) -> dict[str, Any]:
+def plain_rmse(rmse: Rmses) -> dict[str, Any]:
+    """Return RMSE by role as result.json holds them; null where there are no points."""
     nothing = {"line": None, "sample": None, "total": None, "n": 0}
     return {role: nothing if value is None else
             {k: _number(v) if k != "n" else v for k, v in asdict(value).items()}

@@ -23,11 +23,12 @@ from termsel.plugins.manager import registry
 from termsel.problems.base import Problem
 from termsel.problems.recipes import Recipe
 from termsel.problems.selection import Inputs
-from termsel.result import Baseline, Residual, Result, residuals_of
+from termsel.result import Baseline, Residual, Result, plain_rmse, residuals_of
 from termsel.roles import Observations, observe
 from termsel.scaling import Scaling, scaling_of
 from termsel.searching import Observer, Search, search
 from termsel.solvers.base import Solver
+from termsel.solvers.exact import gap
 
 DATA_OPTIONS = (
     Option("roles", "file", "Roles of points: as in the file, with blank ones shared out by "
@@ -286,7 +287,34 @@ def assess(task: Task, found: Search) -> Result:
         seconds=found.seconds, interrupted=found.interrupted,
         polish=asdict(found.polish) if found.polish else None, fit=chosen,
         residuals=tuple(_residuals(chosen, observations)), versions=_versions(),
-        certificate=found.certificate)
+        front=tuple(_front(task, found)), certificate=_certificate(task, found))
+
+
+def _certificate(task: Task, found: Search) -> Mapping[str, Any] | None:
+    """Return what the solver proved, or how far its find is from the proven optimum."""
+    if found.certificate is not None or found.violation or found.interrupted:
+        return found.certificate
+    return gap(task.problem, float(found.objectives[0]))
+
+
+def _front(task: Task, found: Search) -> Iterable[Mapping[str, Any]]:
+    """Yield the members of a front with their RMSE on all roles."""
+    observations = task.observations
+    for genes in found.front:
+        selection = task.problem.decode(genes)
+        member = fit(task.model, observations.control, task.scaling,
+                     _mask(task.model.terms, selection.terms),
+                     _mask(observations.control.ids, selection.features))
+        value = float(task.problem.evaluate(genes[None]).objectives[0, 0])
+        yield {"objectives": {task.problem.objectives[0]: value,
+                              "n_terms": len(selection.terms)},
+               "selection": {"terms": list(selection.terms),
+                             "features": list(selection.features),
+                             "n_terms": len(selection.terms),
+                             "n_features": len(selection.features)},
+               "rmse": plain_rmse({"control": member.control_rmse(),
+                                 "check": member.rmse(observations.check),
+                                 "independent": member.rmse(observations.independent)})}
 
 
 def _mask(names: tuple[str, ...], chosen: Iterable[str]) -> BoolArray:

@@ -11,7 +11,7 @@ import numpy as np
 
 from termsel.errors import TermselError
 from termsel.features import BoolArray
-from termsel.problems.base import Evaluation, Problem, Selection
+from termsel.problems.base import EnumerablePart, Evaluation, Problem, Selection
 from termsel.solvers.base import Generation, Solver
 from termsel.solvers.local import descend
 
@@ -85,6 +85,8 @@ class Search:
         None where the solver is not polished.
     certificate : mapping, optional
         What the solver proved, if anything.
+    front : tuple of ndarray of bool
+        Non-dominated individuals, where the solver yields them.
     """
 
     genes: BoolArray
@@ -98,6 +100,7 @@ class Search:
     interrupted: bool
     polish: Polish | None = None
     certificate: Mapping[str, Any] | None = None
+    front: tuple[BoolArray, ...] = ()
 
 
 class _BudgetSpent(Exception):
@@ -145,6 +148,10 @@ class Ledger(Problem):
     def decode(self, genes: BoolArray) -> Selection:
         """Return what one chromosome selects."""
         return self.problem.decode(genes)
+
+    def parts(self) -> tuple[EnumerablePart, ...]:
+        """Return the problem's own parts."""
+        return self.problem.parts()
 
     def progress(self, generation: Generation, share: float | None) -> Progress:
         """Return what an observer is told."""
@@ -270,7 +277,8 @@ def search(
     return Search(ledger.best_genes, ledger.best_objectives, ledger.best[0], seed, done,
                   generation.index + 1 if generation else 0, ledger.lookups,
                   time.perf_counter() - start, interrupted, polish,
-                  generation.details.get("certificate") if generation else None)
+                  generation.details.get("certificate") if generation else None,
+                  tuple(generation.details.get("front", ())) if generation else ())
 
 
 def _until_spent(running: Iterator[Generation]) -> Iterator[Generation]:

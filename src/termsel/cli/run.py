@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import sys
 from collections.abc import Callable
 from contextlib import nullcontext
@@ -45,7 +46,8 @@ INTERRUPTED = 130
               help="Seed of the search; the same seed gives the same selection.")
 @click.option("--generations", type=click.IntRange(min=1), help="Stop after N generations.")
 @click.option("--evaluations", type=click.IntRange(min=1), help="Stop after N evaluations.")
-@click.option("--seconds", type=click.FloatRange(min=0, min_open=True), help="Stop after S seconds.")
+@click.option("--seconds", type=click.FloatRange(min=0, min_open=True),
+              help="Stop after S seconds.")
 @click.option("--out", metavar="DIR", type=click.Path(path_type=Path),
               help="Folder for result.json, residuals.csv and summary.txt.")
 @click.option("--json", "as_json", is_flag=True, help="Print result.json alone on stdout.")
@@ -76,6 +78,8 @@ def run(
     if crs is not None and points is None and lines is None:
         raise TermselError("--crs speaks of the ground coordinates of a file, and none is given",
                            hint="Give --points FILE, or leave --crs out.")
+
+    _show_messages()
 
     from termsel import running
     from termsel.report.text import summary
@@ -114,6 +118,16 @@ def parse_settings(settings: tuple[str, ...]) -> dict[str, str]:
             raise TermselError(f"--set {key.strip()} is given twice", hint="Give it once.")
         options[key.strip()] = value.strip()
     return options
+
+
+def _show_messages() -> None:
+    """Print what termsel logs, such as what an enumeration is about to do, on stderr."""
+    logger = logging.getLogger("termsel")
+    if not logger.handlers:
+        handler = logging.StreamHandler()
+        handler.setFormatter(logging.Formatter("%(message)s"))
+        logger.addHandler(handler)
+        logger.setLevel(logging.INFO)
 
 
 def _read(points: Path | None, lines: Path | None, crs: str | None) -> FeatureSet | None:

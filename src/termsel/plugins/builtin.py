@@ -48,10 +48,11 @@ def termsel_criteria() -> Iterable[Criterion]:
 def termsel_solvers() -> Iterable[type[Solver]]:
     """Return the built-in solvers."""
     from termsel.solvers.baselines import AllTerms, RandomSearch
+    from termsel.solvers.exact import Exact
     from termsel.solvers.ga import GeneticAlgorithm
     from termsel.solvers.local import Swap
 
-    return [GeneticAlgorithm, Swap, RandomSearch, AllTerms]
+    return [GeneticAlgorithm, Exact, Swap, RandomSearch, AllTerms]
 
 
 @hookimpl

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from termsel.errors import unknown_name
+from termsel.errors import TermselError, unknown_name
 from termsel.features import BoolArray, FloatArray, IntArray
+
+if TYPE_CHECKING:
+    from termsel.adjustment.subset_system import SubsetSystem
 
 WORST = 1e9
 """Objective of an individual that cannot be judged; finite, so that it can be compared."""
@@ -141,6 +145,27 @@ class Selection:
     features: tuple[str, ...]
 
 
+@dataclass(frozen=True, eq=False)
+class EnumerablePart:
+    """Genes whose part of the objective depends on no others, and can be walked exactly.
+
+    Parameters
+    ----------
+    genes : ndarray of int, shape (k,)
+        Which genes of the genome switch the system's columns.
+    system : SubsetSystem
+    score : str
+        As for `termsel.adjustment.subsets.search`.
+    cost : callable
+        Turns the best score of every size, shape (k + 1,), into what adds up over the parts.
+    """
+
+    genes: IntArray
+    system: SubsetSystem
+    score: str
+    cost: Callable[[FloatArray], FloatArray]
+
+
 class Problem(ABC):
     """What a solver sees: a genome, names of objectives, and an evaluation of genes."""
 
@@ -164,3 +189,14 @@ class Problem(ABC):
     @abstractmethod
     def decode(self, genes: BoolArray) -> Selection:
         """Return what one chromosome, shape (genome.size,), selects."""
+
+    def parts(self) -> tuple[EnumerablePart, ...]:
+        """Return independent parts whose costs add up to a monotone function of the objective.
+
+        Raises
+        ------
+        TermselError
+            If the space of this problem cannot be walked subset by subset.
+        """
+        raise TermselError("the selections of this problem cannot be enumerated",
+                           hint="Choose a heuristic such as --solver ga or --solver swap.")

@@ -13,7 +13,16 @@ from termsel.criteria import Criterion, Fits
 from termsel.errors import TermselError
 from termsel.features import BoolArray, FeatureSet, FloatArray, IntArray, Points, select
 from termsel.models.base import LINE, SAMPLE, SensorModel
-from termsel.problems.base import WORST, Evaluation, Genome, Problem, Segment, Selection
+from termsel.problems.base import (
+    WORST,
+    EnumerablePart,
+    Evaluation,
+    Genome,
+    Problem,
+    Segment,
+    Selection,
+)
+from termsel.problems.enumeration import enumerable_parts
 
 POLE_MARGIN = 0.1
 """Least value of a denominator over the scene; vendor RPCs stay within some hundredths of 1."""
@@ -131,6 +140,13 @@ class SelectionProblem(Problem):
         ids = self.inputs.control.ids
         return Selection(select(self.inputs.model.terms, terms[0]),
                          ids if features is None else select(ids, features[0]))
+
+    def parts(self) -> tuple[EnumerablePart, ...]:
+        """Return line and sample as parts that can be walked (see `Problem.parts`)."""
+        if self._gene_of_term is None or self._selects_features:
+            return super().parts()
+        return enumerable_parts(self.inputs, self.equations, self.genome, self._gene_of_term,
+                                self._guard, POLE_MARGIN)
 
     def _coefficients(self, terms: BoolArray, features: BoolArray | None,
                       ) -> tuple[FloatArray, FloatArray]:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from typing import Any
 
 from termsel.fitting import Rmse
 from termsel.result import ROLES, Result, Rmses
@@ -42,6 +43,18 @@ def _head(result: Result) -> Iterator[str]:
         yield (f"Polish: {result.criterion} {result.polish['found']:.4g} as {result.solver} found "
                f"it, {result.polish['polished']:.4g} after {result.polish['evaluations']} "
                "evaluations more")
+    if result.certificate:
+        yield _certificate(result.certificate)
+
+
+def _certificate(certificate: Mapping[str, Any]) -> str:
+    proven = f"{certificate['subsets']:,} subsets decided, {certificate['space']}"
+    if certificate["optimal"]:
+        return f"Proven: no selection has a better criterion ({proven})"
+    if certificate.get("gap") is not None:
+        return (f"Gap: {100 * certificate['gap']:.2f} % above the proven optimum "
+                f"{certificate['optimum']:.4g} ({proven}); --solver exact finds it")
+    return f"Not proven: {certificate['subsets']:,} of {certificate['of']:,} subsets decided"
 
 
 def _table(result: Result) -> Iterator[str]:

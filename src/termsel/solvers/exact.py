@@ -1,0 +1,273 @@
+"""The proven optimum: every selection decided."""
+
+from __future__ import annotations
+
+import logging
+import os
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from termsel.adjustment import subsets
+from termsel.adjustment.subsets import SubsetResult
+from termsel.errors import TermselError
+from termsel.features import BoolArray
+from termsel.options import Option
+from termsel.problems.base import EnumerablePart, Problem
+from termsel.solvers.base import Generation, Solver
+
+log = logging.getLogger(__name__)
+
+AFFORDABLE = 1 << 28
+"""Subsets that are walked without asking: less than a minute."""
+
+QUICK = 1 << 22
+"""Subsets that are walked to tell a heuristic's gap: less than a second."""
+
+TIE = 1e-9
+"""Objectives that differ by less than this share are one: rounding differs between paths."""
+
+_REPORT_SECONDS = 0.25
+
+
+@dataclass(frozen=True, eq=False)
+class Proof:
+    """What an enumeration of all parts has decided so far.
+
+    Parameters
+    ----------
+    parts : tuple of EnumerablePart
+    results : tuple of SubsetResult
+        One a part.
+    minimum : tuple of int
+        Fewest genes of each part.
+    size : int
+        Number of genes of the problem.
+    """
+
+    parts: tuple[EnumerablePart, ...]
+    results: tuple[SubsetResult, ...]
+    minimum: tuple[int, ...]
+    size: int
+
+    @property
+    def decided(self) -> int:
+        """Subsets decided."""
+        return sum(result.subsets for result in self.results)
+
+    @property
+    def total(self) -> int:
+        """Subsets to be decided."""
+        return sum(result.total for result in self.results)
+
+    @property
+    def complete(self) -> bool:
+        """True if the optimum is proven."""
+        return all(result.complete for result in self.results)
+
+    def _costs(self) -> list[np.ndarray[tuple[int], np.dtype[np.float64]]]:
+        costs = []
+        for part, result, least in zip(self.parts, self.results, self.minimum, strict=True):
+            cost = np.where(np.isfinite(result.best), part.cost(result.best), np.inf)
+            cost[:least] = np.inf
+            costs.append(cost)
+        return costs
+
+    def front(self) -> list[BoolArray]:
+        """Return the best selection of every total size that beats all smaller ones.
+
+        Returns
+        -------
+        list of ndarray of bool, shape (size,)
+            By number of genes; the last is the best of all. Empty where nothing is feasible.
+        """
+        total, sizes = np.zeros(1), np.zeros((1, 0), dtype=np.intp)
+        for cost in self._costs():
+            # The best split of each total size: min-plus convolution, part by part.
+            joint = np.full(len(total) + len(cost) - 1, np.inf)
+            split = np.zeros((len(joint), sizes.shape[1] + 1), dtype=np.intp)
+            for here in np.flatnonzero(np.isfinite(cost)):
+                reached = total + cost[here]
+                better = np.flatnonzero(reached < joint[here:here + len(total)])
+                joint[here + better] = reached[better]
+                split[here + better] = np.column_stack(
+                    [sizes[better], np.full(len(better), here)])
+            total, sizes = joint, split
+        best = np.inf
+        front = []
+        for value, split_sizes in zip(total, sizes, strict=True):
+            if value < best:
+                best = value
+                front.append(self._genes(split_sizes.tolist()))
+        return front
+
+    def _genes(self, sizes: list[int]) -> BoolArray:
+        genes = np.zeros(self.size, dtype=bool)
+        for part, result, size in zip(self.parts, self.results, sizes, strict=True):
+            genes[part.genes] = result.columns(size)
+        return genes
+
+
+def prove(problem: Problem, max_terms: int | None = None,
+          workers: int | None = None) -> Iterator[Proof]:
+    """Decide every selection of a problem, yielding what is known from time to time.
+
+    Parameters
+    ----------
+    problem : Problem
+    max_terms : int, optional
+        Most genes of each part.
+    workers : int, optional
+        Threads; all cores by default. The result does not depend on it.
+
+    Yields
+    ------
+    Proof
+        The last one is complete.
+
+    Raises
+    ------
+    TermselError
+        If the problem's space cannot be walked.
+    """
+    parts = problem.parts()
+    limits = [_limits(problem, part, max_terms) for part in parts]
+    walks = [subsets.search(part.system, part.score, max_terms=most,
+                            workers=workers or os.cpu_count() or 1)
+             for part, (_, most) in zip(parts, limits, strict=True)]
+    minimum = tuple(least for least, _ in limits)
+    # Every part makes its first steps before any is finished, so that whenever the user stops
+    # there is something to show for each.
+    results = [next(walk) for walk in walks]
+    yield Proof(parts, tuple(results), minimum, problem.genome.size)
+    for i, walk in enumerate(walks):
+        for results[i] in walk:
+            yield Proof(parts, tuple(results), minimum, problem.genome.size)
+
+
+def _limits(problem: Problem, part: EnumerablePart, max_terms: int | None) -> tuple[int, int]:
+    """Return the fewest and the most genes of a part."""
+    slices = problem.genome.slices()
+    segment = next(s for s in problem.genome.segments
+                   if slices[s.name].start <= part.genes[0] < slices[s.name].stop)
+    most = [n for n in (segment.maximum, max_terms, len(part.genes)) if n is not None]
+    return segment.minimum, min(most)
+
+
+def count(problem: Problem, max_terms: int | None = None) -> int:
+    """Return the number of subsets of all parts together.
+
+    Raises
+    ------
+    TermselError
+        If the problem's space cannot be walked.
+    """
+    return sum(
+        subsets.count_subsets(int(problem.genome.free[part.genes].sum()),
+                              _limits(problem, part, max_terms)[1])
+        for part in problem.parts())
+
+
+def gap(problem: Problem, found: float) -> dict[str, Any] | None:
+    """Return how far a find is from the proven optimum, where that is quickly known.
+
+    Parameters
+    ----------
+    problem : Problem
+    found : float
+        First objective of the find.
+
+    Returns
+    -------
+    dict or None
+        A certificate with the optimum and the gap, a share of the optimum. None if the space
+        cannot be walked, has more than QUICK subsets, or holds nothing feasible.
+    """
+    try:
+        subsets_in_all = count(problem)
+    except TermselError:
+        return None
+    if subsets_in_all > QUICK:
+        return None
+    for proof in prove(problem):
+        pass
+    front = proof.front()
+    if not front:
+        return None
+    optimum = float(problem.evaluate(front[-1][None]).objectives[0, 0])
+    return {"optimal": found <= optimum * (1 + TIE), "subsets": proof.decided,
+            "of": proof.total, "space": "all selections", "optimum": optimum,
+            "gap": max(0.0, found / optimum - 1) if optimum > 0 else None}
+
+
+def affordable_terms(problem: Problem) -> int | None:
+    """Return the most terms a part whose subsets are AFFORDABLE, or None for all of them."""
+    if count(problem) <= AFFORDABLE:
+        return None
+    most = 1
+    while count(problem, most + 1) <= AFFORDABLE:
+        most += 1
+    return most
+
+
+class Exact(Solver):
+    """Every selection decided: the optimum, the best of every size, and the proof.
+
+    Depth-first enumeration of all term selections, line and sample each for itself where they
+    are independent. termsel's own formulation; see `termsel.adjustment.subsets`.
+    """
+
+    name = "exact"
+    default_generations = None
+    declared_options = (
+        Option("max_terms", None, "Most terms of an axis; by default all of them, or, in a space "
+               "of more than 2^28 selections, as many as keep it below that. The proof holds "
+               "for selections up to this size.", int, 1),
+        Option("workers", None, "Threads; all cores by default. The result does not depend on "
+               "it.", int, 1),
+    )
+
+    def generations(self, problem: Problem, rng: np.random.Generator) -> Iterator[Generation]:
+        """Yield the best so far until all is decided (see `Solver.generations`)."""
+        most = self.options["max_terms"] or affordable_terms(problem)
+        workers = self.options["workers"] or os.cpu_count() or 1
+        parts = problem.parts()
+        seconds = sum(
+            subsets.estimate_seconds(part.system, part.score, workers=workers,
+                                     max_terms=_limits(problem, part, most)[1])
+            for part in parts)
+        space = f"selections of up to {most} terms" if most else "all selections"
+        log.info("exact: deciding %s subsets (%s, %d %s); about %s",
+                 f"{count(problem, most):,}", space, len(parts),
+                 "part" if len(parts) == 1 else "parts", _duration(seconds))
+        index, reported = 0, 0.0
+        proof: Proof | None = None
+        for proof in prove(problem, most, workers):
+            if index and not proof.complete and time.perf_counter() - reported < _REPORT_SECONDS:
+                continue
+            generation = self._report(problem, proof, index, space)
+            if generation is not None:
+                yield generation
+                index += 1
+            reported = time.perf_counter()
+
+    def _report(self, problem: Problem, proof: Proof, index: int,
+                space: str) -> Generation | None:
+        front = proof.front()
+        if not front and not proof.complete:
+            return None
+        genes = (np.array(front) if proof.complete else np.array(front[-1:])) if front \
+            else np.zeros((1, problem.genome.size), dtype=bool)
+        details: dict[str, Any] = {
+            "share": proof.decided / proof.total,
+            "front": genes if front and proof.complete else (),
+            "certificate": {"optimal": proof.complete and bool(front), "subsets": proof.decided,
+                            "of": proof.total, "space": space}}
+        return Generation(index, genes, problem.evaluate(genes), details)
+
+
+def _duration(seconds: float) -> str:
+    return f"{seconds / 60:.0f} min" if seconds > 90 else f"{max(seconds, 0.1):.1f} s"

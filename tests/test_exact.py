@@ -1,0 +1,155 @@
+"""The proven optimum, against brute force through the problem itself."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+
+import termsel
+import termsel.report.text
+import termsel.running
+from termsel.solvers.exact import Exact, count, gap
+from termsel.solvers.ga import GeneticAlgorithm
+
+
+def brute_force(problem: termsel.Problem) -> tuple[np.ndarray, np.ndarray]:
+    """Return all genes and their objectives, infinite where infeasible."""
+    size = problem.genome.size
+    genes = np.array(list(itertools.product([False, True], repeat=size)))
+    evaluation = problem.evaluate(genes)
+    return genes, np.where(evaluation.violation == 0, evaluation.objectives[:, 0], np.inf)
+
+
+CASES = {
+    "per axis": ("poly-terms", {"options": {"degree": 2}}),
+    "shared": ("poly-terms", {"options": {"degree": 4, "mask": "shared"}}),
+    "rational": ("rfm-terms", {"options": {"order": 1}}),
+    "no denominators": ("rfm-terms", {"options": {"order": 1, "denominators": "none"}}),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize("dataset", ["ikonos-hamedan", "spot-isfahan"])
+def test_exact_finds_what_brute_force_finds(case: str, dataset: str) -> None:
+    problem, given = CASES[case]
+    task = termsel.prepare(problem, solver="exact", dataset=dataset, **given)
+    genes, objectives = brute_force(task.problem)
+    result = termsel.run(task)
+    assert result.objectives["check-rmse"] == pytest.approx(objectives.min(), rel=1e-9)
+    assert result.certificate == {"optimal": True, "subsets": count(task.problem),
+                                  "of": count(task.problem), "space": "all selections"}
+    # The front is the best of every size that beats all smaller ones.
+    terms = task.problem.masks(genes)[0].sum(axis=1)
+    best, expected = np.inf, {}
+    for size in range(terms.max() + 1):
+        least = objectives[terms == size].min(initial=np.inf)
+        if least < best * (1 - 1e-12):
+            expected[size] = best = least
+    found = {m["objectives"]["n_terms"]: m["objectives"]["check-rmse"] for m in result.front}
+    assert found == pytest.approx(expected, rel=1e-9)
+
+
+def test_forced_genes_and_cardinality_hold() -> None:
+    task = termsel.prepare("poly-terms", options={"degree": 2})
+    problem = task.problem
+    line, sample = problem.genome.segments
+    problem.genome = termsel.Genome(
+        [termsel.Segment(line.name, line.labels, minimum=2, maximum=3), sample],
+        on=["line.num:Y2"], off=["sample.num:X"])
+    genes, objectives = brute_force(problem)
+    kept = (genes == problem.genome.repair(genes, np.random.default_rng(0))).all(axis=1)
+    found = termsel.search(problem, Exact())
+    assert found.objectives[0] == pytest.approx(objectives[kept].min(), rel=1e-9)
+
+
+def test_max_terms_is_the_space_of_the_certificate() -> None:
+    result = termsel.run("poly-terms", solver="exact", options={"degree": 3, "max_terms": 4})
+    assert result.certificate["space"] == "selections of up to 4 terms"
+    assert result.certificate["subsets"] == 2 * sum([1, 10, 45, 120, 210])
+    assert len(result.selection.terms) <= 8
+
+
+def test_a_space_too_large_is_cut_and_announced(caplog: pytest.LogCaptureFixture) -> None:
+    task = termsel.prepare("rfm-terms", solver="exact")
+    with caplog.at_level("INFO", logger="termsel"):
+        found = termsel.search(task.problem, task.solver, seconds=0.3)
+    assert "selections of up to 8 terms" in caplog.text
+    assert "subsets" in caplog.text
+    assert found.certificate == {**found.certificate, "optimal": False}
+
+
+def test_an_interrupted_proof_proves_nothing_but_has_the_best_so_far() -> None:
+    task = termsel.prepare("poly-terms", solver="exact", options={"degree": 6, "workers": 2})
+
+    def interrupt(progress: object) -> None:
+        raise KeyboardInterrupt
+
+    found = termsel.search(task.problem, task.solver, observers=[interrupt])
+    assert found.interrupted
+    assert found.violation == 0
+    assert not found.certificate["optimal"]
+    assert found.certificate["subsets"] < found.certificate["of"]
+    result = termsel.running.assess(task, found)
+    assert result.certificate == found.certificate
+
+
+def test_a_heuristic_states_its_gap() -> None:
+    result = termsel.run("poly-terms", generations=2,
+                         options={"degree": 4, "population": 10, "polish": False})
+    optimum = termsel.run("poly-terms", solver="exact", options={"degree": 4})
+    certificate = result.certificate
+    best = optimum.objectives["check-rmse"]
+    assert certificate["optimum"] == pytest.approx(best, rel=1e-9)
+    assert certificate["gap"] == pytest.approx(result.objectives["check-rmse"] / best - 1)
+    assert not certificate["optimal"]
+    assert "above the proven optimum" in termsel.report.text.summary(result)
+
+
+def test_a_large_space_has_no_gap() -> None:
+    assert gap(termsel.prepare("rfm-terms").problem, 1.0) is None
+    assert gap(termsel.prepare("owdis-lines").problem, 1.0) is None
+
+
+@pytest.mark.parametrize(("problem", "options", "why"), [
+    ("owdis-lines", {}, "cannot be enumerated"),
+    ("rfm-terms", {"denominators": "shared"}, "couple the axes"),
+    ("rfm-terms", {"order": 1, "mask": "shared"}, "no denominators"),
+])
+def test_what_cannot_be_walked_is_refused(problem: str, options: dict, why: str) -> None:
+    with pytest.raises(termsel.TermselError, match=why):
+        termsel.run(problem, solver="exact", options=options)
+
+
+def test_polish_says_what_it_added() -> None:
+    bare = {"degree": 5, "population": 20}
+    alone = termsel.run("poly-terms", generations=3, options={**bare, "polish": False})
+    polished = termsel.run("poly-terms", generations=3, options=bare)
+    assert alone.polish is None
+    assert polished.polish["found"] == alone.objectives["check-rmse"]
+    assert polished.polish["polished"] == polished.objectives["check-rmse"]
+    assert polished.polish["polished"] < polished.polish["found"]
+    assert polished.evaluations == alone.evaluations
+
+
+def test_a_polished_selection_has_no_better_neighbour() -> None:
+    task = termsel.prepare("poly-terms", options={"degree": 3})
+    found = termsel.search(task.problem, GeneticAlgorithm(population=10), generations=2)
+    genes = found.genes
+    flips = genes ^ np.eye(len(genes), dtype=bool)
+    swaps = [genes ^ (np.arange(len(genes)) == i) ^ (np.arange(len(genes)) == j)
+             for where in task.problem.genome.slices().values()
+             for i, j in itertools.combinations(range(where.start, where.stop), 2)
+             if genes[i] != genes[j]]
+    around = task.problem.evaluate(np.concatenate([flips, np.array(swaps)]))
+    feasible = around.violation == 0
+    assert around.objectives[feasible, 0].min() >= found.objectives[0]
+
+
+def test_swap_reaches_the_optimum_of_a_small_space() -> None:
+    optimum = termsel.run("poly-terms", solver="exact", options={"degree": 3})
+    swapped = termsel.run("poly-terms", solver="swap", options={"degree": 3})
+    assert swapped.objectives["check-rmse"] == pytest.approx(
+        optimum.objectives["check-rmse"], rel=1e-9)
+    assert swapped.certificate["optimal"]
