@@ -50,7 +50,7 @@ def enumerable_parts(inputs: Inputs, equations: Equations, genome: Genome,
     axis = model.axis
     if (row_axes(equations.A, axis) == 2).any() or (axis == 2).any():
         raise _unwalkable("lines or a shared denominator couple the axes")
-    sides = [_side(inputs, equations, side, guard, margin) for side in (LINE, SAMPLE)]
+    sides = [_side(model, inputs, equations, side, guard, margin) for side in (LINE, SAMPLE)]
     genes = [gene_of_term[axis == side] for side in (LINE, SAMPLE)]
     if len(genome.segments) == 1:
         sides, genes = [_merge(sides, genes)], genes[:1]
@@ -68,10 +68,10 @@ def _unwalkable(why: str) -> TermselError:
                         hint="Choose a heuristic such as --solver ga or --solver swap.")
 
 
-def _side(inputs: Inputs, equations: Equations, side: int, guard: FloatArray,
-          margin: float) -> SubsetSystem:
+def _side(model: RationalModel, inputs: Inputs, equations: Equations, side: int,
+          guard: FloatArray, margin: float) -> SubsetSystem:
     """Return the system of one axis with the errors at the check points."""
-    model, check, points = inputs.model, inputs.check, inputs.control.points
+    check, points = inputs.check, inputs.control.points
     axis = model.axis
     control = equations.take(row_axes(equations.A, axis) == side, axis == side)
     judged = _axis_of_points(model, check, side)
