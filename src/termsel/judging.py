@@ -57,15 +57,15 @@ def judge(recipe: Recipe, rmse: Mapping[str, Rmse | None], baselines: tuple[Base
         title = f"{article} {best.name} polynomial over control and check together"
         ratio = mine.total / _independent(best)
         if ratio > ALIKE:
-            sentences.append(f"Use something plainer: {title} is {ratio:.1f} times better "
-                             f"({_independent(best):.2f} px).")
+            sentences.append(f"Use something plainer: {title} is {_times(ratio)} better "
+                             f"({_px(_independent(best))}).")
         elif ratio > 1 / ALIKE:
-            sentences.append(f"It is no better than {title} ({_independent(best):.2f} px).")
+            sentences.append(f"It is no better than {title} ({_px(_independent(best))}).")
         else:
-            sentences.append(f"It beats {title}, the best plain fit, by {1 / ratio:.1f} times "
-                             f"({_independent(best):.2f} px).")
+            sentences.append(f"It beats {title}, the best plain fit, by {_times(1 / ratio)} "
+                             f"({_px(_independent(best))}).")
     if noise is not None:
-        sentences.append(f"Measurement noise alone gives {noise * np.sqrt(2):.2f} px.")
+        sentences.append(f"Measurement noise alone gives {_px(noise * np.sqrt(2))}.")
     return " ".join(sentences)
 
 
@@ -74,17 +74,25 @@ def _independent(baseline: Baseline) -> float:
     return float("inf") if value is None else value.total
 
 
+def _px(value: float) -> str:
+    return f"{value:.2f} px" if value >= 0.1 else f"{value:.2g} px"
+
+
+def _times(ratio: float) -> str:
+    return f"{ratio:.1f} times" if ratio < 10 else f"{ratio:,.0f} times"
+
+
 def _compare(start: str, mine: float, other: Baseline, title: str) -> str:
     theirs = _independent(other)
-    figures = f"({mine:.2f} px against {theirs:.2f} px"
+    figures = f"({_px(mine)} against {_px(theirs)}"
     figures += ")" if other.determined else \
         ", which the control does not even determine: least-norm solution)"
     ratio = theirs / mine if mine > 0 else float("inf")
     if ratio > ALIKE:
-        return f"{start} {ratio:.1f} times better than {title} {figures}"
+        return f"{start} {_times(ratio)} better than {title} {figures}"
     if ratio > 1 / ALIKE:
         return f"{start} no better than {title} {figures}"
-    return f"{start} {1 / ratio:.1f} times worse than {title} {figures}"
+    return f"{start} {_times(1 / ratio)} worse than {title} {figures}"
 
 
 def notes_on(recipe: Recipe, observations: Observations, found: Search,

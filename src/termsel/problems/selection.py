@@ -23,9 +23,14 @@ from termsel.problems.base import (
     Selection,
 )
 from termsel.problems.enumeration import enumerable_parts
+from termsel.roles import spatial_order
 
 POLE_MARGIN = 0.1
 """Least value of a denominator over the scene; vendor RPCs stay within some hundredths of 1."""
+
+GUARDED = 100
+"""Features at which denominators are looked at beside the grid; polynomials of third order
+have no room for a pole between so many."""
 
 _GRID = np.stack(np.meshgrid(*[np.linspace(-1.0, 1.0, n) for n in (5, 5, 3)]), -1).reshape(-1, 3)
 
@@ -170,11 +175,14 @@ class SelectionProblem(Problem):
 def guard_points(control: FeatureSet, check: Points) -> FloatArray:
     """Return scaled ground points at which denominators must stay positive.
 
-    A grid over the box of X, Y, Z of control and check features, and the features
-    themselves.
+    A grid over the box of X, Y, Z of control and check features, and features themselves:
+    all of them up to GUARDED, of more an even choice over the scene.
     """
     vertices = np.concatenate([control.ground_vertices(), check.ground])
     low, high = vertices.min(axis=0), vertices.max(axis=0)
+    if len(vertices) > GUARDED:
+        even = np.linspace(0, len(vertices) - 1, GUARDED).astype(int)
+        vertices = vertices[spatial_order(vertices[:, :2])[even]]
     return np.concatenate([vertices, (low + high) / 2 + _GRID * (high - low) / 2])
 
 

@@ -33,9 +33,8 @@ def _head(result: Result) -> Iterator[str]:
                if counts[key]]
     yield (f"Control: {' and '.join(control)}; {counts['check']} check points; "
            f"{counts['independent']} independent points")
-    offered = result.fit.control
-    yield (f"Selected: {len(result.selection.features)} of {len(offered)} control features, "
-           f"{len(result.selection.terms)} of {len(result.fit.model.terms)} terms; "
+    yield (f"Selected: {_share(len(result.selection.features), len(result.fit.control))} control "
+           f"features, {_share(len(result.selection.terms), len(result.fit.model.terms))} terms; "
            f"redundancy {result.fit.adjustment.redundancy}")
     yield (f"Search: {result.evaluations} evaluations ({result.lookups} looked up), "
            f"{result.generations} generations, {result.seconds:.1f} s")
@@ -55,6 +54,10 @@ def _certificate(certificate: Mapping[str, Any]) -> str:
         return (f"Gap: {100 * certificate['gap']:.2f} % above the proven optimum "
                 f"{certificate['optimum']:.4g} ({proven}); --solver exact finds it")
     return f"Not proven: {certificate['subsets']:,} of {certificate['of']:,} subsets decided"
+
+
+def _share(chosen: int, offered: int) -> str:
+    return f"all {offered}" if chosen == offered else f"{chosen} of {offered}"
 
 
 def _table(result: Result) -> Iterator[str]:
