@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from termsel.errors import TermselError
-from termsel.features import BoolArray
+from termsel.features import BoolArray, FloatArray
 from termsel.problems.base import EnumerablePart, Evaluation, Problem, Selection
 from termsel.solvers.base import Generation, Solver
 from termsel.solvers.local import descend
@@ -152,6 +152,10 @@ class Ledger(Problem):
     def parts(self) -> tuple[EnumerablePart, ...]:
         """Return the problem's own parts."""
         return self.problem.parts()
+
+    def design(self) -> FloatArray:
+        """Return the problem's own design matrix."""
+        return self.problem.design()
 
     def progress(self, generation: Generation, share: float | None) -> Progress:
         """Return what an observer is told."""

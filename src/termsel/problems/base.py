@@ -200,3 +200,14 @@ class Problem(ABC):
         """
         raise TermselError("the selections of this problem cannot be enumerated",
                            hint="Choose a heuristic such as --solver ga or --solver swap.")
+
+    def design(self) -> FloatArray:
+        """Return the columns of the full design matrix, one a gene, shape (m, genome.size).
+
+        Raises
+        ------
+        TermselError
+            If the genes of this problem do not switch columns of an adjustment.
+        """
+        raise TermselError("this problem has no design matrix with a column for every gene",
+                           hint="Choose a solver that needs none, such as --solver ga.")

@@ -49,6 +49,12 @@ MASK = Option("mask", "per-axis", "Whether line and sample select their terms ea
               choices=("per-axis", "shared"))
 MIXED = Option("mixed", False, "Use control points and control lines together in one adjustment.",
                bool)
+COUNTS = (
+    Option("min_features", None, "Fewest control features of a selection; by default free.",
+           int, 1),
+    Option("max_features", None, "Most control features of a selection; by default free. With "
+           "the same number for both, m features of n are chosen.", int, 1),
+)
 
 
 def _terms(inputs: Inputs) -> Problem:
@@ -73,14 +79,14 @@ RECIPES = (
            model="poly2d", dataset="ikonos-hamedan", options=(MASK, MIXED),
            source="Valadan Zoej et al. 2002; Zakaryaie Nejad et al. 2015"),
     Recipe("owdis-points", "Which control points to use.", _features,
-           model="poly3d", dataset="ikonos-hamedan", options=(MIXED,), source=YAVARI),
+           model="poly3d", dataset="ikonos-hamedan", options=(MIXED, *COUNTS), source=YAVARI),
     Recipe("owdis-lines", "Which control lines to use.", _features,
-           model="poly3d", dataset="ikonos-hamedan", control="lines", options=(MIXED,),
+           model="poly3d", dataset="ikonos-hamedan", control="lines", options=(MIXED, *COUNTS),
            source=YAVARI),
     Recipe("owdis-points-terms", "Which control points and which model terms to use.", _both,
            model="rfm", model_options={"order": 2}, dataset="ikonos-hamedan",
-           options=(MASK, MIXED), source=YAVARI),
+           options=(MASK, MIXED, *COUNTS), source=YAVARI),
     Recipe("owdis-lines-terms", "Which control lines and which model terms to use.", _both,
            model="rfm", model_options={"order": 2}, dataset="ikonos-hamedan", control="lines",
-           options=(MASK, MIXED), source=YAVARI),
+           options=(MASK, MIXED, *COUNTS), source=YAVARI),
 )

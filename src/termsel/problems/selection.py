@@ -99,20 +99,25 @@ class SelectionProblem(Problem):
                 raise TermselError(
                     f"features cannot be selected under the interpolating model {model.name!r}",
                     hint="Choose a model without interpolation, such as --model poly3d.")
-            segments.append(Segment("features", control.ids))
+            segments.append(Segment("features", control.ids, *_feature_counts(inputs)))
         self.genome = Genome(segments)
         self._refuse_hopeless(terms)
 
     def _refuse_hopeless(self, selects_terms: bool) -> None:
         """Refuse before any search what no selection could solve."""
+        most = self.genome.segments[-1].maximum if self._selects_features else None
         for part in self._parts:
             rows, columns = part.rows.sum(), part.columns.sum()
+            if most is not None:
+                rows = rows * most // len(self.inputs.control)
             if not selects_terms and rows < columns:
                 raise TermselError(
                     f"model {self.inputs.model.name!r} has {columns} terms to be determined "
-                    f"together and the control gives {rows} equations",
-                    hint="Give more control, lower the order or degree of the model "
-                         "(--set order=1, --set degree=1), or select terms.")
+                    f"together and the control gives {rows} equations"
+                    + ("" if most is None else f" with {most} features at most"),
+                    hint=("Give more control" if most is None else "Raise max_features")
+                    + ", lower the order or degree of the model (--set order=1, "
+                      "--set degree=1), or select terms.")
 
     def evaluate(self, genes: BoolArray) -> Evaluation:
         """Return the criterion and the violation of a population (see `Problem.evaluate`).
@@ -153,6 +158,25 @@ class SelectionProblem(Problem):
         return enumerable_parts(self.inputs, self.equations, self.genome, self._gene_of_term,
                                 self._guard, POLE_MARGIN)
 
+    def design(self) -> FloatArray:
+        """Return the columns of the adjustment by gene (see `Problem.design`).
+
+        A gene that switches a line term and a sample term has the columns of both stacked.
+        """
+        gene, A, axis = self._gene_of_term, self.equations.A, self.inputs.model.axis
+        if gene is None or self._selects_features:
+            return super().design()
+        sides = [(np.ones(len(A), dtype=bool), np.ones(len(axis), dtype=bool))]
+        if len(gene) > self.genome.size:
+            sides = [((A[:, axis == side] != 0).any(axis=1), axis != other)
+                     for side, other in ((LINE, SAMPLE), (SAMPLE, LINE))]
+        blocks = []
+        for rows, terms in sides:
+            block = np.zeros((rows.sum(), self.genome.size))
+            block[:, gene[terms]] = A[np.ix_(rows, terms)]
+            blocks.append(block)
+        return np.concatenate(blocks)
+
     def _coefficients(self, terms: BoolArray, features: BoolArray | None,
                       ) -> tuple[FloatArray, FloatArray]:
         coefficients = np.zeros(terms.shape)
@@ -170,6 +194,21 @@ class SelectionProblem(Problem):
             return np.zeros(len(terms))
         line, sample = terms[:, axis == LINE], terms[:, axis == SAMPLE]
         return np.asarray(2.0 - line.any(axis=1) - sample.any(axis=1))
+
+
+def _feature_counts(inputs: Inputs) -> tuple[int, int | None]:
+    """Return the fewest and the most features, from the options of these names."""
+    n = len(inputs.control)
+    counts = {name: inputs.options.get(name) for name in ("min_features", "max_features")}
+    for name, count in counts.items():
+        if count is not None and not 1 <= count <= n:
+            raise TermselError(f"option {name!r} is {count} and there are {n} control features "
+                               "to select from", hint=f"Give a number from 1 to {n}.")
+    least, most = counts.values()
+    if least is not None and most is not None and least > most:
+        raise TermselError(f"option 'min_features' is {least} and 'max_features' {most}",
+                           hint="Give at most as many for min_features as for max_features.")
+    return least or 0, most
 
 
 def guard_points(control: FeatureSet, check: Points) -> FloatArray:
