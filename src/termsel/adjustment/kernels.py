@@ -52,8 +52,30 @@ def _compiled(function: _Function) -> _Function:
 
 
 @_compiled
+def _take(column: FloatArray, v: FloatArray) -> float:
+    """Copy a column and return the sum of its squares.
+
+    It is added up in four sums, as one would wait for each addition before the next.
+    """
+    a = b = c = d = 0.0
+    quarter = len(v) // 4
+    for i in range(quarter):
+        w, x = column[4 * i], column[4 * i + 1]
+        y, z = column[4 * i + 2], column[4 * i + 3]
+        v[4 * i], v[4 * i + 1], v[4 * i + 2], v[4 * i + 3] = w, x, y, z
+        a += w * w
+        b += x * x
+        c += y * y
+        d += z * z
+    for i in range(4 * quarter, len(v)):
+        w = column[i]
+        v[i] = w
+        a += w * w
+    return (a + b) + (c + d)
+
+
+@_compiled
 def _dot(u: FloatArray, v: FloatArray) -> float:
-    """Return u' v, in four sums as one would wait for each addition before the next."""
     a = b = c = d = 0.0
     quarter = len(v) // 4
     for i in range(quarter):
@@ -68,13 +90,14 @@ def _dot(u: FloatArray, v: FloatArray) -> float:
 
 @_compiled
 def _eliminate(
-    panels: FloatArray, work: Work, heights: IntArray, n: int, tolerance: float,
+    panels: FloatArray, work: Work, heights: IntArray, n: int, tolerance: float, longest: float,
 ) -> int:
     """Bring n columns, and the right-hand side after them, to triangular form; return the rank.
 
     Column s has its entries in the first heights[s] rows, which do not decrease. A column that
     keeps no more than `tolerance` of its length beside those before it gets no reflection and
-    no row of the triangle; with a negative tolerance none is judged.
+    no row of the triangle; with a negative tolerance none is judged. No column is longer than
+    `longest`.
     """
     vectors, beta, gram, stop = work
     rank = 0
@@ -90,11 +113,9 @@ def _eliminate(
                 continue
             column = panels[c, :height, lane]
             v = vectors[rank, rank:height]
-            for i in range(len(v)):
-                v[i] = column[rank + i]
-            square = _dot(v, v)
+            square = _take(column[rank:], v)
             norm = np.sqrt(square)
-            if tolerance >= 0.0:
+            if tolerance >= 0.0 and norm <= tolerance * longest:
                 # Reflections preserve a column's length, so that it is still to be had.
                 for i in range(rank):
                     square += column[i] * column[i]
@@ -149,7 +170,7 @@ def _lower(panels: FloatArray, n: int, shift: int) -> None:
 @_compiled
 def _factor(
     panels: FloatArray, work: Work, source: FloatArray, triangular: bool, rows: UintArray,
-    columns: UintArray, heights: IntArray, n: int, tolerance: float,
+    columns: UintArray, heights: IntArray, n: int, tolerance: float, longest: float,
 ) -> int:
     """Triangularise the system of some rows and n columns; return its rank.
 
@@ -168,16 +189,19 @@ def _factor(
         _gather(panels, source, rows[start:start + block], columns, heights, n)
         start += block
         complete = start == m and (kept == 0 or block == 0)
-        rank = _eliminate(panels, work, heights, n, tolerance if complete else -1.0)
+        rank = _eliminate(panels, work, heights, n, tolerance if complete else -1.0, longest)
         if complete:
             return rank
         kept = n
 
 
 @_compiled
-def _substitute(panels: FloatArray, columns: UintArray, n: int, coefficients: FloatArray) -> None:
+def _substitute(
+    panels: FloatArray, right: FloatArray, columns: UintArray, n: int, coefficients: FloatArray,
+) -> None:
     """Solve the triangle of n columns into the coefficients of those columns."""
-    right = panels[n // LANES, :, n % LANES]
+    for i in range(n):
+        right[i] = panels[n // LANES, i, n % LANES]
     for s in range(n - 1, -1, -1):
         column = panels[s // LANES, :s + 1, s % LANES]
         x = right[s] / column[s]
@@ -190,7 +214,8 @@ def _substitute(panels: FloatArray, columns: UintArray, n: int, coefficients: Fl
 def _solve(
     panels: FloatArray, work: Work, source: FloatArray, triangular: bool, feature: IntArray,
     rows: UintArray, columns: UintArray, heights: IntArray, terms: BoolArray,
-    features: BoolArray, tolerance: float, coefficients: FloatArray, violation: IntArray,
+    features: BoolArray, tolerance: float, longest: float, coefficients: FloatArray,
+    violation: IntArray,
 ) -> None:
     """Solve a population; rows, columns and heights are work space."""
     k = terms.shape[1]
@@ -198,9 +223,8 @@ def _solve(
         # A plain 0 would have everything below compiled for that constant too.
         n = int(np.intp(0))
         for j in range(k):
-            if terms[one, j]:
-                columns[n] = j
-                n += 1
+            columns[n] = j  # overwritten unless selected: cheaper than a branch on chance
+            n += terms[one, j]
         if n == 0:
             continue
         columns[n] = k
@@ -208,13 +232,12 @@ def _solve(
             columns[j] = k + 1
         m = 0
         for i in range(len(feature)):
-            if features[one, feature[i]]:
-                rows[m] = i
-                m += 1
+            rows[m] = i
+            m += features[one, feature[i]]
         violation[one] = n - _factor(panels, work, source, triangular, rows[:m], columns,
-                                     heights, n, tolerance)
+                                     heights, n, tolerance, longest)
         if violation[one] == 0:
-            _substitute(panels, columns, n, coefficients[one])
+            _substitute(panels, work[1], columns, n, coefficients[one])
 
 
 def _workspace(k: int, m: int) -> tuple[FloatArray, Work, IntArray, UintArray]:
@@ -223,14 +246,20 @@ def _workspace(k: int, m: int) -> tuple[FloatArray, Work, IntArray, UintArray]:
     columns = np.full(width * LANES, k + 1, dtype=np.uintp)
     columns[:k + 1] = np.arange(k + 1)
     work = np.zeros((k, rows)), np.zeros(k), np.zeros(k), np.zeros(k, dtype=np.intp)
-    return np.zeros((width, rows, LANES)), work, np.zeros(k, dtype=np.intp), columns
+    # Panels begin on a cache line, as each of their rows fills one.
+    size = width * rows * LANES
+    space = np.zeros(size + LANES)
+    start = -space.__array_interface__["data"][0] // space.itemsize % LANES
+    panels = space[start:start + size].reshape(width, rows, LANES)
+    return panels, work, np.zeros(k, dtype=np.intp), columns
 
 
 def _triangle(source: FloatArray) -> FloatArray:
     """Reduce all columns and the right-hand side; not by LAPACK, whose rounding varies."""
     m, k = source.shape[0], source.shape[1] - 2
     panels, work, heights, columns = _workspace(k, m)
-    _factor(panels, work, source, False, np.arange(m, dtype=np.uintp), columns, heights, k, -1.0)
+    _factor(panels, work, source, False, np.arange(m, dtype=np.uintp), columns, heights, k,
+            -1.0, 0.0)
     triangle = np.zeros((min(m, k), k + 2))
     by_rows = panels.transpose(1, 0, 2).reshape(panels.shape[1], panels.shape[0] * LANES)
     triangle[:, :k + 1] = np.triu(by_rows[:len(triangle), :k + 1])
@@ -248,11 +277,14 @@ class _Prepared:
     feature : ndarray of int, shape (m,)
     triangle : ndarray, shape (min(m, k), k + 2)
         The same after reduction to a triangle by QR.
+    longest : float
+        Length of the longest column.
     """
 
     source: FloatArray
     feature: IntArray
     triangle: FloatArray
+    longest: float
 
 
 _PREPARED: WeakKeyDictionary[Equations, _Prepared] = WeakKeyDictionary()
@@ -264,7 +296,8 @@ def _prepared(equations: Equations) -> _Prepared:
     if known is None:
         source = np.column_stack([equations.A, equations.b, np.zeros(len(equations.b))])
         source = np.ascontiguousarray(source, dtype=np.float64)
-        known = _Prepared(source, np.array(equations.feature, dtype=np.intp), _triangle(source))
+        known = _Prepared(source, np.array(equations.feature, dtype=np.intp), _triangle(source),
+                          float(np.linalg.norm(source[:, :-2], axis=0).max(initial=0.0)))
         _PREPARED[equations] = known
     return known
 
@@ -316,17 +349,18 @@ def solve_many(
     if columns.shape != (p, k) or len(rows) != p or rows.shape[1] <= feature.max(initial=-1):
         raise ValueError(f"masks of shapes {columns.shape} and {rows.shape} do not fit {k} terms "
                          f"and {equations.n_features} features")
-    packed = np.ascontiguousarray(np.packbits(np.concatenate([columns, rows], axis=1), axis=1))
-    _, first, copies = np.unique(packed.view(np.dtype((np.void, packed.shape[1]))).ravel(),
-                                 return_index=True, return_inverse=True)
-    columns, rows = columns[first], rows[first]
+    first, copies = _distinct(np.concatenate([columns, rows], axis=1))
+    if len(first) < p:
+        columns, rows = columns[first], rows[first]
+    # One memory layout for all, or each would be compiled for.
+    columns, rows = (np.require(mask, requirements=("C", "W")) for mask in (columns, rows))
     coefficients, violation = np.zeros(columns.shape), np.zeros(len(first), dtype=np.intp)
 
     def solve(part: slice) -> None:
         panels, work, heights, index = _workspace(k, len(source))
         _solve(panels, work, source, features is None, feature,
                np.zeros(len(source), dtype=np.uintp), index, heights, columns[part],
-               rows[part], TOLERANCE, coefficients[part], violation[part])
+               rows[part], TOLERANCE, shared.longest, coefficients[part], violation[part])
 
     if threads == 1:
         solve(slice(None))
@@ -334,7 +368,20 @@ def solve_many(
         edges = np.linspace(0, len(first), threads + 1).astype(int)
         with ThreadPoolExecutor(threads) as pool:
             list(pool.map(solve, map(slice, edges[:-1], edges[1:])))
-    return coefficients[copies], violation[copies]
+    return (coefficients, violation) if len(first) == p else (coefficients[copies],
+                                                              violation[copies])
+
+
+def _distinct(masks: BoolArray) -> tuple[list[int], list[int]]:
+    """Return the first occurrence of every distinct mask, and which of these each mask is.
+
+    Some hundredths of a solution's time, and a population that converges is full of twins.
+    """
+    packed = np.ascontiguousarray(np.packbits(masks, axis=1))
+    keys = packed.view(np.dtype((np.void, packed.shape[1]))).ravel().tolist()
+    first = dict(zip(reversed(keys), reversed(range(len(keys))), strict=True))
+    number = dict(zip(first, range(len(first)), strict=True))
+    return list(first.values()), list(map(number.__getitem__, keys))
 
 
 def needs_compilation() -> bool:

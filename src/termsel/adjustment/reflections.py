@@ -10,6 +10,7 @@ Compiled kernels are kept on disk until `kernels.py` changes; numba does not see
 
 from __future__ import annotations
 
+from functools import reduce
 from typing import Any
 
 import numba
@@ -39,25 +40,25 @@ def _reflector(count: int) -> Any:
         one = builder.insert_element(undefined, value, ir.IntType(32)(0))
         return builder.shuffle_vector(one, undefined, first)
 
-    def over_rows(builder: Any, start: Any, stop: Any, sums: list[Any], body: Any) -> list[Any]:
-        """Loop over rows, carrying `sums`, which `body` returns anew."""
+    def over_rows(builder: Any, row: Any, stop: Any, step: int, sums: list[Any],
+                  body: Any) -> tuple[Any, list[Any]]:
+        """Loop while `step` rows remain, carrying `sums`, which `body` returns anew."""
         before = builder.block
         head, inside, after = (builder.append_basic_block() for _ in range(3))
         builder.branch(head)
         builder.position_at_end(head)
-        row = builder.phi(start.type)
-        row.add_incoming(start, before)
-        carried = [builder.phi(row_of_lanes) for _ in sums]
-        for phi, initial in zip(carried, sums, strict=True):
-            phi.add_incoming(initial, before)
-        builder.cbranch(builder.icmp_signed("<", row, stop), inside, after)
+        at, carried = builder.phi(row.type), [builder.phi(row_of_lanes) for _ in sums]
+        following = builder.add(at, row.type(step))
+        builder.cbranch(builder.icmp_signed("<=", following, stop), inside, after)
         builder.position_at_end(inside)
-        for phi, new in zip(carried, body(row, carried), strict=True):
+        changed = body(at, carried)
+        for phi, initial, new in zip([at, *carried], [row, *sums], [following, *changed],
+                                     strict=True):
+            phi.add_incoming(initial, before)
             phi.add_incoming(new, builder.block)
-        row.add_incoming(builder.add(row, start.type(1)), builder.block)
         builder.branch(head)
         builder.position_at_end(after)
-        return carried
+        return at, carried
 
     def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         array = [context.make_array(kind)(context, builder, value)
@@ -77,12 +78,18 @@ def _reflector(count: int) -> Any:
                 spread(builder, builder.load(builder.gep(one, [row]))) for one in v]
 
         def accumulate(row: Any, sums: list[Any]) -> list[Any]:
-            _, values, weights = load(row)
-            return [builder.fadd(total, builder.fmul(weight, values))
-                    for total, weight in zip(sums, weights, strict=True)]
+            new = []
+            for i in range(0, len(sums), count):
+                _, values, weights = load(builder.add(row, row.type(i // count)))
+                new += [builder.fadd(total, builder.fmul(weight, values))
+                        for total, weight in zip(sums[i:i + count], weights, strict=True)]
+            return new
 
         zero = ir.Constant(row_of_lanes, [0.0] * LANES)
-        a = over_rows(builder, t, stop, [zero] * count, accumulate)
+        row, sums = over_rows(builder, t, stop, 4 // count, [zero] * 4, accumulate)
+        _, first_sums = over_rows(builder, row, stop, 1, sums[:count], accumulate)
+        a = [reduce(builder.fadd, [first, *sums[i + count::count]])
+             for i, first in enumerate(first_sums)]
         a[0] = builder.fmul(factors[0], a[0])
         if count == 2:
             product = spread(builder, builder.load(builder.gep(gram.data, [t])))
@@ -95,7 +102,7 @@ def _reflector(count: int) -> Any:
             builder.store(builder.fsub(values, change), where, align=8)
             return []
 
-        over_rows(builder, t, stop, [], subtract)
+        over_rows(builder, t, stop, 1, [], subtract)
         return context.get_dummy_value()
 
     @intrinsic
