@@ -1,0 +1,61 @@
+"""Sphinx settings."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from docutils import nodes
+from docutils.utils.math.latex2mathml import tex2mathml
+from sphinx.application import Sphinx
+
+import termsel
+
+project = "termsel"
+author = "The termsel developers"
+copyright = "the termsel developers"
+version = release = termsel.__version__
+
+extensions = [
+    "myst_parser",
+    "numpydoc",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.autosummary",
+    "sphinx_click",
+]
+
+myst_enable_extensions = ["colon_fence", "dollarmath", "amsmath", "deflist"]
+myst_heading_anchors = 3
+html_math_renderer = "mathml"
+templates_path = ["_templates"]
+exclude_patterns = ["_build", "Thumbs.db", ".DS_Store"]
+default_role = "py:obj"
+smartquotes = False  # which would make --option of a command into an en dash
+
+autosummary_generate = True
+autodoc_typehints = "none"  # the docstrings give types with shapes and units
+autodoc_member_order = "bysource"
+numpydoc_show_class_members = False
+numpydoc_class_members_toctree = False
+
+html_theme = "furo"
+html_title = f"termsel {release}"
+html_static_path = ["_static"]
+html_show_sphinx = False
+
+
+def inline_math(writer: Any, node: nodes.math) -> None:
+    """Write a formula as MathML, which browsers draw without a script from elsewhere."""
+    writer.body.append(tex2mathml(node.astext()))
+    raise nodes.SkipNode
+
+
+def displayed_math(writer: Any, node: nodes.math_block) -> None:
+    """Write a formula that stands alone."""
+    writer.body.append(f'<div class="math">{tex2mathml(node.astext(), as_block=True)}</div>')
+    raise nodes.SkipNode
+
+
+def setup(app: Sphinx) -> None:
+    """Register how formulae are written."""
+    app.add_html_math_renderer("mathml", (inline_math, None), (displayed_math, None))
+    app.add_css_file("termsel.css")

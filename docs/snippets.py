@@ -1,0 +1,175 @@
+"""Run the commands and Python snippets of a page, and compare or renew what it shows.
+
+    python docs/snippets.py README.md docs/tutorial.md      renews the output shown
+
+``console`` blocks hold commands behind ``$ `` and their output; ``python`` blocks are run as
+files, and a ``text`` block that follows at once is what they print. All run one after another in
+one folder. In the output shown, a line ``...`` stands for any number of lines. Blocks after the
+comment ``<!-- not run -->`` are left alone, and so is the command for the tests. What installs
+something, up to the last ``pip install ... &&``, is taken as done.
+
+The comparison leaves numbers out: another processor may round otherwise, and a search then finds
+another selection.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+ANYTHING = "..."
+_FENCE = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+_OUTPUT = re.compile(r"\n\n```text\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+_NOT_RUN = re.compile(r"<!-- (not run|tests)[^>]*-->\s*$")
+_INSTALLS = re.compile(r".*\bpip install [^&|;]*(&& |$)")
+_NUMBER = re.compile(r"-?\d+(\.\d+)?(e[+-]?\d+)?")
+
+
+@dataclass(frozen=True)
+class Step:
+    """One command or snippet, and the place of the output shown below it.
+
+    Parameters
+    ----------
+    code : str
+        A shell command, or Python.
+    python : bool
+    shown : str or None
+        The output on the page; None where it is not shown.
+    start, end : int
+        Where the output is in the text of the page.
+    """
+
+    code: str
+    python: bool
+    shown: str | None
+    start: int
+    end: int
+
+
+def steps(text: str) -> list[Step]:
+    """Return what a page has the reader run, in order."""
+    found = []
+    for block in _FENCE.finditer(text):
+        kind, body, start = block[1], block[2], block.start(2)
+        if _NOT_RUN.search(text[:block.start()]):
+            continue
+        if kind == "python":
+            output = _OUTPUT.match(text, block.end())
+            found.append(Step(body, True, output[1], output.start(1), output.end(1)) if output
+                         else Step(body, True, None, block.end(2), block.end(2)))
+        if kind == "console":
+            for command in re.finditer(r"^\$ (.*(?:\\\n.*)*)\n((?:(?!\$ ).*\n)*)", body,
+                                       re.MULTILINE):
+                found.append(Step(command[1], False, command[2], start + command.start(2),
+                                  start + command.end(2)))
+    return found
+
+
+def run(step: Step, folder: Path) -> str:
+    """Return what a step prints, on stdout and stderr together.
+
+    Raises
+    ------
+    RuntimeError
+        If a Python snippet fails; a command may fail where the page shows how.
+    """
+    if step.python:
+        command = [sys.executable, "-c", step.code]
+    else:
+        command = ["bash", "-c", _INSTALLS.sub("", step.code.replace("\\\n", " "))]
+    done = subprocess.run(
+        command, cwd=folder, env=_environment(folder), stdin=subprocess.DEVNULL, text=True,
+        stdout=subprocess.PIPE, stderr=subprocess.STDOUT, timeout=300, check=False)
+    if step.python and done.returncode:
+        raise RuntimeError(f"{step.code}\nfails:\n{done.stdout}")
+    return done.stdout
+
+
+def _environment(folder: Path) -> dict[str, str]:
+    """Return an environment in which `termsel` and `python` are this interpreter's."""
+    programs = folder / ".programs"
+    programs.mkdir(exist_ok=True)
+    for name, module in (("termsel", "-m termsel"), ("python", "")):
+        program = programs / name
+        program.write_text(f'#!/bin/sh\nexec "{sys.executable}" {module} "$@"\n')
+        program.chmod(0o755)
+    return {**os.environ, "PATH": f"{programs}{os.pathsep}{os.environ['PATH']}",
+            "COLUMNS": "80", "LC_ALL": "C.UTF-8"}
+
+
+def skeleton(line: str) -> str:
+    """Return a line without its numbers and without regard to the width of columns."""
+    return " ".join(_NUMBER.sub("#", line).split())
+
+
+def first_word(line: str) -> str:
+    """Return the first word of a line."""
+    return skeleton(line).partition(" ")[0]
+
+
+def renewed(shown: str, actual: str, alike: Callable[[str], str] = skeleton) -> str | None:
+    """Return the shown output with what was actually printed in its place.
+
+    Parameters
+    ----------
+    shown, actual : str
+    alike : callable
+        Two lines for which it returns the same are taken for each other.
+
+    Returns
+    -------
+    str or None
+        None if the two differ by more than that.
+    """
+    lines = _renewed(shown.splitlines(), actual.splitlines(), alike)
+    return None if lines is None else "".join(f"{line}\n" for line in lines)
+
+
+def _renewed(shown: list[str], actual: list[str], alike: Callable[[str], str],
+             ) -> list[str] | None:
+    if not shown:
+        return None if actual else []
+    if shown[0] == ANYTHING:
+        for skipped in range(len(actual) + 1):
+            rest = _renewed(shown[1:], actual[skipped:], alike)
+            if rest is not None:
+                return [ANYTHING, *rest]
+        return None
+    if not actual or alike(shown[0]) != alike(actual[0]):
+        return None
+    rest = _renewed(shown[1:], actual[1:], alike)
+    return None if rest is None else [actual[0], *rest]
+
+
+def main(pages: list[str]) -> None:
+    """Renew the output shown on pages."""
+    for page in pages:
+        path = Path(page)
+        text = path.read_text(encoding="utf-8")
+        new, done = "", 0
+        with tempfile.TemporaryDirectory() as folder:
+            for step in steps(text):
+                actual = run(step, Path(folder))
+                if step.shown is None:
+                    continue
+                lines = actual
+                if ANYTHING in step.shown.splitlines():
+                    kept = renewed(step.shown, actual) or renewed(step.shown, actual, first_word)
+                    if kept is None:
+                        sys.exit(f"{page}: mend by hand, as there is no knowing what ... stands for"
+                                 f"\n$ {step.code}\n{actual}")
+                    lines = kept
+                new += text[done:step.start] + lines
+                done = step.end
+        path.write_text(new + text[done:], encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
