@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import platform
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -128,6 +128,8 @@ def prepare(
               for part, known in declared.items()}
     of_problem = resolve(recipe.options, chosen["problem"])
     of_data = resolve(DATA_OPTIONS, chosen["data"])
+    if solver_type.max_objectives > 1 and "objectives" in of_problem:
+        of_problem["objectives"] = of_problem["objectives"] or recipe.second
     the_model = model_type(**{**own, **chosen["model"]})
     the_criterion = type(the_criterion)(**{**the_criterion.options, **chosen["criterion"]})
     the_solver = solver_type(**chosen["solver"])
@@ -140,12 +142,14 @@ def prepare(
         how=of_data["roles"], fractions=_fractions(of_data["fractions"]),
         rng=np.random.default_rng(of_data["split"]))
     require_heights(the_model, features)
-    _require_enough(observations, recipe)
+    _require_enough(observations, recipe, the_criterion)
     scaling = scaling_of(observations.control)
     inputs = Inputs(the_model, scaling.features(observations.control),
                     scaling.points(observations.check), scaling.image_scale, the_criterion,
                     of_problem)
-    return Task(recipe, recipe.build(inputs), the_model, the_solver, the_criterion, observations,
+    the_problem = recipe.build(inputs)
+    _require_able(the_solver, the_problem)
+    return Task(recipe, the_problem, the_model, the_solver, the_criterion, observations,
                 scaling, features, source or "given in Python",
                 {"problem": of_problem, "data": of_data})
 
@@ -155,6 +159,18 @@ def _refuse_unknown(given: Mapping[str, Any], declared: Mapping[str, Iterable[Op
     for key in given:
         if key not in known:
             raise unknown_name("option", key, known)
+
+
+def _require_able(solver: Solver, problem: Problem) -> None:
+    """Refuse a solver for fewer objectives than the problem has, naming those that can."""
+    wanted = len(problem.objectives)
+    if wanted > solver.max_objectives:
+        able = [entry.name for entry in registry().entries("solvers")
+                if entry.object.max_objectives >= wanted]
+        raise TermselError(
+            f"solver {solver.name!r} cannot minimise {wanted} objectives together: "
+            f"{', '.join(problem.objectives)}",
+            hint=f"Solvers that can: {', '.join(able) or 'none is installed'}.")
 
 
 def _fractions(text: str) -> tuple[float, ...]:
@@ -169,16 +185,17 @@ def _fractions(text: str) -> tuple[float, ...]:
     return shares
 
 
-def _require_enough(observations: Observations, recipe: Recipe) -> None:
+def _require_enough(observations: Observations, recipe: Recipe, criterion: Criterion) -> None:
     control, check = observations.control, observations.check
     if len(control) < MIN_CONTROL:
         raise TermselError(
             f"{len(control)} control features are too few: {recipe.name} needs at least "
             f"{MIN_CONTROL}", hint="Measure more, or give more of them the role control.")
-    if len(check) < MIN_CHECK:
+    if criterion.needs_check and len(check) < MIN_CHECK:
         raise TermselError(
-            f"{len(check)} check points are too few: {recipe.name} needs at least {MIN_CHECK}",
-            hint="Give more points the role check; they judge the fitness of a selection.")
+            f"{len(check)} check points are too few: criterion {criterion.name} needs at least "
+            f"{MIN_CHECK}", hint="Give more points the role check; they judge the fitness of a "
+            "selection. --criterion press does without.")
     flat = np.ptp(control.ground_vertices()[:, :2], axis=0)
     spread = np.linalg.svd(control.ground_vertices()[:, :2]
                            - control.ground_vertices()[:, :2].mean(axis=0), compute_uv=False)
@@ -246,7 +263,7 @@ def run(
         claim_folder(Path(out))
     found = search(task.problem, task.solver, seed=seed, generations=generations,
                    evaluations=evaluations, seconds=seconds, observers=observers)
-    result = assess(task, found)
+    result = assess(task, recommended(task, found))
     if out is not None:
         write_result(result, Path(out))
     registry().notify_run_finished(result)
@@ -290,9 +307,43 @@ def assess(task: Task, found: Search) -> Result:
         front=tuple(_front(task, found)), certificate=_certificate(task, found))
 
 
+def recommended(task: Task, found: Search) -> Search:
+    """Return the search with the recommended member of its front as its selection.
+
+    The rule is the problem's option "recommend". The standard error of the best criterion is
+    taken as that of an RMSE of normal errors, RMSE / sqrt(2 f), with f = 2 n coordinates of n
+    check points. The knee is the member farthest below the straight line between the front's
+    ends, in the logarithm of the criterion, which spans orders of magnitude, and the second
+    objective, both scaled to [0, 1].
+
+    Parameters
+    ----------
+    task : Task
+    found : Search
+        Of a problem with several objectives; any other is returned as it is.
+    """
+    if len(task.problem.objectives) < 2 or not found.front:
+        return found
+    evaluation = task.problem.evaluate(np.array(found.front))
+    first, second = evaluation.objectives[:, 0], evaluation.objectives[:, 1]
+    rule = task.options["problem"]["recommend"]
+    index = int(np.argmin(first))
+    if rule == "one-standard-error":
+        bound = first[index] * (1 + 1 / np.sqrt(4 * max(len(task.observations.check), 1)))
+        within = np.flatnonzero(first <= bound)
+        index = int(within[np.lexsort((first[within], second[within]))[0]])
+    elif rule == "knee" and np.ptp(first) > 0 and np.ptp(second) > 0:
+        height = np.log(first) if first.min() > 0 else first
+        below = (height - height.min()) / np.ptp(height) + (second - second.min()) / np.ptp(second)
+        index = int(np.argmin(below))
+    return replace(found, genes=found.front[index], objectives=evaluation.objectives[index],
+                   violation=float(evaluation.violation[index]))
+
+
 def _certificate(task: Task, found: Search) -> Mapping[str, Any] | None:
     """Return what the solver proved, or how far its find is from the proven optimum."""
-    if found.certificate is not None or found.violation or found.interrupted:
+    if (found.certificate is not None or found.violation or found.interrupted
+            or len(found.objectives) > 1):
         return found.certificate
     return gap(task.problem, float(found.objectives[0]))
 
@@ -305,9 +356,10 @@ def _front(task: Task, found: Search) -> Iterable[Mapping[str, Any]]:
         member = fit(task.model, observations.control, task.scaling,
                      _mask(task.model.terms, selection.terms),
                      _mask(observations.control.ids, selection.features))
-        value = float(task.problem.evaluate(genes[None]).objectives[0, 0])
-        yield {"objectives": {task.problem.objectives[0]: value,
-                              "n_terms": len(selection.terms)},
+        values = task.problem.evaluate(genes[None]).objectives[0].tolist()
+        size = len(selection.features if task.recipe.second == "n_features" else selection.terms)
+        yield {"objectives": {task.recipe.second: size,
+                              **dict(zip(task.problem.objectives, values, strict=True))},
                "selection": {"terms": list(selection.terms),
                              "features": list(selection.features),
                              "n_terms": len(selection.terms),

@@ -13,7 +13,7 @@ from termsel.errors import TermselError
 from termsel.features import BoolArray, FloatArray
 from termsel.problems.base import EnumerablePart, Evaluation, Problem, Selection
 from termsel.solvers.base import Generation, Solver
-from termsel.solvers.local import descend
+from termsel.solvers.local import descend, neighbours
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,7 +86,9 @@ class Search:
     certificate : mapping, optional
         What the solver proved, if anything.
     front : tuple of ndarray of bool
-        Non-dominated individuals, where the solver yields them.
+        With several objectives all feasible individuals evaluated that no other dominates,
+        each point of the front once, by the first objective; with one, what the solver
+        yields of the kind.
     """
 
     genes: BoolArray
@@ -161,6 +163,22 @@ class Ledger(Problem):
         """Return what an observer is told."""
         genes = generation.genes[0] if self.best_genes is None else self.best_genes
         return Progress(generation, self.count, share, self.best[1], self.best[0], genes)
+
+    def front(self) -> list[BoolArray]:
+        """Return the feasible individuals that none dominates, by first objective."""
+        if not self._objectives:
+            return []
+        objectives = np.array(self._objectives)
+        rows = np.flatnonzero(np.array(self._violation) == 0)
+        rows = rows[np.lexsort(objectives[rows].T[::-1])]
+        kept: list[int] = []
+        for row in rows:
+            # Sorted by the first objective: only an earlier one can dominate or equal.
+            if not (objectives[kept] <= objectives[row]).all(axis=1).any():
+                kept.append(int(row))
+        keys = list(self._row_of)
+        packed = np.array([np.frombuffer(keys[row], dtype=np.uint8) for row in kept])
+        return [np.unpackbits(one, count=self.genome.size).astype(bool) for one in packed]
 
     def _look_up(self, genes: BoolArray) -> Evaluation:
         keys = _keys(genes)
@@ -270,7 +288,7 @@ def search(
             if budget.spent(generation, ledger):
                 break
         done = ledger.count
-        if solver.options.get("polish") and len(problem.objectives) == 1:
+        if solver.options.get("polish"):
             polish = _polish(ledger)
     except KeyboardInterrupt:
         if ledger.best_genes is None:
@@ -282,7 +300,8 @@ def search(
                   generation.index + 1 if generation else 0, ledger.lookups,
                   time.perf_counter() - start, interrupted, polish,
                   generation.details.get("certificate") if generation else None,
-                  tuple(generation.details.get("front", ())) if generation else ())
+                  tuple(ledger.front() if len(problem.objectives) > 1
+                        else generation.details.get("front", ()) if generation else ()))
 
 
 def _until_spent(running: Iterator[Generation]) -> Iterator[Generation]:
@@ -293,15 +312,38 @@ def _until_spent(running: Iterator[Generation]) -> Iterator[Generation]:
 
 
 def _polish(ledger: Ledger) -> Polish | None:
-    """Descend from the best individual, beyond the budget."""
+    """Descend from the best individual, or from every member of a front, beyond the budget."""
     if ledger.best_genes is None:
         return None
     found, count = ledger.best[1], ledger.count
     ledger.limit = ledger.deadline = None
-    start = ledger.best_genes[None]
-    for _ in descend(ledger, start, ledger.evaluate(start)):
-        pass
+    if len(ledger.objectives) == 1:
+        start = ledger.best_genes[None]
+        for _ in descend(ledger, start, ledger.evaluate(start)):
+            pass
+    else:
+        _widen(ledger)
     return Polish(found, ledger.best[1], ledger.count - count)
+
+
+def _widen(ledger: Ledger) -> None:
+    """Look at all neighbours of all members of the front until no member is new.
+
+    A front of many objectives has no end of members, so this costs at most as many
+    evaluations as the search before it.
+    """
+    seen: set[bytes] = set()
+    most = 2 * ledger.count
+    while True:
+        new = [genes for genes in ledger.front() if genes.tobytes() not in seen]
+        if not new:
+            return
+        for genes in new:
+            seen.add(genes.tobytes())
+            for around in neighbours(genes, ledger.genome):
+                if ledger.count + len(around) > most:
+                    return
+                ledger.evaluate(around)
 
 
 @dataclass(frozen=True)

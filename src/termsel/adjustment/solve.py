@@ -113,14 +113,21 @@ def solve(
 
 
 def _rank(A: FloatArray) -> int:
-    """Count the columns that keep more than TOLERANCE of their length beside the others."""
+    """Return the rank by the rule of the compiled kernels.
+
+    Full rank means that each column keeps more than TOLERANCE of its length beside those
+    before it. Where one does not, pivoting counts the independent ones.
+    """
     if 0 in A.shape:
         return 0
     lengths = np.linalg.norm(A, axis=0)
-    live = lengths > 0
-    if not live.any():
+    live = A[:, lengths > 0] / lengths[lengths > 0]
+    n_terms = A.shape[1]
+    if not live.size:
         return 0
-    # Pivoting lets the largest independent set come first, so that columns after a
-    # dependent one are judged against independent ones alone.
-    r = linalg.qr(A[:, live] / lengths[live], mode="r", pivoting=True)[0]
-    return int((np.abs(np.diag(r)) > TOLERANCE).sum())
+    if live.shape[1] == n_terms <= A.shape[0]:
+        r = linalg.qr(live, mode="r")[0]
+        if (np.abs(np.diag(r)) > TOLERANCE).all():
+            return n_terms
+    r = linalg.qr(live, mode="r", pivoting=True)[0]
+    return min(int((np.abs(np.diag(r)) > TOLERANCE).sum()), n_terms - 1)

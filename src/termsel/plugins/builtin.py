@@ -39,9 +39,9 @@ def termsel_problems() -> Iterable[Recipe]:
 @hookimpl
 def termsel_criteria() -> Iterable[Criterion]:
     """Return the built-in criteria."""
-    from termsel.criteria import CheckRmse
+    from termsel.criteria import CheckRmse, Ebic, KFold, Press
 
-    return [CheckRmse()]
+    return [CheckRmse(), Press(), KFold(), Ebic()]
 
 
 @hookimpl
@@ -51,8 +51,9 @@ def termsel_solvers() -> Iterable[type[Solver]]:
     from termsel.solvers.exact import Exact
     from termsel.solvers.ga import GeneticAlgorithm
     from termsel.solvers.local import Swap
+    from termsel.solvers.pareto import AgeMoea2, Nsga2, SmsEmoa, Spea2
 
-    return [GeneticAlgorithm, Exact, Swap, RandomSearch, AllTerms]
+    return [GeneticAlgorithm, Nsga2, AgeMoea2, SmsEmoa, Spea2, Exact, Swap, RandomSearch, AllTerms]
 
 
 @hookimpl

@@ -28,6 +28,8 @@ class Recipe:
         Kind of control features.
     options : tuple of Option
         Further settings of the problem.
+    second : str
+        The objective beside the criterion where a solver for several is asked for.
     source : str
         The paper the problem comes from.
     """
@@ -42,6 +44,7 @@ class Recipe:
     model_options: Mapping[str, Any] = field(default_factory=dict)
     control: str = "points"
     options: tuple[Option, ...] = ()
+    second: str = "n_terms"
     source: str = ""
 
 
@@ -53,8 +56,20 @@ COUNTS = (
     Option("min_features", None, "Fewest control features of a selection; by default free.",
            int, 1),
     Option("max_features", None, "Most control features of a selection; by default free. With "
-           "the same number for both, m features of n are chosen.", int, 1),
+           "the same number for both, m of n features are chosen.", int, 1),
 )
+
+OBJECTIVES = Option(
+    "objectives", None, "Objectives beside the criterion, with commas between: n_terms, "
+    "n_features, max_correlation, log_condition, uncovered, unevenness. By default none, or, "
+    "with a solver for several, the number of what is selected.")
+RECOMMEND = Option(
+    "recommend", "one-standard-error", "Which member of a front is the selection: the one with "
+    "the least second objective within one standard error of the best criterion; the knee; or "
+    "the best criterion.", choices=("one-standard-error", "knee", "best"))
+
+OF_TERMS = (MASK, MIXED, OBJECTIVES, RECOMMEND)
+OF_FEATURES = (MIXED, *COUNTS, OBJECTIVES, RECOMMEND)
 
 
 def _terms(inputs: Inputs) -> Problem:
@@ -73,20 +88,21 @@ YAVARI = "Yavari, Valadan Zoej, Salehi 2018 (OWDIS)"
 
 RECIPES = (
     Recipe("rfm-terms", "Which terms of a rational function model to use.", _terms,
-           model="rfm", dataset="ikonos-hamedan", options=(MASK, MIXED),
+           model="rfm", dataset="ikonos-hamedan", options=OF_TERMS,
            source="Valadan Zoej et al. 2007; Akhoundi Khezrabad et al. 2020"),
     Recipe("poly-terms", "Which terms of a plane polynomial to use.", _terms,
-           model="poly2d", dataset="ikonos-hamedan", options=(MASK, MIXED),
+           model="poly2d", dataset="ikonos-hamedan", options=OF_TERMS,
            source="Valadan Zoej et al. 2002; Zakaryaie Nejad et al. 2015"),
     Recipe("owdis-points", "Which control points to use.", _features,
-           model="poly3d", dataset="ikonos-hamedan", options=(MIXED, *COUNTS), source=YAVARI),
-    Recipe("owdis-lines", "Which control lines to use.", _features,
-           model="poly3d", dataset="ikonos-hamedan", control="lines", options=(MIXED, *COUNTS),
+           model="poly3d", dataset="ikonos-hamedan", options=OF_FEATURES, second="n_features",
            source=YAVARI),
+    Recipe("owdis-lines", "Which control lines to use.", _features,
+           model="poly3d", dataset="ikonos-hamedan", control="lines",
+           options=OF_FEATURES, second="n_features", source=YAVARI),
     Recipe("owdis-points-terms", "Which control points and which model terms to use.", _both,
            model="rfm", model_options={"order": 2}, dataset="ikonos-hamedan",
-           options=(MASK, MIXED, *COUNTS), source=YAVARI),
+           options=(*OF_TERMS, *COUNTS), source=YAVARI),
     Recipe("owdis-lines-terms", "Which control lines and which model terms to use.", _both,
            model="rfm", model_options={"order": 2}, dataset="ikonos-hamedan", control="lines",
-           options=(MASK, MIXED, *COUNTS), source=YAVARI),
+           options=(*OF_TERMS, *COUNTS), source=YAVARI),
 )

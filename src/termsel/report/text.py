@@ -10,6 +10,7 @@ from termsel.fitting import Rmse
 from termsel.result import ROLES, Result, Rmses
 
 _WIDTH = 88
+_LONGEST_FRONT = 40
 _TITLES = {"all-terms": "conventional (all)", "affine": "affine *", "quadratic": "quadratic *",
            "cubic": "cubic *"}
 
@@ -21,7 +22,8 @@ def summary(result: Result) -> str:
     ----------
     result : Result
     """
-    return "\n".join([*_head(result), "", *_table(result), "", *_foot(result)]) + "\n"
+    return "\n".join([*_head(result), "", *_table(result), "", *_front(result), *_foot(result)]
+                     ) + "\n"
 
 
 def _head(result: Result) -> Iterator[str]:
@@ -70,6 +72,28 @@ def _table(result: Result) -> Iterator[str]:
         yield f"{name:<24}{n_terms:>6}{control:>12}{check:>12}{independent:>14}"
     yield "* plain polynomial fitted to control and check together, so its check figure is a fit"
     yield "check = the fitness the search drove down; independent = the accuracy"
+
+
+def _front(result: Result) -> Iterator[str]:
+    """Yield the front, the recommended member marked."""
+    if not result.front:
+        return
+    names = list(result.front[0]["objectives"])
+    yield "Front: " + "".join(f"{name:>16}" for name in names) + f"{'independent':>14}"
+    if len(result.front) > _LONGEST_FRONT:
+        yield f"       {len(result.front)} members; all of them stand in result.json"
+        return
+    for member in result.front:
+        total = member["rmse"]["independent"]["total"]
+        chosen = (tuple(member["selection"]["terms"]) == result.selection.terms
+                  and tuple(member["selection"]["features"]) == result.selection.features)
+        yield ("    -> " if chosen else " " * 7) + "".join(
+            f"{member['objectives'][name]:>16.5g}" for name in names
+        ) + f"{'-' if total is None else f'{total:.3f}':>14}"
+    rule = result.options["problem"].get("recommend")
+    if len(result.objectives) > 1 and rule:
+        yield f"-> the selection, recommended by the rule {rule} (--set recommend=...)"
+    yield ""
 
 
 def _figure(rmse: Rmse | None) -> str:

@@ -1,0 +1,127 @@
+"""Objectives beside the criterion: fewer terms or features, sounder or wider spread ones."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import ConvexHull, QhullError
+
+from termsel.adjustment.equations import Equations
+from termsel.features import BoolArray, FeatureSet, FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Chosen:
+    """What a population selects, as an objective sees it.
+
+    Parameters
+    ----------
+    equations : Equations
+        Of all terms and all control features.
+    control : FeatureSet
+    terms : ndarray of bool, shape (p, k)
+    features : ndarray of bool, shape (p, f)
+    """
+
+    equations: Equations
+    control: FeatureSet
+    terms: BoolArray
+    features: BoolArray
+
+
+def n_terms(chosen: Chosen) -> FloatArray:
+    """Return the number of terms in use."""
+    return chosen.terms.sum(axis=1).astype(np.float64)
+
+
+def n_features(chosen: Chosen) -> FloatArray:
+    """Return the number of control features in use."""
+    return chosen.features.sum(axis=1).astype(np.float64)
+
+
+def max_correlation(chosen: Chosen) -> FloatArray:
+    """Return the largest absolute correlation between two columns in use.
+
+    Correlations are those of the columns of the full design matrix over all control
+    (Akhoundi Khezrabad et al. 2020, eq. 3; as an objective after Gholinejad et al. 2019).
+    Columns without variance correlate with nothing.
+    """
+    A = chosen.equations.A - chosen.equations.A.mean(axis=0)
+    lengths = np.linalg.norm(A, axis=0)
+    A = A / np.where(lengths > 1e-12 * (1 + np.abs(chosen.equations.A).max()), lengths, np.inf)
+    correlation = np.abs(A.T @ A)
+    np.fill_diagonal(correlation, 0.0)
+    largest = np.zeros(len(chosen.terms))
+    for row, mask in zip(correlation, chosen.terms.T, strict=True):
+        here = np.where(chosen.terms, row, 0.0).max(axis=1)
+        largest = np.maximum(largest, np.where(mask, here, 0.0))
+    return np.minimum(largest, 1.0)
+
+
+def log_condition(chosen: Chosen) -> FloatArray:
+    """Return log10 of the condition number of the used rows and columns, scaled to length 1."""
+    A, feature = chosen.equations.A, chosen.equations.feature
+    result = np.empty(len(chosen.terms))
+    for i, (terms, features) in enumerate(zip(chosen.terms, chosen.features, strict=True)):
+        part = A[np.ix_(features[feature], terms)]
+        lengths = np.linalg.norm(part, axis=0) if part.size else np.zeros(1)
+        if not part.size or (lengths == 0).any() or part.shape[0] < part.shape[1]:
+            result[i] = _SINGULAR
+            continue
+        values = np.linalg.svd(part / lengths, compute_uv=False)
+        result[i] = min(_SINGULAR, np.log10(values[0] / max(values[-1], 1e-300)))
+    return result
+
+
+_SINGULAR = 16.0
+
+
+def _centres(control: FeatureSet) -> FloatArray:
+    """Return the image position of each feature, of lines the middle."""
+    return np.concatenate([control.points.image, control.lines.image.mean(axis=1)])
+
+
+def uncovered(chosen: Chosen) -> FloatArray:
+    """Return the share of the image that the hull of the chosen features leaves out.
+
+    The image is the smallest rectangle around all control on offer. (Covered area as an
+    objective: Konugurthi et al. 2016; their formula could not be consulted.)
+    """
+    centres = _centres(chosen.control)
+    area = float(np.prod(np.ptp(centres, axis=0)))
+    return np.array([1.0 - min(1.0, _hull_area(centres[mask]) / area) if area > 0 else 1.0
+                     for mask in chosen.features])
+
+
+def _hull_area(points: FloatArray) -> float:
+    if len(points) < 3:
+        return 0.0
+    try:
+        return float(ConvexHull(points).volume)
+    except QhullError:  # all on one line
+        return 0.0
+
+
+def unevenness(chosen: Chosen) -> FloatArray:
+    """Return how unevenly the chosen features lie: 0 where all are as far from a neighbour.
+
+    The coefficient of variation of the distances to the nearest chosen neighbour in the
+    image; 1 for fewer than three features. termsel's own measure.
+    """
+    centres = _centres(chosen.control)
+    distance = np.linalg.norm(centres[:, None] - centres[None], axis=2)
+    np.fill_diagonal(distance, np.inf)
+    result = np.ones(len(chosen.features))
+    for i, mask in enumerate(chosen.features):
+        if mask.sum() >= 3:
+            nearest = distance[np.ix_(mask, mask)].min(axis=1)
+            result[i] = nearest.std() / nearest.mean() if nearest.mean() > 0 else 1.0
+    return result
+
+
+OBJECTIVES: dict[str, Callable[[Chosen], FloatArray]] = {
+    "n_terms": n_terms, "n_features": n_features, "max_correlation": max_correlation,
+    "log_condition": log_condition, "uncovered": uncovered, "unevenness": unevenness}
+"""Objectives by name; all are to be small."""

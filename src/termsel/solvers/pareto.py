@@ -1,0 +1,141 @@
+"""Several objectives at once, with the algorithms of pymoo."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Iterator
+from typing import Any, ClassVar
+
+import numpy as np
+from pymoo.algorithms.moo.age2 import AGEMOEA2
+from pymoo.algorithms.moo.nsga2 import NSGA2
+from pymoo.algorithms.moo.sms import SMSEMOA
+from pymoo.algorithms.moo.spea2 import SPEA2
+from pymoo.core.algorithm import Algorithm
+from pymoo.core.problem import Problem as PymooProblem
+from pymoo.core.repair import Repair
+from pymoo.core.sampling import Sampling
+from pymoo.core.termination import NoTermination
+from pymoo.operators.crossover.ux import UX
+from pymoo.operators.mutation.bitflip import BitflipMutation
+
+from termsel.features import BoolArray
+from termsel.options import Option
+from termsel.problems.base import Evaluation, Genome, Problem
+from termsel.solvers.base import POLISH, Generation, Solver
+
+
+class _Keep(Repair):  # type: ignore[misc]
+    """Forced genes and cardinality, after every operator."""
+
+    def __init__(self, genome: Genome, rng: np.random.Generator) -> None:
+        super().__init__()
+        self.genome, self.rng = genome, rng
+
+    def _do(self, problem: PymooProblem, X: BoolArray, **_: Any) -> BoolArray:
+        return self.genome.repair(X.astype(bool), self.rng)
+
+
+class _Start(Sampling):  # type: ignore[misc]
+    """The random population that all solvers start from."""
+
+    def __init__(self, genome: Genome, rng: np.random.Generator) -> None:
+        super().__init__()
+        self.genome, self.rng = genome, rng
+
+    def _do(self, problem: PymooProblem, n_samples: int, **_: Any) -> BoolArray:
+        return self.genome.random(self.rng, n_samples)
+
+
+class PymooSolver(Solver):
+    """Base of the solvers that let pymoo search: they differ in what survives.
+
+    Start, uniform crossover, bit flips and repair are the same for all. The violation is a
+    constraint, so that feasible selections come first.
+    """
+
+    max_objectives: ClassVar[int] = 8
+    default_generations = 100
+    declared_options = (
+        Option("population", 100, "Number of selections.", int, 4),
+        Option("mutation", None, "Chance that a gene flips; by default 1 over the number of "
+               "genes.", float, 0.0, 1.0),
+        POLISH,
+    )
+
+    @abstractmethod
+    def algorithm(self, **common: Any) -> Algorithm:
+        """Return the pymoo algorithm; `common` holds population and operators."""
+
+    def generations(self, problem: Problem, rng: np.random.Generator) -> Iterator[Generation]:
+        """Yield generations without end (see `Solver.generations`)."""
+        size = problem.genome.size
+        rate = 1.0 / size if self.options["mutation"] is None else self.options["mutation"]
+        algorithm = self.algorithm(
+            pop_size=self.options["population"], sampling=_Start(problem.genome, rng),
+            crossover=UX(), mutation=BitflipMutation(prob=1.0, prob_var=rate),
+            repair=_Keep(problem.genome, rng))
+        algorithm.setup(
+            PymooProblem(n_var=size, n_obj=len(problem.objectives), n_ieq_constr=1, xl=0, xu=1,
+                         vtype=bool),
+            termination=NoTermination())
+        algorithm.random_state = rng
+        index = 0
+        while True:
+            asked = algorithm.ask()
+            if asked is None or not len(asked):
+                return  # every offspring is a duplicate: nothing is left to try
+            evaluation = problem.evaluate(asked.get("X").astype(bool))
+            asked.set("F", evaluation.objectives)
+            asked.set("G", evaluation.violation[:, None])
+            for one in asked:
+                one.evaluated.update({"F", "G"})
+            algorithm.tell(infills=asked)
+            kept = algorithm.pop
+            yield Generation(index, kept.get("X").astype(bool),
+                             Evaluation(kept.get("F"), np.maximum(kept.get("G")[:, 0], 0.0)))
+            index += 1
+
+
+class Nsga2(PymooSolver):
+    """NSGA-II: non-dominated sorting and crowding distance (Deb et al. 2002)."""
+
+    name = "nsga2"
+
+    def algorithm(self, **common: Any) -> Algorithm:
+        """Return pymoo's NSGA2."""
+        return NSGA2(**common)
+
+
+class AgeMoea2(PymooSolver):
+    """AGE-MOEA-II: survival by proximity and diversity on an estimated front (Panichella 2022)."""
+
+    name = "age-moea2"
+
+    def algorithm(self, **common: Any) -> Algorithm:
+        """Return pymoo's AGEMOEA2."""
+        return AGEMOEA2(**common)
+
+
+class SmsEmoa(PymooSolver):
+    """SMS-EMOA: survival by contribution to the dominated hypervolume (Beume et al. 2007)."""
+
+    name = "sms-emoa"
+
+    def algorithm(self, **common: Any) -> Algorithm:
+        """Return pymoo's SMSEMOA."""
+        return SMSEMOA(**common)
+
+
+class Spea2(PymooSolver):
+    """SPEA2: survival by strength and nearest neighbours (Zitzler et al. 2001).
+
+    It stands where one might expect MOEA/D, whose pymoo version evaluates one selection at a
+    time and takes no constraints: here that means no batches and no feasibility.
+    """
+
+    name = "spea2"
+
+    def algorithm(self, **common: Any) -> Algorithm:
+        """Return pymoo's SPEA2."""
+        return SPEA2(**common)
