@@ -1,0 +1,137 @@
+"""Several objectives: fronts, what is recommended from them, and who can search them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import termsel
+from termsel.features import FeatureSet, Points
+from termsel.problems.objectives import Chosen, max_correlation, uncovered, unevenness
+from termsel.running import recommended
+from termsel.searching import Search
+
+SOLVERS = ("nsga2", "age-moea2", "sms-emoa", "spea2")
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_a_front_has_neither_dominated_members_nor_duplicates(solver: str) -> None:
+    result = termsel.run("poly-terms", solver=solver, evaluations=800,
+                         options={"degree": 4, "population": 40})
+    points = np.array([[m["objectives"]["check-rmse"], m["objectives"]["n_terms"]]
+                       for m in result.front])
+    assert len(np.unique(points, axis=0)) == len(points) > 3
+    for point in points:
+        others = (points <= point).all(axis=1) & (points < point).any(axis=1)
+        assert not others.any()
+    for member in result.front:
+        assert member["rmse"]["check"]["total"] == pytest.approx(
+            member["objectives"]["check-rmse"], rel=1e-6)
+        assert member["rmse"]["independent"]["n"] == 26
+        assert member["selection"]["n_terms"] == member["objectives"]["n_terms"]
+
+
+@pytest.mark.slow
+def test_nsga2_lies_on_the_exact_front_of_the_21_term_problem() -> None:
+    exact = termsel.run("poly-terms", solver="exact", options={"degree": 5})
+    best = {m["objectives"]["n_terms"]: m["objectives"]["check-rmse"] for m in exact.front}
+    result = termsel.run("poly-terms", solver="nsga2", evaluations=20_000, options={"degree": 5})
+    on = [m["objectives"]["check-rmse"] == pytest.approx(best.get(m["objectives"]["n_terms"], 0))
+          for m in result.front]
+    assert np.mean(on) >= 0.9
+
+
+def two(n: int = 4) -> tuple[termsel.Task, Search]:
+    task = termsel.prepare("poly-terms", solver="nsga2", options={"degree": 4})
+    return task, termsel.search(task.problem, task.solver, generations=n)
+
+
+def test_the_rules_recommend_what_they_say() -> None:
+    task, found = two()
+    evaluation = task.problem.evaluate(np.array(found.front))
+    first, second = evaluation.objectives.T
+    assert (np.diff(first) > 0).all()
+    assert (np.diff(second) < 0).all()
+    chosen = {}
+    for rule in ("best", "knee", "one-standard-error"):
+        task.options["problem"]["recommend"] = rule
+        chosen[rule] = recommended(task, found).objectives
+    assert chosen["best"][0] == first.min()
+    bound = first.min() * (1 + 1 / np.sqrt(4 * 24))
+    assert chosen["one-standard-error"][0] <= bound
+    assert (second[first <= bound] >= chosen["one-standard-error"][1]).all()
+    assert chosen["knee"][1] < chosen["best"][1]
+
+
+def test_a_front_of_one_member_is_recommended() -> None:
+    task, found = two()
+    alone = Search(**{**vars(found), "front": found.front[:1]})
+    task.options["problem"]["recommend"] = "knee"
+    assert (recommended(task, alone).genes == found.front[0]).all()
+
+
+def test_a_solver_for_one_objective_is_refused_with_those_that_can() -> None:
+    with pytest.raises(termsel.TermselError, match="Solvers that can: nsga2, age-moea2"):
+        termsel.run("poly-terms", solver="ga", options={"objectives": "n_terms"})
+
+
+def test_unknown_objectives_are_refused() -> None:
+    with pytest.raises(termsel.TermselError, match="unknown objective 'terms'"):
+        termsel.run("poly-terms", solver="nsga2", options={"objectives": "terms"})
+
+
+class Hopeless(termsel.Problem):
+    """Nothing is feasible."""
+
+    genome = termsel.Genome([termsel.Segment("all", tuple("abcdef"))])
+    objectives = ("one", "two")
+
+    def evaluate(self, genes: np.ndarray) -> termsel.Evaluation:
+        return termsel.Evaluation(np.zeros((len(genes), 2)), genes.sum(axis=1) + 1.0)
+
+    def decode(self, genes: np.ndarray) -> termsel.Selection:
+        return termsel.Selection((), ())
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_without_anything_feasible_the_least_violation_is_returned(solver: str) -> None:
+    from termsel.plugins.manager import registry
+
+    found = termsel.search(Hopeless(), registry().get("solvers", solver)(population=10),
+                           generations=5)
+    assert found.violation >= 1
+    assert found.front == ()
+
+
+def test_an_infeasible_result_says_so_in_words() -> None:
+    features = termsel.simulate_scene("ikonos-hamedan")
+    result = termsel.run("rfm-terms", solver="all-terms", features=features)
+    assert not result.feasible
+    assert "No selection satisfied all conditions" in result.judgement
+
+
+def chosen(image: np.ndarray, mask: np.ndarray) -> Chosen:
+    task = termsel.prepare("poly-terms", options={"degree": 1})
+    control = FeatureSet(Points(tuple(f"P{i}" for i in range(len(image))), image,
+                                np.column_stack([image, np.zeros(len(image))])))
+    return Chosen(task.problem.equations, control, np.ones((len(mask), 6), dtype=bool), mask)
+
+
+def test_uncovered_and_unevenness_of_a_square() -> None:
+    square = np.array([[0.0, 0], [0, 10], [10, 0], [10, 10], [5, 5]])
+    masks = np.array([[1, 1, 1, 1, 0], [1, 1, 1, 0, 0], [1, 1, 0, 0, 0], [1, 0, 0, 1, 1]], bool)
+    assert uncovered(chosen(square, masks)) == pytest.approx([0.0, 0.5, 1.0, 1.0])
+    assert unevenness(chosen(square, masks)) == pytest.approx([0.0, 0.0, 1.0, 0.0])
+
+
+def test_max_correlation_is_that_of_numpy() -> None:
+    task = termsel.prepare("rfm-terms", options={"order": 2})
+    A = task.problem.equations.A
+    rng = np.random.default_rng(0)
+    masks = rng.random((20, A.shape[1])) < 0.3
+    got = max_correlation(Chosen(task.problem.equations, task.problem.inputs.control, masks,
+                                 np.ones((20, 24), dtype=bool)))
+    for mask, value in zip(masks, got, strict=True):
+        correlation = np.abs(np.corrcoef(A[:, mask].T))
+        np.fill_diagonal(correlation, 0)
+        assert value == pytest.approx(correlation.max(), abs=1e-9)
