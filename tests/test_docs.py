@@ -63,6 +63,7 @@ def _plugin_of_the_readme(folder: Path) -> None:
         "[termsel]\n" + "".join(f"{name} = {module}\n" for name, module in points.items()))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("page", ["README.md", "docs/tutorial.md", "docs/simulated.md",
                                   "docs/plugins.md"])
 def test_page_shows_what_its_snippets_print(page: str, tmp_path: Path) -> None:
