@@ -158,12 +158,15 @@ class EnumerablePart:
         As for `termsel.adjustment.subsets.search`.
     cost : callable
         Turns the best score of every size, shape (k + 1,), into what adds up over the parts.
+    folds : tuple of ndarray of int
+        For the score "kfold": the control rows left out together.
     """
 
     genes: IntArray
     system: SubsetSystem
     score: str
     cost: Callable[[FloatArray], FloatArray]
+    folds: tuple[IntArray, ...] = ()
 
 
 class Problem(ABC):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -50,17 +52,32 @@ def enumerable_parts(inputs: Inputs, equations: Equations, genome: Genome,
     axis = model.axis
     if (row_axes(equations.A, axis) == 2).any() or (axis == 2).any():
         raise _unwalkable("lines or a shared denominator couple the axes")
+    _refuse_other_errors(inputs)
     sides = [_side(model, inputs, equations, side, guard, margin) for side in (LINE, SAMPLE)]
     genes = [gene_of_term[axis == side] for side in (LINE, SAMPLE)]
     if len(genome.segments) == 1:
         sides, genes = [_merge(sides, genes)], genes[:1]
+    # One row a point and axis, so that the rows of a fold are its points.
+    folds = criterion.subset_folds(inputs.control.points)
     parts = []
-    for system, where in zip(sides, genes, strict=True):
+    for side, where in zip(sides, genes, strict=True):
         order = np.argsort(where)  # columns in the order of the genes
-        parts.append(EnumerablePart(
-            where[order], _ordered(system, order, genome, where[order]), criterion.subset_score,
-            criterion.subset_cost))
+        system = _ordered(side, order, genome, where[order])
+        parts.append(EnumerablePart(where[order], system, criterion.subset_score,
+                                    partial(criterion.subset_cost, system=system), folds))
     return tuple(parts)
+
+
+def _refuse_other_errors(inputs: Inputs) -> None:
+    """Refuse scores of control rows where a row's error is not that of its point [pixel]."""
+    name, points = inputs.criterion.name, inputs.control.points
+    if inputs.criterion.subset_score not in ("press", "kfold"):
+        return
+    if points.sigma is not None and np.ptp(points.sigma) > 0:
+        raise _unwalkable(f"standard deviations weight the rows, and {name!r} is of pixels")
+    if inputs.model.residual_weights(points.ground, points.ground[:1]) is not None:
+        raise _unwalkable(f"model {inputs.model.name!r} spreads the residuals of the control, "
+                          f"which {name!r} would have to do anew for every feature left out")
 
 
 def _unwalkable(why: str) -> TermselError:
@@ -71,9 +88,19 @@ def _unwalkable(why: str) -> TermselError:
 def _side(model: RationalModel, inputs: Inputs, equations: Equations, side: int,
           guard: FloatArray, margin: float) -> SubsetSystem:
     """Return the system of one axis with the errors at the check points."""
-    check, points = inputs.check, inputs.control.points
-    axis = model.axis
+    points, axis = inputs.control.points, model.axis
     control = equations.take(row_axes(equations.A, axis) == side, axis == side)
+    system = SubsetSystem(
+        control.A, control.b[:, None], denominator=_below(model, points.ground, side),
+        guard_denominator=_below(model, guard, side), margin=margin,
+        some_of=np.ones(control.A.shape[1], dtype=bool))
+    return _with_check(system, model, inputs, side) if inputs.criterion.needs_check else system
+
+
+def _with_check(system: SubsetSystem, model: RationalModel, inputs: Inputs,
+                side: int) -> SubsetSystem:
+    """Return the system with the rows of the check points."""
+    check, points = inputs.check, inputs.control.points
     judged = _axis_of_points(model, check, side)
     weights = model.residual_weights(points.ground, check.ground)
     A, b = judged.A, judged.b
@@ -81,10 +108,8 @@ def _side(model: RationalModel, inputs: Inputs, equations: Equations, side: int,
         # The correction is linear in the residuals of the control, hence in the unknowns.
         plain = _axis_of_points(model, points, side)
         A, b = A - weights @ plain.A, b - weights @ plain.b
-    return SubsetSystem(
-        control.A, control.b[:, None], A, b[:, None],
-        _below(model, points.ground, side), _below(model, check.ground, side),
-        _below(model, guard, side), margin, some_of=np.ones(A.shape[1], dtype=bool))
+    return replace(system, check_design=A, check_target=b[:, None],
+                   check_denominator=_below(model, check.ground, side))
 
 
 def _axis_of_points(model: RationalModel, points: Points, side: int) -> Equations:
@@ -106,12 +131,14 @@ def _merge(sides: list[SubsetSystem], genes: list[IntArray]) -> SubsetSystem:
     line, sample = sides
     alike = (np.array_equal(genes[0], genes[1]) and line.denominator is None
              and np.array_equal(line.design, sample.design))
-    if not alike or line.check_target is None or sample.check_target is None:
+    if not alike:
         raise _unwalkable("with one mask for both axes, line and sample must have the same "
                           "columns and no denominators; --set mask=per-axis can be walked")
+    check_target = (None if line.check_target is None or sample.check_target is None
+                    else np.concatenate([line.check_target, sample.check_target], axis=1))
     return SubsetSystem(
         line.design, np.concatenate([line.target, sample.target], axis=1), line.check_design,
-        np.concatenate([line.check_target, sample.check_target], axis=1), some_of=line.some_of)
+        check_target, some_of=line.some_of)
 
 
 def _ordered(system: SubsetSystem, order: IntArray, genome: Genome,

@@ -7,10 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from termsel.adjustment.equations import Equations, row_axes
-from termsel.adjustment.kernels import solve_many
-from termsel.criteria import Criterion, Fits
-from termsel.errors import TermselError
+from termsel.adjustment.parts import independent_parts, solve_parts
+from termsel.criteria import POLE_MARGIN, Criterion, Fits
+from termsel.errors import TermselError, unknown_name
 from termsel.features import BoolArray, FeatureSet, FloatArray, IntArray, Points, select
 from termsel.models.base import LINE, SAMPLE, SensorModel
 from termsel.problems.base import (
@@ -23,10 +22,8 @@ from termsel.problems.base import (
     Selection,
 )
 from termsel.problems.enumeration import enumerable_parts
+from termsel.problems.objectives import OBJECTIVES, Chosen
 from termsel.roles import spatial_order
-
-POLE_MARGIN = 0.1
-"""Least value of a denominator over the scene; vendor RPCs stay within some hundredths of 1."""
 
 GUARDED = 100
 """Features at which denominators are looked at beside the grid; polynomials of third order
@@ -82,10 +79,10 @@ class SelectionProblem(Problem):
                  mask: str = "per-axis") -> None:
         model, control = inputs.model, inputs.control
         self.inputs = inputs
-        self.objectives = (inputs.criterion.name,)
+        self.objectives = _objectives(inputs)
         self.equations = model.equations(control)
         self._guard = guard_points(control, inputs.check)
-        self._parts = _independent_parts(self.equations, model.axis)
+        self._parts = independent_parts(self.equations, model.axis)
         names = model.terms
         segments = []
         self._gene_of_term: IntArray | None = None
@@ -107,7 +104,7 @@ class SelectionProblem(Problem):
         """Refuse before any search what no selection could solve."""
         most = self.genome.segments[-1].maximum if self._selects_features else None
         for part in self._parts:
-            rows, columns = part.rows.sum(), part.columns.sum()
+            rows, columns = part.equations.A.shape
             if most is not None:
                 rows = rows * most // len(self.inputs.control)
             if not selects_terms and rows < columns:
@@ -123,20 +120,36 @@ class SelectionProblem(Problem):
         """Return the criterion and the violation of a population (see `Problem.evaluate`).
 
         The violation counts terms that are not determined, axes without a numerator term,
-        and by how much a denominator falls short of POLE_MARGIN somewhere in the scene.
+        and by how much a denominator falls short of POLE_MARGIN somewhere in the scene; it is
+        1 where nothing of this is wrong and yet the criterion has no figure.
         """
         inputs = self.inputs
         terms, features = self.masks(genes)
-        coefficients, violation = self._coefficients(terms, features)
-        fits = Fits(inputs.model, inputs.control.points, inputs.check, inputs.pixels, terms,
-                    coefficients)
+        coefficients, violation = solve_parts(self._parts, terms, features)
         violation += self._empty_axes(terms)
         violation += pole_violation(inputs.model, coefficients, self._guard)
-        score = np.full(len(genes), WORST)
         good = violation == 0
-        score[good] = inputs.criterion.score(fits)[good]
+        score = np.full(len(genes), WORST)
+        if good.any():
+            score[good] = inputs.criterion.score(Fits(
+                inputs.model, inputs.control.points, inputs.check, inputs.pixels, terms[good],
+                coefficients[good], inputs.control.lines, self._parts,
+                None if features is None else features[good], self._gene_of_term))
+        violation[~np.isfinite(score)] = 1.0
         score = np.minimum(np.nan_to_num(score, nan=WORST, posinf=WORST), WORST)
-        return Evaluation(score[:, None], violation)
+        return Evaluation(self._others(score, terms, features), violation)
+
+    def _others(self, score: FloatArray, terms: BoolArray,
+                features: BoolArray | None) -> FloatArray:
+        """Return the criterion with the objectives beside it, in their order, shape (p, m)."""
+        if len(self.objectives) == 1:
+            return score[:, None]
+        control = self.inputs.control
+        chosen = Chosen(self.equations, control, terms,
+                        np.ones((len(terms), len(control)), dtype=bool)
+                        if features is None else features)
+        return np.column_stack([score, *(OBJECTIVES[name](chosen)
+                                         for name in self.objectives[1:])])
 
     def masks(self, genes: BoolArray) -> tuple[BoolArray, BoolArray | None]:
         """Return masks of terms, shape (p, k), and of features, shape (p, f) or None for all."""
@@ -177,23 +190,22 @@ class SelectionProblem(Problem):
             blocks.append(block)
         return np.concatenate(blocks)
 
-    def _coefficients(self, terms: BoolArray, features: BoolArray | None,
-                      ) -> tuple[FloatArray, FloatArray]:
-        coefficients = np.zeros(terms.shape)
-        violation = np.zeros(len(terms))
-        for part in self._parts:
-            chosen = None if self._gene_of_term is None else terms[:, part.columns]
-            solution, lacking = solve_many(part.equations, chosen, features)
-            coefficients[:, part.columns] = solution
-            violation += lacking
-        return coefficients, violation
-
     def _empty_axes(self, terms: BoolArray) -> FloatArray:
         axis = self.inputs.model.axis
         if not np.isin([LINE, SAMPLE], axis).all():
             return np.zeros(len(terms))
         line, sample = terms[:, axis == LINE], terms[:, axis == SAMPLE]
         return np.asarray(2.0 - line.any(axis=1) - sample.any(axis=1))
+
+
+def _objectives(inputs: Inputs) -> tuple[str, ...]:
+    """Return the criterion's name and those of the option "objectives"."""
+    asked = [name.strip() for name in str(inputs.options.get("objectives") or "").split(",")]
+    others = [name for name in asked if name and name != inputs.criterion.name]
+    for name in others:
+        if name not in OBJECTIVES:
+            raise unknown_name("objective", name, [*OBJECTIVES, inputs.criterion.name])
+    return (inputs.criterion.name, *dict.fromkeys(others))
 
 
 def _feature_counts(inputs: Inputs) -> tuple[int, int | None]:
@@ -233,23 +245,6 @@ def pole_violation(model: SensorModel, coefficients: FloatArray,
         return np.zeros(len(coefficients))
     least = np.nan_to_num(below, nan=-WORST).min(axis=(1, 2))
     return np.asarray(np.clip(POLE_MARGIN - least, 0.0, WORST))
-
-
-@dataclass(frozen=True, eq=False)
-class _Part:
-    rows: BoolArray
-    columns: BoolArray
-    equations: Equations
-
-
-def _independent_parts(equations: Equations, axis: IntArray) -> tuple[_Part, ...]:
-    """Split the system by axis where no row and no term speaks of both."""
-    rows = row_axes(equations.A, axis)
-    if (rows == 2).any() or (axis == 2).any():
-        masks = [(np.ones(len(rows), dtype=bool), np.ones(len(axis), dtype=bool))]
-    else:
-        masks = [(rows == side, axis == side) for side in (LINE, SAMPLE)]
-    return tuple(_Part(r, c, equations.take(r, c)) for r, c in masks)
 
 
 def _interpolates(model: SensorModel, control: FeatureSet) -> bool:

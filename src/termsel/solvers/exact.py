@@ -135,7 +135,7 @@ def prove(problem: Problem, max_terms: int | None = None,
     """
     parts = problem.parts()
     limits = [_limits(problem, part, max_terms) for part in parts]
-    walks = [subsets.search(part.system, part.score, max_terms=most,
+    walks = [subsets.search(part.system, part.score, folds=part.folds, max_terms=most,
                             workers=workers or os.cpu_count() or 1)
              for part, (_, most) in zip(parts, limits, strict=True)]
     minimum = tuple(least for least, _ in limits)
@@ -198,7 +198,7 @@ def gap(problem: Problem, found: float) -> dict[str, Any] | None:
     if not front:
         return None
     optimum = float(problem.evaluate(front[-1][None]).objectives[0, 0])
-    return {"optimal": found <= optimum * (1 + TIE), "subsets": proof.decided,
+    return {"optimal": found <= optimum + TIE * abs(optimum), "subsets": proof.decided,
             "of": proof.total, "space": "all selections", "optimum": optimum,
             "gap": max(0.0, found / optimum - 1) if optimum > 0 else None}
 
@@ -236,7 +236,7 @@ class Exact(Solver):
         workers = self.options["workers"] or os.cpu_count() or 1
         parts = problem.parts()
         seconds = sum(
-            subsets.estimate_seconds(part.system, part.score, workers=workers,
+            subsets.estimate_seconds(part.system, part.score, folds=part.folds, workers=workers,
                                      max_terms=_limits(problem, part, most)[1])
             for part in parts)
         space = f"selections of up to {most} terms" if most else "all selections"

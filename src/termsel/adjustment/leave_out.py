@@ -1,0 +1,222 @@
+"""Solutions without one feature at a time, from a single orthogonal factorisation each.
+
+With A = Q R the solution without feature i, whose rows are A_i and b_i, is
+
+    x_(i) = x - R^-1 Q_i' (I - Q_i Q_i')^-1 (b_i - A_i x),
+
+so that all features together cost about as much as a second factorisation. The leverages
+Q_i Q_i' come from Householder's Q, whose columns are orthogonal to rounding error whatever
+the condition of A.
+
+References
+----------
+Allen 1974, Technometrics 16(1): the prediction sum of squares. Cook and Weisberg 1982, Residuals
+and Influence in Regression, ch. 2: solutions without one row, or without several together.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, TypeVar, cast
+
+import numba
+import numpy as np
+
+from termsel.adjustment.equations import Equations
+from termsel.adjustment.reflections import LANES, apply_one
+from termsel.adjustment.solve import TOLERANCE
+from termsel.features import BoolArray, FloatArray, IntArray
+
+Work = tuple[FloatArray, FloatArray, FloatArray]
+"""Of the reflections: vectors, factors, and room that single reflections do not need."""
+
+_Function = TypeVar("_Function", bound=Callable[..., Any])
+
+
+def _compiled(function: _Function) -> _Function:
+    """Compile on first call and keep the machine code on disk.
+
+    Sums are taken in one order, whatever the width of the machine's registers. Without
+    _nrt=False every slice would cost two atomic operations; hence nothing may be allocated here.
+    """
+    compiler = numba.njit(cache=True, nogil=True, error_model="numpy",
+                          _nrt=False)  # type: ignore[call-overload]
+    return cast(_Function, compiler(function))
+
+
+@_compiled
+def _add(target: FloatArray, weight: float, u: FloatArray) -> None:
+    """Add a multiple of a vector to another."""
+    for i in range(len(target)):
+        target[i] += weight * u[i]
+
+
+@_compiled
+def _factor(panels: FloatArray, q: FloatArray, n: int, m: int, work: Work,
+            tolerance: float) -> bool:
+    """Triangularise n columns of A, and b after them, in place; False if they are dependent.
+
+    Columns lie in panels, m rows each. `q` becomes the same panels of [Q, b - A x].
+    """
+    vectors, beta, gram = work
+    last = n // LANES
+    for j in range(n):
+        column, v = panels[j // LANES, :m, j % LANES], vectors[j, j:m]
+        square = 0.0
+        for i in range(len(v)):
+            v[i] = column[j + i]
+            square += v[i] ** 2
+        norm = np.sqrt(square)
+        # Reflections preserve a column's length, so that it is still to be had.
+        for i in range(j):
+            square += column[i] ** 2
+        if norm <= tolerance * np.sqrt(square):
+            return False
+        if v[0] > 0.0:
+            norm = -norm
+        v[0] -= norm
+        beta[j] = -1.0 / (norm * v[0])
+        for c in range(j // LANES, last + 1):
+            apply_one(panels, vectors, beta, gram, c, j, m)
+        column[j] = norm
+    for c in range(last + 1):
+        for i in range(m):
+            for lane in range(LANES):
+                q[c, i, lane] = 1.0 if LANES * c + lane == i else 0.0
+    for i in range(m):
+        q[last, i, n % LANES] = panels[last, i, n % LANES] if i >= n else 0.0
+    for j in range(n - 1, -1, -1):
+        for c in range(j // LANES, last + 1):
+            apply_one(q, vectors, beta, gram, c, j, m)
+    return True
+
+
+@_compiled
+def _transpose(panels: FloatArray, n: int, m: int, columns: FloatArray) -> None:
+    """Lay out the first n columns, and the one after them, one after the other."""
+    for s in range(n + 1):
+        for i in range(m):
+            columns[s, i] = panels[s // LANES, i, s % LANES]
+
+
+@_compiled
+def _weigh(q: FloatArray, n: int, start: int, errors: FloatArray, block: FloatArray,
+           tolerance: float) -> bool:
+    """Turn a feature's errors b_i - A_i x into (I - Q_i Q_i')^-1 times them; False if singular.
+
+    The feature's rows begin at `start`. The matrix is factored by Cholesky's method.
+    """
+    for i in range(len(errors)):
+        for j in range(i + 1):
+            value = 1.0 if i == j else 0.0
+            for s in range(n):
+                value -= q[s, start + i] * q[s, start + j]
+            for s in range(j):
+                value -= block[i, s] * block[j, s]
+            if i > j:
+                block[i, j] = value / block[j, j]
+                errors[i] -= block[i, j] * errors[j]
+            elif value <= tolerance:
+                return False
+            else:
+                block[i, i] = np.sqrt(value)
+        errors[i] /= block[i, i]
+    for i in range(len(errors) - 1, -1, -1):
+        for j in range(i + 1, len(errors)):
+            errors[i] -= block[j, i] * errors[j]
+        errors[i] /= block[i, i]
+    return True
+
+
+@_compiled
+def _leave_out(
+    source: FloatArray, first: IntArray, terms: BoolArray, features: BoolArray, tolerance: float,
+    panels: tuple[FloatArray, FloatArray], work: Work, room: tuple[FloatArray, ...],
+    index: tuple[IntArray, IntArray, IntArray], solutions: FloatArray, determined: BoolArray,
+) -> None:
+    """Fill in the solutions of a population; the rows of feature f begin at first[f]."""
+    columns, right, block = room
+    chosen, used, start = index
+    system, other = panels
+    k = terms.shape[1]
+    for one in range(len(terms)):
+        n, m, count = 0, 0, 0
+        for c in range(k):
+            if terms[one, c]:
+                chosen[n] = c
+                n += 1
+        chosen[n] = k
+        for f in range(features.shape[1]):
+            if features[one, f]:
+                used[count], start[count] = f, m
+                for i in range(first[f], first[f + 1]):
+                    for s in range(n + 1):
+                        system[s // LANES, m, s % LANES] = source[i, chosen[s]]
+                    m += 1
+                count += 1
+        start[count] = m
+        determined[one] = n < m and _factor(system, other, n, m, work, tolerance)
+        if not determined[one]:
+            continue
+        _transpose(other, n, m, columns)
+        for g in range(count):
+            determined[one] = determined[one] and _weigh(
+                columns, n, start[g], columns[n, start[g]:start[g + 1]], block, tolerance)
+        if not determined[one]:
+            continue
+        # Right-hand sides of the triangle: one a feature, and in the end that of the solution.
+        for s in range(n - 1, -1, -1):
+            target = right[s, :count + 1]
+            for g in range(count):
+                total = 0.0
+                for i in range(start[g], start[g + 1]):
+                    total += columns[s, i] * columns[n, i]
+                target[g] = total
+            target[count] = system[n // LANES, s, n % LANES]
+            for t in range(s + 1, n):
+                _add(target, -system[t // LANES, s, t % LANES], right[t, :count + 1])
+            for g in range(count + 1):
+                target[g] /= system[s // LANES, s, s % LANES]
+        for g in range(count):
+            for s in range(n):
+                solutions[used[g], one, chosen[s]] = right[s, count] - right[s, g]
+
+
+def leave_one_out(equations: Equations, terms: BoolArray, features: BoolArray,
+                  ) -> tuple[FloatArray, BoolArray]:
+    """Solve a population of masked least-squares systems without one feature at a time.
+
+    Parameters
+    ----------
+    equations : Equations
+        m rows, k columns.
+    terms : ndarray of bool, shape (p, k)
+        Selected columns of each individual.
+    features : ndarray of bool, shape (p, n)
+        Selected features of each individual.
+
+    Returns
+    -------
+    solutions : ndarray, shape (n, p, k)
+        Coefficients without feature 0 to n - 1; 0 where a term or that feature is not
+        selected.
+    determined : ndarray of bool, shape (p,)
+        False where the selected terms are dependent or some feature is indispensable: I - Q_i
+        Q_i' then has a pivot of `termsel.adjustment.solve.TOLERANCE` or less. The solutions of
+        such an individual are not to be used.
+    """
+    order = np.argsort(equations.feature, kind="stable")
+    source = np.ascontiguousarray(np.column_stack([equations.A, equations.b])[order])
+    n = features.shape[1]
+    first = np.searchsorted(equations.feature[order], np.arange(n + 1)).astype(np.intp)
+    m, k = equations.A.shape
+    tallest = int(np.diff(first).max())
+    panels = np.empty((2, k // LANES + 1, m, LANES))
+    work = np.empty((k, m)), np.empty(k), np.empty(k)
+    room = np.empty((k + 1, m)), np.empty((k, n + 1)), np.empty((tallest, tallest))
+    index = np.empty(k + 1, np.intp), np.empty(n, np.intp), np.empty(n + 1, np.intp)
+    solutions = np.zeros((n, *terms.shape))
+    determined = np.empty(len(terms), dtype=bool)
+    _leave_out(source, first, np.ascontiguousarray(terms), np.ascontiguousarray(features),
+               TOLERANCE, (panels[0], panels[1]), work, room, index, solutions, determined)
+    return solutions, determined

@@ -1,0 +1,254 @@
+"""Public base of criteria: a population of fitted models in, one figure for each out."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
+
+from termsel.adjustment.equations import line_normals
+from termsel.adjustment.parts import Part
+from termsel.features import BoolArray, FloatArray, IntArray, Lines, Points, no_lines
+from termsel.models.base import RationalModel, SensorModel
+from termsel.options import Configurable
+
+if TYPE_CHECKING:
+    from termsel.adjustment.subset_system import SubsetSystem
+
+POLE_MARGIN = 0.1
+"""Least value of a denominator over the scene; vendor RPCs stay within some hundredths of 1."""
+
+
+def predict(model: SensorModel, coefficients: FloatArray, control: Points,
+            ground: FloatArray) -> FloatArray:
+    """Return image positions, with the correction an interpolating model adds.
+
+    Parameters
+    ----------
+    model : SensorModel
+    coefficients : ndarray, shape (..., k)
+    control : Points
+        Control points in scaled coordinates, whose residuals an interpolating model spreads.
+    ground : ndarray, shape (n, 3)
+        Scaled.
+
+    Returns
+    -------
+    ndarray, shape (..., n, 2)
+        Scaled line and sample.
+    """
+    image = model.project(coefficients, ground)
+    weights = model.residual_weights(control.ground, ground) if len(control) else None
+    if weights is not None:
+        image = image + weights @ (control.image - model.project(coefficients, control.ground))
+    return image
+
+
+@dataclass(frozen=True, eq=False)
+class Fits:
+    """A population of fitted models, as a criterion sees it.
+
+    Parameters
+    ----------
+    model : SensorModel
+    control, check : Points
+        In scaled coordinates.
+    pixels : float
+        Pixels per scaled image unit.
+    terms : ndarray of bool, shape (p, k)
+        Terms in use.
+    coefficients : ndarray, shape (p, k)
+    lines : Lines
+        Control lines in scaled coordinates.
+    parts : tuple of Part
+        The systems the coefficients were solved from. Criteria that look at the check points
+        alone do without these and what follows.
+    used : ndarray of bool, shape (p, n), optional
+        Control features in use, points before lines; None if features are not selected.
+    gene_of_term : ndarray of int, shape (k,), optional
+        Terms with one number are switched together; None if each stands for itself.
+    """
+
+    model: SensorModel
+    control: Points
+    check: Points
+    pixels: float
+    terms: BoolArray
+    coefficients: FloatArray
+    lines: Lines = field(default_factory=no_lines)
+    parts: tuple[Part, ...] = ()
+    used: BoolArray | None = None
+    gene_of_term: IntArray | None = None
+
+    @cached_property
+    def check_errors(self) -> FloatArray:
+        """Predicted minus measured line and sample of the check points [pixel], (p, n, 2)."""
+        predicted = predict(self.model, self.coefficients, self.control, self.check.ground)
+        return np.asarray((predicted - self.check.image) * self.pixels)
+
+    @property
+    def in_use(self) -> BoolArray:
+        """Control features in use, points before lines, shape (p, n)."""
+        if self.used is not None:
+            return self.used
+        return np.ones((len(self.terms), len(self.control) + len(self.lines)), dtype=bool)
+
+    @cached_property
+    def _lines(self) -> tuple[FloatArray, FloatArray]:
+        return line_normals(self.lines)
+
+    def held_out(self, coefficients: FloatArray, features: IntArray) -> FloatArray:
+        """Return squared errors of control features under solutions they took no part in.
+
+        Parameters
+        ----------
+        coefficients : ndarray, shape (p, k)
+        features : ndarray of int, shape (n,)
+            In ascending order: points before lines.
+
+        Returns
+        -------
+        ndarray, shape (p, n)
+            Of a point dl^2 + ds^2, of a line the sum of the squared distances of both ground
+            vertices from the image line [pixel^2]; infinite where a denominator falls short
+            of POLE_MARGIN.
+        """
+        owner, ground = self._vertices
+        seen = np.isin(owner, features)
+        others = self.control
+        if self._interpolates:
+            others = others.take(~np.isin(np.arange(len(others)), features))
+        with np.errstate(over="ignore", invalid="ignore"):
+            image = predict(self.model, coefficients, others, ground[seen])
+            return self._squares(image, self.model.denominators(coefficients, ground[seen]),
+                                 features)
+
+    def held_out_each(self, coefficients: FloatArray) -> FloatArray:
+        """Return squared errors of all control features, each under a solution without it.
+
+        Parameters
+        ----------
+        coefficients : ndarray, shape (n, p, k)
+            Without feature 0 to n - 1.
+
+        Returns
+        -------
+        ndarray, shape (p, n)
+            As `held_out`.
+        """
+        model, features = self.model, np.arange(len(coefficients))
+        if not isinstance(model, RationalModel) or self._interpolates:
+            return np.concatenate([self.held_out(one, features[i:i + 1])
+                                   for i, one in enumerate(coefficients)], axis=1)
+        # Numerators and denominators are linear: those of unit vectors tell all.
+        owner, ground = self._vertices
+        solutions = coefficients[owner] if len(self.lines) else coefficients
+        one_each = np.eye(coefficients.shape[2])
+        below = model.denominators(one_each, ground)
+        above = np.nan_to_num(model.project(one_each, ground))  # 0 / 0 of a denominator's term
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+            image = (solutions @ above.transpose(1, 0, 2)).transpose(1, 0, 2)
+            if below is not None:
+                below = 1.0 + (solutions @ (below - 1.0).transpose(1, 0, 2)).transpose(1, 0, 2)
+                image = image / below
+            return self._squares(image, below, features)
+
+    @cached_property
+    def _interpolates(self) -> bool:
+        ground = self.control.ground
+        return len(ground) > 0 and self.model.residual_weights(ground, ground[:1]) is not None
+
+    @cached_property
+    def _vertices(self) -> tuple[IntArray, FloatArray]:
+        """Points and ground vertices of lines: the features they are of, and where they are."""
+        n, lines = len(self.control), np.arange(len(self.lines))
+        return (np.concatenate([np.arange(n), n + np.repeat(lines, 2)]),
+                np.concatenate([self.control.ground, self.lines.ground.reshape(-1, 3)]))
+
+    @cached_property
+    def _image_lines(self) -> tuple[FloatArray, FloatArray]:
+        return line_normals(self.lines)
+
+    def _squares(self, image: FloatArray, below: FloatArray | None,
+                 features: IntArray) -> FloatArray:
+        """Return squared errors, given image positions and denominators of the vertices."""
+        n = len(self.control)
+        points, lines = features[features < n], features[features >= n] - n
+        squares = ((image[:, :len(points)] - self.control.image[points])**2).sum(axis=2)
+        if len(lines):
+            normal, rho = (np.repeat(part[lines], 2, axis=0) for part in self._image_lines)
+            distances = rho - (image[:, len(points):] * normal).sum(axis=2)
+            squares = np.concatenate([squares, distances**2], axis=1)
+        if below is not None:
+            squares = np.where((below >= POLE_MARGIN).all(axis=2), squares, np.inf)
+        ends = squares[:, len(points):].reshape(len(squares), -1, 2).sum(axis=2)
+        return np.concatenate([squares[:, :len(points)], ends], axis=1) * self.pixels**2
+
+    def rmse(self, squares: FloatArray) -> FloatArray:
+        """Return the RMSE of the control in use, infinite without any, shape (p,).
+
+        As everywhere, sqrt(mean(dl^2 + ds^2)) over points and over both vertices of lines.
+
+        Parameters
+        ----------
+        squares : ndarray, shape (p, n)
+            As from `held_out`, of all control features.
+        """
+        used = self.in_use
+        errors = np.repeat([1.0, 2.0], [len(self.control), len(self.lines)])
+        count = used @ errors
+        total = np.where(used, squares, 0.0).sum(axis=1)
+        mean = np.divide(total, count, out=np.full(len(used), np.inf), where=count > 0)
+        return np.asarray(np.sqrt(mean))
+
+
+class Criterion(Configurable, ABC):
+    """A figure of merit of fitted models; smaller is better."""
+
+    needs_check: ClassVar[bool] = True
+    """Whether the figure is that of check points; others do without any."""
+
+    subset_score: ClassVar[str] = ""
+    """Score of `termsel.adjustment.subsets.search` from which the figure follows, if any."""
+
+    @abstractmethod
+    def score(self, fits: Fits) -> FloatArray:
+        """Return one figure for each of the p fitted models, shape (p,).
+
+        A model without a finite figure counts as one that cannot be used.
+        """
+
+    def subset_cost(self, scores: FloatArray, system: SubsetSystem) -> FloatArray:
+        """Return what adds up over the parts, from the best score of each size.
+
+        Parameters
+        ----------
+        scores : ndarray, shape (k + 1,)
+            Of the best selections of 0 to k terms of one part.
+        system : SubsetSystem
+            The part: m rows, k columns, and a right-hand side for each axis it is of.
+        """
+        return scores
+
+    def subset_folds(self, control: Points) -> tuple[IntArray, ...]:
+        """Return the control points left out together, for the subset score "kfold"."""
+        return ()
+
+
+class CheckRmse(Criterion):
+    """RMSE over the check points [pixel]: the fitness of all five papers.
+
+    sqrt(mean(dl^2 + ds^2)) over points. A search drives it below what the model achieves
+    elsewhere, so it is never an accuracy.
+    """
+
+    name = "check-rmse"
+    subset_score = "check"
+
+    def score(self, fits: Fits) -> FloatArray:
+        """Return the RMSE [pixel]."""
+        with np.errstate(over="ignore", invalid="ignore"):
+            return np.asarray(np.sqrt((fits.check_errors**2).sum(axis=2).mean(axis=1)))

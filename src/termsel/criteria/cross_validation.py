@@ -1,0 +1,112 @@
+"""Criteria that predict control features from the others."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from termsel.adjustment.leave_out import leave_one_out
+from termsel.adjustment.parts import solve_parts
+from termsel.criteria.base import Criterion, Fits
+from termsel.features import FloatArray, IntArray, Lines, Points, no_lines
+from termsel.options import Option
+from termsel.roles import spatial_order
+
+_SOLUTIONS = 1 << 22
+"""Coefficients of leave-one-out solutions held at once: 32 MB."""
+
+
+class Press(Criterion):
+    """RMSE of each control feature, predicted from all others [pixel]; needs no check points.
+
+    A feature leaves with all its rows, and what is squared is its true image error under the
+    solution without it, over the denominator of that solution. A selection in which some
+    feature is indispensable has no figure. Where features are selected too, only those in use
+    are judged, so that a search is free to leave out awkward ones.
+
+    References
+    ----------
+    Allen 1974, Technometrics 16(1): the prediction sum of squares, here its root mean.
+    """
+
+    name = "press"
+    needs_check = False
+    subset_score = "press"
+
+    def score(self, fits: Fits) -> FloatArray:
+        """Return the RMSE [pixel]."""
+        p, k = fits.terms.shape
+        used = fits.in_use
+        n = used.shape[1]
+        squares = np.empty((p, n))
+        step = max(1, _SOLUTIONS // (n * k))
+        for some in (slice(start, start + step) for start in range(0, p, step)):
+            solutions = np.zeros((n, *fits.terms[some].shape))
+            determined = np.ones(len(fits.terms[some]), dtype=bool)
+            for part in fits.parts:
+                solutions[..., part.columns], one_by_one = leave_one_out(
+                    part.equations, fits.terms[some, part.columns], used[some])
+                determined &= one_by_one
+            squares[some] = np.where(determined[:, None], fits.held_out_each(solutions), np.inf)
+        return fits.rmse(squares)
+
+
+class KFold(Criterion):
+    """RMSE of the control features of each fold, predicted from all other folds [pixel].
+
+    The control on offer is shared out among the folds once, whatever features are selected.
+    Folds that are blocks of the scene tell how a model carries over gaps in the control, which
+    random ones, like `press`, do not. Needs no check points.
+
+    References
+    ----------
+    Stone 1974, J. R. Stat. Soc. B 36(2); blocks: Roberts et al. 2017, Ecography 40(8).
+    """
+
+    name = "kfold"
+    needs_check = False
+    subset_score = "kfold"
+    declared_options = (
+        Option("folds", 5, "Folds of control features; with more folds than features each is "
+               "left out alone.", int, 2),
+        Option("repeats", 1, "How many times the features are shared out: at random anew, or into "
+               "blocks along axes that are turned by a share of 90 degrees.", int, 1),
+        Option("how", "spatial", "Folds as blocks of neighbours on the ground, or at random.",
+               choices=("spatial", "random")),
+        Option("fold_seed", 0, "Seed of random folds.", int, 0),
+    )
+
+    def score(self, fits: Fits) -> FloatArray:
+        """Return the RMSE [pixel]."""
+        used = fits.in_use
+        squares = np.zeros(used.shape)
+        for fold in self.folds(fits.control, fits.lines):
+            rest = used.copy()
+            rest[:, fold] = False
+            coefficients, lacking = solve_parts(fits.parts, fits.terms, rest)
+            found = fits.held_out(coefficients, fold)
+            squares[:, fold] += np.where(lacking[:, None] == 0, found, np.inf)
+        return fits.rmse(squares / self.options["repeats"])
+
+    def folds(self, points: Points, lines: Lines) -> tuple[IntArray, ...]:
+        """Return the features of each fold, points before lines, for all repeats.
+
+        Parameters
+        ----------
+        points : Points
+        lines : Lines
+            They stand where the middle of their ground vertices is.
+        """
+        xy = np.concatenate([points.ground[:, :2], lines.ground[:, :, :2].mean(axis=1)])
+        rng = np.random.default_rng(self.options["fold_seed"])
+        repeats, folds = self.options["repeats"], min(self.options["folds"], len(xy))
+        found: list[IntArray] = []
+        for turn in np.arange(repeats) * np.pi / 2 / repeats:
+            rotation = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
+            order = (rng.permutation(len(xy)) if self.options["how"] == "random"
+                     else spatial_order(xy @ rotation))
+            found.extend(np.sort(fold) for fold in np.array_split(order, folds))
+        return tuple(found)
+
+    def subset_folds(self, control: Points) -> tuple[IntArray, ...]:
+        """Return the folds of control points."""
+        return self.folds(control, no_lines())

@@ -1,0 +1,102 @@
+"""Criteria that weigh the residuals of the control against the number of terms."""
+
+from __future__ import annotations
+
+from math import comb, log
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from termsel.adjustment.parts import Part
+from termsel.criteria.base import Criterion, Fits
+from termsel.errors import TermselError
+from termsel.features import FloatArray, IntArray
+from termsel.options import Option
+
+if TYPE_CHECKING:
+    from termsel.adjustment.subset_system import SubsetSystem
+
+NO_RESIDUAL = 1e-9
+"""Root mean square residual, as a part of the image's half-range, that counts as none: rounding
+error, of which no logarithm is worth taking."""
+
+
+class Ebic(Criterion):
+    """Extended Bayesian information criterion of the control residuals; not in pixels.
+
+    n ln(RSS / n) + k ln n + 2 gamma ln C(P, k), added up over line and sample where they are
+    independent: n equations, k terms in use of P on offer, RSS of the linearised, weighted
+    residuals in the scaled image unit. The last part is what plain BIC lacks: the more
+    selections of a size there are, the better one of them fits by chance. Terms of line and
+    sample that are switched together are one choice and one system with a common variance.
+
+    ln(RSS / n) falls without bound as k nears n, where the criterion, which holds for n much
+    larger than k, says nothing: a term without any meaning lowers n ln(RSS / n) by about
+    n / (n - k) instead of 1. Selections of less redundancy than `min_redundancy` therefore have
+    no figure. As n must be the same, it cannot select features. Needs no check points.
+
+    References
+    ----------
+    Chen and Chen 2008, Biometrika 95(3), eq. 2.
+    """
+
+    name = "ebic"
+    needs_check = False
+    subset_score = "rss"
+    declared_options = (
+        Option("gamma", 1.0, "Weight of the number of selections there are; 0 is BIC.", float, 0,
+               1),
+        Option("min_redundancy", None, "Least number of equations minus terms, of line and of "
+               "sample; by default a third of the equations, and at least 1.", int, 1),
+    )
+
+    def score(self, fits: Fits) -> FloatArray:
+        """Return the criterion.
+
+        Raises
+        ------
+        TermselError
+            If features are selected.
+        """
+        if fits.used is not None:
+            raise TermselError("criterion 'ebic' cannot select control features: it compares "
+                               "models of the same observations",
+                               hint="Choose --criterion check-rmse, press or kfold.")
+        genes = fits.gene_of_term
+        genes = np.arange(fits.terms.shape[1]) if genes is None else genes
+        total = np.zeros(len(fits.terms))
+        for parts in _chosen_together(fits.parts, genes):
+            columns = np.flatnonzero(np.any([part.columns for part in parts], axis=0))
+            first = columns[np.unique(genes[columns], return_index=True)[1]]
+            rss = np.sum([_rss(part, fits.coefficients[:, part.columns]) for part in parts], axis=0)
+            total += self._of(rss, sum(len(part.equations.b) for part in parts),
+                              fits.terms[:, columns].sum(axis=1), len(first),
+                              fits.terms[:, first].sum(axis=1))
+        return total
+
+    def subset_cost(self, scores: FloatArray, system: SubsetSystem) -> FloatArray:
+        """Return the criterion of one part (see `Criterion.subset_cost`)."""
+        (m, k), axes, sizes = system.design.shape, system.target.shape[1], np.arange(len(scores))
+        return self._of(scores, m * axes, sizes * axes, k, sizes)
+
+    def _of(self, rss: FloatArray, n: int, k: IntArray, offered: int,
+            chosen: IntArray) -> FloatArray:
+        least = self.options["min_redundancy"]
+        least = max(1, round(n / 3)) if least is None else least
+        choices = np.array([log(comb(offered, size)) for size in range(offered + 1)])
+        value = (n * np.log(np.maximum(rss / n, NO_RESIDUAL**2)) + k * log(n)
+                 + 2 * self.options["gamma"] * choices[chosen])
+        return np.where(n - k >= least, value, np.inf)
+
+
+def _chosen_together(parts: tuple[Part, ...], genes: IntArray) -> list[tuple[Part, ...]]:
+    """Return the parts, those of common genes as one."""
+    of_parts = [set(genes[part.columns].tolist()) for part in parts]
+    if len(parts) == 2 and of_parts[0] & of_parts[1]:
+        return [parts]
+    return [(part,) for part in parts]
+
+
+def _rss(part: Part, coefficients: FloatArray) -> FloatArray:
+    """Return residual sums of squares, shape (p,)."""
+    return np.asarray(((part.equations.b - coefficients @ part.equations.A.T)**2).sum(axis=1))
