@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from termsel.fitting import Fit, Rmse
-from termsel.problems.recipes import Recipe
+from termsel.problems.base import Genome
 from termsel.roles import Observations
 from termsel.searching import Search
 
@@ -20,13 +20,14 @@ ALIKE = 1.05
 an RMSE is itself uncertain by more."""
 
 
-def judge(recipe: Recipe, rmse: Mapping[str, Rmse | None], baselines: tuple[Baseline, ...],
+def judge(conventional: str, rmse: Mapping[str, Rmse | None], baselines: tuple[Baseline, ...],
           feasible: bool, noise: float | None) -> str:
     """Return one or two sentences that compare the selection with what needs no search.
 
     Parameters
     ----------
-    recipe : Recipe
+    conventional : str
+        What the conventional fit uses, such as "all lines".
     rmse : mapping
         Of the selection, by role.
     baselines : tuple of Baseline
@@ -43,11 +44,6 @@ def judge(recipe: Recipe, rmse: Mapping[str, Rmse | None], baselines: tuple[Base
     if mine is None:
         return ("There are no independent points, so the accuracy of this selection is not "
                 "known: the check RMSE is what the search drove down.")
-    whole = {"terms": "all terms", "features": "all lines" if recipe.control == "lines"
-             else "all control points"}
-    conventional = whole["features"] if recipe.name.startswith("owdis") else whole["terms"]
-    if recipe.name.endswith("-terms") and recipe.name.startswith("owdis"):
-        conventional = f"{whole['features']} with {whole['terms']}"
     sentences = [_compare("The selection is", mine.total, baselines[0], conventional)
                  + f" on {mine.n} independent points."]
     plain = [b for b in baselines[1:] if b.rmse["independent"] is not None]
@@ -67,6 +63,18 @@ def judge(recipe: Recipe, rmse: Mapping[str, Rmse | None], baselines: tuple[Base
     if noise is not None:
         sentences.append(f"Measurement noise alone gives {_px(noise * np.sqrt(2))}.")
     return " ".join(sentences)
+
+
+def name_conventional(genome: Genome, observations: Observations) -> str:
+    """Return in words what a fit uses that leaves out nothing of what could be selected."""
+    lines, points = len(observations.control.lines), len(observations.control.points)
+    features = ("all points and lines" if lines and points else
+                "all lines" if lines else "all control points")
+    segments = [segment.name for segment in genome.segments]
+    terms = any(name.startswith("terms") for name in segments)
+    if "features" not in segments:
+        return "all terms"
+    return f"{features} with all terms" if terms else features
 
 
 def _independent(baseline: Baseline) -> float:
@@ -95,10 +103,9 @@ def _compare(start: str, mine: float, other: Baseline, title: str) -> str:
     return f"{start} {_times(1 / ratio)} worse than {title} {figures}"
 
 
-def notes_on(recipe: Recipe, observations: Observations, found: Search,
-             chosen: Fit) -> Iterator[str]:
+def notes_on(observations: Observations, found: Search, chosen: Fit) -> Iterator[str]:
     """Yield what else the reader of a result must know."""
-    if recipe.control == "lines" and not len(observations.control.points):
+    if len(observations.control.lines) and not len(observations.control.points):
         idle = len(observations.off)
         if idle:
             yield (f"{idle} control points of the file stay out, as lines are the control here; "

@@ -16,11 +16,11 @@ from termsel.criteria import Criterion
 from termsel.errors import TermselError, unknown_name
 from termsel.features import BoolArray, FeatureSet
 from termsel.fitting import Fit, fit, plain_fits
-from termsel.judging import judge, notes_on
+from termsel.judging import judge, name_conventional, notes_on
 from termsel.models.base import SensorModel, require_heights
 from termsel.options import Option, resolve
 from termsel.plugins.manager import registry
-from termsel.problems.base import Problem
+from termsel.problems.base import Problem, Selection
 from termsel.problems.recipes import Recipe
 from termsel.problems.selection import Inputs
 from termsel.result import Baseline, Residual, Result, plain_rmse, residuals_of
@@ -282,9 +282,7 @@ def assess(task: Task, found: Search) -> Result:
     """
     observations = task.observations
     selection = task.problem.decode(found.genes)
-    terms = _mask(task.model.terms, selection.terms)
-    used = _mask(observations.control.ids, selection.features)
-    chosen = fit(task.model, observations.control, task.scaling, terms, used)
+    chosen = fit_of(task, selection)
     rmse = {"control": chosen.control_rmse(), "check": chosen.rmse(observations.check),
             "independent": chosen.rmse(observations.independent)}
     baselines = tuple(_baselines(task))
@@ -296,9 +294,9 @@ def assess(task: Task, found: Search) -> Result:
                  "criterion": task.criterion.options},
         data=_data(task), selection=selection, feasible=feasible, rmse=rmse,
         baselines=baselines,
-        judgement=judge(task.recipe, rmse, baselines, feasible,
-                        task.features.noise),
-        notes=tuple(notes_on(task.recipe, observations, found, chosen)),
+        judgement=judge(name_conventional(task.problem.genome, observations), rmse, baselines,
+                        feasible, task.features.noise),
+        notes=tuple(notes_on(observations, found, chosen)),
         objectives=dict(zip(task.problem.objectives, found.objectives.tolist(), strict=True)),
         evaluations=found.evaluations, lookups=found.lookups, generations=found.generations,
         seconds=found.seconds, interrupted=found.interrupted,
@@ -353,9 +351,7 @@ def _front(task: Task, found: Search) -> Iterable[Mapping[str, Any]]:
     observations = task.observations
     for genes in found.front:
         selection = task.problem.decode(genes)
-        member = fit(task.model, observations.control, task.scaling,
-                     _mask(task.model.terms, selection.terms),
-                     _mask(observations.control.ids, selection.features))
+        member = fit_of(task, selection)
         values = task.problem.evaluate(genes[None]).objectives[0].tolist()
         size = len(selection.features if task.recipe.second == "n_features" else selection.terms)
         yield {"objectives": {task.recipe.second: size,
@@ -367,6 +363,13 @@ def _front(task: Task, found: Search) -> Iterable[Mapping[str, Any]]:
                "rmse": plain_rmse({"control": member.control_rmse(),
                                  "check": member.rmse(observations.check),
                                  "independent": member.rmse(observations.independent)})}
+
+
+def fit_of(task: Task, selection: Selection) -> Fit:
+    """Return the model fitted with the terms and features of a selection."""
+    control = task.observations.control
+    return fit(task.model, control, task.scaling, _mask(task.model.terms, selection.terms),
+               _mask(control.ids, selection.features))
 
 
 def _mask(names: tuple[str, ...], chosen: Iterable[str]) -> BoolArray:

@@ -192,8 +192,7 @@ def gap(problem: Problem, found: float) -> dict[str, Any] | None:
         return None
     if subsets_in_all > QUICK:
         return None
-    for proof in prove(problem):
-        pass
+    *_, proof = prove(problem)
     front = proof.front()
     if not front:
         return None
