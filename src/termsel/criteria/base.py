@@ -96,10 +96,6 @@ class Fits:
             return self.used
         return np.ones((len(self.terms), len(self.control) + len(self.lines)), dtype=bool)
 
-    @cached_property
-    def _lines(self) -> tuple[FloatArray, FloatArray]:
-        return line_normals(self.lines)
-
     def held_out(self, coefficients: FloatArray, features: IntArray) -> FloatArray:
         """Return squared errors of control features under solutions they took no part in.
 
