@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -52,6 +52,14 @@ class Fit:
     terms: BoolArray
     used: BoolArray
     adjustment: Adjustment
+
+    def with_coefficients(self, coefficients: FloatArray) -> Fit:
+        """Return the fit with coefficients that are not those of least squares."""
+        equations = self.model.equations(self.scaling.features(self.control))
+        unknown = np.full(len(coefficients), np.nan)
+        return replace(self, adjustment=replace(
+            self.adjustment, coefficients=coefficients, deviations=unknown,
+            residuals=equations.b - equations.A @ coefficients, sigma0=float("nan")))
 
     def project(self, ground: FloatArray) -> FloatArray:
         """Return line and sample [pixel] of ground points, shape (n, 2)."""

@@ -22,7 +22,7 @@ from termsel.options import Option, resolve
 from termsel.plugins.manager import registry
 from termsel.problems.base import Problem, Selection
 from termsel.problems.recipes import Recipe
-from termsel.problems.selection import Inputs
+from termsel.problems.selection import Inputs, guard_points, pole_violation
 from termsel.result import Baseline, Residual, Result, plain_rmse, residuals_of
 from termsel.roles import Observations, observe
 from termsel.scaling import Scaling, scaling_of
@@ -283,10 +283,16 @@ def assess(task: Task, found: Search) -> Result:
     observations = task.observations
     selection = task.problem.decode(found.genes)
     chosen = fit_of(task, selection)
+    objectives, feasible = found.objectives.tolist(), found.violation == 0
+    if found.coefficients is not None:
+        chosen = chosen.with_coefficients(found.coefficients)
+        guard = guard_points(task.scaling.features(observations.control),
+                             task.scaling.points(observations.check))
+        feasible = not pole_violation(task.model, found.coefficients[None], guard).any()
+        objectives = []  # those of least squares are not those of these coefficients
     rmse = {"control": chosen.control_rmse(), "check": chosen.rmse(observations.check),
             "independent": chosen.rmse(observations.independent)}
     baselines = tuple(_baselines(task))
-    feasible = found.violation == 0
     return Result(
         problem=task.recipe.name, model=task.model.name, solver=task.solver.name,
         criterion=task.criterion.name, seed=found.seed,
@@ -297,7 +303,7 @@ def assess(task: Task, found: Search) -> Result:
         judgement=judge(name_conventional(task.problem.genome, observations), rmse, baselines,
                         feasible, task.features.noise),
         notes=tuple(notes_on(observations, found, chosen)),
-        objectives=dict(zip(task.problem.objectives, found.objectives.tolist(), strict=True)),
+        objectives=dict(zip(task.problem.objectives, objectives, strict=False)),
         evaluations=found.evaluations, lookups=found.lookups, generations=found.generations,
         seconds=found.seconds, interrupted=found.interrupted,
         polish=asdict(found.polish) if found.polish else None, fit=chosen,
@@ -341,6 +347,7 @@ def recommended(task: Task, found: Search) -> Search:
 def _certificate(task: Task, found: Search) -> Mapping[str, Any] | None:
     """Return what the solver proved, or how far its find is from the proven optimum."""
     if (found.certificate is not None or found.violation or found.interrupted
+            or found.coefficients is not None
             or len(found.objectives) > 1):
         return found.certificate
     return gap(task.problem, float(found.objectives[0]))

@@ -85,6 +85,8 @@ class Search:
         None where the solver is not polished.
     certificate : mapping, optional
         What the solver proved, if anything.
+    coefficients : ndarray, shape (k,), optional
+        From a solver that finds coefficients, as ridge does, where others find genes alone.
     front : tuple of ndarray of bool
         With several objectives all feasible individuals evaluated that no other dominates,
         each point of the front once, by the first objective; with one, what the solver
@@ -103,6 +105,7 @@ class Search:
     polish: Polish | None = None
     certificate: Mapping[str, Any] | None = None
     front: tuple[BoolArray, ...] = ()
+    coefficients: FloatArray | None = None
 
 
 class _BudgetSpent(Exception):
@@ -301,7 +304,8 @@ def search(
                   time.perf_counter() - start, interrupted, polish,
                   generation.details.get("certificate") if generation else None,
                   tuple(ledger.front() if len(problem.objectives) > 1
-                        else generation.details.get("front", ()) if generation else ()))
+                        else generation.details.get("front", ()) if generation else ()),
+                  generation.details.get("coefficients") if generation else None)
 
 
 def _until_spent(running: Iterator[Generation]) -> Iterator[Generation]:

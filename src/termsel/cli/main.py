@@ -36,12 +36,12 @@ def _closed_pipe_ends_quietly() -> Iterator[None]:
 class Commands(click.Group):
     """Commands that are imported when used: built-in ones, then those of plugins."""
 
-    def list_commands(self, ctx: click.Context) -> list[str]:  # noqa: ARG002
+    def list_commands(self, ctx: click.Context) -> list[str]:
         """Return the built-in commands; plugins are not loaded, as help has to be quick."""
         return list(COMMANDS)
 
     def get_command(
-        self, ctx: click.Context, cmd_name: str  # noqa: ARG002
+        self, ctx: click.Context, cmd_name: str
     ) -> click.Command | None:
         """Return a command; that of a broken plugin is one that says why."""
         if cmd_name in COMMANDS:
@@ -69,7 +69,7 @@ class Commands(click.Group):
         return args[0], command, args[1:]
 
     def format_commands(
-        self, ctx: click.Context, formatter: click.HelpFormatter  # noqa: ARG002
+        self, ctx: click.Context, formatter: click.HelpFormatter
     ) -> None:
         """Write the commands' summaries without importing them."""
         with formatter.section("Commands"):

@@ -51,7 +51,7 @@ class PointsCsv(Reader):
     name = "points-csv"
     summary = "points as a table headed id,role,line,sample,x,y,z[,sigma_line,sigma_sample]"
 
-    def sniff(self, path: Path, head: bytes) -> bool:  # noqa: ARG002 - content decides
+    def sniff(self, path: Path, head: bytes) -> bool:
         """Return True if a header names at least three columns of points."""
         return _sniff(head, _POINTS)
 
@@ -73,7 +73,7 @@ class LinesCsv(Reader):
     name = "lines-csv"
     summary = "lines as a table headed id,line1,sample1,line2,sample2,x1,y1,z1,x2,y2,z2"
 
-    def sniff(self, path: Path, head: bytes) -> bool:  # noqa: ARG002 - content decides
+    def sniff(self, path: Path, head: bytes) -> bool:
         """Return True if a header names at least three columns of lines."""
         return _sniff(head, _LINES)
 

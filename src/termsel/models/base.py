@@ -220,8 +220,8 @@ class RationalModel(SensorModel):
         linear when multiplied by it. With separate denominators the products of image
         coordinate and denominator need the image position of the vertex: across the image
         line it is measured, along it the one of `approximate_image` is taken, so that the
-        equations hold to first order. Rows of points are weighted by their standard deviations relative to
-        the median one.
+        equations hold to first order. Rows of points are weighted by their standard deviations
+        relative to the median one.
 
         The vector form follows from the requirement that conjugate lines coincide; the
         published line equations of line-based RFMs (Teo 2013; Yavari et al. 2018) could

@@ -160,6 +160,8 @@ class EnumerablePart:
         Turns the best score of every size, shape (k + 1,), into what adds up over the parts.
     folds : tuple of ndarray of int
         For the score "kfold": the control rows left out together.
+    pixels : float
+        Pixels per unit of the system's target.
     """
 
     genes: IntArray
@@ -167,6 +169,7 @@ class EnumerablePart:
     score: str
     cost: Callable[[FloatArray], FloatArray]
     folds: tuple[IntArray, ...] = ()
+    pixels: float = 1.0
 
 
 class Problem(ABC):
@@ -201,8 +204,9 @@ class Problem(ABC):
         TermselError
             If the space of this problem cannot be walked subset by subset.
         """
-        raise TermselError("the selections of this problem cannot be enumerated",
-                           hint="Choose a heuristic such as --solver ga or --solver swap.")
+        raise TermselError("this problem is not one of terms as columns of a linear system, "
+                           "which this solver needs",
+                           hint="Choose another, such as --solver ga or --solver swap.")
 
     def design(self) -> FloatArray:
         """Return the columns of the full design matrix, one a gene, shape (m, genome.size).

@@ -64,7 +64,8 @@ def enumerable_parts(inputs: Inputs, equations: Equations, genome: Genome,
         order = np.argsort(where)  # columns in the order of the genes
         system = _ordered(side, order, genome, where[order])
         parts.append(EnumerablePart(where[order], system, criterion.subset_score,
-                                    partial(criterion.subset_cost, system=system), folds))
+                                    partial(criterion.subset_cost, system=system), folds,
+                                    inputs.pixels))
     return tuple(parts)
 
 
@@ -81,8 +82,8 @@ def _refuse_other_errors(inputs: Inputs) -> None:
 
 
 def _unwalkable(why: str) -> TermselError:
-    return TermselError(f"the selections of this problem cannot be enumerated: {why}",
-                        hint="Choose a heuristic such as --solver ga or --solver swap.")
+    return TermselError(f"this solver needs terms as columns of linear systems, one an axis: {why}",
+                        hint="Choose another, such as --solver ga or --solver swap.")
 
 
 def _side(model: RationalModel, inputs: Inputs, equations: Equations, side: int,

@@ -18,7 +18,6 @@ from termsel.errors import TermselError
 from termsel.features import BoolArray, FloatArray, IntArray
 from termsel.options import Option
 from termsel.problems.base import EnumerablePart, Problem
-from termsel.problems.selection import SelectionProblem
 from termsel.solvers.base import Generation, Solver
 
 EXPLAINED = 1e-12
@@ -94,17 +93,10 @@ def regressions(problem: Problem) -> list[Regression]:
     TermselError
         If the problem's space cannot be walked (see `Problem.parts`).
     """
-    pixels = _pixels(problem)
-    return [_regression(problem, part, pixels) for part in problem.parts()]
+    return [_regression(problem, part) for part in problem.parts()]
 
 
-def _pixels(problem: Problem) -> float:
-    """Return pixels per scaled image unit; 1 for problems that do not scale an image."""
-    inner = getattr(problem, "problem", problem)  # behind the ledger of a search
-    return float(inner.inputs.pixels) if isinstance(inner, SelectionProblem) else 1.0
-
-
-def _regression(problem: Problem, part: EnumerablePart, pixels: float) -> Regression:
+def _regression(problem: Problem, part: EnumerablePart) -> Regression:
     system = part.system
     m, k = system.design.shape
     none = np.zeros(k, dtype=bool)
@@ -117,7 +109,8 @@ def _regression(problem: Problem, part: EnumerablePart, pixels: float) -> Regres
     kept = forced | constant
     most = min(k if segment.maximum is None else segment.maximum, m - 1)
     return Regression(part.genes, system.design, system.target, system.denominator, constant,
-                      kept, ~(kept | forbidden), max(1, segment.minimum), most, pixels)
+                      kept, ~(kept | forbidden), max(1, segment.minimum), most,
+                      part.pixels)
 
 
 def _constant(system: SubsetSystem) -> BoolArray:
