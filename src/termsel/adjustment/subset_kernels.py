@@ -1,0 +1,403 @@
+"""The compiled walk over subsets behind `termsel.adjustment.subsets`.
+
+A piece of work is a set of n columns and r targets, as vectors from which the columns in use
+already are removed. At each depth of the tree one more column is in use, and lies removed from
+the columns to its right and from the targets, whose rows thereby are residuals and errors. A
+subset is a column at a depth: the columns in use there, and itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple, TypeVar
+
+import numpy as np
+from numba import njit
+
+from termsel.features import FloatArray, IntArray
+
+LINEAR, RATIONAL, PRESS, RSS = range(4)
+"""Kinds of score: squares of errors, or of quotients of errors and denominators, or of
+leave-one-out errors, or of residuals."""
+
+_BOUND_FROM = 6  # columns to the right from which a bound is worth its cost
+
+
+class Levels(NamedTuple):
+    """The vectors of f systems in lockstep at every depth; depth 0 is given, the rest is room.
+
+    Column n, of infinite length and without a share, stands for no column.
+
+    Parameters
+    ----------
+    top : ndarray, shape (depths, f, n + r, rows)
+        Control rows, which span the inner products; columns, then targets.
+    extra : ndarray, shape (depths, f, n + r, rows)
+        Rows that take part. LINEAR: errors. RATIONAL: as many errors and denominators, these
+        with a minus sign, -1 - denominator x. PRESS: such denominators of the control rows.
+        RSS: none.
+    square : ndarray, shape (depths, f, n + 1)
+        Squared length of each column.
+    share : ndarray, shape (depths, f, n + 1, r)
+        Coefficient of each column in each target.
+    floor : ndarray, shape (f, n + 1)
+        A column whose squared length is at most this is dependent.
+    leverage, cross : ndarray, shape (depths, rows)
+        For PRESS: leverages of the rows, and their counterpart with the denominator.
+    """
+
+    top: FloatArray
+    extra: FloatArray
+    square: FloatArray
+    share: FloatArray
+    floor: FloatArray
+    leverage: FloatArray
+    cross: FloatArray
+
+
+class Limits(NamedTuple):
+    """Constants of a piece.
+
+    Parameters
+    ----------
+    margin, tolerance : float
+        Least denominator, least 1 - leverage.
+    offset, slack : float
+        Part of the score that no column can change, and rounding error of a residual sum of
+        squares.
+    size, room : int
+        Size of the subset in use already, and most columns to add.
+    """
+
+    margin: float
+    tolerance: float
+    offset: float
+    slack: float
+    size: int
+    room: int
+
+
+class Records(NamedTuple):
+    """What is sought.
+
+    Parameters
+    ----------
+    best, masks : ndarray, shape (sizes,)
+        Best score and mask of each size, updated in place. Of equal scores the smallest mask
+        as a number stays.
+    bits : ndarray of uint64, shape (n + 1,)
+        Mask of each column.
+    some_of : ndarray of uint64, shape (1,)
+        Columns of which a best subset has at least one; 0 for no such demand.
+    guard : ndarray, shape (n + 1, g)
+        Minus the denominators at guard points, of columns and target.
+    x, sums : ndarray, shape (depths,) and (g,)
+        Room for coefficients and denominators.
+    """
+
+    best: FloatArray
+    masks: Any
+    bits: Any
+    some_of: Any
+    guard: FloatArray
+    x: FloatArray
+    sums: FloatArray
+
+
+_Function = TypeVar("_Function", bound=Callable[..., Any])
+
+# Sums may be taken in any order (SIMD), yet infinities and NaN keep their meaning. A subset costs
+# as much as two atomic operations on a reference count or the passing of some arrays, so slices
+# are not counted (_nrt=False: nothing may be allocated here) and calls are inlined.
+_compiled: Callable[[_Function], _Function] = njit(
+    cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True,
+    fastmath={"reassoc", "contract", "arcp", "nsz"})
+
+
+@_compiled
+def _dot(a: FloatArray, b: FloatArray) -> float:
+    total = 0.0
+    for row in range(len(a)):
+        total += a[row] * b[row]
+    return total
+
+
+@_compiled
+def _less(out: FloatArray, a: FloatArray, b: FloatArray, ratio: float) -> None:
+    """Write a - ratio b."""
+    for row in range(len(out)):
+        out[row] = a[row] - ratio * b[row]
+
+
+@_compiled
+def _less_measured(out: FloatArray, a: FloatArray, b: FloatArray, ratio: float,
+                   t: FloatArray) -> tuple[float, float]:
+    """Write a - ratio b; return its squared length and its product with t."""
+    square = 0.0
+    product = 0.0
+    for row in range(len(out)):
+        value = a[row] - ratio * b[row]
+        out[row] = value
+        square += value * value
+        product += value * t[row]
+    return square, product
+
+
+@_compiled
+def _squares(t: FloatArray, v: FloatArray, ratio: float) -> float:
+    total = 0.0
+    for row in range(len(t)):
+        error = t[row] - ratio * v[row]
+        total += error * error
+    return total
+
+
+@_compiled
+def _rational_squares(t: FloatArray, v: FloatArray, t_below: FloatArray, v_below: FloatArray,
+                      ratio: float, margin: float) -> float:
+    """Return the sum of squared quotients, or infinity below the margin."""
+    total = 0.0
+    poles = 0
+    for row in range(len(t)):
+        denominator = ratio * v_below[row] - t_below[row]
+        error = (t[row] - ratio * v[row]) / denominator
+        poles += denominator < margin
+        total += error * error
+    return np.inf if poles else total
+
+
+@_compiled
+def _press_squares(t: FloatArray, v: FloatArray, t_below: FloatArray, v_below: FloatArray,
+                   ratio: float, per_square: float, leverage: FloatArray, cross: FloatArray,
+                   limits: Limits) -> float:
+    """Return the sum of squared leave-one-out errors, or infinity where there is none.
+
+    With residual e, leverage h and the denominator's cross-leverage g, a row's error without
+    it in the adjustment is e / (1 - h), and its denominator is lower by g e / (1 - h).
+    """
+    total = 0.0
+    bad = 0
+    for row in range(len(t)):
+        residual = t[row] - ratio * v[row]
+        rest = 1.0 - leverage[row] - per_square * v[row] * v[row]
+        denominator = ((ratio * v_below[row] - t_below[row]) * rest
+                       - (cross[row] + per_square * v[row] * v_below[row]) * residual)
+        error = residual / denominator
+        bad += (rest <= limits.tolerance) | (denominator < limits.margin * rest)
+        total += error * error
+    return np.inf if bad else total
+
+
+@_compiled
+def _score(kind: int, top: FloatArray, extra: FloatArray, square: FloatArray, share: FloatArray,
+           leverage: FloatArray, cross: FloatArray, c: int, systems: int, r: int,
+           limits: Limits) -> float:
+    """Return the score of one depth's column c."""
+    n = top.shape[1] - r
+    half = extra.shape[2] // 2
+    total = limits.offset
+    for f in range(systems):
+        for j in range(r):
+            if kind == LINEAR:
+                total += _squares(extra[f, n + j], extra[f, c], share[f, c, j])
+            elif kind == RSS:
+                total += _squares(top[f, n + j], top[f, c], share[f, c, j])
+            elif kind == RATIONAL:
+                total += _rational_squares(
+                    extra[f, n + j, :half], extra[f, c, :half], extra[f, n + j, half:],
+                    extra[f, c, half:], share[f, c, j], limits.margin)
+            else:
+                total += _press_squares(
+                    top[f, n + j], top[f, c], extra[f, n + j], extra[f, c], share[f, c, j],
+                    1.0 / square[f, c], leverage, cross, limits)
+    return total
+
+
+@_compiled
+def _keeps_guard(levels: Levels, depth: int, cursor: IntArray, records: Records,
+                 margin: float) -> bool:
+    """Solve for the coefficients of the subset and test the guard points' denominators.
+
+    Column cursor[q] joined at depth q; it is still there as it was then, so that the
+    triangular system is found row by row.
+    """
+    guard, x, sums = records.guard, records.x, records.sums
+    n = len(guard) - 1
+    for i in range(len(sums)):
+        sums[i] = -guard[n, i]
+    for q in range(depth, -1, -1):
+        v = levels.top[q, 0, cursor[q]]
+        product = _dot(v, levels.top[q, 0, n])
+        for s in range(q + 1, depth + 1):
+            product -= _dot(v, levels.top[q, 0, cursor[s]]) * x[s]
+        x[q] = product / levels.square[q, 0, cursor[q]]
+        _less(sums, sums, guard[cursor[q]], -x[q])
+    poles = 0
+    for i in range(len(sums)):
+        poles += not sums[i] >= margin
+    return poles == 0
+
+
+@_compiled
+def _record(score: float, size: int, mask: Any, levels: Levels, depth: int, cursor: IntArray,
+            records: Records, margin: float) -> None:
+    """Keep a subset that is the best of its size; the smaller mask wins a tie."""
+    best, masks, some_of = records.best, records.masks, records.some_of[0]
+    if (
+        (score < best[size] or (score == best[size] and mask < masks[size]))
+        and (some_of == 0 or (mask & some_of) != 0)
+        and _keeps_guard(levels, depth, cursor, records, margin)
+    ):
+        best[size] = score
+        masks[size] = mask
+
+
+@_compiled
+def _open_leverage(v: FloatArray, w: FloatArray, square: float, leverage: FloatArray,
+                   cross: FloatArray, depth: int) -> None:
+    """Add the column's part to the leverages, from one depth to the next."""
+    for row in range(len(v)):
+        part = v[row] / square
+        leverage[depth + 1, row] = leverage[depth, row] + part * v[row]
+        cross[depth + 1, row] = cross[depth, row] + part * w[row]
+
+
+@_compiled
+def _remaining_rss(top: FloatArray, first: int, n: int, work: FloatArray) -> float:
+    """Return the residual sum of squares with every column from `first` on in use.
+
+    No column is too small to count: the triangle that modified Gram-Schmidt gives is that of
+    an orthogonalisation of nearly the same columns even where they are dependent.
+    """
+    vectors = len(top)
+    for j in range(first, vectors):
+        _less(work[j], top[j], top[j], 0.0)
+    for i in range(first, n):
+        square = _dot(work[i], work[i])
+        if square > 0.0:
+            for j in range(i + 1, vectors):
+                _less(work[j], work[j], work[i], _dot(work[i], work[j]) / square)
+    total = 0.0
+    for j in range(n, vectors):
+        total += _dot(work[j], work[j])
+    return total
+
+
+@_compiled
+def largest_open(bound: float, best: FloatArray, smallest: int, largest: int,
+                 slack: float) -> int:
+    """Return the largest size of which a subset could still be a best one, ties included.
+
+    No subset scores less than the bound. Returns smallest - 1 if all sizes are settled.
+    """
+    size = largest
+    while size >= smallest and bound > best[size] * (1.0 + 1e-9) + slack:
+        size -= 1
+    return size
+
+
+@_compiled
+def walk(kind: int, levels: Levels, limits: Limits, records: Records, used: Any,
+         counts: IntArray, cursor: IntArray, rooms: IntArray, mask: Any, work: FloatArray,
+         single: bool | None) -> tuple[int, int]:
+    """Walk all subsets of n columns beside those in use already.
+
+    Parameters
+    ----------
+    kind : int
+        LINEAR, RATIONAL, PRESS or RSS.
+    levels : Levels
+    limits : Limits
+    records : Records
+    used : uint64
+        Mask of the subset in use already.
+    counts : ndarray of int, shape (n + 1, room + 1)
+        Number of subsets of so many columns with at most so many members.
+    cursor, rooms, mask, work
+        Space for integers (depths,) twice, uint64 (depths,), and floats (n + r, rows).
+    single : None or bool
+        None if f = r = 1, for which the code is then compiled apart; a fifth faster.
+
+    Returns
+    -------
+    infeasible, pruned : int
+        Number of subsets without a score, and below a bound that rules them out.
+    """
+    size, room = limits.size, limits.room
+    rooms[0] = room
+    if single is None:
+        systems, r = 1, 1
+    else:
+        systems, r = levels.top.shape[1], levels.share.shape[3]
+    n = levels.top.shape[2] - r
+    infeasible = 0
+    pruned = 0
+    mask[0] = used
+    depth = 0
+    first = 0 if room > 0 else n
+    last = n + 1
+    while True:
+        top, extra = levels.top[depth], levels.extra[depth]
+        square, share = levels.square[depth], levels.share[depth]
+        leverage, cross = levels.leverage[depth], levels.cross[depth]
+        before = max(depth - 1, 0)
+        top0, extra0 = levels.top[before], levels.extra[before]
+        square0, share0 = levels.square[before], levels.share[before]
+        i = first - 1
+        if depth > 0:
+            for f in range(systems):
+                for j in range(r):
+                    _less(top[f, n + j], top0[f, n + j], top0[f, i], share0[f, i, j])
+                    _less(extra[f, n + j], extra0[f, n + j], extra0[f, i], share0[f, i, j])
+        for c in range(first, last):
+            dependent = False
+            for f in range(systems):
+                if depth > 0:
+                    ratio = _dot(top0[f, i], top0[f, c]) / square0[f, i]
+                    length, product = _less_measured(top[f, c], top0[f, c], top0[f, i], ratio,
+                                                     top[f, n])
+                    _less(extra[f, c], extra0[f, c], extra0[f, i], ratio)
+                    square[f, c] = length
+                    share[f, c, 0] = product / length
+                    for j in range(1, r):
+                        share[f, c, j] = _dot(top[f, c], top[f, n + j]) / length
+                dependent |= square[f, c] <= levels.floor[f, c]
+            if dependent:
+                square[0, c] = 0.0
+                infeasible += counts[n - 1 - c, room - depth - 1]
+                continue
+            score = _score(kind, top, extra, square, share, leverage, cross, c, systems, r,
+                           limits)
+            infeasible += not score < np.inf
+            new = size + depth + (c < n)
+            if score <= records.best[new]:
+                cursor[depth] = c
+                _record(score, new, mask[depth] | records.bits[c], levels, depth, cursor, records,
+                        limits.margin)
+        cursor[depth] = first
+        last = n
+        while True:
+            i = cursor[depth]
+            right = n - 1 - i
+            room = rooms[depth]
+            if right <= 0 or depth + 1 >= room:
+                if depth == 0:
+                    return infeasible, pruned
+                depth -= 1
+            elif levels.square[depth, 0, i] > 0.0:
+                if kind == RSS and right >= _BOUND_FROM:
+                    bound = limits.offset + _remaining_rss(levels.top[depth, 0], i, n, work)
+                    most = largest_open(bound, records.best, size + depth + 2,
+                                        size + min(room, depth + 1 + right), limits.slack) - size
+                    pruned += counts[right, room - depth - 1] - counts[right, most - depth - 1]
+                    room = most
+                if depth + 1 < room:
+                    break
+            cursor[depth] += 1
+        rooms[depth + 1] = room
+        if kind == PRESS:
+            _open_leverage(levels.top[depth, 0, i], levels.extra[depth, 0, i],
+                           levels.square[depth, 0, i], levels.leverage, levels.cross, depth)
+        mask[depth + 1] = mask[depth] | records.bits[i]
+        depth += 1
+        first = i + 1

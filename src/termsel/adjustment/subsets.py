@@ -1,0 +1,197 @@
+"""Every subset of the columns of a least-squares system, with the best of each size proven.
+
+The subsets form a tree: below a subset are those with one further column to the right of its
+last. The columns still to come are kept orthogonal to those in use (modified Gram-Schmidt), and
+the equations of the check points take part in every step, so that their errors stand ready
+without a coefficient being solved for. Half of the subsets have no column to their right and a
+quarter have one: on average a subset costs about one such step.
+
+References
+----------
+Furnival and Wilson 1974, Technometrics 16(4): the tree, and the bound for residual sums of
+squares. Bjorck 1967, BIT 7(1): the accuracy of modified Gram-Schmidt. That check points, folds
+and leave-one-out errors take part is termsel's own formulation.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from termsel.adjustment.subset_system import (
+    MAX_COLUMNS,
+    SCORES,
+    Masks,
+    SubsetSystem,
+    Walked,
+    count_subsets,
+    stack,
+)
+from termsel.features import BoolArray, FloatArray, IntArray
+
+__all__ = ["MAX_COLUMNS", "SCORES", "SubsetResult", "SubsetSystem", "count_subsets",
+           "estimate_seconds", "search"]
+
+_PIECE = 1 << 16  # subsets walked between two looks at the outside world: some milliseconds
+_AHEAD = 16  # pieces under way at once, whatever the number of workers
+
+
+@dataclass(frozen=True, eq=False)
+class SubsetResult:
+    """The best subset of every size among those decided so far.
+
+    Parameters
+    ----------
+    best : ndarray, shape (k + 1,)
+        Least score of the subsets with 0 to k columns, forced ones included; infinite where
+        none is feasible.
+    masks : ndarray of uint64, shape (k + 1,)
+        The subset itself: bit j is column j. Of exactly equal scores it is the smallest
+        number; 0 where none is feasible.
+    subsets, total : int
+        Subsets decided, and to be decided.
+    infeasible : int
+        Those among the decided that have no score: dependent columns, more columns than
+        rows, a denominator below the margin at a row of the score, or a row without which
+        the rest does not determine the columns (press).
+    pruned : int
+        Those among the decided that a lower bound ruled out without a look (rss).
+    """
+
+    best: FloatArray
+    masks: Masks
+    subsets: int
+    total: int
+    infeasible: int
+    pruned: int
+
+    @property
+    def complete(self) -> bool:
+        """True if every subset is decided, so that `best` is proven."""
+        return self.subsets == self.total
+
+    def columns(self, size: int) -> BoolArray:
+        """Return the best subset of a size as a mask, shape (k,)."""
+        bits = np.arange(len(self.best) - 1, dtype=np.uint64)
+        return np.asarray(self.masks[size] >> bits & np.uint64(1), dtype=bool)
+
+
+def search(
+    system: SubsetSystem,
+    score: str,
+    *,
+    folds: Sequence[IntArray] = (),
+    max_terms: int | None = None,
+    workers: int = 1,
+) -> Iterator[SubsetResult]:
+    """Decide every subset of the columns, piece by piece.
+
+    Parameters
+    ----------
+    system : SubsetSystem
+    score : {"check", "rss", "press", "kfold"}
+        "check": sum of squared errors of the check points. "rss": residual sum of squares of
+        the control rows, where a lower bound spares most of the work. "press": sum of squared
+        leave-one-out errors of the control rows. "kfold": sum of squared errors of the rows
+        of each fold under the solution from all other rows.
+    folds : sequence of ndarray of int
+        For "kfold": the control rows left out together.
+    max_terms : int, optional
+        Most columns of a subset, forced ones included.
+    workers : int
+        Threads. The result does not depend on it, nor does the memory on the number of subsets.
+
+    Yields
+    ------
+    SubsetResult
+        The state after each piece of about 65,000 subsets; the last one is complete. To stop
+        early close the iterator, or let KeyboardInterrupt pass: the last state holds.
+
+    Raises
+    ------
+    TermselError
+        For an unknown score, or more forced columns than `max_terms`.
+    ValueError
+        For a score whose rows the system lacks.
+
+    Notes
+    -----
+    A subset is infeasible if one of its columns keeps no more than `solve.TOLERANCE` of its
+    length beside the columns of the subset that come before it. `solve` pivots instead; the
+    verdicts differ at most where a column is within a small factor of the tolerance.
+    """
+    systems = stack(system, score, folds, max_terms)
+    total = systems.everything.count
+    best, masks = _nothing(systems.k)
+    for start in systems.starts:
+        walked = systems.walk(start, best, masks)
+        best, masks = walked.best, walked.masks
+    looked = infeasible = pruned = 0
+    todo = [systems.everything]
+    waiting: deque[tuple[int, Future[Walked]]] = deque()
+    pool = ThreadPoolExecutor(workers)
+    try:
+        while todo or waiting:
+            # Results are taken in order and at fixed points of it. A piece thus starts from the
+            # same best subsets, and a bound spares the same work, with any number of workers.
+            if todo and len(waiting) < _AHEAD:
+                whole = todo.pop()
+                piece = systems.trimmed(whole, best)
+                pruned += whole.count - piece.count
+                if piece.count > _PIECE:
+                    todo += piece.halves()
+                elif piece.count:
+                    waiting.append((piece.count, pool.submit(systems.walk, piece, best, masks)))
+                if piece.count == whole.count:
+                    continue
+            else:
+                count, future = waiting.popleft()
+                walked = future.result()
+                better = (walked.best < best) | ((walked.best == best) & (walked.masks < masks))
+                best = np.where(better, walked.best, best)
+                masks = np.where(better, walked.masks, masks)
+                looked += count - walked.pruned
+                infeasible += walked.infeasible
+                pruned += walked.pruned
+            yield SubsetResult(best, masks, looked + pruned, total, infeasible, pruned)
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+def estimate_seconds(
+    system: SubsetSystem,
+    score: str,
+    *,
+    folds: Sequence[IntArray] = (),
+    max_terms: int | None = None,
+    workers: int = 1,
+) -> float:
+    """Return how long `search` will take [s], from the time of one piece.
+
+    For "rss" this is what it would take without its bound.
+
+    Parameters
+    ----------
+    system, score, folds, max_terms, workers
+        As for `search`.
+    """
+    systems = stack(system, score, folds, max_terms)
+    piece = systems.everything
+    while piece.count > _PIECE:
+        piece = replace(piece, rest=piece.rest[1:])
+    seconds = []
+    for _ in range(2):  # the first may have to compile
+        start = time.perf_counter()
+        systems.walk(piece, *_nothing(systems.k))
+        seconds.append(time.perf_counter() - start)
+    return min(seconds) / piece.count * systems.everything.count / workers
+
+
+def _nothing(k: int) -> tuple[FloatArray, Masks]:
+    """Return the best of every size before anything is decided."""
+    return np.full(k + 1, np.inf), np.zeros(k + 1, dtype=np.uint64)
