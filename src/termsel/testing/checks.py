@@ -1,0 +1,181 @@
+"""Named checks: how they are made, run and opted out of."""
+
+from __future__ import annotations
+
+import pickle
+import warnings
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, TypeVar
+
+from termsel.errors import unknown_name
+from termsel.options import Configurable
+from termsel.plugins.kinds import KINDS, summary
+
+Subject = TypeVar("Subject")
+
+
+@dataclass(frozen=True)
+class Check:
+    """One thing a plugin must do.
+
+    Parameters
+    ----------
+    name : str
+        As in `expected_failures` and in the ids of tests.
+    run : callable
+        Takes no arguments; raises AssertionError that begins with the check's name.
+    """
+
+    name: str
+    run: Callable[[], None]
+
+
+@dataclass(frozen=True)
+class Case:
+    """One object the checks are run on.
+
+    Parameters
+    ----------
+    label : str
+        What it is, for messages: a name and the options.
+    make : callable
+        Returns the object, anew for each check.
+    """
+
+    label: str
+    make: Callable[[], Any]
+
+
+def require(condition: object, message: str) -> None:
+    """Raise AssertionError with `message` unless `condition` holds.
+
+    Unlike the statement `assert`, this also holds under ``python -O``.
+    """
+    if not condition:
+        raise AssertionError(message)
+
+
+def assemble(
+    functions: Iterable[Callable[[Subject], None]],
+    cases: Iterable[Case],
+    expected_failures: Mapping[str, str] | None,
+) -> tuple[Check, ...]:
+    """Return one check for each function; it runs the function on every case.
+
+    Parameters
+    ----------
+    functions : iterable of callable
+        Each takes what a case makes; its name is the check's.
+    cases : iterable of Case
+    expected_failures : mapping, optional
+        Names of checks that are known to fail, with the reason. Such a check succeeds where
+        the plugin fails as foretold, and fails where it does not, so that the list stays
+        true.
+
+    Raises
+    ------
+    TermselError
+        For an expected failure of a check that does not exist.
+    """
+    named = {function.__name__: function for function in functions}
+    reasons = dict(expected_failures or {})
+    for name in reasons:
+        if name not in named:
+            raise unknown_name("check", name, named)
+    listed = tuple(cases)
+    return tuple(Check(name, partial(_run, name, function, listed, reasons.get(name)))
+                 for name, function in named.items())
+
+
+def run_all(checks: Iterable[Check]) -> None:
+    """Run all checks, and report every one that fails.
+
+    Raises
+    ------
+    AssertionError
+        With one paragraph for each failed check.
+    """
+    failures = []
+    for check in checks:
+        try:
+            check.run()
+        except AssertionError as failure:
+            failures.append(failure)
+    if failures:
+        raise AssertionError("\n".join(str(failure) for failure in failures)) from failures[0]
+
+
+def _run(name: str, function: Callable[[Any], None], cases: tuple[Case, ...],
+         reason: str | None) -> None:
+    try:
+        for case in cases:
+            _run_case(name, function, case)
+    except AssertionError:
+        if reason is None:
+            raise
+        return
+    if reason is not None:
+        raise AssertionError(f"{name}: this check passes and was expected to fail ({reason}); "
+                             "remove it from expected_failures")
+
+
+def _run_case(name: str, function: Callable[[Any], None], case: Case) -> None:
+    try:
+        # A warning such as "divide by zero" would be shown to the user of the plugin.
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", RuntimeWarning)
+            function(case.make())
+    except AssertionError as failure:
+        raise AssertionError(f"{name}: {case.label}: {failure}") from failure
+    except Exception as error:
+        raise AssertionError(f"{name}: {case.label}: {type(error).__name__} was raised: {error}"
+                             ) from error
+
+
+def label(thing: type[Configurable] | Configurable, options: Mapping[str, Any]) -> str:
+    """Return a name with its options, such as "rfm with order=3"."""
+    name = getattr(thing, "name", None) or getattr(thing, "__name__", type(thing).__name__)
+    given = ", ".join(f"{key}={value}" for key, value in options.items())
+    return f"{name} with {given}" if given else str(name)
+
+
+def check_declaration(kind: str, thing: Any) -> None:
+    """Require what the hooks require, one line on what the thing is, and options that parse.
+
+    Parameters
+    ----------
+    kind : str
+        Plural, such as "models".
+    thing : object
+        As a hook returns it.
+    """
+    try:
+        KINDS[kind].made(thing)
+    except TypeError as error:
+        raise AssertionError(f"the hook termsel_{kind} would be refused: it {error}") from error
+    require(summary(thing).strip(), "it says nothing of itself; give it a docstring (or a "
+                                    f"summary), whose first line `termsel list {kind}` shows")
+    options = getattr(thing, "declared_options", ())
+    names = [option.name for option in options]
+    require(len(set(names)) == len(names), f"an option is declared twice: {', '.join(names)}")
+    for option in options:
+        require(option.doc.strip(), f"option {option.name!r} has no doc; `termsel describe` "
+                                    "shows it")
+        parsed = option.parse(option.default)
+        require(parsed == option.default,
+                f"the default {option.default!r} of option {option.name!r} is read as {parsed!r}; "
+                f"declare it as {option.type.__name__}")
+        for choice in option.choices:
+            option.parse(choice)
+
+
+def pickled(thing: Subject) -> Subject:
+    """Return a copy through pickle, as in another process."""
+    try:
+        copy: Subject = pickle.loads(pickle.dumps(thing))
+    except (pickle.PicklingError, AttributeError, TypeError) as error:
+        raise AssertionError(f"it cannot be sent to another process: {error}; define the class "
+                             "in a module, and keep no functions or open files in it") from error
+    return copy

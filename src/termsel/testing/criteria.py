@@ -1,0 +1,185 @@
+"""What every criterion must do."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from termsel.criteria import Criterion, Fits
+from termsel.features import BoolArray, FloatArray, Points
+from termsel.models.polynomial import Polynomial3D
+from termsel.problems.selection import Inputs, SelectionProblem
+from termsel.testing.checks import (
+    Case,
+    Check,
+    assemble,
+    check_declaration,
+    label,
+    pickled,
+    require,
+    run_all,
+)
+from termsel.testing.scenes import imaged, seeded
+
+PIXELS = 1000.0
+NOISE = 0.5
+"""Standard deviation of the measurements [pixel]."""
+
+
+class _Recorder(Criterion):
+    """Keeps what a criterion is shown."""
+
+    name = "recorder"
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.seen: list[Fits] = []
+
+    def score(self, fits: Fits) -> FloatArray:
+        self.seen.append(fits)
+        return np.zeros(len(fits.terms))
+
+
+def declaration(criterion: Criterion) -> None:
+    """It has a name and a docstring, and its options are documented and take their defaults."""
+    check_declaration("criteria", criterion)
+
+
+def score_shape(criterion: Criterion) -> None:
+    """It gives one figure for each fitted model."""
+    for masks in (_masks(), _masks()[:1]):
+        score = criterion.score(_fits(masks))
+        require(isinstance(score, np.ndarray) and score.shape == (len(masks),)
+                and np.issubdtype(score.dtype, np.floating),
+                f"score() of {len(masks)} fits must be an array of {len(masks)} figures, not "
+                f"{getattr(score, 'dtype', type(score).__name__)} of shape {np.shape(score)}")
+
+
+def score_finite(criterion: Criterion) -> None:
+    """Its figures are finite for models that are determined and have finite errors."""
+    score = criterion.score(_fits(_masks()))
+    require(np.isfinite(score).all(), f"score() must be finite for finite errors, not {score}")
+
+
+def smaller_is_better(criterion: Criterion) -> None:
+    """The better a model fits, the smaller the figure."""
+    score = criterion.score(_fits(_masks()))
+    require((np.diff(score) > 0).all(),
+            "models that lack no term, then one, two and more of the terms the measurements were "
+            f"made with, must be given ever larger figures, not {score}")
+
+
+def deterministic(criterion: Criterion) -> None:
+    """The same fits are given the same figures, here and in another process."""
+    fits = _fits(_masks())
+    first = criterion.score(fits)
+    again = (criterion.score(fits), type(criterion)(**criterion.options).score(fits),
+             pickled(criterion).score(_fits(_masks())))
+    require(all(np.array_equal(first, other) for other in again),
+            "score() of the same fits differs from one call or object to the next")
+
+
+def one_by_one(criterion: Criterion) -> None:
+    """A model's figure does not depend on the other models it is scored with."""
+    masks = _masks()
+    together = criterion.score(_fits(masks))
+    alone = np.concatenate([criterion.score(_fits(masks[i:i + 1])) for i in range(len(masks))])
+    require(np.allclose(together, alone),
+            f"scored together the models get {together}, one by one {alone}; a search keeps "
+            "figures and compares them later")
+
+
+def inputs_unchanged(criterion: Criterion) -> None:
+    """It writes to nothing it is given."""
+    fits = _fits(_masks())
+    arrays = {name: value for name, value in vars(fits).items() if isinstance(value, np.ndarray)}
+    before = {name: array.copy() for name, array in arrays.items()}
+    errors = fits.check_errors.copy()
+    criterion.score(fits)
+    for name, array in arrays.items():
+        require(np.array_equal(array, before[name]), f"score() changes fits.{name}; work on a copy")
+    require(np.array_equal(fits.check_errors, errors),
+            "score() changes fits.check_errors; work on a copy")
+
+
+CRITERION_CHECKS = (declaration, score_shape, score_finite, smaller_is_better, deterministic,
+                    one_by_one, inputs_unchanged)
+
+
+def criterion_checks(
+    criterion: Criterion,
+    *,
+    expected_failures: Mapping[str, str] | None = None,
+) -> tuple[Check, ...]:
+    """Return the checks of a criterion, for ``pytest.mark.parametrize``.
+
+    Parameters
+    ----------
+    criterion : Criterion
+        An object, with the options to check it with.
+    expected_failures : mapping, optional
+        Checks it is known to fail, by name, with the reason.
+
+    Returns
+    -------
+    tuple of Check
+
+    Raises
+    ------
+    TermselError
+        For an expected failure of a check that does not exist.
+    """
+    case = Case(label(criterion, criterion.options), lambda: criterion)
+    return assemble(CRITERION_CHECKS, [case], expected_failures)
+
+
+def check_criterion(
+    criterion: Criterion,
+    *,
+    expected_failures: Mapping[str, str] | None = None,
+) -> None:
+    """Run all checks of a criterion.
+
+    Parameters
+    ----------
+    criterion, expected_failures
+        As `criterion_checks`.
+
+    Raises
+    ------
+    AssertionError
+        Naming every check that fails, and what is wrong.
+
+    Examples
+    --------
+    >>> from termsel.criteria import CheckRmse
+    >>> check_criterion(CheckRmse())
+    """
+    run_all(criterion_checks(criterion, expected_failures=expected_failures))
+
+
+def _model() -> Polynomial3D:
+    return Polynomial3D(degree=2)
+
+
+def _masks() -> BoolArray:
+    """Return term masks, shape (4, 20), from the true model to ones that lack ever more."""
+    names = _model().terms
+    lacking: tuple[tuple[str, ...], ...] = ((), ("Z",), ("Z", "Y"), ("Z", "Y", "X"))
+    return np.array([[name.split(":")[1] in {"1", "X", "Y", "Z"} - set(gone) for name in names]
+                     for gone in lacking])
+
+
+def _fits(masks: BoolArray) -> Fits:
+    """Return least-squares fits of an affine scene with noise, as a problem shows them."""
+    model, rng = _model(), seeded()
+    affine = {"1": 0.1, "X": 0.5, "Y": 0.4, "Z": 0.2}
+    truth = np.array([affine.get(name.split(":")[1], 0.0) for name in model.terms])
+    control, check = (imaged(model, truth, rng, points=40) for _ in range(2))
+    noisy = [Points(f.points.ids, f.points.image + rng.normal(0.0, NOISE / PIXELS, (40, 2)),
+                    f.points.ground) for f in (control, check)]
+    recorder = _Recorder()
+    inputs = Inputs(model, control.with_(points=noisy[0]), noisy[1], PIXELS, recorder)
+    SelectionProblem(inputs, terms=True, features=False).evaluate(masks)
+    return recorder.seen[-1]

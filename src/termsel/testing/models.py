@@ -1,0 +1,381 @@
+"""What every sensor model must do."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+from functools import partial
+from itertools import product
+from typing import Any
+
+import numpy as np
+
+from termsel.criteria import CheckRmse
+from termsel.errors import TermselError
+from termsel.features import FeatureSet, FloatArray, Points
+from termsel.models.base import RationalModel, SensorModel
+from termsel.problems.selection import Inputs, SelectionProblem
+from termsel.testing.checks import (
+    Case,
+    Check,
+    assemble,
+    check_declaration,
+    label,
+    pickled,
+    require,
+    run_all,
+)
+from termsel.testing.scenes import (
+    MIXES,
+    accepted_scenes,
+    experiment,
+    fitted,
+    flattened,
+    imaged,
+    random_coefficients,
+    random_ground,
+    seeded,
+)
+
+EXACT = 1e-6
+"""Error allowed where a model is fitted to what it computed itself, in scaled units."""
+
+FIRST_ORDER = 0.01
+"""Median error allowed where line equations hold to first order, as a share of the image."""
+
+def declaration(model: SensorModel) -> None:
+    """It has a name and a docstring, and its options are documented and take their defaults."""
+    check_declaration("models", type(model))
+
+
+def term_names(model: SensorModel) -> None:
+    """Its terms are named, each by another name, and always by the same."""
+    terms = model.terms
+    require(isinstance(terms, tuple) and terms and all(isinstance(t, str) and t for t in terms),
+            f"terms must be a tuple of names, not {terms!r}")
+    twice = sorted({name for name in terms if terms.count(name) > 1})
+    require(not twice, f"terms must have a name each; more than one is called {', '.join(twice)}")
+    model.equations(accepted_scenes(model)[-1])
+    again = type(model)(**model.options)
+    require(model.terms == terms and again.terms == terms,
+            "terms must be the same names in the same order whenever they are asked for; results "
+            "name them")
+
+
+def axis(model: SensorModel) -> None:
+    """It says of each term whether it acts on the line (0), the sample (1) or both (2)."""
+    codes = np.asarray(model.axis)
+    k = len(model.terms)
+    require(codes.shape == (k,), f"axis must have shape ({k},), one code a term, not {codes.shape}")
+    require(np.issubdtype(codes.dtype, np.integer) and np.isin(codes, (0, 1, 2)).all(),
+            f"axis must hold the integers 0 (line), 1 (sample) and 2 (both), not {codes}")
+    coefficients, ground = random_coefficients(model, seeded()), random_ground(seeded(), 40)
+    image = model.project(coefficients, ground)
+    for term, code in enumerate(codes):
+        without = coefficients.copy()
+        without[term] = 0.0
+        moved = np.abs(model.project(without, ground) - image).max(axis=0) > 0
+        for side, name in ((0, "line"), (1, "sample")):
+            require(code in (side, 2) or not moved[side],
+                    f"axis says that term {model.terms[term]!r} does not act on the {name}, but "
+                    f"project() gives other {name}s without it")
+
+
+def control_kinds(model: SensorModel) -> None:
+    """It takes control from points, from lines and from both.
+
+    A model that cannot refuses with a TermselError, and has this check among its expected
+    failures; the others are then run on what it takes.
+    """
+    for mix, name in zip(MIXES, ("points alone", "lines alone", "points and lines"), strict=True):
+        try:
+            model.equations(experiment(model, *mix)[0])
+        except TermselError as error:
+            raise AssertionError(f"it refuses control from {name}: {error}") from error
+
+
+def equations(model: SensorModel) -> None:
+    """Points and lines give two finite rows each, points first, over all terms."""
+    k = len(model.terms)
+    for features in accepted_scenes(model):
+        n, m = len(features.points), len(features.lines)
+        found = model.equations(features)
+        of = f"of {n} points and {m} lines"
+        rows = 2 * (n + m)
+        for name, value, shape in (("A", found.A, (rows, k)), ("b", found.b, (rows,)),
+                                   ("feature", found.feature, (rows,))):
+            require(np.shape(value) == shape, f"equations {of}: {name} must have shape {shape}, "
+                    f"two rows a feature, not {np.shape(value)}")
+        require(np.isfinite(found.A).all() and np.isfinite(found.b).all(),
+                f"equations {of}: A and b must be finite")
+        require(np.array_equal(found.feature, np.repeat(np.arange(n + m), 2)),
+                f"equations {of}: feature must number the features each row belongs to, points "
+                "first and then lines, with two rows each")
+
+
+def inputs_unchanged(model: SensorModel) -> None:
+    """It writes to nothing it is given."""
+    coefficients, ground = random_coefficients(model, seeded()), random_ground(seeded(), 9)
+    features = accepted_scenes(model)[-1]
+    given = (coefficients, ground, features.points.image, features.points.ground,
+             features.lines.image, features.lines.ground)
+    before = [array.copy() for array in given]
+    model.equations(features)
+    model.project(coefficients, ground)
+    model.denominators(coefficients, ground)
+    model.residual_weights(ground, ground[:4])
+    for name, old, array in zip(("the coefficients", "the ground points", *4 * ("the features",)),
+                                before, given, strict=True):
+        require(np.array_equal(old, array), f"it changes {name} it is given; work on a copy")
+
+
+def exact_recovery(model: SensorModel) -> None:
+    """Fitted to points it computed itself, it computes other points right.
+
+    Standard deviations, which weight the points, make no difference.
+    """
+    features, truth, ground = experiment(model, 1, 0)
+    _require_recovered(model, features, truth, ground, "points")
+    points = features.points
+    sigma = seeded().uniform(0.5, 2.0, (len(points), 2))
+    weighted = Points(points.ids, points.image, points.ground, sigma)
+    _require_recovered(model, features.with_(points=weighted), truth, ground,
+                       "points with standard deviations")
+
+
+def recovery_from_lines(model: SensorModel) -> None:
+    """Fitted to lines it computed itself, it computes points right.
+
+    With a denominator for each axis, the equations of lines hold to first order and so does
+    this. Other models than a RationalModel are asked for points and lines together, as lines
+    alone may not suffice them, if they take any.
+    """
+    if not any(len(features.lines) for features in accepted_scenes(model)):
+        return
+    separate = _has_separate_denominators(model)
+    points = 0 if isinstance(model, RationalModel) else 1
+    features, truth, ground = experiment(model, points, 1, shrink=0.1 if separate else 1.0)
+    if not separate:
+        _require_recovered(model, features, truth, ground, "lines")
+        return
+    image = model.project(truth, ground)
+    error = float(np.median(np.abs(fitted(model, features, ground) - image)))
+    allowed = FIRST_ORDER * float(np.ptp(image))
+    require(error <= allowed,
+            f"fitted to lines without noise, it misses points by {error:.1g} (median, scaled "
+            f"units); at most {allowed:.1g} is to be expected")
+
+
+def translation(model: SensorModel) -> None:
+    """Image coordinates that are all shifted alike shift its prediction by as much."""
+    features, truth, ground = experiment(model, 1, 0)
+    shift = np.array([0.1, -0.05])
+    points = features.points
+    moved = features.with_(points=Points(points.ids, points.image + shift, points.ground))
+    error = np.abs(fitted(model, moved, ground) - model.project(truth, ground) - shift).max()
+    require(error <= EXACT, f"with all image coordinates shifted by {shift}, its prediction is "
+                            f"not shifted by as much but {error:.1g} beside; has it a constant "
+                            "term for line and for sample?")
+
+
+def project_shapes(model: SensorModel) -> None:
+    """It projects any number of points, none included, for one set of coefficients or many."""
+    k = len(model.terms)
+    one = random_coefficients(model, seeded())
+    for n, many in product((0, 1, 7), ((), (1,), (5,), (2, 3))):
+        image = model.project(np.broadcast_to(one, (*many, k)).copy(), random_ground(seeded(), n))
+        require(np.shape(image) == (*many, n, 2),
+                f"project() of coefficients of shape {(*many, k)} and {n} ground points must have "
+                f"shape {(*many, n, 2)}, not {np.shape(image)}")
+
+
+def batch_project(model: SensorModel) -> None:
+    """Many sets of coefficients at once give what they give one by one."""
+    rng = seeded()
+    sets = np.stack([random_coefficients(model, rng) for _ in range(6)]).reshape(2, 3, -1)
+    ground = random_ground(rng, 11)
+    for name, method in (("project", model.project), ("denominators", model.denominators)):
+        together = method(sets, ground)
+        if together is None:
+            continue
+        require(np.shape(together) == (2, 3, 11, 2), f"{name}() of coefficients of shape "
+                f"{sets.shape} and 11 ground points must have shape (2, 3, 11, 2), not "
+                f"{np.shape(together)}")
+        for place in np.ndindex(2, 3):
+            alone = method(sets[place], ground)
+            require(alone is not None and np.allclose(together[place], alone, rtol=0, atol=1e-9),
+                    f"{name}() gives other values for a set of coefficients alone than among "
+                    "others")
+
+
+def deterministic(model: SensorModel) -> None:
+    """The same inputs give the same, from this object and from another like it."""
+    features, ground = accepted_scenes(model)[-1], random_ground(seeded(), 50)
+    coefficients = random_coefficients(model, seeded())
+    first, image = model.equations(features), model.project(coefficients, ground)
+    for other in (model, type(model)(**model.options)):
+        again = other.equations(features)
+        require(np.array_equal(first.A, again.A) and np.array_equal(first.b, again.b),
+                "equations() of the same features differ from one call to the next")
+        require(np.array_equal(other.project(coefficients, ground), image),
+                "project() of the same points differs from one call to the next")
+
+
+def picklable(model: SensorModel) -> None:
+    """It works in another process."""
+    coefficients, ground = random_coefficients(model, seeded()), random_ground(seeded(), 9)
+    copy = pickled(model)
+    require(copy.terms == model.terms and np.array_equal(copy.project(coefficients, ground),
+                                                         model.project(coefficients, ground)),
+            "the copy that another process gets projects otherwise")
+
+
+def masks_stay_finite(model: SensorModel) -> None:
+    """No choice of terms or features, however poor, breaks an evaluation."""
+    for features in accepted_scenes(model):
+        for what, problem in _problems(model, features):
+            size = problem.genome.size
+            genes = np.concatenate([np.zeros((1, size)), np.eye(size), np.ones((1, size))]) > 0
+            found = problem.evaluate(genes)
+            require(np.isfinite(found.objectives).all() and np.isfinite(found.violation).all(),
+                    f"choosing none, one or all of the {what} gives an evaluation that is not "
+                    "finite")
+
+
+def height(model: SensorModel) -> None:
+    """`uses_height` says truly whether the heights matter."""
+    features, ground = accepted_scenes(model)[-1], random_ground(seeded(), 50)
+    coefficients = random_coefficients(model, seeded())
+    flat = features.with_(points=replace(features.points, ground=flattened(features.points.ground)),
+                          lines=replace(features.lines, ground=flattened(features.lines.ground)))
+    first, second = model.equations(features), model.equations(flat)
+    same = (np.array_equal(first.A, second.A) and np.array_equal(first.b, second.b)
+            and np.array_equal(model.project(coefficients, ground),
+                               model.project(coefficients, flattened(ground))))
+    if model.uses_height:
+        require(not same, "uses_height is True, but heights make no difference; declare "
+                          "uses_height = False, so that it takes features without height")
+    else:
+        require(same, "uses_height is False, but other heights give other equations or other "
+                      "image positions")
+
+
+def residual_weights(model: SensorModel) -> None:
+    """Weights that spread residuals, where there are any, have a row a place, and are finite."""
+    rng = seeded()
+    control = random_ground(rng, 8)
+    for m in (0, 1, 5):
+        weights = model.residual_weights(control, random_ground(rng, m))
+        if weights is not None:
+            require(np.shape(weights) == (m, 8), "residual_weights() of 8 control points and "
+                    f"{m} places must have shape ({m}, 8), not {np.shape(weights)}")
+            require(np.isfinite(weights).all(), "residual_weights() must be finite")
+
+
+MODEL_CHECKS = (
+    declaration, term_names, axis, control_kinds, equations, inputs_unchanged, exact_recovery,
+    recovery_from_lines, translation, project_shapes, batch_project, deterministic, picklable,
+    masks_stay_finite, height, residual_weights)
+
+
+def model_checks(
+    model: type[SensorModel],
+    *,
+    options: Iterable[Mapping[str, Any]] | None = None,
+    expected_failures: Mapping[str, str] | None = None,
+) -> tuple[Check, ...]:
+    """Return the checks of a sensor model, for ``pytest.mark.parametrize``.
+
+    Parameters
+    ----------
+    model : type
+        A subclass of SensorModel.
+    options : iterable of mapping, optional
+        The options to check it with. By default its defaults, and every other choice of
+        each option that has choices.
+    expected_failures : mapping, optional
+        Checks it is known to fail, by name, with the reason.
+
+    Returns
+    -------
+    tuple of Check
+
+    Raises
+    ------
+    TermselError
+        For an expected failure of a check that does not exist.
+
+    Examples
+    --------
+    >>> from termsel.models.polynomial import Affine
+    >>> model_checks(Affine)[0].name
+    'declaration'
+    """
+    chosen = _choices(model) if options is None else options
+    return assemble(MODEL_CHECKS, [Case(label(model, o), partial(model, **o)) for o in chosen],
+                    expected_failures)
+
+
+def check_model(
+    model: type[SensorModel],
+    *,
+    options: Iterable[Mapping[str, Any]] | None = None,
+    expected_failures: Mapping[str, str] | None = None,
+) -> None:
+    """Run all checks of a sensor model.
+
+    Parameters
+    ----------
+    model, options, expected_failures
+        As `model_checks`.
+
+    Raises
+    ------
+    AssertionError
+        Naming every check that fails, and what is wrong.
+
+    Examples
+    --------
+    >>> from termsel.models.polynomial import Affine
+    >>> check_model(Affine)
+    """
+    run_all(model_checks(model, options=options, expected_failures=expected_failures))
+
+
+def _choices(model: type[SensorModel]) -> list[dict[str, Any]]:
+    """Return no options, and each choice other than a default by itself."""
+    others: list[dict[str, Any]] = [{}]
+    for option in model.declared_options:
+        choices = (True, False) if option.type is bool else map(option.parse, option.choices)
+        others += [{option.name: choice} for choice in choices if choice != option.default]
+    return others
+
+
+def _require_recovered(model: SensorModel, features: FeatureSet, truth: FloatArray,
+                       ground: FloatArray, kind: str) -> None:
+    error = np.abs(fitted(model, features, ground) - model.project(truth, ground)).max()
+    require(error <= EXACT,
+            f"fitted to {kind} without noise that project() gave, it misses other points by "
+            f"{error:.1g} (scaled units); equations() and project() do not say the same")
+
+
+def _has_separate_denominators(model: SensorModel) -> bool:
+    if not isinstance(model, RationalModel):
+        return False
+    blocks = model.blocks(np.zeros((1, 3)))
+    return any(block is not None and block.shape[1]
+               for block in (blocks.line_denominator, blocks.sample_denominator))
+
+
+def _problems(model: SensorModel, features: FeatureSet) -> list[tuple[str, SelectionProblem]]:
+    truth = random_coefficients(model, seeded())
+    check = imaged(model, truth, np.random.default_rng(2), points=10).points
+    inputs = Inputs(model, features, check, 1000.0, CheckRmse())
+    listed = [("terms", SelectionProblem(inputs, terms=True, features=False)),
+              ("terms, line and sample together",
+               SelectionProblem(inputs, terms=True, features=False, mask="shared"))]
+    ground = features.points.ground
+    # An interpolating model does not allow the choice of features.
+    if not len(ground) or model.residual_weights(ground, ground[:1]) is None:
+        listed.append(("features", SelectionProblem(inputs, terms=False, features=True)))
+    return listed

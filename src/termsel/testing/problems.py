@@ -1,0 +1,225 @@
+"""Small problems with known answers, which watch how a solver treats them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from termsel.criteria import CheckRmse
+from termsel.features import BoolArray, FeatureSet, FloatArray, Points, select
+from termsel.models.polynomial import Polynomial2D
+from termsel.problems.base import (
+    WORST,
+    EnumerablePart,
+    Evaluation,
+    Genome,
+    Problem,
+    Segment,
+    Selection,
+)
+from termsel.problems.selection import Inputs, SelectionProblem
+from termsel.testing.checks import require
+from termsel.testing.scenes import imaged
+
+SIZE = 12
+
+Judge = Callable[[BoolArray], tuple[FloatArray, FloatArray]]
+
+
+class Toy(Problem):
+    """A problem that is quick to evaluate.
+
+    Parameters
+    ----------
+    genome : Genome
+    judge : callable
+        Takes genes, shape (p, size); returns objectives, shape (p, m), and violations,
+        shape (p,).
+    objectives : tuple of str
+    """
+
+    def __init__(self, genome: Genome, judge: Judge,
+                 objectives: tuple[str, ...] = ("cost",)) -> None:
+        self.genome = genome
+        self.objectives = objectives
+        self.judge = judge
+
+    def evaluate(self, genes: BoolArray) -> Evaluation:
+        """Return what the judge says."""
+        return Evaluation(*self.judge(genes))
+
+    def decode(self, genes: BoolArray) -> Selection:
+        """Return the labels of the genes that are on, as terms."""
+        return Selection(select(self.genome.labels, genes), ())
+
+
+class Watched(Problem):
+    """A problem that refuses genes no solver may send, and keeps count.
+
+    Parameters
+    ----------
+    inner : Problem
+    before : callable, optional
+        Called with the number of the call, from 1, before each evaluation; what it raises
+        the solver has to let pass.
+    """
+
+    def __init__(self, inner: Problem, before: Callable[[int], None] | None = None) -> None:
+        self.inner = inner
+        self.genome = inner.genome
+        self.objectives = inner.objectives
+        self.before = before
+        self.calls = 0
+        self.evaluated = 0
+        self.best: tuple[float, float] = (np.inf, np.inf)
+
+    def evaluate(self, genes: BoolArray) -> Evaluation:
+        """Return the evaluation of genes that are as they must be.
+
+        Raises
+        ------
+        AssertionError
+            For genes of another type or shape, or that break the genome's rules.
+        """
+        require_genes(self.genome, genes, "evaluate() got")
+        self.calls += 1
+        if self.before is not None:
+            self.before(self.calls)
+        self.evaluated += len(genes)
+        found = self.inner.evaluate(genes)
+        if len(genes):
+            first = int(found.order()[0])
+            self.best = min(self.best, (float(found.violation[first]),
+                                        float(found.objectives[first, 0])))
+        return found
+
+    def decode(self, genes: BoolArray) -> Selection:
+        """Return what the problem within selects."""
+        return self.inner.decode(genes)
+
+    def parts(self) -> tuple[EnumerablePart, ...]:
+        """Return the parts of the problem within."""
+        return self.inner.parts()
+
+    def design(self) -> FloatArray:
+        """Return the design matrix of the problem within."""
+        return self.inner.design()
+
+
+def require_genes(genome: Genome, genes: object, who: str) -> None:
+    """Require a population that keeps type, shape, forced genes and cardinality.
+
+    Parameters
+    ----------
+    genome : Genome
+    genes : object
+    who : str
+        Begins the message: where the genes were met.
+    """
+    require(isinstance(genes, np.ndarray) and genes.dtype == np.bool_,
+            f"{who} {getattr(genes, 'dtype', type(genes).__name__)}, not an array of bool")
+    assert isinstance(genes, np.ndarray)
+    require(genes.ndim == 2 and genes.shape[1] == genome.size,
+            f"{who} genes of shape {genes.shape}, not (individuals, {genome.size})")
+    require(kept(genome, genes).all(),
+            f"{who} genes in which forced ones are switched, or too few or too many of a segment "
+            "are on; send them through problem.genome.repair()")
+
+
+def kept(genome: Genome, genes: BoolArray) -> BoolArray:
+    """Return which individuals keep forced genes and cardinality, shape (p,)."""
+    good = genes[:, genome.on].all(axis=1) & ~genes[:, genome.off].any(axis=1)
+    for segment, where in zip(genome.segments, genome.slices().values(), strict=True):
+        count = genes[:, where].sum(axis=1)
+        most = len(segment.labels) if segment.maximum is None else segment.maximum
+        good &= (count >= segment.minimum) & (count <= most)
+    return np.asarray(good)
+
+
+def twelve_terms() -> SelectionProblem:
+    """Return the choice among the 12 terms of a plane polynomial of second degree.
+
+    Half of the terms are needed, and noise makes the others harmful; `optimum` walks through
+    all 4096 selections.
+    """
+    model, rng = Polynomial2D(degree=2), np.random.default_rng(9)
+    truth = rng.choice([-0.3, 0.3], SIZE) * (np.arange(SIZE) % 2 == 0)
+    control, check = (imaged(model, truth, rng, points=12).points for _ in range(2))
+    noisy = Points(control.ids, control.image + rng.normal(0.0, 0.05, (12, 2)), control.ground)
+    return SelectionProblem(Inputs(model, FeatureSet(noisy), check, 100.0, CheckRmse()),
+                            terms=True, features=False)
+
+
+def trap(size: int = 2 * SIZE) -> Toy:
+    """Return a problem whose cost leads away from the few selections that are feasible.
+
+    The violation counts the genes that differ from an alternating pattern, but for two; the
+    cost counts those that agree with it. One selection in fifty thousand is feasible.
+    """
+    pattern = np.arange(size) % 2 == 0
+
+    def judge(genes: BoolArray) -> tuple[FloatArray, FloatArray]:
+        different = (genes != pattern).sum(axis=1).astype(np.float64)
+        return size - different[:, None], np.maximum(different - 2, 0.0)
+
+    return Toy(_plain(size), judge)
+
+
+def hopeless(size: int = SIZE) -> Toy:
+    """Return a problem no individual of which is feasible; all cost the same."""
+    return Toy(_plain(size), lambda genes: (
+        np.full((len(genes), 1), WORST), 1.0 + genes.sum(axis=1)))
+
+
+def bound() -> Toy:
+    """Return a problem with forced genes, and with bounds on how many are on.
+
+    Of segment "a", 2 to 4 of 8 genes are on, a1 always and a2 never; of segment "b" exactly 3
+    of 6; segment "c" is free but for c1, which is always on. The cost counts the genes that
+    differ from a1, a5, a6, b4, b5, b6, c1 and c3: the optimum is 0.
+    """
+    segments = (Segment("a", _labels("a", 8), 2, 4), Segment("b", _labels("b", 6), 3, 3),
+                Segment("c", _labels("c", 4)))
+    genome = Genome(segments, on=("a1", "c1"), off=("a2",))
+    best = np.isin(genome.labels, ("a1", "a5", "a6", "b4", "b5", "b6", "c1", "c3"))
+    return Toy(genome, lambda genes: (
+        (genes != best).sum(axis=1, keepdims=True).astype(np.float64), np.zeros(len(genes))))
+
+
+def two_aims(size: int = SIZE) -> Toy:
+    """Return a problem of two objectives: genes off in the first half, and genes on at all."""
+    return Toy(_plain(size), lambda genes: (
+        np.column_stack([_off(genes[:, :size // 2]), genes.sum(axis=1)]).astype(np.float64),
+        np.zeros(len(genes))), ("off", "on"))
+
+
+def narrow(size: int, on: tuple[str, ...] = ()) -> Toy:
+    """Return the problem of switching few genes on, some or all of them forced on."""
+    return Toy(Genome([Segment("terms", _labels("g", size))], on=on),
+               lambda genes: (_off(genes), np.zeros(len(genes))))
+
+
+def optimum(problem: Problem) -> float:
+    """Return the least first objective of the feasible selections of a small problem.
+
+    All selections that keep forced genes and cardinality are evaluated.
+    """
+    genome = problem.genome
+    everything = (np.arange(2**genome.size)[:, None] >> np.arange(genome.size)) & 1 > 0
+    found = problem.evaluate(everything[kept(genome, everything)])
+    return float(found.objectives[found.violation == 0, 0].min())
+
+
+def _plain(size: int) -> Genome:
+    half = size // 2
+    return Genome([Segment("terms.line", _labels("l", half)),
+                   Segment("terms.sample", _labels("s", size - half))])
+
+
+def _labels(letter: str, n: int) -> tuple[str, ...]:
+    return tuple(f"{letter}{i + 1}" for i in range(n))
+
+
+def _off(genes: BoolArray) -> FloatArray:
+    return np.asarray((~genes).sum(axis=1, keepdims=True), dtype=np.float64)

@@ -1,0 +1,281 @@
+"""What every reader of ground control features must do."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+
+from termsel.errors import TermselError
+from termsel.features import FeatureSet
+from termsel.io.base import Reader
+from termsel.testing.checks import Case, Check, assemble, check_declaration, require, run_all
+
+HEAD = 65536
+"""Bytes of a file that are shown to `sniff`."""
+
+PIECES = 40
+"""Places at which the example is cut off."""
+
+
+@dataclass(frozen=True, eq=False)
+class Example:
+    """A reader and a file it reads.
+
+    Parameters
+    ----------
+    reader : Reader
+    content : bytes
+    expected : FeatureSet
+        What the content says.
+    filename : str
+    """
+
+    reader: Reader
+    content: bytes
+    expected: FeatureSet
+    filename: str
+
+    @property
+    def text(self) -> str | None:
+        """The content as text without a byte order mark, None where it is binary."""
+        if b"\0" in self.content:
+            return None
+        try:
+            return self.content.decode("utf-8-sig")
+        except UnicodeDecodeError:
+            return None
+
+
+def declaration(example: Example) -> None:
+    """It has a name and a summary."""
+    check_declaration("readers", example.reader)
+
+
+def reads_example(example: Example) -> None:
+    """It reads the example as it is meant, each time, and leaves the file as it was."""
+    with TemporaryDirectory() as folder:
+        path = _put(example, folder, example.content)
+        for _ in range(2):
+            _require_same(example.reader.read(path), example.expected, "the example")
+        require(path.read_bytes() == example.content, "it changes the file it reads")
+        require(list(Path(folder).iterdir()) == [path], "it leaves other files beside the one read")
+
+
+def sniffs_example(example: Example) -> None:
+    """It recognises the example by its content, without reading all of it."""
+    with TemporaryDirectory() as folder:
+        path = _put(example, folder, example.content)
+        require(example.reader.sniff(path, example.content[:HEAD]) is True,
+                "sniff() must be True for the example")
+
+
+def sniffs_anything(example: Example) -> None:
+    """It says no to bytes that mean nothing, and never raises."""
+    with TemporaryDirectory() as folder:
+        for content, what in _noise():
+            path = _put(example, folder, content)
+            try:
+                answer = example.reader.sniff(path, content[:HEAD])
+            except Exception as error:
+                raise AssertionError(f"sniff() of {what} raises {type(error).__name__}: {error}; "
+                                     "it must say False to what it does not know") from error
+            require(answer is False, f"sniff() of {what} must be False, not {answer!r}")
+        for size in _cuts(example):
+            content = example.content[:size]
+            answer = example.reader.sniff(_put(example, folder, content), content)
+            require(isinstance(answer, bool), f"sniff() must be True or False, not {answer!r}")
+
+
+def truncated(example: Example) -> None:
+    """A file that was cut off is read as far as it makes sense, or refused by its name."""
+    with TemporaryDirectory() as folder:
+        for size in _cuts(example):
+            _read_or_refuse(example, folder, example.content[:size],
+                            f"the example cut off after {size} bytes")
+
+
+def empty_file(example: Example) -> None:
+    """An empty file is refused by its name."""
+    for content, what in ((b"", "an empty file"), (b"\n \n", "a blank file")):
+        _require_refused(example, content, what)
+
+
+def binary_file(example: Example) -> None:
+    """Bytes that mean nothing are refused by the name of the file."""
+    for content, what in _noise():
+        _require_refused(example, content, what)
+
+
+def missing_file(example: Example) -> None:
+    """A file that does not exist, and a folder, are refused by name."""
+    with TemporaryDirectory() as folder:
+        _refused(example, Path(folder) / "missing" / example.filename, "a file that does not exist")
+        _refused(example, Path(folder), "a folder")
+
+
+def wrong_encoding(example: Example) -> None:
+    """Text that is not UTF-8 is refused by the name of the file, or read right."""
+    if example.text is None:
+        return
+    with TemporaryDirectory() as folder:
+        found = _read_or_refuse(example, folder, example.text.encode("utf-16"), "UTF-16 text")
+        if found is not None:
+            _require_same(found, example.expected, "the example as UTF-16")
+        _read_or_refuse(example, folder, example.content + b"\xe9\xff", "text that is not UTF-8")
+
+
+def line_ends(example: Example) -> None:
+    """Text is read alike with the line ends of Windows and with a byte order mark."""
+    if example.text is None:
+        return
+    lines = example.text.replace("\r\n", "\n")
+    with TemporaryDirectory() as folder:
+        for text, what in ((lines, "line ends of Unix"),
+                           (lines.replace("\n", "\r\n"), "line ends of Windows"),
+                           ("\ufeff" + lines, "a byte order mark"),
+                           (lines.rstrip("\n"), "no line end in the last line")):
+            path = _put(example, folder, text.encode())
+            try:
+                found = example.reader.read(path)
+            except TermselError as error:
+                raise AssertionError(f"the example with {what} is refused: {error}") from error
+            _require_same(found, example.expected, f"the example with {what}")
+
+
+READER_CHECKS: tuple[Callable[[Example], None], ...] = (
+    declaration, reads_example, sniffs_example, sniffs_anything, truncated, empty_file,
+    binary_file, missing_file, wrong_encoding, line_ends)
+
+
+def reader_checks(
+    reader: Reader,
+    content: bytes,
+    expected: FeatureSet,
+    *,
+    filename: str = "example.txt",
+    expected_failures: Mapping[str, str] | None = None,
+) -> tuple[Check, ...]:
+    """Return the checks of a reader, for ``pytest.mark.parametrize``.
+
+    Parameters
+    ----------
+    reader : Reader
+    content : bytes
+        A file of its format with several features; checks of text are made if it is UTF-8.
+    expected : FeatureSet
+        What it says.
+    filename : str
+        A name as such files have.
+    expected_failures : mapping, optional
+        Checks it is known to fail, by name, with the reason.
+
+    Returns
+    -------
+    tuple of Check
+
+    Raises
+    ------
+    TermselError
+        For an expected failure of a check that does not exist.
+    """
+    example = Example(reader, content, expected, filename)
+    name = str(getattr(reader, "name", type(reader).__name__))
+    return assemble(READER_CHECKS, [Case(name, lambda: example)], expected_failures)
+
+
+def check_reader(
+    reader: Reader,
+    content: bytes,
+    expected: FeatureSet,
+    *,
+    filename: str = "example.txt",
+    expected_failures: Mapping[str, str] | None = None,
+) -> None:
+    """Run all checks of a reader.
+
+    Parameters
+    ----------
+    reader, content, expected, filename, expected_failures
+        As `reader_checks`.
+
+    Raises
+    ------
+    AssertionError
+        Naming every check that fails, and what is wrong.
+    """
+    run_all(reader_checks(reader, content, expected, filename=filename,
+                          expected_failures=expected_failures))
+
+
+def _put(example: Example, folder: str, content: bytes) -> Path:
+    path = Path(folder) / example.filename
+    path.write_bytes(content)
+    return path
+
+
+def _noise() -> list[tuple[bytes, str]]:
+    rng = np.random.default_rng(1)
+    return [(rng.bytes(n), f"{n} random bytes") for n in (1, 16, 1000, 20000)] + [
+        (bytes(100), "zero bytes")]
+
+
+def _cuts(example: Example) -> list[int]:
+    return sorted({int(n) for n in np.linspace(0, len(example.content) - 1, PIECES)})
+
+
+def _refused(example: Example, path: Path, what: str) -> None:
+    """Require a TermselError that names the file."""
+    try:
+        example.reader.read(path)
+    except TermselError as error:
+        require(str(path) in str(error), f"the error on {what} does not name the file: {error}; "
+                                         "raise TermselError(..., file=path)")
+        return
+    except Exception as error:
+        raise AssertionError(f"{what} raises {type(error).__name__}: {error}; the user can mend "
+                             "it, so raise TermselError(..., file=path)") from error
+    raise AssertionError(f"{what} is read as if nothing were wrong; raise TermselError")
+
+
+def _require_refused(example: Example, content: bytes, what: str) -> None:
+    with TemporaryDirectory() as folder:
+        _refused(example, _put(example, folder, content), what)
+
+
+def _read_or_refuse(example: Example, folder: str, content: bytes, what: str,
+                    ) -> FeatureSet | None:
+    """Return what is read, or None where a TermselError names the file."""
+    path = _put(example, folder, content)
+    try:
+        return example.reader.read(path)
+    except TermselError:
+        _refused(example, path, what)
+    except Exception as error:
+        raise AssertionError(f"{what} raises {type(error).__name__}: {error}; raise TermselError("
+                             "..., file=path) for what the user can mend") from error
+    return None
+
+
+def _require_same(found: FeatureSet, expected: FeatureSet, what: str) -> None:
+    pairs = (
+        ("ids of points", found.points.ids, expected.points.ids),
+        ("ids of lines", found.lines.ids, expected.lines.ids),
+        ("roles", found.points.roles, expected.points.roles),
+        ("crs", found.crs, expected.crs),
+        ("image_size", found.image_size, expected.image_size),
+        ("image coordinates of points", found.points.image, expected.points.image),
+        ("ground coordinates of points", found.points.ground, expected.points.ground),
+        ("standard deviations", found.points.sigma, expected.points.sigma),
+        ("image coordinates of lines", found.lines.image, expected.lines.image),
+        ("ground coordinates of lines", found.lines.ground, expected.lines.ground))
+    for name, mine, other in pairs:
+        if isinstance(mine, np.ndarray) and isinstance(other, np.ndarray):
+            same = mine.shape == other.shape and np.allclose(mine, other, rtol=1e-12, atol=1e-9,
+                                                             equal_nan=True)
+        else:
+            same = mine is other or (type(mine) is type(other) and mine == other)
+        require(same, f"{what} is read with the {name} {mine}, expected {other}")

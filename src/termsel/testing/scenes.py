@@ -1,0 +1,142 @@
+"""Control features whose image a model gives itself, free of noise, in scaled coordinates."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from termsel.adjustment.solve import solve
+from termsel.criteria import predict
+from termsel.errors import TermselError
+from termsel.features import FeatureSet, FloatArray, Lines, Points, no_lines, no_points
+from termsel.models.base import SensorModel
+
+LEAST_DENOMINATOR = 0.5
+
+MIXES = ((1, 0), (0, 1), (1, 1))
+"""Points only, lines only, both."""
+
+
+def seeded() -> np.random.Generator:
+    """Return the generator of the checks, always in the same state."""
+    return np.random.default_rng(1)
+
+
+def random_ground(rng: np.random.Generator, n: int) -> FloatArray:
+    """Return ground points in the cube of scaled coordinates, shape (n, 3)."""
+    return rng.uniform(-1.0, 1.0, (n, 3))
+
+
+def flattened(ground: FloatArray) -> FloatArray:
+    """Return ground coordinates with other heights, all the same."""
+    return np.asarray(ground * [1.0, 1.0, 0.0] + [0.0, 0.0, 0.25])
+
+
+def random_coefficients(model: SensorModel, rng: np.random.Generator) -> FloatArray:
+    """Return coefficients that give a model a finite image within [-1, 1], without poles.
+
+    Parameters
+    ----------
+    model : SensorModel
+    rng : numpy.random.Generator
+
+    Returns
+    -------
+    ndarray, shape (k,)
+
+    Raises
+    ------
+    AssertionError
+        If not even tiny coefficients do.
+    """
+    ground = random_ground(rng, 500)
+    coefficients = rng.uniform(-1.0, 1.0, len(model.terms))
+    for _ in range(60):
+        # Copies, so that a model that writes to its inputs fails in the check of that alone.
+        image = model.project(coefficients.copy(), ground.copy())
+        below = model.denominators(coefficients.copy(), ground.copy())
+        if (np.isfinite(image).all() and np.abs(image).max() <= 1.0
+                and (below is None or below.min() > LEAST_DENOMINATOR)):
+            return coefficients
+        coefficients = coefficients * 0.8
+    raise AssertionError("project() gives no finite image within [-1, 1] of ground points within "
+                         "[-1, 1], however small the coefficients")
+
+
+def imaged(model: SensorModel, coefficients: FloatArray, rng: np.random.Generator, *,
+           points: int = 0, lines: int = 0) -> FeatureSet:
+    """Return control features whose image coordinates the model computes itself.
+
+    The ground vertices of a line are imaged onto the image line, but the image points that
+    define it lie elsewhere along it.
+
+    Parameters
+    ----------
+    model : SensorModel
+    coefficients : ndarray, shape (k,)
+    rng : numpy.random.Generator
+    points, lines : int
+        How many.
+    """
+    ground = random_ground(rng, points)
+    middle = rng.uniform(-0.7, 0.7, (lines, 1, 3))
+    half = rng.uniform(0.1, 0.3, (lines, 1, 3)) * rng.choice([-1.0, 1.0], (lines, 1, 3))
+    vertices = np.concatenate([middle - half, middle + half], axis=1)
+    ends = model.project(coefficients, vertices.reshape(-1, 3)).reshape(-1, 2, 2)
+    along = np.array([-0.3, 1.4])[None, :, None] * (ends[:, 1:] - ends[:, :1])
+    return FeatureSet(
+        Points(_ids("p", points), model.project(coefficients, ground), ground)
+        if points else no_points(),
+        Lines(_ids("l", lines), ends[:, :1] + along, vertices) if lines else no_lines())
+
+
+def experiment(model: SensorModel, points: int, lines: int, shrink: float = 1.0,
+               ) -> tuple[FeatureSet, FloatArray, FloatArray]:
+    """Return features, the coefficients they were computed with, and other ground points.
+
+    Parameters
+    ----------
+    model : SensorModel
+    points, lines : {0, 1}
+        Which features there are; there are enough of either kind to determine all terms
+        twice over.
+    shrink : float
+        Factor of the coefficients.
+    """
+    rng = seeded()
+    truth = random_coefficients(model, rng) * shrink
+    enough = max(12, len(model.terms))
+    features = imaged(model, truth, rng, points=points * enough, lines=lines * enough)
+    return features, truth, random_ground(rng, 50)
+
+
+def accepted_scenes(model: SensorModel) -> list[FeatureSet]:
+    """Return features of the kinds of control the model takes, the fullest last.
+
+    Raises
+    ------
+    AssertionError
+        If it takes none.
+    """
+    taken = []
+    refusal: TermselError | None = None
+    for mix in MIXES:
+        features = experiment(model, *mix)[0]
+        try:
+            model.equations(features)
+        except TermselError as error:
+            refusal = error
+        else:
+            taken.append(features)
+    if not taken:
+        raise AssertionError(f"equations() refuses points and lines alike: {refusal}")
+    return taken
+
+
+def fitted(model: SensorModel, features: FeatureSet, ground: FloatArray) -> FloatArray:
+    """Return image positions, shape (n, 2), after fitting all terms to the features."""
+    coefficients = solve(model.equations(features)).coefficients
+    return predict(model, coefficients, features.points, ground)
+
+
+def _ids(letter: str, n: int) -> tuple[str, ...]:
+    return tuple(f"{letter}{i + 1}" for i in range(n))

@@ -1,0 +1,382 @@
+"""What every solver must do."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import replace
+from functools import partial
+from itertools import islice
+from typing import Any
+
+import numpy as np
+
+from termsel.errors import TermselError
+from termsel.problems.base import Evaluation, Problem
+from termsel.searching import Progress
+from termsel.solvers.base import Generation, Solver
+from termsel.testing import problems
+from termsel.testing.checks import (
+    Case,
+    Check,
+    assemble,
+    check_declaration,
+    label,
+    require,
+    run_all,
+)
+from termsel.testing.problems import Watched, require_genes
+from termsel.testing.trial import Trial, global_states, global_states_kept
+
+GENEROUS = 10_000
+"""Evaluations within which one of the feasible selections is to be found."""
+
+SEEDS = (1, 2, 3, 4)
+"""Searches that must all find the optimum; drawing at random, few do."""
+
+ENOUGH = 5000
+"""Evaluations of each of these searches, for 4096 selections."""
+
+
+class _Stop(Exception):
+    """What an evaluation raises to see whether a solver lets it pass."""
+
+
+class _Runaway(BaseException):
+    """Ends a solver that went on after an evaluation had failed."""
+
+
+def declaration(trial: Trial) -> None:
+    """It has a name and a docstring, and its options are documented and take their defaults."""
+    check_declaration("solvers", type(trial.solver))
+    require(isinstance(trial.solver.max_objectives, int) and trial.solver.max_objectives >= 1,
+            "max_objectives must be a whole number of at least 1")
+
+
+def generations_hold(trial: Trial) -> None:
+    """Generations are numbered from 0, and each carries its genes and their evaluation.
+
+    What was yielded stays as it was when the solver goes on.
+    """
+    problem = trial.problem()
+    kept: list[tuple[Generation, Any, Evaluation]] = []
+    for expected, generation in enumerate(trial.few(problem)):
+        require(isinstance(generation, Generation),
+                f"generations() must yield Generation, not {type(generation).__name__}")
+        require(generation.index == expected,
+                f"generations must be numbered 0, 1, 2 ...; number {expected} has the index "
+                f"{generation.index}")
+        genes, evaluation = generation.genes, generation.evaluation
+        require_genes(problem.genome, genes, f"generation {expected} has")
+        require(len(genes) > 0, f"generation {expected} has no individuals")
+        true = problem.evaluate(genes)
+        require(evaluation.objectives.shape == true.objectives.shape
+                and evaluation.violation.shape == true.violation.shape
+                and np.allclose(evaluation.objectives, true.objectives)
+                and np.allclose(evaluation.violation, true.violation),
+                f"the evaluation of generation {expected} is not that of its genes")
+        kept.append((generation, genes.copy(),
+                     Evaluation(evaluation.objectives.copy(), evaluation.violation.copy())))
+    require(kept, "generations() must yield at least one generation")
+    for generation, genes, evaluation in kept:
+        require(np.array_equal(generation.genes, genes)
+                and np.array_equal(generation.evaluation.objectives, evaluation.objectives)
+                and np.array_equal(generation.evaluation.violation, evaluation.violation),
+                f"the arrays of generation {generation.index} are changed after it was yielded; "
+                "yield new ones")
+
+
+def chance_from_rng_alone(trial: Trial) -> None:
+    """The same seed gives the same search, whatever the global random states, which it keeps."""
+    with global_states_kept():
+        runs = []
+        for seed in (1, 2):
+            random.seed(seed)
+            np.random.seed(seed)
+            before = global_states()
+            runs.append([g.genes.copy() for g in trial.few(trial.problem())])
+            require(global_states() == before,
+                    "it draws from the global random state of `random` or `numpy.random`; draw "
+                    "from the generator it is given")
+        require(len(runs[0]) == len(runs[1])
+                and all(np.array_equal(a, b) for a, b in zip(*runs, strict=True)),
+                "two searches with the same seed differ; its only source of chance must be the "
+                "generator it is given")
+        twin = replace(trial, solver=type(trial.solver)(**trial.solver.options))
+        again = [g.genes for g in twin.few(trial.problem())]
+        require(len(again) == len(runs[0])
+                and all(np.array_equal(a, b) for a, b in zip(runs[0], again, strict=True)),
+                "another object with the same options and seed searches otherwise; what a search "
+                "remembers belongs in generations(), not in the object")
+
+
+def any_problem(trial: Trial) -> None:
+    """It takes problems of which nothing but the genome and the evaluation is known.
+
+    A solver that needs more refuses with a TermselError, and has this check among its expected
+    failures; the others then do without such problems.
+    """
+    for problem in (problems.bound(), problems.narrow(1), problems.trap(), problems.hopeless()):
+        try:
+            next(trial.few(problem), None)
+        except TermselError as error:
+            raise AssertionError(f"it refuses a problem: {error}") from error
+
+
+def genome_kept(trial: Trial) -> None:
+    """It sends and yields bool genes alone that keep forced genes and cardinality."""
+    problem = Watched(problems.bound() if trial.takes(problems.bound()) else trial.problem())
+    for generation in trial.few(problem, 20):
+        require_genes(problem.genome, generation.genes, f"generation {generation.index} has")
+    require(problem.calls, "it evaluated nothing")
+
+
+def narrow_genomes(trial: Trial) -> None:
+    """A single gene, and genes that are all forced, are no trouble."""
+    for problem in (problems.narrow(1), problems.narrow(2, on=("g1",)),
+                    problems.narrow(2, on=("g1", "g2"))):
+        if not trial.takes(problem):
+            continue
+        found = trial.search(problem, evaluations=200)
+        require(found.genes.all(),
+                f"with {problem.genome.size} genes, {problem.genome.on.sum()} of them forced on, "
+                "it does not find that all on is best")
+
+
+def evaluation_budget(trial: Trial) -> None:
+    """It evaluates through the problem it is given, and ends when the budget is spent."""
+    for budget in (1, 7, 123):
+        problem = Watched(trial.problem())
+        found = trial.search(problem, evaluations=budget)
+        require(problem.evaluated <= budget and found.evaluations <= budget,
+                f"given {budget} evaluations it takes {max(problem.evaluated, found.evaluations)}")
+        require(found.evaluations == budget or not trial.goes_on,
+                f"given {budget} evaluations it ends by itself after {found.evaluations}; declare "
+                "default_generations = None where that is meant")
+
+
+def generation_budget(trial: Trial) -> None:
+    """It ends after the generation the budget names."""
+    for budget in (1, 3):
+        seen: list[int] = []
+        trial.search(trial.problem(), generations=budget,
+                observers=[partial(_note_index, seen, budget)])
+        require(seen == list(range(budget + 1)) or not trial.goes_on,
+                f"given {budget} generations it yields those with the index "
+                f"{', '.join(map(str, seen))}")
+
+
+def errors_pass(trial: Trial) -> None:
+    """What an evaluation raises leaves the solver at once, as the budget needs it."""
+    raised: list[int] = []
+
+    def before(call: int) -> None:
+        if raised:
+            raise _Runaway
+        if call == 2:
+            raised.append(call)
+            raise _Stop
+
+    problem = Watched(trial.problem(), before)
+    try:
+        for _ in trial.few(problem, 20):
+            require(not raised, "an exception of evaluate() is caught, which hides the end of "
+                                "the budget; let it pass")
+    except _Stop:
+        pass
+    except _Runaway:
+        raise AssertionError("it goes on evaluating after an exception of evaluate(), which "
+                             "hides the end of the budget; let it pass") from None
+    else:
+        require(not raised, "an exception of evaluate() is caught, which hides the end of the "
+                            "budget; let it pass")
+
+
+def closes(trial: Trial) -> None:
+    """Its iterator can be closed before, between and after generations, and then rests."""
+    for taken in (0, 1, 3):
+        problem = Watched(trial.problem())
+        running = trial.solver.generations(problem, np.random.default_rng(1))
+        close = getattr(running, "close", None)
+        if close is None:
+            raise AssertionError("generations() must be a generator, a method with `yield`, whose "
+                                 "iterator can be closed")
+        for _ in islice(running, taken):
+            pass
+        calls = problem.calls
+        try:
+            close()
+        except RuntimeError as error:
+            raise AssertionError(f"after {taken} generations it cannot be closed: {error}"
+                                 ) from error
+        require(problem.calls == calls, "it evaluates while it is being closed")
+        require(next(running, None) is None, "it goes on after it was closed")
+
+
+def interruptible(trial: Trial) -> None:
+    """Ctrl-C ends the search with the best found so far."""
+    raised: list[int] = []
+
+    def before(call: int) -> None:
+        if call == 3:
+            raised.append(call)
+            raise KeyboardInterrupt
+
+    problem = Watched(trial.problem(), before)
+    found = trial.search(problem, generations=20)
+    require(found.interrupted == bool(raised),
+            "it catches KeyboardInterrupt, so that the run does not know it was interrupted")
+    require((found.violation, float(found.objectives[0])) == problem.best,
+            "after Ctrl-C the result is not the best found until then")
+
+
+def best_never_worse(trial: Trial) -> None:
+    """The best so far only improves, and is what the search returns."""
+    for problem in map(Watched, filter(trial.takes, (trial.problem(), problems.trap()))):
+        seen: list[tuple[float, float]] = []
+        found = trial.search(problem, generations=10, observers=[
+            lambda progress, seen=seen: seen.append((progress.violation, progress.best))])
+        require(seen == sorted(seen, reverse=True), "the best so far becomes worse")
+        require((found.violation, float(found.objectives[0])) == problem.best,
+                "the search does not return the best it evaluated")
+        true = problem.inner.evaluate(found.genes[None])
+        require(np.allclose(true.objectives[0], found.objectives)
+                and np.allclose(true.violation[0], found.violation),
+                "the result's objectives are not those of its genes")
+
+
+def feasible_first(trial: Trial) -> None:
+    """It seeks feasible individuals, even where infeasible ones have better objectives."""
+    if not trial.takes(problems.trap()):
+        return
+    found = trial.search(problems.trap(), evaluations=GENEROUS)
+    require(found.violation == 0,
+            f"with {found.evaluations} evaluations it finds no feasible selection where the "
+            "objective leads away from them; rank by violation before objectives, as "
+            "Evaluation.order() does. A solver that does not search lists this among its expected "
+            "failures")
+
+
+def hopeless_survived(trial: Trial) -> None:
+    """Where nothing is feasible and all costs are alike, it still returns a finite result."""
+    if not trial.takes(problems.hopeless()):
+        return
+    found = trial.search(problems.hopeless(), generations=10)
+    require(found.violation >= 1.0 and np.isfinite(found.objectives).all(),
+            "a problem without feasible individuals gives no finite result")
+
+
+def optimum_found(trial: Trial) -> None:
+    """From any seed it finds the best of all selections, 4096 by default, in 5000 evaluations."""
+    best = problems.optimum(trial.problem())
+    for seed in SEEDS:
+        found = trial.search(trial.problem(), seed=seed, evaluations=ENOUGH)
+        require(np.isclose(found.objectives[0], best),
+                f"with seed {seed} and {found.evaluations} evaluations it finds "
+                f"{found.objectives[0]:.3f}, and the best is {best:.3f}; a solver that does not "
+                "search lists this among its expected failures")
+
+
+def objectives_respected(trial: Trial) -> None:
+    """It is refused more objectives than it declares, and handles two if it says so."""
+    if trial.solver.max_objectives < 2:
+        # What the solver cannot take is refused by the run, before the solver sees it.
+        try:
+            trial.search(problems.two_aims(), evaluations=50)
+        except TermselError:
+            return
+        raise AssertionError("two objectives are not refused, though max_objectives is 1")
+    problem = problems.two_aims()
+    last = None
+    for last in trial.few(problem, 20):
+        require(last.evaluation.objectives.shape == (len(last.genes), 2),
+                "objectives of the generations must have shape (individuals, 2)")
+    require(last is not None and len(np.unique(last.evaluation.objectives, axis=0)) > 1,
+            "with two objectives that conflict, the last generation holds one compromise alone")
+
+
+SOLVER_CHECKS = (
+    declaration, generations_hold, chance_from_rng_alone, any_problem, genome_kept,
+    narrow_genomes, evaluation_budget, generation_budget, errors_pass, closes, interruptible,
+    best_never_worse, feasible_first, hopeless_survived, optimum_found, objectives_respected)
+
+
+def solver_checks(
+    solver: type[Solver],
+    *,
+    options: Iterable[Mapping[str, Any]] = ({},),
+    problem: Callable[[], Problem] = problems.twelve_terms,
+    expected_failures: Mapping[str, str] | None = None,
+) -> tuple[Check, ...]:
+    """Return the checks of a solver, for ``pytest.mark.parametrize``.
+
+    Parameters
+    ----------
+    solver : type
+        A subclass of Solver.
+    options : iterable of mapping
+        The options to check it with; its defaults by default.
+    problem : callable
+        Makes the problem most checks are made with: by default a choice among 12 terms. Give
+        one of about as many genes for a solver that is made for something else.
+    expected_failures : mapping, optional
+        Checks it is known to fail, by name, with the reason.
+
+    Returns
+    -------
+    tuple of Check
+
+    Raises
+    ------
+    TermselError
+        For an expected failure of a check that does not exist.
+
+    Examples
+    --------
+    >>> from termsel.solvers.baselines import AllTerms
+    >>> solver_checks(AllTerms)[1].name
+    'generations_hold'
+    """
+    cases = [Case(label(solver, o), partial(_trial, solver, o, problem)) for o in options]
+    return assemble(SOLVER_CHECKS, cases, expected_failures)
+
+
+def check_solver(
+    solver: type[Solver],
+    *,
+    options: Iterable[Mapping[str, Any]] = ({},),
+    problem: Callable[[], Problem] = problems.twelve_terms,
+    expected_failures: Mapping[str, str] | None = None,
+) -> None:
+    """Run all checks of a solver.
+
+    Parameters
+    ----------
+    solver, options, problem, expected_failures
+        As `solver_checks`.
+
+    Raises
+    ------
+    AssertionError
+        Naming every check that fails, and what is wrong.
+
+    Examples
+    --------
+    >>> from termsel.solvers.ga import GeneticAlgorithm
+    >>> check_solver(GeneticAlgorithm)
+    """
+    run_all(solver_checks(solver, options=options, problem=problem,
+                          expected_failures=expected_failures))
+
+
+def _trial(solver: type[Solver], options: Mapping[str, Any],
+           problem: Callable[[], Problem]) -> Trial:
+    """Return the solver without the polish, which the run adds on top of any budget."""
+    polish = any(option.name == "polish" for option in solver.declared_options)
+    return Trial(solver(**{**({"polish": False} if polish else {}), **options}), problem)
+
+
+def _note_index(seen: list[int], budget: int, progress: Progress) -> None:
+    seen.append(progress.generation.index)
+    require(len(seen) <= budget + 1, f"given {budget} generations it yields more: the index of "
+            f"generations must rise, and was {', '.join(map(str, seen))}")

@@ -1,0 +1,272 @@
+"""What every writer of results must do."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from termsel.errors import TermselError
+from termsel.features import FeatureSet, Points
+from termsel.io.base import Writer
+from termsel.models.rational import RationalFunctions
+from termsel.result import Result
+from termsel.running import assess, prepare
+from termsel.searching import search
+from termsel.testing.checks import Case, Check, assemble, check_declaration, require, run_all
+from termsel.testing.scenes import imaged, random_coefficients, seeded
+
+OLD = b"what was there before"
+
+Verify = Callable[[Result, Path], None]
+
+
+@dataclass(frozen=True, eq=False)
+class Export:
+    """A writer and what it is given.
+
+    Parameters
+    ----------
+    writer : Writer
+    results : tuple of Result
+    filename : str
+    verify : callable or None
+        Takes a result and the file it was written to; raises where they do not agree.
+    """
+
+    writer: Writer
+    results: tuple[Result, ...]
+    filename: str
+    verify: Verify | None
+
+    def accepted(self) -> list[Result]:
+        """Return the results the writer accepts, at least one."""
+        taken = [result for result in self.results if self.writer.accepts(result)]
+        require(taken, "accepts() takes none of the results; give some it takes as `results`")
+        return taken
+
+
+def declaration(export: Export) -> None:
+    """It has a name and a summary."""
+    check_declaration("writers", export.writer)
+
+
+def accepts_answers(export: Export) -> None:
+    """It says of every result whether it can write it, and can write some."""
+    for result in export.results:
+        answer = export.writer.accepts(result)
+        require(isinstance(answer, bool), f"accepts() must be True or False, not {answer!r}")
+    export.accepted()
+
+
+def writes_file(export: Export) -> None:
+    """It writes the file that is asked for and leaves nothing temporary, whatever was there."""
+    for result in export.accepted():
+        with TemporaryDirectory() as folder:
+            path = Path(folder) / export.filename
+            for _ in range(2):
+                export.writer.write(result, path)
+                require(path.is_file() and path.stat().st_size, "write() writes no file, or an "
+                                                                "empty one, to the path given")
+                _require_tidy(path)
+                if export.verify is not None:
+                    export.verify(result, path)
+                path.write_bytes(OLD)
+
+
+def result_unchanged(export: Export) -> None:
+    """It writes to nothing it is given."""
+    for result in export.accepted():
+        before = result.to_json()
+        with TemporaryDirectory() as folder:
+            export.writer.write(result, Path(folder) / export.filename)
+        require(result.to_json() == before, "write() changes the result it is given")
+
+
+def unwritable_path(export: Export) -> None:
+    """A path that cannot be written is refused by its name."""
+    for result in export.accepted():
+        with TemporaryDirectory() as folder:
+            _refused(export, result, Path(folder) / "missing" / export.filename,
+                     "a path in a folder that does not exist")
+            taken = Path(folder) / export.filename
+            taken.mkdir()
+            _refused(export, result, taken, "a path where there is a folder")
+            require(taken.is_dir() and not list(taken.iterdir()), "it writes into a folder that "
+                                                                  "stands where the file should")
+            _require_tidy(taken)
+
+
+def refuses_others(export: Export) -> None:
+    """A result it does not accept is refused, and the file that was there is left alone."""
+    for result in export.results:
+        if not export.writer.accepts(result):
+            with TemporaryDirectory() as folder:
+                path = Path(folder) / export.filename
+                path.write_bytes(OLD)
+                try:
+                    export.writer.write(result, path)
+                except TermselError:
+                    _require_old(path, "a result it does not accept")
+                else:
+                    raise AssertionError("write() of a result that accepts() does not take must "
+                                         "raise TermselError")
+
+
+def whole_or_nothing(export: Export) -> None:
+    """When the disk is full, the error names the file, and the file that was there stays.
+
+    The full disk is a limit on the size of files, which Windows does not have; there the check
+    does nothing.
+    """
+    if sys.platform == "win32":
+        return
+    for result in export.accepted():
+        with TemporaryDirectory() as folder:
+            path = Path(folder) / export.filename
+            export.writer.write(result, path)
+            size = path.stat().st_size
+            path.write_bytes(OLD)
+            with _file_size_limited(size // 2):
+                _refused(export, result, path, "a full disk")
+            _require_old(path, "a full disk")
+
+
+WRITER_CHECKS: tuple[Callable[[Export], None], ...] = (
+    declaration, accepts_answers, writes_file, result_unchanged, unwritable_path, refuses_others,
+    whole_or_nothing)
+
+
+@cache
+def example_results() -> tuple[Result, ...]:
+    """Return results to write, as many runs give them.
+
+    One has rational functions and geographic coordinates, one a plane polynomial and plane
+    coordinates. Both select terms for 60 points that were computed, not measured.
+
+    Returns
+    -------
+    tuple of Result
+    """
+    model, rng = RationalFunctions(order=1), seeded()
+    points = imaged(model, random_coefficients(model, rng), rng, points=60).points
+    image = 4000.0 + 4000.0 * points.image + rng.normal(0.0, 0.3, (60, 2))
+    ids = ("Kreuzung 1, Süd", *points.ids[1:])
+    size = (8001, 8001)
+    geographic = FeatureSet(Points(ids, image, [7.5, 47.1, 500.0]
+                                   + points.ground * [0.06, 0.04, 200.0]),
+                            crs="EPSG:4979", image_size=size)
+    plane = FeatureSet(Points(ids, image, 4000.0 * points.ground), crs="local", image_size=size)
+    results = []
+    for problem, features in (("rfm-terms", geographic), ("poly-terms", plane)):
+        task = prepare(problem, features=features, solver="random", options={"population": 50})
+        results.append(assess(task, search(task.problem, task.solver, generations=1)))
+    return tuple(results)
+
+
+def writer_checks(
+    writer: Writer,
+    *,
+    filename: str,
+    results: Iterable[Result] | None = None,
+    verify: Verify | None = None,
+    expected_failures: Mapping[str, str] | None = None,
+) -> tuple[Check, ...]:
+    """Return the checks of a writer, for ``pytest.mark.parametrize``.
+
+    Parameters
+    ----------
+    writer : Writer
+    filename : str
+        A name as such files have.
+    results : iterable of Result, optional
+        What it is to write; those of `example_results` by default.
+    verify : callable, optional
+        Takes a result and the path it was written to; reads the file back and raises
+        AssertionError where it does not say what the result does.
+    expected_failures : mapping, optional
+        Checks it is known to fail, by name, with the reason.
+
+    Returns
+    -------
+    tuple of Check
+
+    Raises
+    ------
+    TermselError
+        For an expected failure of a check that does not exist.
+    """
+    given = None if results is None else tuple(results)
+
+    def export() -> Export:
+        return Export(writer, example_results() if given is None else given, filename, verify)
+
+    name = str(getattr(writer, "name", type(writer).__name__))
+    return assemble(WRITER_CHECKS, [Case(name, export)], expected_failures)
+
+
+def check_writer(
+    writer: Writer,
+    *,
+    filename: str,
+    results: Iterable[Result] | None = None,
+    verify: Verify | None = None,
+    expected_failures: Mapping[str, str] | None = None,
+) -> None:
+    """Run all checks of a writer.
+
+    Parameters
+    ----------
+    writer, filename, results, verify, expected_failures
+        As `writer_checks`.
+
+    Raises
+    ------
+    AssertionError
+        Naming every check that fails, and what is wrong.
+    """
+    run_all(writer_checks(writer, filename=filename, results=results, verify=verify,
+                          expected_failures=expected_failures))
+
+
+def _refused(export: Export, result: Result, path: Path, what: str) -> None:
+    """Require a TermselError that names the file."""
+    try:
+        export.writer.write(result, path)
+    except TermselError as error:
+        require(str(path) in str(error), f"the error on {what} does not name the file: {error}; "
+                                         "raise TermselError(..., file=path)")
+        return
+    except Exception as error:
+        raise AssertionError(f"{what} raises {type(error).__name__}: {error}; write through "
+                             "termsel.io.atomic, or raise TermselError(..., file=path)") from error
+    raise AssertionError(f"{what} goes unnoticed; raise TermselError(..., file=path)")
+
+
+def _require_old(path: Path, what: str) -> None:
+    require(path.read_bytes() == OLD, f"after {what} the file that was there before is lost; "
+                                      "write through termsel.io.atomic")
+    _require_tidy(path)
+
+
+def _require_tidy(path: Path) -> None:
+    """Require no other files beside the one written, but those that share its stem."""
+    left = [p.name for p in path.parent.iterdir() if not p.name.startswith(path.stem)]
+    require(not left, f"temporary files are left behind: {', '.join(left)}")
+
+
+@contextmanager
+def _file_size_limited(size: int) -> Iterator[None]:
+    """Let no file of this process grow beyond a size [byte] meanwhile."""
+    import resource
+
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, limits[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)

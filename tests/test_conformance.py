@@ -1,0 +1,86 @@
+"""The conformance suites: models, solvers and criteria that are built in, and how they are used."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from termsel.criteria import CheckRmse
+from termsel.errors import TermselError
+from termsel.features import FloatArray
+from termsel.models.base import Blocks, RationalModel
+from termsel.models.polynomial import Affine, Polynomial2D, Polynomial3D
+from termsel.models.rational import RationalFunctions
+from termsel.solvers.baselines import AllTerms, RandomSearch
+from termsel.solvers.exact import Exact
+from termsel.solvers.ga import GeneticAlgorithm
+from termsel.solvers.local import Swap
+from termsel.testing import (
+    Check,
+    check_criterion,
+    check_model,
+    criterion_checks,
+    model_checks,
+    solver_checks,
+)
+
+# What is built in
+
+NO_SEARCH = {"feasible_first": "it does not search", "optimum_found": "it does not search"}
+
+ORDERS = [{"order": order, "denominators": kind}
+          for order in (1, 2, 3) for kind in ("separate", "shared", "none")]
+SUITES: dict[str, tuple[Check, ...]] = {
+    "rfm": model_checks(RationalFunctions, options=ORDERS),
+    "poly2d": model_checks(Polynomial2D, options=[{"degree": d} for d in (1, 4, 5, 8)]),
+    "poly3d": model_checks(Polynomial3D, options=[{"degree": d} for d in (1, 2, 3, 5)]),
+    "affine": model_checks(Affine),
+    "ga": solver_checks(GeneticAlgorithm, options=[{}, {"population": 21, "elite": 1}]),
+    "swap": solver_checks(Swap),
+    "exact": solver_checks(Exact, expected_failures={"any_problem": "it needs parts to walk"}),
+    "random": solver_checks(RandomSearch, expected_failures=NO_SEARCH),
+    "all-terms": solver_checks(AllTerms, expected_failures=NO_SEARCH),
+    "check-rmse": criterion_checks(CheckRmse())}
+
+
+@pytest.mark.parametrize("check", [
+    pytest.param(check, id=f"{name}-{check.name}")
+    for name, checks in SUITES.items() for check in checks])
+def test_built_in(check: Check) -> None:
+    check.run()
+
+
+# How the suites are used
+
+
+class Dlt(RationalModel):
+    """Direct linear transformation, as a plugin author writes it."""
+
+    name = "dlt-demo"
+
+    def blocks(self, ground: FloatArray) -> Blocks:
+        one = np.column_stack([np.ones(len(ground)), ground])
+        return Blocks(line=one, sample=one, shared_denominator=ground)
+
+
+def test_all_at_once() -> None:
+    check_model(Dlt)
+    check_criterion(CheckRmse())
+
+
+def test_expected_failure_that_passes() -> None:
+    with pytest.raises(AssertionError, match=r"axis: .* passes .*\(a reason\)"):
+        check_model(Affine, expected_failures={"axis": "a reason"})
+
+
+def test_expected_failure_of_no_check() -> None:
+    with pytest.raises(TermselError, match=r"unknown check 'axes'.*Did you mean 'axis'"):
+        model_checks(Affine, expected_failures={"axes": "a reason"})
+
+
+def test_pytest_is_not_imported() -> None:
+    code = "import sys, termsel.testing; sys.exit('pytest' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

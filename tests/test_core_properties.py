@@ -1,0 +1,581 @@
+"""Properties of the core that hold for whatever input."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from termsel.adjustment.equations import Equations
+from termsel.adjustment.solve import solve
+from termsel.criteria import CheckRmse
+from termsel.errors import TermselError
+from termsel.features import ROLES, BoolArray, FeatureSet, FloatArray, Lines, Points
+from termsel.models.base import Blocks, RationalModel, SensorModel
+from termsel.models.polynomial import Affine, Polynomial2D, Polynomial3D
+from termsel.models.rational import RationalFunctions
+from termsel.problems.base import Evaluation, Genome, Problem, Segment
+from termsel.problems.selection import Inputs, SelectionProblem
+from termsel.roles import ASSIGNABLE, assign, spatial_order
+from termsel.scaling import scaling_of
+from termsel.searching import Ledger, _BudgetSpent, search
+from termsel.solvers.base import Generation, Solver
+from termsel.testing.problems import Toy, Watched, kept, trap, twelve_terms
+from termsel.testing.scenes import imaged, random_coefficients
+
+# The same examples every time: a failure in a test of figures must not depend on luck.
+settings.register_profile("core", deadline=None, derandomize=True, max_examples=40)
+settings.load_profile("core")
+
+seeds = st.integers(0, 2**32 - 1)
+pixels = st.floats(-1e6, 1e6)
+metres = st.floats(-1e7, 1e7)
+
+
+# Measured features
+
+
+def make_points(n: int, rng: np.random.Generator, **changed: Any) -> Points:
+    values: dict[str, Any] = {
+        "ids": [f"p{i}" for i in range(n)], "image": rng.uniform(0, 1e4, (n, 2)),
+        "ground": rng.uniform(0, 1e5, (n, 3)), "sigma": rng.uniform(0.1, 2, (n, 2)),
+        "roles": rng.choice([*ROLES, ""], n).tolist()}
+    return Points(**(values | changed))
+
+
+def make_lines(n: int, rng: np.random.Generator, **changed: Any) -> Lines:
+    values: dict[str, Any] = {
+        "ids": [f"l{i}" for i in range(n)], "image": rng.uniform(0, 1e4, (n, 2, 2)),
+        "ground": rng.uniform(0, 1e5, (n, 2, 3))}
+    return Lines(**(values | changed))
+
+
+def with_value(array: FloatArray, place: tuple[int, ...], value: float) -> FloatArray:
+    changed = array.copy()
+    changed[place] = value
+    return changed
+
+
+@given(st.integers(1, 12), seeds)
+def test_sound_features_are_kept_and_cannot_be_changed(n: int, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    image = rng.uniform(0, 1e4, (n, 2))
+    points, lines = make_points(n, rng, image=image), make_lines(n, rng)
+    np.testing.assert_array_equal(points.image, image)
+    image[0] = -1.0
+    assert not (points.image == -1.0).any()
+    for array in (points.image, points.ground, points.sigma, lines.image, lines.ground):
+        assert array is not None
+        assert not array.flags.writeable
+    mask = rng.random(n) < 0.5
+    taken, some = points.take(mask), lines.take(np.flatnonzero(mask))
+    assert taken.ids == tuple(np.array(points.ids)[mask])
+    assert some.ids == tuple(np.array(lines.ids)[mask])
+    np.testing.assert_array_equal(taken.ground, points.ground[mask])
+    np.testing.assert_array_equal(some.ground, lines.ground[mask])
+    both = FeatureSet(points, lines)
+    assert both.ids == points.ids + lines.ids
+    assert both.ground_vertices().shape == (3 * n, 3)
+    assert both.image_vertices().shape == (3 * n, 2)
+
+
+@given(st.integers(1, 12), seeds, st.sampled_from([np.nan, np.inf, -np.inf]), st.data())
+def test_points_that_are_not_finite(n: int, seed: int, bad: float, data: st.DataObject) -> None:
+    rng = np.random.default_rng(seed)
+    row = data.draw(st.integers(0, n - 1))
+    what = data.draw(st.sampled_from(["image", "ground", "sigma"]))
+    column = data.draw(st.integers(0, 1))
+    array = with_value(getattr(make_points(n, rng), what), (row, column), bad)
+    with pytest.raises(TermselError, match=f"point 'p{row}' has") as caught:
+        make_points(n, rng, **{what: array})
+    assert caught.value.ids == (f"p{row}",)
+
+
+@given(st.integers(1, 12), seeds, st.sampled_from([np.nan, np.inf, -np.inf]), st.data())
+def test_lines_that_are_not_finite(n: int, seed: int, bad: float, data: st.DataObject) -> None:
+    rng = np.random.default_rng(seed)
+    row = data.draw(st.integers(0, n - 1))
+    what = data.draw(st.sampled_from(["image", "ground"]))
+    place = (row, data.draw(st.integers(0, 1)), data.draw(st.integers(0, 1)))
+    array = with_value(getattr(make_lines(n, rng), what), place, bad)
+    with pytest.raises(TermselError, match=f"line 'l{row}' has") as caught:
+        make_lines(n, rng, **{what: array})
+    assert caught.value.ids == (f"l{row}",)
+
+
+@given(st.integers(1, 12), seeds, st.data())
+def test_heights_may_be_unknown_but_not_infinite(n: int, seed: int, data: st.DataObject) -> None:
+    rng = np.random.default_rng(seed)
+    row, end = data.draw(st.integers(0, n - 1)), data.draw(st.integers(0, 1))
+    ground, vertices = rng.uniform(0, 9, (n, 3)), rng.uniform(0, 9, (n, 2, 3))
+    unknown = FeatureSet(
+        make_points(n, rng, ground=with_value(ground, (row, 2), np.nan)),
+        make_lines(n, rng, ground=with_value(vertices, (row, end, 2), np.nan)))
+    assert unknown.without_height() == (f"p{row}", f"l{row}")
+    with pytest.raises(TermselError, match=f"point 'p{row}' has an infinite height"):
+        make_points(n, rng, ground=with_value(ground, (row, 2), np.inf))
+    with pytest.raises(TermselError, match=f"line 'l{row}' has an infinite height"):
+        make_lines(n, rng, ground=with_value(vertices, (row, end, 2), -np.inf))
+
+
+@given(st.integers(2, 12), seeds, st.data())
+def test_what_occurs_twice(n: int, seed: int, data: st.DataObject) -> None:
+    rng = np.random.default_rng(seed)
+    first, second = sorted(data.draw(st.permutations(range(n)))[:2])
+    points, lines = make_points(n, rng), make_lines(n, rng)
+    ids = list(points.ids)
+    ids[second] = ids[first]
+    for make in (make_points, make_lines):
+        with pytest.raises(TermselError, match=f"id 'p{first}' is used 2 times"):
+            make(n, rng, ids=ids)
+    ground = points.ground.copy()
+    ground[second] = ground[first]
+    with pytest.raises(TermselError, match=f"'p{first}' and 'p{second}' have the same ground"):
+        make_points(n, rng, ground=ground)
+    vertices = lines.ground.copy()
+    vertices[second] = vertices[first][::data.draw(st.sampled_from([1, -1]))]
+    with pytest.raises(TermselError, match=f"'l{first}' and 'l{second}' have the same ground"):
+        make_lines(n, rng, ground=vertices)
+    with pytest.raises(TermselError, match=f"'p{first}' is the id of a point and of a line"):
+        FeatureSet(points, make_lines(1, rng, ids=[f"p{first}"]))
+
+
+@given(st.integers(1, 12), seeds, st.data())
+def test_lines_of_zero_length(n: int, seed: int, data: st.DataObject) -> None:
+    rng = np.random.default_rng(seed)
+    row = data.draw(st.integers(0, n - 1))
+    what = data.draw(st.sampled_from(["image", "ground"]))
+    array = getattr(make_lines(n, rng), what).copy()
+    array[row, 1, :2] = array[row, 0, :2]
+    with pytest.raises(TermselError, match=f"line 'l{row}' has zero length"):
+        make_lines(n, rng, **{what: array})
+
+
+@given(st.integers(1, 12), seeds, st.text("abcefhkln O,", min_size=1), st.data())
+def test_unknown_roles(n: int, seed: int, role: str, data: st.DataObject) -> None:
+    assume(role not in ROLES)
+    rng = np.random.default_rng(seed)
+    roles = list(make_points(n, rng).roles)
+    roles[data.draw(st.integers(0, n - 1))] = role
+    with pytest.raises(TermselError, match="has the unknown role"):
+        make_points(n, rng, roles=roles)
+
+
+@given(st.integers(1, 12), st.integers(0, 12), seeds)
+def test_shapes_that_do_not_fit(n: int, other: int, seed: int) -> None:
+    assume(other != n)
+    rng = np.random.default_rng(seed)
+    for what in ("image", "ground", "sigma"):
+        with pytest.raises(TermselError, match="shape"):
+            make_points(n, rng, **{what: np.zeros((other, 3 if what == "ground" else 2))})
+    if other:
+        with pytest.raises(TermselError, match=f"{other} roles for {n} points"):
+            make_points(n, rng, roles=["check"] * other)
+
+
+# Scaling
+
+
+@given(st.integers(1, 20), st.integers(0, 20), seeds, arrays(np.float64, 5, elements=metres),
+       st.floats(1e-3, 1e6))
+def test_scaling_there_and_back(n: int, m: int, seed: int, offset: FloatArray, size: float) -> None:
+    rng = np.random.default_rng(seed)
+    features = FeatureSet(
+        make_points(n, rng, image=offset[:2] + rng.uniform(-size, size, (n, 2)),
+                    ground=offset[2:] + rng.uniform(-size, size, (n, 3))),
+        make_lines(m, rng, image=offset[:2] + rng.uniform(-size, size, (m, 2, 2)),
+                   ground=offset[2:] + rng.uniform(-size, size, (m, 2, 3))))
+    scaling = scaling_of(features)
+    scaled = scaling.features(features)
+    # Large offsets leave fewer digits.
+    rounding = 1e-12 * (1 + np.abs(offset).max() / size)
+    assert np.abs(scaled.ground_vertices()).max() <= 1 + rounding
+    assert np.abs(scaled.image_vertices()).max() <= 1 + rounding
+    magnitude = np.abs(features.image_vertices()).max()
+    np.testing.assert_allclose(scaling.pixels(scaled.image_vertices()), features.image_vertices(),
+                               rtol=0, atol=1e-14 * (magnitude + size))
+    np.testing.assert_allclose(
+        scaled.ground_vertices() * scaling.ground_scale + scaling.ground_offset,
+        features.ground_vertices(), rtol=0,
+        atol=1e-14 * (np.abs(features.ground_vertices()).max() + size))
+    assert scaled.points.sigma is not None
+    assert features.points.sigma is not None
+    np.testing.assert_allclose(scaled.points.sigma * scaling.image_scale, features.points.sigma)
+
+
+@given(st.integers(1, 10), seeds)
+def test_scaling_without_heights(n: int, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    ground = rng.uniform(0, 9, (n, 3))
+    ground[:, 2] = np.nan
+    points = make_points(n, rng, ground=ground)
+    scaled = scaling_of(FeatureSet(points)).points(points)
+    np.testing.assert_array_equal(scaled.ground[:, 2], 0.0)
+    assert np.isfinite(scaled.image).all()
+
+
+# Roles
+
+
+@given(st.integers(0, 150), seeds, st.sampled_from(["stratified", "random"]),
+       st.tuples(st.floats(0.05, 1), st.floats(0, 1), st.floats(0, 1)))
+def test_every_point_gets_a_role_by_share(n: int, seed: int, how: str,
+                                          fractions: tuple[float, float, float]) -> None:
+    xy = np.random.default_rng(seed).uniform(0, 1e4, (n, 2))
+    roles = assign(xy, how=how, fractions=fractions, rng=np.random.default_rng(seed))
+    assert len(roles) == n
+    assert set(roles) <= set(ASSIGNABLE)
+    for role, share in zip(ASSIGNABLE, np.array(fractions) / sum(fractions), strict=True):
+        assert abs(roles.count(role) - share * n) < 1 + 1e-9
+    assert roles == assign(xy, how=how, fractions=fractions, rng=np.random.default_rng(seed))
+
+
+@given(st.integers(6, 12), seeds)
+def test_each_role_covers_all_quadrants(side: int, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    xy = np.stack(np.meshgrid(np.arange(side), np.arange(side)), -1).reshape(-1, 2) + 0.5
+    xy = xy + rng.uniform(-0.4, 0.4, xy.shape)
+    roles = np.array(assign(xy, rng=rng))
+    quadrant = (xy > side / 2) @ [1, 2]
+    for role in ASSIGNABLE:
+        assert set(quadrant[roles == role]) == {0, 1, 2, 3}
+
+
+@given(arrays(np.float64, st.tuples(st.integers(0, 60), st.just(2)), elements=pixels))
+def test_spatial_order_names_every_point_once(xy: FloatArray) -> None:
+    assert sorted(spatial_order(xy)) == list(range(len(xy)))
+
+
+@given(st.tuples(*[st.sampled_from([-1.0, 0.0, np.nan, np.inf])] * 3))
+def test_fractions_that_share_nothing_out(fractions: tuple[float, float, float]) -> None:
+    with pytest.raises(TermselError, match="do not share out"):
+        assign(np.zeros((3, 2)), fractions=fractions, rng=np.random.default_rng(1))
+
+
+# Equations
+
+
+class Dlt(RationalModel):
+    """Direct linear transformation: one denominator for both axes."""
+
+    name = "dlt-demo"
+
+    def blocks(self, ground: FloatArray) -> Blocks:
+        one = np.column_stack([np.ones(len(ground)), ground])
+        return Blocks(line=one, sample=one, shared_denominator=ground)
+
+
+EXACT_MODELS: list[SensorModel] = [
+    *(RationalFunctions(order=order, denominators=kind)
+      for order in (1, 2, 3) for kind in ("shared", "none")),
+    Polynomial2D(degree=3), Polynomial3D(degree=2), Affine(), Dlt()]
+
+
+@given(st.sampled_from(EXACT_MODELS), st.integers(0, 5), st.integers(1, 8), seeds)
+def test_lines_on_their_image_leave_no_residual(model: SensorModel, n: int, m: int,
+                                                seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    truth = random_coefficients(model, rng)
+    equations = model.equations(imaged(model, truth, rng, points=n, lines=m))
+    np.testing.assert_allclose(equations.A @ truth, equations.b, rtol=0, atol=1e-12)
+    np.testing.assert_array_equal(equations.feature, np.repeat(np.arange(n + m), 2))
+
+
+@given(st.integers(1, 3), st.integers(1, 9), seeds)
+def test_points_leave_no_residual_under_separate_denominators(order: int, n: int,
+                                                              seed: int) -> None:
+    model, rng = RationalFunctions(order=order), np.random.default_rng(seed)
+    truth = random_coefficients(model, rng)
+    equations = model.equations(imaged(model, truth, rng, points=n))
+    np.testing.assert_allclose(equations.A @ truth, equations.b, rtol=0, atol=1e-12)
+
+
+@given(st.sampled_from(EXACT_MODELS), seeds, st.floats(-0.3, 0.3))
+def test_line_residual_is_the_distance_from_the_image_line(model: SensorModel, seed: int,
+                                                           shift: float) -> None:
+    rng = np.random.default_rng(seed)
+    truth = random_coefficients(model, rng)
+    features = imaged(model, truth, rng, lines=3)
+    along = features.lines.image[:, 1] - features.lines.image[:, 0]
+    normal = np.stack([-along[:, 1], along[:, 0]], axis=1)
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    moved = Lines(features.lines.ids, features.lines.image + shift * normal[:, None],
+                  features.lines.ground)
+    equations = model.equations(features.with_(lines=moved))
+    below = model.denominators(truth, features.lines.ground.reshape(-1, 3))
+    # Rows are multiplied by the denominator, which both axes share.
+    scale = 1.0 if below is None else below[:, 0]
+    np.testing.assert_allclose((equations.b - equations.A @ truth) / scale, shift, atol=1e-11)
+
+
+# Adjustment
+
+
+def make_system(m: int, k: int, rng: np.random.Generator) -> Equations:
+    """Return a well-conditioned system of columns of different lengths."""
+    q, _ = np.linalg.qr(rng.normal(size=(m, k)))
+    A = (q + 0.1 * rng.normal(size=(m, k))) * 10.0 ** rng.uniform(-3, 3, k)
+    return Equations(A, rng.normal(size=m), np.repeat(np.arange((m + 1) // 2), 2)[:m])
+
+
+@given(st.integers(1, 12), st.integers(0, 20), seeds)
+def test_solution_is_that_of_lstsq(k: int, redundancy: int, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    m = k + redundancy
+    equations = make_system(m, k, rng)
+    A, b = equations.A, equations.b
+    lengths = np.linalg.norm(A, axis=0)
+    assume(np.linalg.cond(A / lengths) < 1e4)
+    found = solve(equations)
+    x = np.linalg.lstsq(A / lengths, b, rcond=None)[0] / lengths
+    np.testing.assert_allclose(found.coefficients * lengths, x * lengths, rtol=1e-8, atol=1e-10)
+    np.testing.assert_allclose(found.residuals, b - A @ found.coefficients, atol=1e-12)
+    assert (found.rank, found.violation, found.redundancy) == (k, 0, redundancy)
+    assert found.condition == pytest.approx(np.linalg.cond(A / lengths), rel=1e-6)
+    if redundancy == 0:
+        assert np.isnan(found.sigma0)
+        assert np.isnan(found.deviations).all()
+        return
+    v = b - A @ x
+    variance = v @ v / redundancy
+    cofactors = np.linalg.inv((A / lengths).T @ (A / lengths))
+    assert found.sigma0 == pytest.approx(np.sqrt(variance), rel=1e-8)
+    np.testing.assert_allclose(found.deviations * lengths, np.sqrt(variance * np.diag(cofactors)),
+                               rtol=1e-7)
+
+
+@given(st.integers(2, 10), st.integers(5, 12), seeds)
+def test_masks_take_columns_and_features(k: int, n: int, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    equations = make_system(2 * n, k, rng)
+    terms, features = rng.random(k) < 0.6, rng.random(n) < 0.8
+    found = solve(equations, terms, features)
+    rows = np.repeat(features, 2)
+    alone = solve(Equations(equations.A[np.ix_(rows, terms)], equations.b[rows],
+                            np.repeat(np.arange(features.sum()), 2)))
+    np.testing.assert_array_equal(found.coefficients[~terms], 0.0)
+    np.testing.assert_array_equal(found.deviations[~terms], 0.0)
+    np.testing.assert_allclose(found.coefficients[terms], alone.coefficients, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(found.deviations[terms], alone.deviations, rtol=1e-9)
+    assert (found.n_terms, found.n_equations) == (terms.sum(), rows.sum())
+    assert (found.rank, found.violation) == (alone.rank, alone.violation)
+    assert found.residuals.shape == (2 * n,)
+
+
+@given(st.integers(1, 10), st.integers(0, 12), st.integers(1, 4), seeds)
+def test_dependent_columns_are_counted(k: int, redundancy: int, extra: int, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    equations = make_system(k + redundancy, k, rng)
+    lengths = np.linalg.norm(equations.A, axis=0)
+    assume(np.linalg.cond(equations.A / lengths) < 1e4)
+    mixed = equations.A / lengths @ rng.normal(size=(k, extra))
+    order = rng.permutation(k + extra)
+    A = np.concatenate([equations.A, mixed], axis=1)[:, order]
+    found = solve(Equations(A, equations.b, equations.feature))
+    assert found.rank == k
+    assert found.violation == extra
+    assert not found.feasible
+    assert np.isfinite(found.coefficients).all()
+
+
+@given(st.integers(1, 10), st.integers(1, 10), st.integers(0, 3), seeds)
+def test_too_few_equations(k: int, short: int, empty: int, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    m = max(k - short, 0)
+    A = np.concatenate([rng.normal(size=(m, k)), np.zeros((m, empty))], axis=1)
+    found = solve(Equations(A, rng.normal(size=m), np.arange(m)))
+    assert found.violation == k + empty - m
+    assert np.isfinite(found.coefficients).all()
+    np.testing.assert_array_equal(found.coefficients[k:], 0.0)
+    np.testing.assert_allclose(found.residuals, 0.0, atol=1e-6)
+
+
+@pytest.mark.xfail(strict=True, reason="lstsq in solve() takes rounding errors for rank")
+def test_dependent_columns_get_the_least_norm_solution() -> None:
+    for seed in range(100):
+        rng = np.random.default_rng(seed)
+        column, b = rng.normal(size=8), rng.normal(size=8)
+        factor = rng.normal()
+        found = solve(Equations(np.stack([column, factor * column], axis=1), b, np.arange(8)))
+        fitted = column * (column @ b) / (column @ column)
+        np.testing.assert_allclose(found.residuals, b - fitted, atol=1e-7)
+
+
+@pytest.mark.xfail(strict=True, reason="solve() leaves 0 where nothing is known")
+def test_undetermined_terms_have_no_standard_deviation() -> None:
+    A = np.array([[1.0, 1.0], [2.0, 2.0], [3.0, 3.0]])
+    found = solve(Equations(A, np.array([1.0, 2.0, 3.5]), np.arange(3)))
+    assert not found.feasible
+    assert np.isnan(found.deviations).all()
+
+
+# Genomes
+
+
+@st.composite
+def genomes(draw: st.DrawFn) -> Genome:
+    """Return genomes whose forced genes leave room for the cardinality."""
+    segments, on, off = [], [], []
+    for name in "abc"[:draw(st.integers(1, 3))]:
+        labels = tuple(f"{name}{i}" for i in range(draw(st.integers(1, 8))))
+        forced = draw(st.lists(st.sampled_from(["on", "off", "free"]), min_size=len(labels),
+                               max_size=len(labels)))
+        least, most = forced.count("on"), len(labels) - forced.count("off")
+        maximum = draw(st.one_of(st.none(), st.integers(least, len(labels))))
+        top = most if maximum is None else min(most, maximum)
+        segments.append(Segment(name, labels, draw(st.integers(0, top)), maximum))
+        on += [x for x, kind in zip(labels, forced, strict=True) if kind == "on"]
+        off += [x for x, kind in zip(labels, forced, strict=True) if kind == "off"]
+    return Genome(segments, on=on, off=off)
+
+
+@given(genomes(), st.integers(0, 20), seeds)
+def test_repaired_genes_keep_the_rules(genome: Genome, n: int, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    genes = rng.random((n, genome.size)) < rng.random()
+    before = genes.copy()
+    repaired = genome.repair(genes, rng)
+    assert kept(genome, repaired).all()
+    np.testing.assert_array_equal(genes, before)
+    np.testing.assert_array_equal(repaired[kept(genome, genes)], genes[kept(genome, genes)])
+    np.testing.assert_array_equal(genome.repair(repaired, rng), repaired)
+    drawn = genome.random(rng, n)
+    assert drawn.shape == (n, genome.size)
+    assert kept(genome, drawn).all()
+    first, second = (genome.random(np.random.default_rng(seed), n) for _ in range(2))
+    np.testing.assert_array_equal(first, second)
+
+
+# Record of a search
+
+
+@given(st.lists(st.integers(0, 30), max_size=12), st.integers(1, 150), seeds)
+def test_ledger_counts_exactly(batches: list[int], limit: int, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    problem = Watched(trap())
+    ledger = Ledger(problem, evaluations=limit)
+    pool = problem.genome.random(rng, 40)
+    met: set[bytes] = set()
+    asked = 0
+    for size in batches:
+        genes = pool[rng.integers(0, len(pool), size)]
+        allowed = min(size, limit - asked)
+        met |= {row.tobytes() for row in genes[:allowed]}
+        asked += allowed
+        if not allowed:
+            continue
+        if allowed < size:
+            with pytest.raises(_BudgetSpent):
+                ledger.evaluate(genes)
+        else:
+            found = ledger.evaluate(genes)
+            true = problem.inner.evaluate(genes)
+            np.testing.assert_array_equal(found.objectives, true.objectives)
+            np.testing.assert_array_equal(found.violation, true.violation)
+        assert ledger.count == asked
+        assert problem.evaluated == len(met)
+        assert ledger.lookups == asked - len(met)
+        assert ledger.best == problem.best
+        if met:
+            assert ledger.best_genes is not None
+            true = problem.inner.evaluate(ledger.best_genes[None])
+            assert (true.violation[0], true.objectives[0, 0]) == ledger.best
+
+
+class OneByOne(Solver):
+    """Evaluates one individual at a time, several between generations."""
+
+    name = "one-by-one"
+
+    def generations(self, problem: Problem, rng: np.random.Generator) -> Iterator[Generation]:
+        index = 0
+        while True:
+            genes = problem.genome.random(rng, 10)
+            ones = [problem.evaluate(genes[i:i + 1]) for i in range(10)]
+            yield Generation(index, genes, Evaluation(
+                np.concatenate([one.objectives for one in ones]),
+                np.concatenate([one.violation for one in ones])))
+            index += 1
+
+
+@pytest.mark.xfail(raises=ValueError, strict=True,
+                   reason="Ledger._look_up cannot reshape an evaluation of no individuals")
+def test_budget_spent_between_evaluations_of_one_generation() -> None:
+    assert search(twelve_terms(), OneByOne(), evaluations=15).evaluations == 15
+
+
+@given(st.sampled_from([np.nan, np.inf, -np.inf]), st.booleans(), seeds)
+def test_ledger_refuses_what_is_not_finite(bad: float, violated: bool, seed: int) -> None:
+    def judge(genes: BoolArray) -> tuple[FloatArray, FloatArray]:
+        objectives, violation = np.zeros((len(genes), 1)), np.zeros(len(genes))
+        (violation if violated else objectives[:, 0])[-1] = bad
+        return objectives, violation
+
+    problem = Toy(trap().genome, judge)
+    genes = problem.genome.random(np.random.default_rng(seed), 5)
+    with pytest.raises(TermselError, match="not finite"):
+        Ledger(problem).evaluate(genes)
+
+
+# Selection
+
+
+def selection_problem(rng: np.random.Generator, order: int, kind: str, n: int, m: int,
+                      selects: str, mask: str, flat: bool) -> SelectionProblem:
+    model = RationalFunctions(order=order, denominators=kind)
+    truth = random_coefficients(model, rng)
+    control = imaged(model, truth, rng, points=n, lines=m)
+    if flat and n:
+        # On one straight line on the ground: hardly any term is determined.
+        points = control.points
+        line = points.ground[:, :1] * [[1.0, 0.5, 0.2]]
+        control = control.with_(points=Points(points.ids, points.image, line))
+    check = imaged(model, truth, rng, points=6).points
+    check = Points(check.ids, check.image + rng.normal(0, 0.01, (6, 2)), check.ground)
+    inputs = Inputs(model, control, check, 5000.0, CheckRmse())
+    return SelectionProblem(inputs, terms="terms" in selects, features="features" in selects,
+                            mask=mask)
+
+
+@given(st.integers(1, 3), st.sampled_from(["separate", "shared", "none"]), st.integers(0, 30),
+       st.integers(0, 20), st.sampled_from(["terms", "features", "terms and features"]),
+       st.sampled_from(["per-axis", "shared"]), st.booleans(), seeds)
+def test_any_selection_has_a_finite_evaluation(
+        order: int, kind: str, n: int, m: int, selects: str, mask: str, flat: bool,
+        seed: int) -> None:
+    assume(n + m >= 3)
+    rng = np.random.default_rng(seed)
+    try:
+        problem = selection_problem(rng, order, kind, n, m, selects, mask, flat)
+    except TermselError as error:
+        # Without a choice of terms, too little control is refused before any search.
+        if selects != "features" or "terms to be determined" not in str(error):
+            raise
+        return
+    genes = rng.random((25, problem.genome.size)) < rng.random((25, 1))
+    found = problem.evaluate(genes)
+    assert found.objectives.shape == (25, 1)
+    assert found.violation.shape == (25,)
+    assert np.isfinite(found.objectives).all()
+    assert np.isfinite(found.violation).all()
+    assert (found.violation >= 0).all()
+    # Alone or in company, an individual is worth the same.
+    single = problem.evaluate(genes[7:8])
+    np.testing.assert_allclose(single.objectives[0], found.objectives[7], rtol=1e-9)
+    np.testing.assert_allclose(single.violation[0], found.violation[7], rtol=1e-9, atol=1e-12)
+    selection = problem.decode(genes[7])
+    assert set(selection.terms) <= set(problem.inputs.model.terms)
+    assert set(selection.features) <= set(problem.inputs.control.ids)
+
+
+@given(st.lists(st.tuples(st.integers(0, 3), st.integers(0, 3)), min_size=1, max_size=20))
+def test_order_puts_feasible_first(values: list[tuple[int, int]]) -> None:
+    objectives = np.array([[v[0]] for v in values], dtype=float)
+    evaluation = Evaluation(objectives, np.array([v[1] for v in values], dtype=float))
+    ranked = [(values[i][1], values[i][0]) for i in evaluation.order()]
+    assert ranked == sorted(ranked)
