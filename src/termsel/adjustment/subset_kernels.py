@@ -266,8 +266,8 @@ def _open_leverage(v: FloatArray, w: FloatArray, square: float, leverage: FloatA
 def _remaining_rss(top: FloatArray, first: int, n: int, work: FloatArray) -> float:
     """Return the residual sum of squares with every column from `first` on in use.
 
-    No column is too small to count: the triangle that modified Gram-Schmidt gives is that of
-    an orthogonalisation of nearly the same columns even where they are dependent.
+    No column is too small to count: even where columns are dependent, modified Gram-Schmidt
+    gives the triangle of nearly the same columns.
     """
     vectors = len(top)
     for j in range(first, vectors):
@@ -315,27 +315,23 @@ def walk(kind: int, levels: Levels, limits: Limits, records: Records, used: Any,
         Number of subsets of so many columns with at most so many members.
     cursor, rooms, mask, work
         Space for integers (depths,) twice, uint64 (depths,), and floats (n + r, rows).
-    single : None or bool
-        None if f = r = 1, for which the code is then compiled apart; a fifth faster.
+    single : bool, optional
+        None if f = r = 1: a type of its own, for which faster code is compiled.
 
     Returns
     -------
     infeasible, pruned : int
         Number of subsets without a score, and below a bound that rules them out.
     """
-    size, room = limits.size, limits.room
-    rooms[0] = room
     if single is None:
         systems, r = 1, 1
     else:
         systems, r = levels.top.shape[1], levels.share.shape[3]
     n = levels.top.shape[2] - r
-    infeasible = 0
-    pruned = 0
-    mask[0] = used
-    depth = 0
-    first = 0 if room > 0 else n
-    last = n + 1
+    size, room = limits.size, limits.room
+    infeasible, pruned, depth = 0, 0, 0
+    mask[0], rooms[0] = used, room
+    first, last = 0 if room > 0 else n, n + 1
     while True:
         top, extra = levels.top[depth], levels.extra[depth]
         square, share = levels.square[depth], levels.share[depth]
@@ -366,8 +362,7 @@ def walk(kind: int, levels: Levels, limits: Limits, records: Records, used: Any,
                 square[0, c] = 0.0
                 infeasible += counts[n - 1 - c, room - depth - 1]
                 continue
-            score = _score(kind, top, extra, square, share, leverage, cross, c, systems, r,
-                           limits)
+            score = _score(kind, top, extra, square, share, leverage, cross, c, systems, r, limits)
             infeasible += not score < np.inf
             new = size + depth + (c < n)
             if score <= records.best[new]:

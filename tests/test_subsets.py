@@ -1,0 +1,339 @@
+"""Every best subset against brute force through LAPACK, one subset at a time."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from termsel.adjustment import subsets
+from termsel.adjustment.equations import Equations
+from termsel.adjustment.solve import solve
+from termsel.adjustment.subset_system import Piece, stack
+from termsel.adjustment.subsets import (
+    SCORES,
+    SubsetResult,
+    SubsetSystem,
+    count_subsets,
+    estimate_seconds,
+    search,
+)
+from termsel.errors import TermselError
+
+
+def last(system: SubsetSystem, score: str, **options: object) -> SubsetResult:
+    return deque(search(system, score, **options), maxlen=1).pop()
+
+
+def coefficients(design: np.ndarray, target: np.ndarray, columns: np.ndarray) -> np.ndarray | None:
+    """All right-hand sides' solution for some columns; None if they are dependent."""
+    x = np.zeros((design.shape[1], target.shape[1]))
+    if columns.any():
+        lengths = np.linalg.norm(design[:, columns], axis=0)
+        if (lengths == 0).any():
+            return None
+        found, _, rank, _ = np.linalg.lstsq(design[:, columns] / lengths, target, rcond=1e-9)
+        if rank < columns.sum():
+            return None
+        x[columns] = found / lengths[:, None]
+    return x
+
+
+def squares(errors: np.ndarray, below: np.ndarray | None, margin: float) -> float:
+    """Sum of squared errors; infinite below the margin."""
+    if below is None:
+        return float((errors**2).sum())
+    return float(((errors / below) ** 2).sum()) if (below >= margin).all() else np.inf
+
+
+def score_of(system: SubsetSystem, score: str, columns: np.ndarray,
+             folds: Sequence[np.ndarray]) -> float:
+    """Score of one subset; infinite where it is infeasible."""
+    A, t = system.design, system.target
+    x = coefficients(A, t, columns)
+    if x is None:
+        return np.inf
+    if score == "rss":
+        return float(((t - A @ x) ** 2).sum())
+    if score == "check":
+        below = None if system.check_denominator is None else 1 + system.check_denominator @ x
+        return squares(system.check_target - system.check_design @ x, below, system.margin)
+    if score == "press":
+        folds = [np.array([i]) for i in range(len(A))]
+    total = 0.0
+    for fold in folds:
+        kept = np.delete(np.arange(len(A)), fold)
+        x = coefficients(A[kept], t[kept], columns)
+        if x is None:
+            return np.inf
+        below = None if system.denominator is None else (1 + system.denominator @ x)[fold]
+        total += squares((t - A @ x)[fold], below, system.margin)
+    return total
+
+
+def masks_of(system: SubsetSystem, max_terms: int | None) -> Iterator[np.ndarray]:
+    k = system.design.shape[1]
+    for number in range(2**k):
+        columns = np.array([number >> j & 1 for j in range(k)], dtype=bool)
+        if (
+            (system.forced is None or columns[system.forced].all())
+            and (system.forbidden is None or not columns[system.forbidden].any())
+            and (max_terms is None or columns.sum() <= max_terms)
+        ):
+            yield columns
+
+
+def accepted(system: SubsetSystem, columns: np.ndarray) -> bool:
+    if system.some_of is not None and not (columns & system.some_of).any():
+        return False
+    if system.guard_denominator is None:
+        return True
+    x = coefficients(system.design, system.target, columns)
+    return bool((1 + system.guard_denominator @ x >= system.margin).all())
+
+
+def assert_proven(system: SubsetSystem, score: str, folds: Sequence[np.ndarray] = (),
+                  max_terms: int | None = None, rtol: float = 1e-8) -> SubsetResult:
+    """Compare with brute force; tiny scores are rounding error and count as equal."""
+    k = system.design.shape[1]
+    best, infeasible, n = np.full(k + 1, np.inf), 0, 0
+    for columns in masks_of(system, max_terms):
+        n += 1
+        value = score_of(system, score, columns, folds)
+        infeasible += value == np.inf
+        if value < best[columns.sum()] and accepted(system, columns):
+            best[columns.sum()] = value
+    result = last(system, score, folds=folds, max_terms=max_terms)
+    tiny = 1e-18 * (1 + (system.target**2).sum())
+    np.testing.assert_allclose(result.best, best, rtol=rtol, atol=tiny)
+    assert result.complete
+    assert result.subsets == result.total == n
+    if not result.pruned:
+        assert result.infeasible == infeasible
+    for size in np.flatnonzero(np.isfinite(best)):
+        columns = result.columns(size)
+        assert columns.sum() == size
+        assert accepted(system, columns)
+        np.testing.assert_allclose(score_of(system, score, columns, folds), best[size],
+                                   rtol=rtol, atol=tiny)
+    return result
+
+
+def polynomial(rng: np.random.Generator, k: int = 6, m: int = 9, c: int = 7,
+               r: int = 1) -> SubsetSystem:
+    return SubsetSystem(rng.normal(size=(m, k)), rng.normal(size=(m, r)),
+                        rng.normal(size=(c, k)), rng.normal(size=(c, r)))
+
+
+def rational(rng: np.random.Generator, m: int = 10, c: int = 8) -> SubsetSystem:
+    """A quotient of 1, x, y and 1 + (x, y, xy) b, multiplied out."""
+    x, y = rng.uniform(-1, 1, (2, m + c + 4))
+    above, below = np.stack([0 * x + 1, x, y], 1), np.stack([x, y, x * y], 1)
+    target = (above @ [0.2, 1, 0.3] / (1 + below @ [0.3, -0.5, 0.4]))[:, None]
+    target += rng.normal(size=target.shape) * 0.05
+    design, denominator = np.hstack([above, -target * below]), np.hstack([0 * above, below])
+    train, check, guard = np.split(np.arange(m + c + 4), [m, m + c])
+    return SubsetSystem(design[train], target[train], design[check], target[check],
+                        denominator[train], denominator[check], denominator[guard], margin=0.4)
+
+
+def folds_of(m: int) -> list[np.ndarray]:
+    return np.array_split(np.arange(m), 3)
+
+
+@pytest.mark.parametrize("score", SCORES)
+@pytest.mark.parametrize("r", [1, 2])
+def test_best_of_every_size(score: str, r: int) -> None:
+    rng = np.random.default_rng(r)
+    system = polynomial(rng, r=r)
+    result = assert_proven(system, score, folds_of(9) if score == "kfold" else ())
+    assert result.infeasible == 0
+
+
+@pytest.mark.parametrize("score", SCORES)
+@pytest.mark.parametrize("seed", [1, 2])
+def test_denominators_and_guard(score: str, seed: int) -> None:
+    system = rational(np.random.default_rng(seed))
+    folds = folds_of(10) if score == "kfold" else ()
+    result = assert_proven(system, score, folds)
+    assert score == "rss" or result.infeasible > 0  # poles
+    free = replace(system, guard_denominator=None)
+    assert_proven(free, score, folds)
+
+
+@pytest.mark.parametrize("score", SCORES)
+def test_forced_forbidden_some_of_and_max_terms(score: str) -> None:
+    rng = np.random.default_rng(5)
+    k = 7
+    system = replace(polynomial(rng, k=k), forced=np.arange(k) == 2, forbidden=np.arange(k) == 4,
+                     some_of=np.isin(np.arange(k), [0, 6]))
+    for max_terms in (None, 1, 3):
+        result = assert_proven(system, score, folds_of(9) if score == "kfold" else (), max_terms)
+        assert result.best[0] == np.inf
+        assert result.best[1] == np.inf  # the forced column is not one of those demanded
+        assert result.total == count_subsets(5, None if max_terms is None else max_terms - 1)
+
+
+@pytest.mark.parametrize("score", SCORES)
+def test_more_columns_than_rows(score: str) -> None:
+    system = polynomial(np.random.default_rng(6), k=6, m=4)
+    folds = [np.array([0]), np.array([2])] if score == "kfold" else ()
+    result = assert_proven(system, score, folds)
+    assert np.isinf(result.best[5:]).all()
+
+
+@given(data=st.data(), score=st.sampled_from(SCORES))
+@settings(max_examples=60, deadline=None)
+def test_small_integers_with_dependent_columns_and_ties(data: st.DataObject, score: str) -> None:
+    m, k, c = (data.draw(st.integers(1, high)) for high in (6, 4, 4))
+    numbers = data.draw(st.lists(st.integers(-2, 2), min_size=(m + c) * (k + 1),
+                                 max_size=(m + c) * (k + 1)))
+    rows = np.array(numbers, dtype=float).reshape(m + c, k + 1)
+    system = SubsetSystem(rows[:m, :k], rows[:m, k:], rows[m:, :k], rows[m:, k:])
+    assert_proven(system, score, [np.arange(m // 2), np.arange(m // 2, m)]
+                  if score == "kfold" else ())
+
+
+@given(numbers=st.lists(st.integers(-2, 2), min_size=20, max_size=20))
+@settings(max_examples=15, deadline=None)
+def test_the_verdict_is_that_of_the_adjustment(numbers: list[int]) -> None:
+    design = np.array(numbers, dtype=float).reshape(5, 4)
+    system = SubsetSystem(design, np.ones((5, 1)), design, np.ones((5, 1)))
+    equations = Equations(design, system.target[:, 0], np.arange(5))
+    verdicts = [solve(equations, columns).feasible for columns in masks_of(system, None)]
+    assert last(system, "check").infeasible == verdicts.count(False)
+
+
+def test_equal_scores_keep_the_smallest_mask() -> None:
+    """Columns that are twins in every way but their place."""
+    design = np.eye(6)[:, :4]
+    system = SubsetSystem(design, np.ones((6, 1)), design, np.ones((6, 1)))
+    for score in ("check", "rss"):
+        np.testing.assert_array_equal(last(system, score).masks[:2], [0, 1])
+
+
+@pytest.mark.parametrize("score", SCORES)
+def test_ill_conditioned_columns(score: str) -> None:
+    rng = np.random.default_rng(7)
+    k = 7
+    basis = np.linalg.qr(rng.normal(size=(k, k)))[0] * np.logspace(0, -6, k)[:, None]
+    rows = np.linalg.qr(rng.normal(size=(40, k)))[0] @ basis
+    target = rows @ rng.normal(size=(k, 1)) + 1e-4 * rng.normal(size=(40, 1))
+    assert np.linalg.cond(rows[:20]) > 5e5
+    system = SubsetSystem(rows[:20], target[:20], rows[20:], target[20:])
+    assert_proven(system, score, folds_of(20) if score == "kfold" else ())
+
+
+@pytest.mark.parametrize("score", SCORES)
+def test_workers_and_pieces_do_not_matter(score: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    system = polynomial(np.random.default_rng(8), k=11, m=16)
+    folds = folds_of(16) if score == "kfold" else ()
+    whole = last(system, score, folds=folds, max_terms=9)
+    monkeypatch.setattr(subsets, "_PIECE", 20)
+    one, two = (list(search(system, score, folds=folds, max_terms=9, workers=w)) for w in (1, 2))
+    assert len(one) == len(two) > 50
+    for a, b in zip(one, two, strict=True):
+        np.testing.assert_array_equal(a.best, b.best)
+        np.testing.assert_array_equal(a.masks, b.masks)
+        assert (a.subsets, a.infeasible, a.pruned) == (b.subsets, b.infeasible, b.pruned)
+    np.testing.assert_allclose(one[-1].best, whole.best, rtol=1e-12)
+    np.testing.assert_array_equal(one[-1].masks, whole.masks)
+    assert whole.complete
+    assert whole.total == one[-1].subsets == count_subsets(11, 9)
+
+
+def test_the_bound_never_exceeds_what_it_bounds() -> None:
+    """All columns in use or to come leave the least residuals of any selection of them."""
+    rng = np.random.default_rng(9)
+    k = 8
+    system = polynomial(rng, k=k, m=12)
+    ready = stack(system, "rss", (), None)
+    exact = last(system, "rss").best
+    all_masks = np.array(list(masks_of(system, None)))
+    residuals = np.array([score_of(system, "rss", columns, ()) for columns in all_masks])
+    for _ in range(100):
+        order = rng.permutation(k)
+        used, rest = np.split(order[:rng.integers(3, k + 1)], [rng.integers(0, 4)])
+        everything = np.isin(np.arange(k), [*used, *rest])
+        inside = all_masks[:, used].all(axis=1) & ~(all_masks & ~everything).any(axis=1)
+        bound = score_of(system, "rss", everything, ())
+        assert bound <= residuals[inside].min() * (1 + 1e-12)
+        # What is trimmed off holds nothing as good as the best.
+        largest = len(used) + ready.trimmed(Piece(used, rest, len(rest)), exact).room
+        sizes = all_masks[inside].sum(axis=1)
+        beyond = sizes > largest
+        assert (residuals[inside][beyond] > exact[sizes[beyond]]).all()
+
+
+@pytest.mark.parametrize("max_terms", [None, 6])
+def test_the_bound_spares_work_and_changes_nothing(max_terms: int | None) -> None:
+    rng = np.random.default_rng(10)
+    system = polynomial(rng, k=18, m=30)
+    system = replace(system, target=system.design[:, 3:7].sum(axis=1, keepdims=True)
+                     + 0.3 * system.target)
+    bounded = last(system, "rss", max_terms=max_terms)
+    # Control points that are check points as well: the same sums without a bound.
+    plain = last(replace(system, check_design=system.design, check_target=system.target), "check",
+                 max_terms=max_terms)
+    np.testing.assert_allclose(bounded.best, plain.best, rtol=1e-9)
+    np.testing.assert_array_equal(bounded.masks, plain.masks)
+    assert bounded.complete
+    assert bounded.pruned > 0.9 * bounded.total
+    assert plain.pruned == 0
+
+
+def test_interrupted_search_leaves_the_best_so_far(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(subsets, "_PIECE", 64)
+    system = polynomial(np.random.default_rng(11), k=12, m=14)
+    running = search(system, "check", workers=2)
+    states = [next(running) for _ in range(3)]
+    with pytest.raises(KeyboardInterrupt):
+        running.throw(KeyboardInterrupt)
+    assert not states[-1].complete
+    assert 0 < states[-1].subsets < states[-1].total == 2**12
+    found = np.isfinite(states[-1].best)
+    assert found.any()
+    for size in np.flatnonzero(found):
+        np.testing.assert_allclose(
+            score_of(system, "check", states[-1].columns(size), ()), states[-1].best[size])
+
+
+def test_counts_and_estimate() -> None:
+    assert count_subsets(21) == 2**21
+    assert count_subsets(5, 2) == 1 + 5 + 10
+    assert count_subsets(3, 7) == 8
+    system = polynomial(np.random.default_rng(12), k=14, m=20)
+    assert 0 < estimate_seconds(system, "check", workers=2) < 60
+
+
+def test_what_the_user_can_mend() -> None:
+    system = polynomial(np.random.default_rng(13))
+    one = np.arange(6) == 1
+    with pytest.raises(TermselError, match="unknown score 'rmse'"):
+        last(system, "rmse")
+    with pytest.raises(TermselError, match="both forced and forbidden"):
+        last(replace(system, forced=one, forbidden=one), "check")
+    with pytest.raises(TermselError, match="1 terms are forced and at most 0"):
+        last(replace(system, forced=one), "check", max_terms=0)
+    with pytest.raises(TermselError, match="subsets of 63 terms"):
+        SubsetSystem(np.ones((3, 63)), np.ones((3, 1)))
+
+
+def test_what_a_developer_can_mend() -> None:
+    system = polynomial(np.random.default_rng(14))
+    with pytest.raises(ValueError, match="check_target has shape"):
+        replace(system, check_target=np.ones((2, 1)))
+    with pytest.raises(ValueError, match="design is not finite"):
+        replace(system, design=np.full((9, 6), np.nan))
+    with pytest.raises(ValueError, match="single right-hand side"):
+        replace(system, target=np.ones((9, 2)), check_target=np.ones((7, 2)),
+                denominator=np.ones((9, 6)))
+    with pytest.raises(ValueError, match="needs check_design"):
+        last(SubsetSystem(system.design, system.target), "check")
+    with pytest.raises(ValueError, match="needs folds"):
+        last(system, "kfold")
