@@ -11,8 +11,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-from benchmarks.bench_kernels import Row, best_of
 
+from benchmarks.bench_kernels import Row, best_of
 from termsel import prepare
 from termsel.criteria import KFold
 from termsel.features import BoolArray, IntArray

@@ -15,7 +15,7 @@ import pytest
 import termsel
 from termsel.adjustment.equations import Equations, line_normals
 from termsel.adjustment.leave_out import leave_one_out
-from termsel.criteria import POLE_MARGIN, CheckRmse, Ebic, Fits, KFold, Press
+from termsel.criteria import POLE_MARGIN, CheckRmse, Criterion, Ebic, Fits, KFold, Press
 from termsel.features import FeatureSet, Points, no_lines, no_points
 from termsel.io.csv_tables import write_points_csv
 from termsel.models.base import RationalModel, SensorModel
@@ -26,6 +26,7 @@ from termsel.report.text import summary
 from termsel.scaling import scaling_of
 from termsel.simulate import simulate_scene
 from termsel.solvers.exact import count, gap, prove
+from termsel.testing import check_criterion
 
 CRITERIA = ("press", "kfold", "ebic")
 
@@ -439,6 +440,12 @@ def test_command_line(tmp_path: Path) -> None:
                                               "fold_seed": 0}
     assert result["objectives"]["kfold"] > 0
     assert result["data"]["counts"]["check"] == 0
+
+
+@pytest.mark.parametrize("criterion", [Press(), KFold(), KFold(how="random", repeats=2), Ebic()],
+                         ids=lambda criterion: f"{criterion.name} {criterion.options}")
+def test_conformance(criterion: Criterion) -> None:
+    check_criterion(criterion)
 
 
 def test_fits_without_the_optional_parts_serve_the_check_rmse() -> None:
