@@ -395,7 +395,6 @@ def test_too_few_equations(k: int, short: int, empty: int, seed: int) -> None:
     np.testing.assert_allclose(found.residuals, 0.0, atol=1e-6)
 
 
-@pytest.mark.xfail(strict=True, reason="lstsq in solve() takes rounding errors for rank")
 def test_dependent_columns_get_the_least_norm_solution() -> None:
     for seed in range(100):
         rng = np.random.default_rng(seed)
@@ -406,7 +405,6 @@ def test_dependent_columns_get_the_least_norm_solution() -> None:
         np.testing.assert_allclose(found.residuals, b - fitted, atol=1e-7)
 
 
-@pytest.mark.xfail(strict=True, reason="solve() leaves 0 where nothing is known")
 def test_undetermined_terms_have_no_standard_deviation() -> None:
     A = np.array([[1.0, 1.0], [2.0, 2.0], [3.0, 3.0]])
     found = solve(Equations(A, np.array([1.0, 2.0, 3.5]), np.arange(3)))
@@ -503,8 +501,6 @@ class OneByOne(Solver):
             index += 1
 
 
-@pytest.mark.xfail(raises=ValueError, strict=True,
-                   reason="Ledger._look_up cannot reshape an evaluation of no individuals")
 def test_budget_spent_between_evaluations_of_one_generation() -> None:
     assert search(twelve_terms(), OneByOne(), evaluations=15).evaluations == 15
 

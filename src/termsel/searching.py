@@ -202,7 +202,7 @@ class Ledger(Problem):
         self.lookups += len(genes) - len(new)
         where = [self._row_of[key] for key in keys]
         return Evaluation(
-            np.array([self._objectives[i] for i in where]).reshape(len(genes), -1),
+            np.array([self._objectives[i] for i in where]).reshape(-1, len(self.objectives)),
             np.array([self._violation[i] for i in where]))
 
     def _check(self, evaluation: Evaluation, n: int) -> None:

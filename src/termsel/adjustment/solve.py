@@ -26,8 +26,8 @@ class Adjustment:
     residuals : ndarray, shape (m,)
         b - A x of all rows, selected or not.
     deviations : ndarray, shape (k,)
-        Standard deviations of the coefficients; NaN without redundancy, 0 where a term is
-        not selected.
+        Standard deviations of the coefficients; NaN where they are not determined or there is
+        no redundancy, 0 where a term is not selected.
     n_terms, n_equations, rank : int
         Of the selected system.
     condition : float
@@ -106,7 +106,8 @@ def solve(
                 sigma0 = float(np.sqrt(v @ v / (n_equations - n_terms)))
             deviations[columns] = sigma0 * np.sqrt((inverse**2).sum(axis=1)) / lengths
         else:
-            x = linalg.lstsq(A / lengths, b)[0]
+            x = linalg.lstsq(A / lengths, b, cond=TOLERANCE)[0]
+            deviations[columns] = np.nan
         coefficients[columns] = x / lengths
     return Adjustment(coefficients, equations.b - equations.A @ coefficients, deviations,
                       n_terms, n_equations, rank, condition, sigma0)

@@ -51,7 +51,8 @@ class Genome:
     Raises
     ------
     TermselError
-        For a label that no segment has.
+        For a label that no segment has, a gene both on and off, or a cardinality that cannot
+        be reached.
     """
 
     def __init__(self, segments: Iterable[Segment], *, on: Iterable[str] = (),
@@ -62,6 +63,21 @@ class Genome:
         self.on = self._mark(on)
         self.off = self._mark(off)
         self.free = ~(self.on | self.off)
+        both = self.on & self.off
+        if both.any():
+            raise TermselError(f"gene {self.labels[int(np.argmax(both))]!r} is to be always on and "
+                               "always off")
+        self._refuse_unreachable()
+
+    def _refuse_unreachable(self) -> None:
+        for segment, where in zip(self.segments, self.slices().values(), strict=True):
+            most = len(segment.labels) if segment.maximum is None else segment.maximum
+            least_on, most_on = int(self.on[where].sum()), int((~self.off[where]).sum())
+            if segment.minimum > min(most, most_on) or least_on > most:
+                raise TermselError(
+                    f"of the {len(segment.labels)} genes {segment.name!r}, {segment.minimum} to "
+                    f"{most} are to be on, which forced genes or their number do not allow",
+                    hint="Lower the minimum, raise the maximum or force fewer.")
 
     def _mark(self, labels: Iterable[str]) -> BoolArray:
         marked = np.zeros(self.size, dtype=bool)
