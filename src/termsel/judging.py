@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from termsel.criteria import Criterion
 from termsel.fitting import Fit, Rmse
 from termsel.problems.base import Genome
 from termsel.roles import Observations
@@ -20,14 +21,16 @@ ALIKE = 1.05
 an RMSE is itself uncertain by more."""
 
 
-def judge(conventional: str, rmse: Mapping[str, Rmse | None], baselines: tuple[Baseline, ...],
-          feasible: bool, noise: float | None) -> str:
+def judge(conventional: str, criterion: str, rmse: Mapping[str, Rmse | None],
+          baselines: tuple[Baseline, ...], feasible: bool, noise: float | None) -> str:
     """Return one or two sentences that compare the selection with what needs no search.
 
     Parameters
     ----------
     conventional : str
         What the conventional fit uses, such as "all lines".
+    criterion : str
+        Name of what the search minimised.
     rmse : mapping
         Of the selection, by role.
     baselines : tuple of Baseline
@@ -43,7 +46,7 @@ def judge(conventional: str, rmse: Mapping[str, Rmse | None], baselines: tuple[B
     mine = rmse["independent"]
     if mine is None:
         return ("There are no independent points, so the accuracy of this selection is not "
-                "known: the check RMSE is what the search drove down.")
+                f"known: {criterion} is what the search drove down.")
     sentences = [_compare("The selection is", mine.total, baselines[0], conventional)
                  + f" on {mine.n} independent points."]
     plain = [b for b in baselines[1:] if b.rmse["independent"] is not None]
@@ -103,7 +106,8 @@ def _compare(start: str, mine: float, other: Baseline, title: str) -> str:
     return f"{start} {_times(1 / ratio)} worse than {title} {figures}"
 
 
-def notes_on(observations: Observations, found: Search, chosen: Fit) -> Iterator[str]:
+def notes_on(observations: Observations, criterion: Criterion, found: Search,
+             chosen: Fit) -> Iterator[str]:
     """Yield what else the reader of a result must know."""
     if len(observations.control.lines) and not len(observations.control.points):
         idle = len(observations.off)
@@ -113,7 +117,8 @@ def notes_on(observations: Observations, found: Search, chosen: Fit) -> Iterator
     if found.interrupted:
         yield "The search was interrupted; this is the best it had found."
     check, independent = chosen.rmse(observations.check), chosen.rmse(observations.independent)
-    if check and independent and independent.total > 1.5 * check.total:
+    if (criterion.needs_check and check and independent
+            and independent.total > 1.5 * check.total):
         yield (f"The independent RMSE is {independent.total / check.total:.1f} times the check "
                "RMSE: the selection is fitted to the check points.")
     if chosen.adjustment.redundancy == 0:

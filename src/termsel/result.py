@@ -110,6 +110,12 @@ class Result:
     front: tuple[Mapping[str, Any], ...] = ()
     certificate: Mapping[str, Any] | None = None
 
+    @property
+    def hit_rate(self) -> float:
+        """Share of all evaluations, with those of the polish, that were looked up."""
+        polish = self.polish["evaluations"] if self.polish else 0
+        return self.lookups / (self.evaluations + polish)
+
     def to_dict(self) -> dict[str, Any]:
         """Return the content of result.json."""
         adjustment = self.fit.adjustment
@@ -133,6 +139,7 @@ class Result:
             "judgement": self.judgement, "notes": list(self.notes),
             "front": list(self.front), "certificate": self.certificate,
             "evaluations": self.evaluations, "lookups": self.lookups,
+            "hit_rate": self.hit_rate,
             "generations": self.generations, "seconds": self.seconds,
             "interrupted": self.interrupted, "polish": self.polish,
             "coefficients": {terms[i]: float(adjustment.coefficients[i]) for i in chosen},

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import logging
 import platform
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, replace
@@ -12,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from termsel.adjustment.kernels import needs_compilation
 from termsel.criteria import Criterion
 from termsel.errors import TermselError, unknown_name
 from termsel.features import BoolArray, FeatureSet
@@ -29,6 +31,8 @@ from termsel.scaling import Scaling, scaling_of
 from termsel.searching import Observer, Search, search
 from termsel.solvers.base import Solver
 from termsel.solvers.exact import gap
+
+log = logging.getLogger(__name__)
 
 DATA_OPTIONS = (
     Option("roles", "file", "Roles of points: as in the file, with blank ones shared out by "
@@ -261,6 +265,8 @@ def run(
         task = prepare(problem, **prepared)
     if out is not None:
         claim_folder(Path(out))
+    if needs_compilation():
+        log.info("Compiling: the first run on this machine takes some 10 s longer.")
     found = search(task.problem, task.solver, seed=seed, generations=generations,
                    evaluations=evaluations, seconds=seconds, observers=observers)
     result = assess(task, recommended(task, found))
@@ -300,9 +306,9 @@ def assess(task: Task, found: Search) -> Result:
                  "criterion": task.criterion.options},
         data=_data(task), selection=selection, feasible=feasible, rmse=rmse,
         baselines=baselines,
-        judgement=judge(name_conventional(task.problem.genome, observations), rmse, baselines,
-                        feasible, task.features.noise),
-        notes=tuple(notes_on(observations, found, chosen)),
+        judgement=judge(name_conventional(task.problem.genome, observations),
+                        task.criterion.name, rmse, baselines, feasible, task.features.noise),
+        notes=tuple(notes_on(observations, task.criterion, found, chosen)),
         objectives=dict(zip(task.problem.objectives, objectives, strict=False)),
         evaluations=found.evaluations, lookups=found.lookups, generations=found.generations,
         seconds=found.seconds, interrupted=found.interrupted,

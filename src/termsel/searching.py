@@ -273,6 +273,11 @@ def search(
         raise TermselError(
             f"solver {solver.name!r} handles {solver.max_objectives} objective(s) and the problem "
             f"has {len(problem.objectives)}: {', '.join(problem.objectives)}")
+    if len(problem.objectives) < solver.min_objectives:
+        raise TermselError(
+            f"solver {solver.name!r} is for {solver.min_objectives} objectives or more and the "
+            f"problem has one: {problem.objectives[0]}",
+            hint="Name a second one, or choose a solver for one, such as ga.")
     if generations is None and evaluations is None and seconds is None:
         generations = solver.default_generations
     start = time.perf_counter()

@@ -40,7 +40,7 @@ def _compiled(function: _Function) -> _Function:
     _nrt=False every slice would cost two atomic operations; hence nothing may be allocated here.
     """
     compiler = numba.njit(cache=True, nogil=True, error_model="numpy",
-                          _nrt=False)  # type: ignore[call-overload]
+                          _nrt=False)
     return cast(_Function, compiler(function))
 
 

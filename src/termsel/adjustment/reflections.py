@@ -105,7 +105,7 @@ def _reflector(count: int) -> Any:
         over_rows(builder, t, stop, 1, [], subtract)
         return context.get_dummy_value()
 
-    @intrinsic
+    @intrinsic  # type: ignore[untyped-decorator]
     def apply(_context: Any, panels: Any, vectors: Any, beta: Any, gram: Any,
               c: Any, t: Any, stop: Any) -> Any:
         del c, t, stop

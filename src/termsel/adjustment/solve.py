@@ -129,6 +129,6 @@ def _rank(A: FloatArray) -> int:
     if live.shape[1] == n_terms <= A.shape[0]:
         r = linalg.qr(live, mode="r")[0]
         if (np.abs(np.diag(r)) > TOLERANCE).all():
-            return n_terms
+            return int(n_terms)
     r = linalg.qr(live, mode="r", pivoting=True)[0]
-    return min(int((np.abs(np.diag(r)) > TOLERANCE).sum()), n_terms - 1)
+    return min(int((np.abs(np.diag(r)) > TOLERANCE).sum()), int(n_terms) - 1)

@@ -359,13 +359,13 @@ def _triangle(rows: FloatArray, n: int) -> tuple[FloatArray, float]:
     What is lost is the part of the targets that is orthogonal to all columns; its sum of
     squares comes along.
     """
-    triangle = np.linalg.qr(rows, mode="r") if len(rows) > n else rows
+    triangle = np.asarray(np.linalg.qr(rows, mode="r")) if len(rows) > n else rows
     return triangle[:n], float((triangle[n:, n:] ** 2).sum())
 
 
 def _fewer(rows: FloatArray) -> FloatArray:
     """Return as many rows as columns, or fewer, with the same inner products."""
-    return np.linalg.qr(rows, mode="r") if len(rows) > rows.shape[1] else rows
+    return np.asarray(np.linalg.qr(rows, mode="r")) if len(rows) > rows.shape[1] else rows
 
 
 def _by_gain(control: FloatArray, forced: IntArray, free: IntArray, k: int) -> IntArray:

@@ -33,12 +33,12 @@ class Chosen:
 
 def n_terms(chosen: Chosen) -> FloatArray:
     """Return the number of terms in use."""
-    return chosen.terms.sum(axis=1).astype(np.float64)
+    return np.asarray(chosen.terms.sum(axis=1), dtype=np.float64)
 
 
 def n_features(chosen: Chosen) -> FloatArray:
     """Return the number of control features in use."""
-    return chosen.features.sum(axis=1).astype(np.float64)
+    return np.asarray(chosen.features.sum(axis=1), dtype=np.float64)
 
 
 def max_correlation(chosen: Chosen) -> FloatArray:

@@ -42,6 +42,7 @@ class Generation:
 class Solver(Configurable, ABC):
     """A search. Subclasses yield generations; budgets and records are kept by the run."""
 
+    min_objectives: ClassVar[int] = 1
     max_objectives: ClassVar[int] = 1
     default_generations: ClassVar[int | None] = 100
     """Generations of a run without a budget; None for a solver that ends by itself."""

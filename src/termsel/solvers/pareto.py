@@ -54,6 +54,7 @@ class PymooSolver(Solver):
     constraint, so that feasible selections come first.
     """
 
+    min_objectives: ClassVar[int] = 2
     max_objectives: ClassVar[int] = 8
     default_generations = 100
     declared_options = (

@@ -44,7 +44,7 @@ class Multiquadric(RationalModel):
         columns = np.stack([x**i * y**j for i, j in self._powers], axis=1)
         return Blocks(line=columns, sample=columns)
 
-    def column_names(self, block: str) -> tuple[str, ...]:  # noqa: ARG002
+    def column_names(self, block: str) -> tuple[str, ...]:
         """Return the monomials' names: 1, X, Y, X2, XY, Y2 ..."""
         return tuple("".join(f"{letter}{power if power > 1 else ''}"
                              for letter, power in (("X", i), ("Y", j)) if power) or "1"
