@@ -10,13 +10,17 @@ import pytest
 
 from termsel.criteria import CheckRmse
 from termsel.errors import TermselError
-from termsel.features import FloatArray
+from termsel.features import FeatureSet, FloatArray, Points
 from termsel.models.base import Blocks, RationalModel
 from termsel.models.polynomial import Affine, Polynomial2D, Polynomial3D
 from termsel.models.rational import RationalFunctions
+from termsel.problems.selection import Inputs, SelectionProblem
 from termsel.solvers.baselines import AllTerms, RandomSearch
 from termsel.solvers.exact import Exact
 from termsel.solvers.ga import GeneticAlgorithm
+from termsel.solvers.ga_correlation import CorrelationSeededGA
+from termsel.solvers.ga_steady import SteadyStateGA
+from termsel.solvers.ga_transgenic import TransgenicGA
 from termsel.solvers.local import Swap
 from termsel.testing import (
     Check,
@@ -31,6 +35,20 @@ from termsel.testing import (
 
 NO_SEARCH = {"feasible_first": "it does not search", "optimum_found": "it does not search"}
 
+
+def six_of_twelve() -> SelectionProblem:
+    """The choice of 6 of 12 control points, three of which are measured wrongly."""
+    rng = np.random.default_rng(4)
+    ground = rng.uniform(-1.0, 1.0, (2, 12, 3))
+    image = 0.8 * ground[..., :2] + rng.normal(0.0, 0.01, (2, 12, 2))
+    image[0, :3] += 0.2
+    control, check = (Points(tuple(f"p{i}" for i in range(12)), *one)
+                      for one in zip(image, ground, strict=True))
+    return SelectionProblem(
+        Inputs(Affine(), FeatureSet(control), check, 100.0, CheckRmse(),
+               {"min_features": 6, "max_features": 6}), terms=False, features=True)
+
+
 ORDERS = [{"order": order, "denominators": kind}
           for order in (1, 2, 3) for kind in ("separate", "shared", "none")]
 SUITES: dict[str, tuple[Check, ...]] = {
@@ -39,6 +57,13 @@ SUITES: dict[str, tuple[Check, ...]] = {
     "poly3d": model_checks(Polynomial3D, options=[{"degree": d} for d in (1, 2, 3, 5)]),
     "affine": model_checks(Affine),
     "ga": solver_checks(GeneticAlgorithm, options=[{}, {"population": 21, "elite": 1}]),
+    "ga-correlation": solver_checks(
+        CorrelationSeededGA, options=[{}, {"population": 21, "preset": "case-1"}],
+        expected_failures={"any_problem": "it needs a design matrix"}),
+    "ga-steady": solver_checks(
+        SteadyStateGA, options=[{}, {"population": 21, "overlap": 1.0}], problem=six_of_twelve,
+        expected_failures={"any_problem": "it needs a fixed number of features"}),
+    "ga-transgenic": solver_checks(TransgenicGA, options=[{}, {"population": 21}]),
     "swap": solver_checks(Swap),
     "exact": solver_checks(Exact, expected_failures={"any_problem": "it needs parts to walk"}),
     "random": solver_checks(RandomSearch, expected_failures=NO_SEARCH),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import ClassVar
 
 import numpy as np
 from deap import base
@@ -65,7 +66,7 @@ class GeneticAlgorithm(Solver):
 
     name = "ga"
     default_generations = 80
-    declared_options = (
+    declared_options: ClassVar[tuple[Option, ...]] = (
         Option("population", 200, "Number of chromosomes.", int, 2),
         Option("tournament", 3, "Chromosomes drawn for each tournament.", int, 1),
         Option("crossover", 0.9, "Chance that a pair of parents mates.", float, 0.0, 1.0),
@@ -87,6 +88,30 @@ class GeneticAlgorithm(Solver):
         box.register("mutate", flip_bits, probability=rate, rng=rng)
         return box
 
+    def survivors(self, genes: BoolArray, evaluation: Evaluation) -> IntArray:
+        """Return which chromosomes live on unchanged, at most all but one."""
+        return evaluation.order()[:min(self.options["elite"], len(genes) - 1)]
+
+    def children(self, box: base.Toolbox, genes: BoolArray, evaluation: Evaluation,
+                 n: int) -> BoolArray:
+        """Return n new chromosomes, before their repair.
+
+        Parameters
+        ----------
+        box : deap.base.Toolbox
+        genes : ndarray of bool, shape (p, g)
+            The population.
+        evaluation : Evaluation
+            Of the population.
+        n : int
+
+        Returns
+        -------
+        ndarray of bool, shape (n, g)
+        """
+        children: BoolArray = box.mutate(box.mate(genes[box.select(evaluation.order(), n)]))
+        return children
+
     def generations(self, problem: Problem, rng: np.random.Generator) -> Iterator[Generation]:
         """Yield generations without end (see `Solver.generations`)."""
         box = self.toolbox(problem, rng)
@@ -94,14 +119,12 @@ class GeneticAlgorithm(Solver):
         evaluation = box.evaluate(genes)
         yield Generation(0, genes, evaluation)
         index = 0
-        elite = min(self.options["elite"], len(genes) - 1)
         while True:
             index += 1
-            order = evaluation.order()
-            children = box.mutate(box.mate(genes[box.select(order, len(genes) - elite)]))
+            kept = self.survivors(genes, evaluation)
+            children = self.children(box, genes, evaluation, len(genes) - len(kept))
             children = problem.genome.repair(children, rng)
             offspring = box.evaluate(children)
-            kept = order[:elite]
             genes = np.concatenate([genes[kept], children])
             evaluation = Evaluation(
                 np.concatenate([evaluation.objectives[kept], offspring.objectives]),

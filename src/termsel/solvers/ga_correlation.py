@@ -1,0 +1,150 @@
+"""Genetic algorithm whose first population follows the correlations of the design matrix."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from deap import base
+
+from termsel.errors import TermselError
+from termsel.features import BoolArray, FloatArray
+from termsel.options import Option
+from termsel.problems.base import Problem
+from termsel.solvers.ga import GeneticAlgorithm
+
+PRESETS = {"case-1": (1.19, 0.15), "case-2": (1.69, 0.0), "case-3": (1.0, 0.0)}
+"""Scale and offset of the cases of Akhoundi Khezrabad et al. 2020, table 3."""
+
+_CONSTANT = 1e-12  # least part of a column's length that must be variation
+_ROUNDING = 1e-9
+
+
+def correlation_sums(design: FloatArray) -> FloatArray:
+    """Return the sum of the absolute correlations of each column with all columns.
+
+    Akhoundi Khezrabad et al. 2020, eq. 3 and the last line of eq. 4. The correlation of a
+    constant column is undefined: it takes no part in the sums of the others. Its own sum is
+    the least of theirs, for a constant term is needed by every model and rivals none; but the
+    sum of a column of zeros is the largest, for its term cannot be determined.
+
+    Parameters
+    ----------
+    design : ndarray, shape (m, g)
+
+    Returns
+    -------
+    ndarray, shape (g,)
+        At least 1, the correlation of a column with itself.
+    """
+    centred = design - design.mean(axis=0)
+    lengths = np.linalg.norm(centred, axis=0)
+    size = np.linalg.norm(design, axis=0)
+    varies = lengths > _CONSTANT * size
+    unit = centred[:, varies] / lengths[varies]
+    sums = np.ones(design.shape[1])
+    if varies.any():
+        sums[varies] = np.abs(unit.T @ unit).sum(axis=0)
+        sums[~varies] = sums[varies].min()
+    sums[size == 0] = sums.max()
+    return sums
+
+
+def activation_probabilities(sums: FloatArray, scale: float, offset: float) -> FloatArray:
+    """Return the chance of each gene to be on: P = S (1 - sum / max(sum)) + O.
+
+    Akhoundi Khezrabad et al. 2020, eq. 4.
+
+    Parameters
+    ----------
+    sums : ndarray, shape (g,)
+        As `correlation_sums` returns them.
+    scale, offset : float
+        S and O.
+
+    Raises
+    ------
+    TermselError
+        If a probability is outside 0 to 1; says which scales and offsets are permitted.
+    """
+    freedom = 1.0 - sums / sums.max()
+    probability = scale * freedom + offset
+    if probability.max() > 1.0 + _ROUNDING:
+        widest = float(freedom.max())
+        # Rounded down, so that what is told can be typed.
+        largest = np.floor((1.0 - offset) / widest * 1e3) / 1e3
+        other = 1.0 - scale * widest
+        raise TermselError(
+            f"scale {scale:g} and offset {offset:g} give genes of these data a probability of "
+            f"{probability.max():.3f} to be on",
+            hint=f"With offset {offset:g} a scale of up to {largest:g} is permitted here"
+                 + (f"; with scale {scale:g} an offset of up to {np.floor(other * 1e3) / 1e3:g}"
+                    if other >= 0 else "")
+                 + f". Set them with --set preset=own --set scale={largest:g} "
+                   f"--set offset={offset:g}.")
+    return np.asarray(np.clip(probability, 0.0, 1.0))
+
+
+def seeded_population(probability: FloatArray, n: int, rng: np.random.Generator) -> BoolArray:
+    """Return n chromosomes in which gene i is on exactly round(P_i n) times.
+
+    Parameters
+    ----------
+    probability : ndarray, shape (g,)
+    n : int
+    rng : numpy.random.Generator
+        Draws in which chromosomes.
+    """
+    on = np.arange(n)[:, None] < np.rint(probability * n)
+    return rng.permuted(on, axis=0)
+
+
+class CorrelationSeededGA(GeneticAlgorithm):
+    """GA that begins with the terms least correlated with others.
+
+    Akhoundi Khezrabad et al. 2020: the first population switches each gene on with the
+    probability of eq. 4, from the correlations of eq. 3; all else is the `ga`. The columns are
+    those of the joint matrix of line and sample over all control, as in the paper; forced
+    genes and bounds on their number are kept by repairing the chromosomes afterwards.
+
+    The paper's cases are presets of scale and offset, literally. They were fitted to its
+    matrix, whose probabilities then run from 0.15 to 0.85, 0 to 1 and 0 to 0.59; elsewhere
+    they run as the data have it, and are refused where they exceed 1. Case 3 cannot, and is the
+    paper's fastest: so it is the default. The paper saves 37 per cent of the time with it and
+    loses 45 per cent of the accuracy at independent points: compare with `ga`.
+    """
+
+    name = "ga-correlation"
+    declared_options = (
+        *GeneticAlgorithm.declared_options,
+        Option("preset", "case-3", "Scale and offset: those of a case of Akhoundi Khezrabad et "
+               "al. 2020, table 3 (1.19 and 0.15, 1.69 and 0, 1 and 0), or your own.",
+               choices=(*PRESETS, "own")),
+        Option("scale", None, "S of eq. 4, with preset=own.", float, 0.0),
+        Option("offset", None, "O of eq. 4, the least probability, with preset=own.", float,
+               0.0, 1.0),
+    )
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(**options)
+        given = [name for name in ("scale", "offset") if self.options[name] is not None]
+        own = self.options["preset"] == "own"
+        if own and len(given) < 2:
+            raise TermselError("preset=own needs both scale and offset",
+                               hint="For example --set preset=own --set scale=1 --set offset=0.")
+        if given and not own:
+            raise TermselError(f"option {given[0]!r} is given, but {self.options['preset']} has "
+                               "its own", hint="Add --set preset=own.")
+
+    def toolbox(self, problem: Problem, rng: np.random.Generator) -> base.Toolbox:
+        """Return the toolbox of the GA with another population."""
+        o = self.options
+        box = super().toolbox(problem, rng)
+        scale, offset = PRESETS.get(o["preset"], (o["scale"], o["offset"]))
+        probability = activation_probabilities(correlation_sums(problem.design()), scale, offset)
+
+        def population() -> BoolArray:
+            return problem.genome.repair(seeded_population(probability, o["population"], rng), rng)
+
+        box.register("population", population)
+        return box

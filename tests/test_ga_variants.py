@@ -1,0 +1,339 @@
+"""The variants of the GA: seeded by correlations, steady state over tuples, transgenic."""
+
+from __future__ import annotations
+
+from itertools import combinations, islice
+
+import numpy as np
+import pytest
+from scipy.stats import mannwhitneyu, norm
+
+import termsel
+from termsel.errors import TermselError
+from termsel.features import BoolArray, FloatArray
+from termsel.models.base import LINE, SAMPLE
+from termsel.problems.base import WORST, Evaluation, Genome, Problem, Segment
+from termsel.searching import search
+from termsel.solvers.base import Solver
+from termsel.solvers.ga import GeneticAlgorithm
+from termsel.solvers.ga_correlation import (
+    CorrelationSeededGA,
+    activation_probabilities,
+    correlation_sums,
+    seeded_population,
+)
+from termsel.solvers.ga_steady import (
+    SteadyStateGA,
+    coding,
+    random_tuples,
+    replace_one,
+    set_crossover,
+)
+from termsel.solvers.ga_transgenic import TransgenicGA, qualification
+from termsel.testing.problems import narrow
+
+
+def rng(seed: int = 1) -> np.random.Generator:
+    return np.random.default_rng(seed)
+
+
+def m_of_n(problem: str, m: int, **options: object) -> Problem:
+    made = termsel.prepare(problem, options={"min_features": m, "max_features": m, **options})
+    return made.problem
+
+
+def judged(cost: FloatArray, violation: FloatArray | None = None) -> Evaluation:
+    return Evaluation(cost[:, None], np.zeros(len(cost)) if violation is None else violation)
+
+
+def fixed(labels: int, m: int, on: tuple[str, ...] = (), off: tuple[str, ...] = ()) -> Genome:
+    names = tuple(f"g{i + 1}" for i in range(labels))
+    return Genome([Segment("features", names, m, m)], on=on, off=off)
+
+
+# Correlations of the design matrix
+
+A = np.array([[1.0, 1.0, 2.0], [-1.0, 1.0, 0.0], [1.0, -1.0, 0.0], [-1.0, -1.0, -2.0]])
+HALF = np.sqrt(0.5)  # correlation of the third column, the sum of the others, with each of them
+
+
+def test_eq_3_and_eq_4_by_hand() -> None:
+    sums = correlation_sums(A + np.array([0.0, 7.0, -3.0]))
+    assert sums == pytest.approx([1 + HALF, 1 + HALF, 1 + 2 * HALF])
+    freedom = 1 - (1 + HALF) / (1 + 2 * HALF)
+    assert activation_probabilities(sums, 1.0, 0.0) == pytest.approx([freedom, freedom, 0.0])
+    assert activation_probabilities(sums, 1.19, 0.15) == pytest.approx(
+        [1.19 * freedom + 0.15, 1.19 * freedom + 0.15, 0.15])
+
+
+def test_correlations_are_those_of_the_joint_matrix() -> None:
+    problem = termsel.prepare("rfm-terms").problem
+    design = problem.design()
+    assert design.shape == (48, 78)
+    assert correlation_sums(design) == pytest.approx(
+        np.abs(np.corrcoef(design, rowvar=False)).sum(axis=0))
+
+
+def test_columns_without_variance() -> None:
+    sums = correlation_sums(np.column_stack([A, np.full(4, 5.0), np.zeros(4)]))
+    assert sums == pytest.approx([1 + HALF, 1 + HALF, 1 + 2 * HALF, 1 + HALF, 1 + 2 * HALF])
+    assert correlation_sums(np.array([[1.0, 0.0], [1.0, 0.0]])) == pytest.approx([1.0, 1.0])
+
+
+def test_probabilities_beyond_1_are_refused_with_what_is_permitted() -> None:
+    sums = np.array([1.0, 2.0, 5.0])
+    with pytest.raises(TermselError) as caught:
+        activation_probabilities(sums, 1.69, 0.0)
+    assert "probability of 1.352" in str(caught.value)
+    assert "With offset 0 a scale of up to 1.25 is permitted" in str(caught.value)
+    assert "--set preset=own --set scale=1.25 --set offset=0" in str(caught.value)
+    assert activation_probabilities(sums, 1.25, 0.0).max() == 1.0
+    with pytest.raises(TermselError, match=r"with scale 1 an offset of up to 0\.19"):
+        activation_probabilities(sums, 1.0, 0.9)
+
+
+@pytest.mark.parametrize("n", [1, 37, 200])
+def test_genes_are_on_in_exactly_so_many_chromosomes(n: int) -> None:
+    probability = np.array([0.0, 0.15, 0.5, 0.59, 1.0])
+    genes = seeded_population(probability, n, rng())
+    assert genes.shape == (n, 5)
+    assert genes.sum(axis=0).tolist() == [round(p * n) for p in probability]
+
+
+def test_first_generation_on_real_problems() -> None:
+    for name, options in (("rfm-terms", {}), ("poly-terms", {"mask": "shared"})):
+        problem = termsel.prepare(name, options=options).problem
+        solver = CorrelationSeededGA(population=150, preset="case-1")
+        first = next(solver.generations(problem, rng()))
+        probability = activation_probabilities(correlation_sums(problem.design()), 1.19, 0.15)
+        assert first.genes.sum(axis=0).tolist() == np.rint(150 * probability).tolist()
+
+
+def test_scale_and_offset_belong_to_their_preset() -> None:
+    with pytest.raises(TermselError, match="needs both scale and offset"):
+        CorrelationSeededGA(preset="own", scale=1.0)
+    with pytest.raises(TermselError, match="case-3 has its own"):
+        CorrelationSeededGA(offset=0.1)
+    problem = termsel.prepare("rfm-terms").problem
+    same = [next(CorrelationSeededGA(**o).generations(problem, rng())).genes
+            for o in ({"preset": "case-2"}, {"preset": "own", "scale": "1.69", "offset": 0})]
+    assert np.array_equal(*same)
+
+
+def test_a_problem_without_a_design_matrix_is_refused() -> None:
+    for name in ("owdis-lines", "owdis-points-terms"):
+        problem = termsel.prepare(name).problem
+        with pytest.raises(TermselError, match="no design matrix"):
+            search(problem, CorrelationSeededGA(), generations=1)
+
+
+# The design matrix by gene
+
+
+@pytest.mark.parametrize("options", [{}, {"mixed": True}, {"denominators": "shared"}])
+def test_design_has_the_columns_of_the_equations(options: dict[str, object]) -> None:
+    task = termsel.prepare("rfm-terms", options=options)
+    problem = task.problem
+    terms = np.array(task.model.terms)
+    column = [int(np.flatnonzero(terms == label)[0]) for label in problem.genome.labels]
+    assert np.array_equal(problem.design(), problem.equations.A[:, column])
+
+
+@pytest.mark.parametrize("options", [{}, {"mixed": True}, {"denominators": "shared"}])
+def test_a_shared_gene_stacks_line_and_sample(options: dict[str, object]) -> None:
+    task = termsel.prepare("rfm-terms", options={**options, "mask": "shared"})
+    problem, terms, axis = task.problem, task.model.terms, task.model.axis
+    matrix = problem.equations.A
+    rows = [(matrix[:, axis == side] != 0).any(axis=1) for side in (LINE, SAMPLE)]
+    design = problem.design()
+    points, lines = len(task.observations.control.points), len(task.observations.control.lines)
+    assert len(design) == 2 * points + 4 * lines
+    for gene, label in enumerate(problem.genome.labels):
+        stacked = [matrix[here, terms.index(label if label in terms else f"{side}.{label}")]
+                   for here, side in zip(rows, ("line", "sample"), strict=True)]
+        assert np.array_equal(design[:, gene], np.concatenate(stacked))
+
+
+# Tuples of m numbers
+
+
+def distinct(tuples: np.ndarray, n: int) -> bool:
+    return bool((np.diff(tuples, axis=1) > 0).all() and tuples.min() >= 0 and tuples.max() < n)
+
+
+def test_random_tuples_are_sets_and_meet_every_number() -> None:
+    tuples = random_tuples(4000, 10, 3, rng())
+    assert tuples.shape == (4000, 3)
+    assert distinct(tuples, 10)
+    assert np.bincount(tuples.ravel()) / 4000 == pytest.approx([0.3] * 10, abs=0.03)
+
+
+def test_children_keep_what_both_parents_have_and_add_what_one_has() -> None:
+    parents = random_tuples(401, 12, 6, rng())
+    children = set_crossover(parents, 1.0, rng(2))
+    assert distinct(children, 12)
+    for i in range(0, 400, 2):
+        first, second = set(parents[i]), set(parents[i + 1])
+        for child in children[i:i + 2]:
+            assert first & second <= set(child) <= first | second
+    assert np.array_equal(children[400], parents[400])  # it has no mate
+    assert not np.array_equal(children[:400:2], children[1:400:2])
+    assert np.array_equal(set_crossover(parents, 0.0, rng()), parents)
+
+
+def test_what_one_parent_has_is_drawn_evenly() -> None:
+    parents = np.tile([[0, 1, 2, 3], [2, 3, 4, 5]], (3000, 1))
+    children = set_crossover(parents, 1.0, rng())
+    share = np.bincount(children.ravel(), minlength=6) / len(children)
+    assert share == pytest.approx([0.5, 0.5, 1.0, 1.0, 0.5, 0.5], abs=0.03)
+
+
+def test_mutation_replaces_one_number_by_a_new_one() -> None:
+    before = np.tile([0, 3, 4, 7], (4000, 1))
+    after = replace_one(before, 8, 1.0, rng())
+    assert distinct(after, 8)
+    new = [set(a) - set(b) for a, b in zip(after, before, strict=True)]
+    assert all(len(one) == 1 for one in new)
+    share = np.bincount([one.pop() for one in new], minlength=8) / 4000
+    assert share == pytest.approx([0, 0.25, 0.25, 0, 0, 0.25, 0.25, 0], abs=0.03)
+    assert np.array_equal(replace_one(before, 8, 0.0, rng()), before)
+    assert np.array_equal(replace_one(before, 4, 1.0, rng()), before)  # nothing is left to take
+
+
+def test_coding_leaves_forced_genes_alone() -> None:
+    genome = fixed(9, 4, ("g2",), ("g5", "g6"))
+    code = coding(genome)
+    assert (code.free.tolist(), code.m) == ([0, 2, 3, 6, 7, 8], 3)
+    tuples = random_tuples(50, len(code.free), code.m, rng())
+    genes = code.genes(tuples)
+    assert np.array_equal(genome.repair(genes, rng()), genes)
+    assert np.array_equal(code.tuples(genes), tuples)
+
+
+def test_every_generation_has_m_features() -> None:
+    problem = m_of_n("owdis-lines", 25)
+    for generation in islice(SteadyStateGA().generations(problem, rng()), 10):
+        assert (generation.genes.sum(axis=1) == 25).all()
+
+
+def test_half_lives_on_and_immigrants_join() -> None:
+    problem = m_of_n("owdis-lines", 25)
+    solver = SteadyStateGA(population=40, crossover=0.0, mutation=0.0, immigrants=0.3)
+    first, second = islice(solver.generations(problem, rng()), 2)
+    best = first.evaluation.order()[:20]
+    assert np.array_equal(second.genes[:20], first.genes[best])
+    known = {one.tobytes() for one in first.genes}
+    assert [one.tobytes() in known for one in second.genes[20:]] == [True] * 14 + [False] * 6
+
+
+def test_of_equal_chromosomes_one_lives_on() -> None:
+    genes = np.eye(6, dtype=bool)[[0, 0, 0, 1, 2, 2]]
+    kept = SteadyStateGA().survivors(genes, judged(np.array([1.0, 1.0, 1.0, 2.0, 3.0, 3.0])))
+    assert [int(genes[i].argmax()) for i in kept] == [0, 1, 2]
+
+
+def test_steady_state_finds_the_best_22_of_24_points() -> None:
+    problem = m_of_n("owdis-points", 22)
+    dropped = np.array(list(combinations(range(24), 2)))
+    genes = np.ones((len(dropped), 24), dtype=bool)
+    np.put_along_axis(genes, dropped, False, axis=1)
+    best = problem.evaluate(genes)
+    optimum = best.objectives[best.order()[0], 0]
+    found = search(problem, SteadyStateGA(polish=False), seed=1, evaluations=2000)
+    assert found.objectives[0] == pytest.approx(optimum, rel=1e-12)
+
+
+def test_what_is_not_m_of_n_is_refused() -> None:
+    with pytest.raises(TermselError, match="number of features is not fixed") as caught:
+        search(termsel.prepare("owdis-points").problem, SteadyStateGA(), generations=1)
+    assert "--set min_features=12 --set max_features=12" in str(caught.value)
+    for name in ("rfm-terms", "owdis-points-terms"):
+        with pytest.raises(TermselError, match=r"this problem chooses terms\.line, terms\.sample"):
+            search(termsel.prepare(name).problem, SteadyStateGA(), generations=1)
+
+
+# The number of features of a problem
+
+
+@pytest.mark.parametrize(("options", "message"), [
+    ({"min_features": 25}, "'min_features' is 25 and there are 24 control features"),
+    ({"max_features": 25}, "Give a number from 1 to 24"),
+    ({"max_features": 0}, "whole number of at least 1"),
+    ({"min_features": 14, "max_features": 13}, "'min_features' is 14 and 'max_features' 13"),
+    ({"max_features": 9}, "gives 9 equations with 9 features at most. Raise max_features"),
+])
+def test_numbers_of_features_that_cannot_be(options: dict[str, int], message: str) -> None:
+    with pytest.raises(TermselError, match=message):
+        termsel.prepare("owdis-points", options=options)
+
+
+@pytest.mark.parametrize("problem", ["owdis-points", "owdis-lines", "owdis-points-terms",
+                                     "owdis-lines-terms"])
+def test_bounds_on_the_number_of_features_hold(problem: str) -> None:
+    result = termsel.run(problem, generations=3, options={
+        "min_features": 14, "max_features": 16, "population": 20})
+    assert 14 <= result.to_dict()["selection"]["n_features"] <= 16
+
+
+# Qualified genes
+
+
+def test_qualification_is_the_rank_sum_test() -> None:
+    genes = rng().random((60, 8)) < 0.4
+    genes[:, 6], genes[:, 7] = True, False
+    cost = np.round(rng(2).normal(size=60) - genes[:, 0], 1)  # rounded: with ties
+    found = qualification(genes, judged(cost))
+    for gene in range(6):
+        on = genes[:, gene]
+        test = mannwhitneyu(cost[on], cost[~on], method="asymptotic", use_continuity=False)
+        assert 2 * norm.sf(abs(found[gene])) == pytest.approx(test.pvalue)
+        assert np.sign(found[gene]) == np.sign(cost[~on].mean() - cost[on].mean())
+    assert found[0] > 2
+    assert found[6:].tolist() == [0.0, 0.0]
+
+
+def test_qualification_without_differences() -> None:
+    genes = rng().random((20, 5)) < 0.5
+    assert not qualification(genes, judged(np.full(20, WORST))).any()
+    assert not qualification(genes[:1], judged(np.ones(1))).any()
+
+
+def test_infeasible_chromosomes_rank_last() -> None:
+    genes = np.arange(20)[:, None] < [10]
+    cheap = np.where(genes[:, 0], 0.0, 1.0)
+    assert qualification(genes, judged(cheap))[0] > 3
+    assert qualification(genes, judged(cheap, violation=cheap == 0))[0] < -3
+
+
+def test_every_second_parent_has_the_qualified_genes() -> None:
+    seen: list[BoolArray] = []
+    solver = TransgenicGA(population=60, elite=0, alpha=0.001, transgenic=0.25)
+    genes = rng().random((60, 12)) < 0.5
+    box = solver.toolbox(narrow(12), rng())
+    box.register("mate", lambda parents: seen.append(parents) or parents)
+    box.register("mutate", lambda parents: parents)
+    box.register("select", lambda order, n: np.arange(n))
+    cost = 10.0 * genes[:, 3] - 10.0 * genes[:, 8] + np.linspace(0, 1e-3, 60)
+    solver.children(box, genes, judged(cost), 60)
+    made = genes[:30:2].copy()
+    made[:, 3], made[:, 8] = False, True
+    assert np.array_equal(seen[0][:30:2], made)
+    assert np.array_equal(seen[0][1:30:2], genes[1:30:2])
+    assert np.array_equal(seen[0][30:], genes[30:])
+
+
+def test_without_transgenic_parents_it_is_the_ga() -> None:
+    problem = termsel.prepare("poly-terms").problem
+    runs = [search(problem, solver, seed=3, generations=5)
+            for solver in (GeneticAlgorithm(population=30),
+                           TransgenicGA(population=30, transgenic=0.0))]
+    assert np.array_equal(runs[0].genes, runs[1].genes)
+
+
+@pytest.mark.parametrize("solver", [CorrelationSeededGA, TransgenicGA])
+def test_whole_runs(solver: type[Solver]) -> None:
+    task = termsel.prepare("poly-terms", options={"degree": 4, "mask": "shared"})
+    exact = termsel.run("poly-terms", solver="exact", options={"degree": 4, "mask": "shared"})
+    found = search(task.problem, solver(), seed=1, evaluations=4000)
+    assert found.polish is not None
+    assert found.objectives[0] == pytest.approx(exact.objectives["check-rmse"], rel=1e-9)
