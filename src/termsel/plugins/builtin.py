@@ -50,13 +50,16 @@ def termsel_solvers() -> Iterable[type[Solver]]:
     from termsel.solvers.baselines import AllTerms, RandomSearch
     from termsel.solvers.exact import Exact
     from termsel.solvers.ga import GeneticAlgorithm
+    from termsel.solvers.ga_correlation import CorrelationSeededGA
+    from termsel.solvers.ga_steady import SteadyStateGA
+    from termsel.solvers.ga_transgenic import TransgenicGA
     from termsel.solvers.local import Swap
     from termsel.solvers.nested import NestedRegression
     from termsel.solvers.pareto import AgeMoea2, Nsga2, SmsEmoa, Spea2
     from termsel.solvers.regression import Stepwise, TTest
     from termsel.solvers.shrinkage import Lasso, Ridge
 
-    return [GeneticAlgorithm, Nsga2, AgeMoea2, SmsEmoa, Spea2, Exact, Swap, RandomSearch, AllTerms,
+    return [GeneticAlgorithm, CorrelationSeededGA, SteadyStateGA, TransgenicGA, Nsga2, AgeMoea2, SmsEmoa, Spea2, Exact, Swap, RandomSearch, AllTerms,
             Stepwise, TTest, NestedRegression, Lasso, Ridge]
 
 
