@@ -143,7 +143,8 @@ def prepare(
         source = f"{spec.name} (simulated)" if spec.simulated else spec.name
     observations = observe(
         features, control="both" if of_problem.get("mixed") else recipe.control,
-        how=of_data["roles"], fractions=_fractions(of_data["fractions"]),
+        how=of_data["roles"],
+        fractions=_fractions(of_data["fractions"], the_criterion.needs_check),
         rng=np.random.default_rng(of_data["split"]))
     require_heights(the_model, features)
     _require_enough(observations, recipe, the_criterion)
@@ -177,15 +178,17 @@ def _require_able(solver: Solver, problem: Problem) -> None:
             hint=f"Solvers that can: {', '.join(able) or 'none is installed'}.")
 
 
-def _fractions(text: str) -> tuple[float, ...]:
+def _fractions(text: str, needs_check: bool) -> tuple[float, ...]:
     try:
         shares = tuple(float(part) for part in text.replace(",", ":").split(":"))
     except ValueError:
         shares = ()
-    if len(shares) != 3 or not np.isfinite(shares).all() or min(shares) < 0 or not shares[1]:
+    if len(shares) != 3 or not np.isfinite(shares).all() or min(shares) < 0 \
+            or (needs_check and not shares[1]):
         raise TermselError(f"option 'fractions' does not take {text!r}",
                            hint="It takes three numbers for control, check and independent, "
-                                "such as 1:1:1 or 0.4:0.3:0.3; check must be above 0.")
+                                "such as 1:1:1 or 0.4:0.3:0.3; check must be above 0 "
+                                "for a criterion that needs check points.")
     return shares
 
 
@@ -338,7 +341,7 @@ def recommended(task: Task, found: Search) -> Search:
     first, second = evaluation.objectives[:, 0], evaluation.objectives[:, 1]
     rule = task.options["problem"]["recommend"]
     index = int(np.argmin(first))
-    if rule == "one-standard-error":
+    if rule == "one-standard-error" and first[index] > 0:  # an information criterion has none
         bound = first[index] * (1 + 1 / np.sqrt(4 * max(len(task.observations.check), 1)))
         within = np.flatnonzero(first <= bound)
         index = int(within[np.lexsort((first[within], second[within]))[0]])

@@ -59,7 +59,8 @@ def termsel_solvers() -> Iterable[type[Solver]]:
     from termsel.solvers.regression import Stepwise, TTest
     from termsel.solvers.shrinkage import Lasso, Ridge
 
-    return [GeneticAlgorithm, CorrelationSeededGA, SteadyStateGA, TransgenicGA, Nsga2, AgeMoea2, SmsEmoa, Spea2, Exact, Swap, RandomSearch, AllTerms,
+    return [GeneticAlgorithm, CorrelationSeededGA, SteadyStateGA, TransgenicGA,
+            Nsga2, AgeMoea2, SmsEmoa, Spea2, Exact, Swap, RandomSearch, AllTerms,
             Stepwise, TTest, NestedRegression, Lasso, Ridge]
 
 
