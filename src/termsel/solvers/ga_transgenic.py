@@ -7,7 +7,6 @@ from typing import ClassVar
 
 import numpy as np
 from deap import base
-from scipy.stats import rankdata
 
 from termsel.features import BoolArray, FloatArray
 from termsel.options import Option
@@ -36,7 +35,7 @@ def qualification(genes: BoolArray, evaluation: Evaluation) -> FloatArray:
     p = len(genes)
     both = np.column_stack([evaluation.violation, evaluation.objectives[:, 0]])
     _, place, count = np.unique(both, axis=0, return_inverse=True, return_counts=True)
-    rank = rankdata(place)
+    rank = (np.cumsum(count) - (count - 1) / 2.0)[place.ravel()]  # ties share one
     on = genes.sum(axis=0)
     ties = float((count**3 - count).sum()) / (p * (p - 1)) if p > 1 else 0.0
     variance = on * (p - on) / 12.0 * (p + 1 - ties)
