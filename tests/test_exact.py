@@ -9,7 +9,7 @@ import pytest
 
 import termsel
 import termsel.report.text
-import termsel.running
+from termsel.assessing import assess
 from termsel.solvers.exact import Exact, count, gap
 from termsel.solvers.ga import GeneticAlgorithm
 
@@ -91,7 +91,7 @@ def test_an_interrupted_proof_proves_nothing_but_has_the_best_so_far() -> None:
     assert found.violation == 0
     assert not found.certificate["optimal"]
     assert found.certificate["subsets"] < found.certificate["of"]
-    result = termsel.running.assess(task, found)
+    result = assess(task, found)
     assert result.certificate == found.certificate
 
 

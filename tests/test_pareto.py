@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 import termsel
+from termsel.adjustment.parts import independent_parts
+from termsel.assessing import recommended
 from termsel.features import FeatureSet, Points
 from termsel.problems.objectives import Chosen, max_correlation, uncovered, unevenness
-from termsel.running import recommended
 from termsel.searching import Search
 
 SOLVERS = ("nsga2", "age-moea2", "sms-emoa", "spea2")
@@ -107,14 +108,14 @@ def test_an_infeasible_result_says_so_in_words() -> None:
     features = termsel.simulate_scene("ikonos-hamedan")
     result = termsel.run("rfm-terms", solver="all-terms", features=features)
     assert not result.feasible
-    assert "No selection satisfied all conditions" in result.judgement
+    assert "does not satisfy all conditions" in result.judgement
 
 
 def chosen(image: np.ndarray, mask: np.ndarray) -> Chosen:
     task = termsel.prepare("poly-terms", options={"degree": 1})
     control = FeatureSet(Points(tuple(f"P{i}" for i in range(len(image))), image,
                                 np.column_stack([image, np.zeros(len(image))])))
-    return Chosen(task.problem.equations, control, np.ones((len(mask), 6), dtype=bool), mask)
+    return Chosen(task.problem.equations, (), control, np.ones((len(mask), 6), dtype=bool), mask)
 
 
 def test_uncovered_and_unevenness_of_a_square() -> None:
@@ -126,12 +127,25 @@ def test_uncovered_and_unevenness_of_a_square() -> None:
 
 def test_max_correlation_is_that_of_numpy() -> None:
     task = termsel.prepare("rfm-terms", options={"order": 2})
-    A = task.problem.equations.A
     rng = np.random.default_rng(0)
-    masks = rng.random((20, A.shape[1])) < 0.3
-    got = max_correlation(Chosen(task.problem.equations, task.problem.inputs.control, masks,
-                                 np.ones((20, 24), dtype=bool)))
+    masks = rng.random((20, 38)) < 0.3
+    parts = independent_parts(task.problem.equations, task.model.axis)
+    got = max_correlation(Chosen(task.problem.equations, parts, task.problem.inputs.control,
+                                 masks, np.ones((20, 24), dtype=bool)))
     for mask, value in zip(masks, got, strict=True):
-        correlation = np.abs(np.corrcoef(A[:, mask].T))
-        np.fill_diagonal(correlation, 0)
-        assert value == pytest.approx(correlation.max(), abs=1e-9)
+        expected = 0.0
+        for part in parts:
+            columns = mask[part.columns] & (np.ptp(part.equations.A, axis=0) > 0)
+            correlation = np.abs(np.atleast_2d(np.corrcoef(part.equations.A[:, columns].T)))
+            np.fill_diagonal(correlation, 0)
+            expected = max(expected, correlation.max(initial=0))
+        assert value == pytest.approx(expected, abs=1e-9)
+
+
+def test_two_constants_do_not_correlate() -> None:
+    task = termsel.prepare("poly-terms", options={"degree": 1})
+    parts = independent_parts(task.problem.equations, task.model.axis)
+    names = task.model.terms
+    mask = np.array([[name.endswith(":1") for name in names]])
+    assert max_correlation(Chosen(task.problem.equations, parts, task.problem.inputs.control,
+                                  mask, np.ones((1, 24), dtype=bool))) == 0

@@ -124,7 +124,8 @@ def fit(model: SensorModel, control: FeatureSet, scaling: Scaling,
     return Fit(model, scaling, control, terms, used, solve(equations, terms, used))
 
 
-def plain_fits(control: FeatureSet, check: Points) -> Iterator[tuple[str, Fit]]:
+def plain_fits(control: FeatureSet, check: Points, *, heights: bool,
+               ) -> Iterator[tuple[str, Fit]]:
     """Fit plain polynomials, with which any selection has to bear comparison.
 
     Nothing is chosen here, so the check points are free to serve as control as well.
@@ -133,6 +134,8 @@ def plain_fits(control: FeatureSet, check: Points) -> Iterator[tuple[str, Fit]]:
     ----------
     control : FeatureSet
     check : Points
+    heights : bool
+        Whether to use polynomials of X, Y and Z, or of X and Y alone.
 
     Yields
     ------
@@ -143,7 +146,7 @@ def plain_fits(control: FeatureSet, check: Points) -> Iterator[tuple[str, Fit]]:
     """
     both = control.with_(points=_join(control.points, check))
     scaling = scaling_of(both)
-    family = Polynomial2D if both.without_height() else Polynomial3D
+    family = Polynomial3D if heights else Polynomial2D
     for degree, name in ((1, "affine"), (2, "quadratic"), (3, "cubic")):
         fitted = fit(family(degree=degree), both, scaling)
         if fitted.adjustment.feasible and fitted.adjustment.redundancy > 0:

@@ -40,9 +40,9 @@ def judge(conventional: str, criterion: str, rmse: Mapping[str, Rmse | None],
         Standard deviation of the measurements [pixel], where it is known.
     """
     if not feasible:
-        return ("No selection satisfied all conditions: every one had undetermined terms, an "
-                "empty axis or a pole. Do not use this result; give more control or a smaller "
-                "model.")
+        return ("This does not satisfy all conditions: it has undetermined terms, an axis "
+                "without terms or a pole in the scene, and no better was found. Do not use it; "
+                "give more control or a smaller model.")
     mine = rmse["independent"]
     if mine is None:
         return ("There are no independent points, so the accuracy of this selection is not "
@@ -53,16 +53,20 @@ def judge(conventional: str, criterion: str, rmse: Mapping[str, Rmse | None],
     if plain:
         best = min(plain, key=_independent)
         article = "an" if best.name[0] in "aeiou" else "a"
-        title = f"{article} {best.name} polynomial over control and check together"
-        ratio = mine.total / _independent(best)
+        # Which of the plain fits is best is seen on these very points: in hindsight.
+        title = (f"{article} {best.name} polynomial over control and check together, in "
+                 "hindsight the best plain fit,")
+        ratio = _ratio(mine.total, _independent(best))
         if ratio > ALIKE:
             sentences.append(f"Use something plainer: {title} is {_times(ratio)} better "
                              f"({_px(_independent(best))}).")
         elif ratio > 1 / ALIKE:
             sentences.append(f"It is no better than {title} ({_px(_independent(best))}).")
         else:
-            sentences.append(f"It beats {title}, the best plain fit, by {_times(1 / ratio)} "
+            sentences.append(f"It beats {title} by {_times(1 / ratio)} "
                              f"({_px(_independent(best))}).")
+    else:
+        sentences.append("No plain polynomial is determined by control and check together.")
     if noise is not None:
         sentences.append(f"Measurement noise alone gives {_px(noise * np.sqrt(2))}.")
     return " ".join(sentences)
@@ -85,6 +89,10 @@ def _independent(baseline: Baseline) -> float:
     return float("inf") if value is None else value.total
 
 
+def _ratio(one: float, other: float) -> float:
+    return one / other if other > 0 else 1.0 if one == 0 else float("inf")
+
+
 def _px(value: float) -> str:
     return f"{value:.2f} px" if value >= 0.1 else f"{value:.2g} px"
 
@@ -98,7 +106,7 @@ def _compare(start: str, mine: float, other: Baseline, title: str) -> str:
     figures = f"({_px(mine)} against {_px(theirs)}"
     figures += ")" if other.determined else \
         ", which the control does not even determine: least-norm solution)"
-    ratio = theirs / mine if mine > 0 else float("inf")
+    ratio = _ratio(theirs, mine)
     if ratio > ALIKE:
         return f"{start} {_times(ratio)} better than {title} {figures}"
     if ratio > 1 / ALIKE:

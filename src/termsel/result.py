@@ -113,8 +113,9 @@ class Result:
     @property
     def hit_rate(self) -> float:
         """Share of all evaluations, with those of the polish, that were looked up."""
-        polish = self.polish["evaluations"] if self.polish else 0
-        return self.lookups / (self.evaluations + polish)
+        polish = self.polish or {"lookups": 0, "evaluations": 0}
+        return float((self.lookups + polish["lookups"])
+                     / (self.evaluations + polish["evaluations"]))
 
     def to_dict(self) -> dict[str, Any]:
         """Return the content of result.json."""

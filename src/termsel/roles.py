@@ -100,6 +100,7 @@ def assign(
                            hint="Give three numbers: control (above 0), check, independent.")
     xy = np.asarray(xy, dtype=np.float64)
     n = len(xy)
+    shares = shares / shares.max()  # the sum of huge ones is infinite
     shares = shares / shares.sum()
     order = rng.permutation(n) if how == "random" else spatial_order(xy)
     # Each place in the order goes to the role that lags most behind its share; among roles
@@ -148,8 +149,10 @@ def observe(
         raise TermselError("the problem needs control points and there are none",
                            hint="Give a points file, or choose a problem over lines.")
     if control in ("lines", "both") and not len(features.lines):
-        raise TermselError("the problem needs control lines and there are none",
-                           hint="Give them with --lines FILE, or choose a problem over points.")
+        raise TermselError(
+            "the problem needs control lines and there are none",
+            hint="Give them with --lines FILE, or leave mixed=true out." if control == "both"
+            else "Give them with --lines FILE, or choose a problem over points.")
     roles = np.array(points.roles, dtype=object)
     if how != "file":
         roles[roles != "off"] = ""

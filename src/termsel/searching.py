@@ -54,12 +54,14 @@ class Polish:
     ----------
     found, polished : float
         First objective before and after.
-    evaluations : int
+    evaluations, lookups : int
+        On top of those of the solver.
     """
 
     found: float
     polished: float
     evaluations: int
+    lookups: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,9 +77,10 @@ class Search:
     violation : float
         Its violation; 0 is feasible.
     seed, evaluations, generations : int
-        Of the solver, without those of the polish.
+        Of the solver, without those of the polish; generations after the first population.
     lookups : int
-        Evaluations that were looked up, as the same individual had been evaluated before.
+        How many of these evaluations were looked up, as the same individual had been
+        evaluated before.
     seconds : float
     interrupted : bool
         True if the user stopped it.
@@ -269,15 +272,7 @@ def search(
                         ("seconds", seconds)):
         if value is not None and not value > 0:
             raise TermselError(f"a budget of {value} {name} is not positive")
-    if len(problem.objectives) > solver.max_objectives:
-        raise TermselError(
-            f"solver {solver.name!r} handles {solver.max_objectives} objective(s) and the problem "
-            f"has {len(problem.objectives)}: {', '.join(problem.objectives)}")
-    if len(problem.objectives) < solver.min_objectives:
-        raise TermselError(
-            f"solver {solver.name!r} is for {solver.min_objectives} objectives or more and the "
-            f"problem has one: {problem.objectives[0]}",
-            hint="Name a second one, or choose a solver for one, such as ga.")
+    require_able(problem, solver)
     if generations is None and evaluations is None and seconds is None:
         generations = solver.default_generations
     start = time.perf_counter()
@@ -295,22 +290,48 @@ def search(
                 observe(progress)
             if budget.spent(generation, ledger):
                 break
-        done = ledger.count
+        done, lookups = ledger.count, ledger.lookups
         if solver.options.get("polish"):
             polish = _polish(ledger)
     except KeyboardInterrupt:
         if ledger.best_genes is None:
             raise
-        done, interrupted = ledger.count, True
+        done, lookups, interrupted = ledger.count, ledger.lookups, True
     if ledger.best_genes is None:
         raise TermselError(f"solver {solver.name!r} evaluated nothing", hint="Raise the budget.")
     return Search(ledger.best_genes, ledger.best_objectives, ledger.best[0], seed, done,
-                  generation.index + 1 if generation else 0, ledger.lookups,
+                  generation.index if generation else 0, lookups,
                   time.perf_counter() - start, interrupted, polish,
                   generation.details.get("certificate") if generation else None,
                   tuple(ledger.front() if len(problem.objectives) > 1
                         else generation.details.get("front", ()) if generation else ()),
                   generation.details.get("coefficients") if generation else None)
+
+
+def require_able(problem: Problem, solver: Solver,
+                 others: Iterable[type[Solver]] = ()) -> None:
+    """Refuse a solver that is not for as many objectives as the problem has.
+
+    Parameters
+    ----------
+    problem : Problem
+    solver : Solver
+    others : iterable of type[Solver]
+        Solvers among which those that can are named.
+
+    Raises
+    ------
+    TermselError
+    """
+    wanted = len(problem.objectives)
+    if solver.min_objectives <= wanted <= solver.max_objectives:
+        return
+    able = [other.name for other in others
+            if other.min_objectives <= wanted <= other.max_objectives]
+    raise TermselError(
+        f"solver {solver.name!r} is not for {wanted} objective{'s' if wanted > 1 else ''}: "
+        f"{', '.join(problem.objectives)}",
+        hint=f"Solvers that can: {', '.join(able)}." if able else None)
 
 
 def _until_spent(running: Iterator[Generation]) -> Iterator[Generation]:
@@ -321,18 +342,24 @@ def _until_spent(running: Iterator[Generation]) -> Iterator[Generation]:
 
 
 def _polish(ledger: Ledger) -> Polish | None:
-    """Descend from the best individual, or from every member of a front, beyond the budget."""
+    """Descend from the best individual, or from every member of a front.
+
+    The evaluations come on top of the solver's; a budget of time holds for both.
+    """
     if ledger.best_genes is None:
         return None
-    found, count = ledger.best[1], ledger.count
-    ledger.limit = ledger.deadline = None
-    if len(ledger.objectives) == 1:
-        start = ledger.best_genes[None]
-        for _ in descend(ledger, start, ledger.evaluate(start)):
-            pass
-    else:
-        _widen(ledger)
-    return Polish(found, ledger.best[1], ledger.count - count)
+    found, count, lookups = ledger.best[1], ledger.count, ledger.lookups
+    ledger.limit = None
+    try:
+        if len(ledger.objectives) == 1:
+            start = ledger.best_genes[None]
+            for _ in descend(ledger, start, ledger.evaluate(start)):
+                pass
+        else:
+            _widen(ledger)
+    except _BudgetSpent:  # the deadline holds for the polish too
+        pass
+    return Polish(found, ledger.best[1], ledger.count - count, ledger.lookups - lookups)
 
 
 def _widen(ledger: Ledger) -> None:

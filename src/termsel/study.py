@@ -9,7 +9,8 @@ from functools import partial
 from statistics import median
 from typing import Any
 
-from termsel.running import fit_of, prepare, recommended
+from termsel.assessing import fit_of, recommended
+from termsel.running import prepare
 from termsel.searching import search
 from termsel.solvers.exact import TIE
 

@@ -31,7 +31,8 @@ class Adjustment:
     n_terms, n_equations, rank : int
         Of the selected system.
     condition : float
-        Ratio of the extreme singular values of the selected design matrix.
+        Ratio of the extreme singular values of the selected design matrix, its columns scaled
+        to unit length.
     sigma0 : float
         Standard deviation of unit weight; NaN without redundancy.
     """

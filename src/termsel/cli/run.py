@@ -44,8 +44,10 @@ INTERRUPTED = 130
                    "repeated. `termsel describe NAME` lists them.")
 @click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True,
               help="Seed of the search; the same seed gives the same selection.")
-@click.option("--generations", type=click.IntRange(min=1), help="Stop after N generations.")
-@click.option("--evaluations", type=click.IntRange(min=1), help="Stop after N evaluations.")
+@click.option("--generations", type=click.IntRange(min=1),
+              help="Stop after N generations beyond the first population.")
+@click.option("--evaluations", type=click.IntRange(min=1),
+              help="Stop the solver after N evaluations; those of the polish come on top.")
 @click.option("--seconds", type=click.FloatRange(min=0, min_open=True),
               help="Stop after S seconds.")
 @click.option("--out", metavar="DIR", type=click.Path(path_type=Path),

@@ -205,6 +205,8 @@ class Criterion(Configurable, ABC):
     """A figure of merit of fitted models; smaller is better."""
 
     needs_check: ClassVar[bool] = True
+    is_rmse: ClassVar[bool] = True
+    """Whether the figure is an RMSE [pixel], of which a standard error can be given."""
     """Whether the figure is that of check points; others do without any."""
 
     subset_score: ClassVar[str] = ""

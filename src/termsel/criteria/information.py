@@ -45,6 +45,7 @@ class Ebic(Criterion):
 
     name = "ebic"
     needs_check = False
+    is_rmse = False
     subset_score = "rss"
     declared_options = (
         Option("gamma", 1.0, "Weight of the number of selections there are; 0 is BIC.", float, 0,

@@ -9,6 +9,7 @@ import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
 from termsel.adjustment.equations import Equations
+from termsel.adjustment.parts import Part
 from termsel.features import BoolArray, FeatureSet, FloatArray
 
 
@@ -20,12 +21,15 @@ class Chosen:
     ----------
     equations : Equations
         Of all terms and all control features.
+    parts : tuple of Part
+        The independent systems they fall into, such as line and sample.
     control : FeatureSet
     terms : ndarray of bool, shape (p, k)
     features : ndarray of bool, shape (p, f)
     """
 
     equations: Equations
+    parts: tuple[Part, ...]
     control: FeatureSet
     terms: BoolArray
     features: BoolArray
@@ -44,19 +48,24 @@ def n_features(chosen: Chosen) -> FloatArray:
 def max_correlation(chosen: Chosen) -> FloatArray:
     """Return the largest absolute correlation between two columns in use.
 
-    Correlations are those of the columns of the full design matrix over all control
-    (Akhoundi Khezrabad et al. 2020, eq. 3; as an objective after Gholinejad et al. 2019).
-    Columns without variance correlate with nothing.
+    Correlations are those of Akhoundi Khezrabad et al. 2020, eq. 3, over all control, but of
+    line and sample each for itself where they are independent: in one matrix the two
+    constants would be each other's negative. Columns without variance correlate with
+    nothing. (As an objective: Gholinejad et al. 2019.)
     """
-    A = chosen.equations.A - chosen.equations.A.mean(axis=0)
-    lengths = np.linalg.norm(A, axis=0)
-    A = A / np.where(lengths > 1e-12 * (1 + np.abs(chosen.equations.A).max()), lengths, np.inf)
-    correlation = np.abs(A.T @ A)
-    np.fill_diagonal(correlation, 0.0)
     largest = np.zeros(len(chosen.terms))
-    for row, mask in zip(correlation, chosen.terms.T, strict=True):
-        here = np.where(chosen.terms, row, 0.0).max(axis=1)
-        largest = np.maximum(largest, np.where(mask, here, 0.0))
+    for part in chosen.parts:
+        design = part.equations.A
+        A = design - design.mean(axis=0)
+        lengths = np.linalg.norm(A, axis=0)
+        varies = lengths > 1e-12 * np.linalg.norm(design, axis=0)
+        A = A / np.where(varies, lengths, np.inf)
+        correlation = np.abs(A.T @ A)
+        np.fill_diagonal(correlation, 0.0)
+        terms = chosen.terms[:, part.columns]
+        for row, mask in zip(correlation, terms.T, strict=True):
+            here = np.where(terms, row, 0.0).max(axis=1)
+            largest = np.maximum(largest, np.where(mask, here, 0.0))
     return np.minimum(largest, 1.0)
 
 

@@ -145,7 +145,7 @@ class SelectionProblem(Problem):
         if len(self.objectives) == 1:
             return score[:, None]
         control = self.inputs.control
-        chosen = Chosen(self.equations, control, terms,
+        chosen = Chosen(self.equations, self._parts, control, terms,
                         np.ones((len(terms), len(control)), dtype=bool)
                         if features is None else features)
         return np.column_stack([score, *(OBJECTIVES[name](chosen)

@@ -73,7 +73,8 @@ def _table(result: Result) -> Iterator[str]:
     for name, n_terms, rmse in rows:
         control, check, independent = (_figure(rmse.get(role)) for role in ROLES)
         yield f"{name:<24}{n_terms:>6}{control:>12}{check:>12}{independent:>14}"
-    yield "* plain polynomial fitted to control and check together, so its check figure is a fit"
+    if len(result.baselines) > 1:
+        yield "* plain polynomial fitted to control and check together; its check figure is a fit"
     if result.criterion == "check-rmse":
         yield "check = the fitness the search drove down; independent = the accuracy"
     else:

@@ -196,7 +196,10 @@ def gap(problem: Problem, found: float) -> dict[str, Any] | None:
     front = proof.front()
     if not front:
         return None
-    optimum = float(problem.evaluate(front[-1][None]).objectives[0, 0])
+    evaluation = problem.evaluate(front[-1][None])
+    if evaluation.violation[0] > 0:  # the walk and the evaluation differ at a tolerance
+        return None
+    optimum = float(evaluation.objectives[0, 0])
     return {"optimal": found <= optimum + TIE * abs(optimum), "subsets": proof.decided,
             "of": proof.total, "space": "all selections", "optimum": optimum,
             "gap": max(0.0, found / optimum - 1) if optimum > 0 else None}
@@ -260,12 +263,14 @@ class Exact(Solver):
             return None
         genes = (np.array(front) if proof.complete else np.array(front[-1:])) if front \
             else np.zeros((1, problem.genome.size), dtype=bool)
+        evaluation = problem.evaluate(genes)
+        proven = proof.complete and bool(front) and evaluation.violation[-1] == 0
         details: dict[str, Any] = {
             "share": proof.decided / proof.total,
             "front": genes if front and proof.complete else (),
-            "certificate": {"optimal": proof.complete and bool(front), "subsets": proof.decided,
+            "certificate": {"optimal": bool(proven), "subsets": proof.decided,
                             "of": proof.total, "space": space}}
-        return Generation(index, genes, problem.evaluate(genes), details)
+        return Generation(index, genes, evaluation, details)
 
 
 def _duration(seconds: float) -> str:

@@ -67,7 +67,7 @@ class GeneticAlgorithm(Solver):
     name = "ga"
     default_generations = 80
     declared_options: ClassVar[tuple[Option, ...]] = (
-        Option("population", 200, "Number of chromosomes.", int, 2),
+        Option("population", 200, "Number of chromosomes.", int, 2, 1_000_000),
         Option("tournament", 3, "Chromosomes drawn for each tournament.", int, 1),
         Option("crossover", 0.9, "Chance that a pair of parents mates.", float, 0.0, 1.0),
         Option("mutation", None, "Chance that a gene flips; by default 1 over the number of "

@@ -166,7 +166,8 @@ class SteadyStateGA(GeneticAlgorithm):
     name = "ga-steady"
     default_generations = 200
     declared_options: ClassVar[tuple[Option, ...]] = (
-        Option("population", 100, "Number of chromosomes; 10 in Konugurthi et al. 2016.", int, 2),
+        Option("population", 100, "Number of chromosomes; 10 in Konugurthi et al. 2016.", int, 2,
+               1_000_000),
         Option("overlap", 0.5, "Share of the population that lives on, the best; about 0.5 in "
                "Konugurthi et al. 2016.", float, 0.0, 1.0),
         Option("immigrants", 0.2, "Share of the new chromosomes that are drawn at random.",

@@ -10,12 +10,13 @@ from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+from termsel.assessing import assess
 from termsel.errors import TermselError
 from termsel.features import FeatureSet, Points
 from termsel.io.base import Writer
 from termsel.models.rational import RationalFunctions
 from termsel.result import Result
-from termsel.running import assess, prepare
+from termsel.running import prepare
 from termsel.searching import search
 from termsel.testing.checks import Case, Check, assemble, check_declaration, require, run_all
 from termsel.testing.scenes import imaged, random_coefficients, seeded
