@@ -21,7 +21,9 @@ from termsel.solvers.ga import GeneticAlgorithm
 from termsel.solvers.ga_correlation import CorrelationSeededGA
 from termsel.solvers.ga_steady import SteadyStateGA
 from termsel.solvers.ga_transgenic import TransgenicGA
+from termsel.solvers.ica import ImperialistCompetition
 from termsel.solvers.local import Swap
+from termsel.solvers.pso import BinarySwarm
 from termsel.testing import (
     Check,
     check_criterion,
@@ -64,6 +66,8 @@ SUITES: dict[str, tuple[Check, ...]] = {
         SteadyStateGA, options=[{}, {"population": 21, "overlap": 1.0}], problem=six_of_twelve,
         expected_failures={"any_problem": "it needs a fixed number of features"}),
     "ga-transgenic": solver_checks(TransgenicGA, options=[{}, {"population": 21}]),
+    "ica": solver_checks(ImperialistCompetition),
+    "pso": solver_checks(BinarySwarm),
     "swap": solver_checks(Swap),
     "exact": solver_checks(Exact, expected_failures={"any_problem": "it needs parts to walk"}),
     "random": solver_checks(RandomSearch, expected_failures=NO_SEARCH),

@@ -53,13 +53,16 @@ def termsel_solvers() -> Iterable[type[Solver]]:
     from termsel.solvers.ga_correlation import CorrelationSeededGA
     from termsel.solvers.ga_steady import SteadyStateGA
     from termsel.solvers.ga_transgenic import TransgenicGA
+    from termsel.solvers.ica import ImperialistCompetition
     from termsel.solvers.local import Swap
     from termsel.solvers.nested import NestedRegression
     from termsel.solvers.pareto import AgeMoea2, Nsga2, SmsEmoa, Spea2
+    from termsel.solvers.pso import BinarySwarm
     from termsel.solvers.regression import Stepwise, TTest
     from termsel.solvers.shrinkage import Lasso, Ridge
 
     return [GeneticAlgorithm, CorrelationSeededGA, SteadyStateGA, TransgenicGA,
+            ImperialistCompetition, BinarySwarm,
             Nsga2, AgeMoea2, SmsEmoa, Spea2, Exact, Swap, RandomSearch, AllTerms,
             Stepwise, TTest, NestedRegression, Lasso, Ridge]
 

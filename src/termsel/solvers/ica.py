@@ -1,0 +1,333 @@
+"""Imperialist competitive algorithm."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from termsel.features import BoolArray, FloatArray, IntArray
+from termsel.options import Option
+from termsel.problems.base import Evaluation, Problem
+from termsel.solvers.base import POLISH, Generation, Solver
+
+
+def costs(evaluation: Evaluation) -> FloatArray:
+    """Return one finite cost a country, in the order of `Evaluation.order`.
+
+    A feasible country costs its first objective. An infeasible one costs more than every
+    feasible one: the worst feasible cost and a penalty, which grows with the rank among the
+    infeasible, by violation and then by objective, up to the spread of the feasible costs (at
+    least a thousandth of the worst, and 1 where all are 0 or none is feasible). The paper knows
+    no infeasible solutions; a penalty in proportion to the violation would drown the feasible
+    costs in equations (5), (8) and (9).
+
+    Parameters
+    ----------
+    evaluation : Evaluation
+        Of p countries.
+
+    Returns
+    -------
+    ndarray, shape (p,)
+        Countries with the same violation and objective cost the same.
+    """
+    cost = evaluation.objectives[:, 0].copy()
+    failed = evaluation.violation > 0
+    feasible = cost[~failed] if not failed.all() else np.zeros(1)
+    judged = np.column_stack([evaluation.violation, cost])[failed]
+    levels, rank = np.unique(judged, axis=0, return_inverse=True)
+    worst = feasible.max()
+    scale = max(worst - feasible.min(), 1e-3 * abs(worst)) or 1.0
+    cost[failed] = worst + scale * (rank.reshape(-1) + 1) / max(len(levels), 1)
+    return cost
+
+
+def normalised_cost(cost: FloatArray, worst: float) -> FloatArray:
+    """Return how much better imperialists are than the worst country, equation (5).
+
+    Parameters
+    ----------
+    cost : ndarray, shape (k,)
+        Of the imperialists.
+    worst : float
+        The largest cost in the population, C_max.
+    """
+    return worst - cost
+
+
+def shares(normalised: FloatArray) -> FloatArray:
+    """Return the normalised power of imperialists, equation (6).
+
+    Where all are as bad as the worst country, and the equation is 0/0, all are alike.
+    """
+    total = normalised.sum()
+    return normalised / total if total > 0 else np.full(len(normalised), 1 / len(normalised))
+
+
+def sizes(share: FloatArray, colonies: int) -> IntArray:
+    """Return the numbers of colonies of imperialists, equation (7).
+
+    Rounded by largest remainder: as in the paper wherever its rounded numbers add up to the
+    number of colonies, which they need not.
+
+    Parameters
+    ----------
+    share : ndarray, shape (k,)
+        The normalised power.
+    colonies : int
+        Number of colonies, N_col.
+    """
+    wanted = share * colonies
+    size = np.floor(wanted).astype(np.intp)
+    size[np.argsort(size - wanted, kind="stable")[:colonies - size.sum()]] += 1
+    return size
+
+
+def assimilate(colonies: BoolArray, imperialists: BoolArray, rate: float,
+               drawn: FloatArray) -> BoolArray:
+    """Return colonies in which genes are replaced by those of the imperialist, figure 3.
+
+    Parameters
+    ----------
+    colonies, imperialists : ndarray of bool, shape (n, g)
+        In each row a colony, and the imperialist of its empire.
+    rate : float
+        Assimilation rate AR.
+    drawn : ndarray, shape (n, g)
+        Random numbers from (0, 1); where they are below the rate the gene is replaced.
+    """
+    return np.where(drawn < rate, imperialists, colonies)
+
+
+def revolt(colonies: BoolArray, rebels: BoolArray, redrawn: BoolArray,
+           drawn: BoolArray) -> BoolArray:
+    """Return colonies some of which had genes drawn anew, figure 4.
+
+    Parameters
+    ----------
+    colonies : ndarray of bool, shape (n, g)
+    rebels : ndarray of bool, shape (n,)
+        Which colonies revolt.
+    redrawn : ndarray of bool, shape (n, g)
+        Which genes of a rebel are drawn anew.
+    drawn : ndarray of bool, shape (n, g)
+        What is drawn for them.
+    """
+    return np.where(rebels[:, None] & redrawn, drawn, colonies)
+
+
+def total_power(cost: FloatArray, empire: IntArray, imperialists: IntArray,
+                alpha: float) -> FloatArray:
+    """Return the total power of empires, equation (8); the smaller the more powerful.
+
+    Parameters
+    ----------
+    cost : ndarray, shape (p,)
+    empire : ndarray of int, shape (p,)
+        To which empire each country belongs.
+    imperialists : ndarray of int, shape (k,)
+        The imperialist of each empire.
+    alpha : float
+        Weight of the mean cost of the colonies. That of an empire without colonies is the cost
+        of its imperialist.
+    """
+    k = len(imperialists)
+    own = cost[imperialists]
+    count = np.bincount(empire, minlength=k) - 1
+    total = np.bincount(empire, weights=cost, minlength=k) - own
+    mean = np.where(count > 0, total / np.maximum(count, 1), own)
+    return own + alpha * mean
+
+
+def normalised_power(power: FloatArray) -> FloatArray:
+    """Return the normalised power of empires, equation (9).
+
+    The equation divides by the power and takes it to be positive, as of an RMSE. A power of
+    zero counts as the 10^-12th part of the largest. Where a power is negative, as with an
+    information criterion, all are shifted until the least is their spread.
+
+    Parameters
+    ----------
+    power : ndarray, shape (k,)
+        From equation (8).
+    """
+    least, most = power.min(), power.max()
+    if least < 0:
+        power, most = power - least + (most - least), 2 * (most - least)
+    if most <= 0:
+        return np.ones(len(power))
+    return np.asarray(most / np.maximum(power, 1e-12 * most))
+
+
+def possession(normalised: FloatArray) -> FloatArray:
+    """Return the probability of each empire to possess the colony, equation (10)."""
+    return np.asarray(normalised / normalised.sum())
+
+
+@dataclass(frozen=True, eq=False)
+class Empires:
+    """Who rules whom.
+
+    Parameters
+    ----------
+    empire : ndarray of int, shape (p,)
+        To which empire each country belongs, 0 to k - 1.
+    imperialists : ndarray of int, shape (k,)
+        The imperialist of each empire.
+    names : ndarray of int, shape (k,)
+        The number each empire had at first, so that it can be followed when others vanish.
+    """
+
+    empire: IntArray
+    imperialists: IntArray
+    names: IntArray
+
+    def crown(self, cost: FloatArray) -> Empires:
+        """Return the empires after each best colony has taken over from a worse imperialist."""
+        ruled = np.ones(len(cost), dtype=bool)
+        ruled[self.imperialists] = False
+        order = np.lexsort((ruled, cost, self.empire))
+        first = np.searchsorted(self.empire[order], np.arange(len(self.imperialists)))
+        return Empires(self.empire, order[first], self.names)
+
+    def compete(self, cost: FloatArray, power: FloatArray, drawn: FloatArray) -> Empires:
+        """Return the empires after the competition for the weakest colony.
+
+        The weakest colony of the weakest empire that has any goes to the empire with the
+        largest D = Pr - R, which may be the weakest itself. Empires left without colonies
+        vanish; their imperialists become colonies of that empire.
+
+        Parameters
+        ----------
+        cost : ndarray, shape (p,)
+        power : ndarray, shape (k,)
+            From equation (8).
+        drawn : ndarray, shape (k,)
+            R, random numbers from (0, 1).
+        """
+        k = len(self.imperialists)
+        winner = int(np.argmax(possession(normalised_power(power)) - drawn))
+        held = np.bincount(self.empire, minlength=k) > 1
+        weakest = int(np.argmax(np.where(held, power, -np.inf)))
+        taken = self.empire == weakest
+        taken[self.imperialists] = False
+        empire = self.empire.copy()
+        empire[np.argmax(np.where(taken, cost, -np.inf))] = winner
+        alive = np.bincount(empire, minlength=k) > 1
+        empire[~alive[empire]] = winner
+        renumbered = np.cumsum(alive) - 1
+        return Empires(renumbered[empire], self.imperialists[alive], self.names[alive])
+
+
+def found_empires(cost: FloatArray, k: int, rng: np.random.Generator) -> Empires:
+    """Return the first empires: the best k countries, and colonies drawn for each.
+
+    Parameters
+    ----------
+    cost : ndarray, shape (p,)
+    k : int
+        Number of imperialists, N_imp.
+    rng : numpy.random.Generator
+    """
+    order = np.argsort(cost, kind="stable")
+    size = sizes(shares(normalised_cost(cost[order[:k]], cost.max())), len(cost) - k)
+    empire = np.empty(len(cost), dtype=np.intp)
+    empire[order[:k]] = np.arange(k)
+    empire[rng.permutation(order[k:])] = np.repeat(np.arange(k), size)
+    return Empires(empire, order[:k], np.arange(k))
+
+
+class ImperialistCompetition(Solver):
+    """Imperialist competitive algorithm: empires of selections take each other's colonies.
+
+    The discrete algorithm of Zakaryaie Nejad, Ezzatpanah and Ramezani 2015, equations (5) to
+    (10), with the parameters of their tables and figure 3. In each generation colonies take
+    over genes of their imperialist, some revolt, a colony better than its imperialist takes its
+    place, and the weakest colony of the weakest empire goes to the winner of a competition. The
+    search ends when one empire is left.
+
+    Where the paper is silent, and what we chose:
+
+    - Costs of infeasible countries: see `costs`. Ties and divisions by zero in equations (6),
+      (8) and (9), and rounding in equation (7): see `shares`, `total_power`,
+      `normalised_power` and `sizes`.
+    - The share P of colonies that revolt: each colony with chance P, after assimilation and
+      before its cost is taken. Figure 4 marks four of eight genes, two of which change: each
+      gene is drawn anew with chance 1/2 (option `redrawn`).
+    - A moved colony keeps its genes whether better or worse, as in the paper's figure 3.
+    - "Some (usually one)" of the weakest colonies is contested: one.
+    - The imperialist of an empire that vanishes becomes a colony of the winner, so that the
+      number of countries stays. An imperialist never gives way to a worse one.
+    - There are two imperialists at least, as one alone has nobody to compete with.
+    - D differs little from chance where empires are about equally powerful, so that the last of
+      them pass colonies to and fro for thousands of generations. A run without a budget ends
+      after 100.
+
+    ``Generation.details`` holds what observers need to draw the empires: ``empire``, the empire
+    of each country, int, shape (p,), numbered as at first; ``imperialists``, the rows of the k
+    imperialists, int, shape (k,); ``names``, the number at first of each empire left, int,
+    shape (k,); ``power``, the total power of equation (8), shape (k,); and ``cost``, shape
+    (p,). Rows of the population are the same countries throughout.
+    """
+
+    name = "ica"
+    default_generations = 100
+    declared_options = (
+        Option("population", 100, "Number of countries, N_pop.", int, 4, 1_000_000),
+        Option("imperialists", 0.1, "Share of imperialists among the countries, PR.", float,
+               0.0, 0.5),
+        Option("assimilation", 0.5, "Chance that a gene of a colony is replaced by that of its "
+               "imperialist, AR.", float, 0.0, 1.0),
+        Option("revolution", 0.1, "Share of colonies that revolt, P.", float, 0.0, 1.0),
+        Option("redrawn", 0.5, "Chance that a gene of a revolting colony is drawn anew, after "
+               "figure 4.", float, 0.0, 1.0),
+        Option("alpha", 0.08, "Weight of the mean cost of the colonies in the power of an "
+               "empire, alpha.", float, 0.0, 1.0),
+        POLISH,
+    )
+
+    def generations(self, problem: Problem, rng: np.random.Generator) -> Iterator[Generation]:
+        """Yield generations until one empire is left (see `Solver.generations`)."""
+        o = self.options
+        genes = problem.genome.random(rng, o["population"])
+        evaluation = problem.evaluate(genes)
+        cost = costs(evaluation)
+        k = min(max(2, round(o["imperialists"] * len(genes))), len(genes) // 2)
+        world = found_empires(cost, k, rng)
+        yield self._generation(0, genes, evaluation, cost, world)
+        index = 0
+        while len(world.imperialists) > 1:
+            index += 1
+            genes, evaluation = self._move(problem, genes, evaluation, world, rng)
+            cost = costs(evaluation)
+            world = world.crown(cost)
+            power = total_power(cost, world.empire, world.imperialists, o["alpha"])
+            world = world.compete(cost, power, rng.random(len(power))).crown(cost)
+            yield self._generation(index, genes, evaluation, cost, world)
+
+    def _move(self, problem: Problem, genes: BoolArray, evaluation: Evaluation, world: Empires,
+              rng: np.random.Generator) -> tuple[BoolArray, Evaluation]:
+        """Return the countries after assimilation and revolution of the colonies."""
+        o = self.options
+        colonies = np.delete(np.arange(len(genes)), world.imperialists)
+        shape = (len(colonies), genes.shape[1])
+        moved = assimilate(genes[colonies], genes[world.imperialists[world.empire[colonies]]],
+                           o["assimilation"], rng.random(shape))
+        moved = revolt(moved, rng.random(len(colonies)) < o["revolution"],
+                       rng.random(shape) < o["redrawn"], rng.random(shape) < 0.5)
+        moved = problem.genome.repair(moved, rng)
+        judged = problem.evaluate(moved)
+        genes = genes.copy()
+        genes[colonies] = moved
+        objectives, violation = evaluation.objectives.copy(), evaluation.violation.copy()
+        objectives[colonies], violation[colonies] = judged.objectives, judged.violation
+        return genes, Evaluation(objectives, violation)
+
+    def _generation(self, index: int, genes: BoolArray, evaluation: Evaluation,
+                    cost: FloatArray, world: Empires) -> Generation:
+        power = total_power(cost, world.empire, world.imperialists, self.options["alpha"])
+        return Generation(index, genes, evaluation, {
+            "empire": world.names[world.empire], "imperialists": world.imperialists,
+            "names": world.names, "power": power, "cost": cost})
