@@ -15,6 +15,7 @@ from termsel.models.base import Blocks, RationalModel
 from termsel.models.polynomial import Affine, Polynomial2D, Polynomial3D
 from termsel.models.rational import RationalFunctions
 from termsel.problems.selection import Inputs, SelectionProblem
+from termsel.solvers.aco import AntColony
 from termsel.solvers.baselines import AllTerms, RandomSearch
 from termsel.solvers.exact import Exact
 from termsel.solvers.ga import GeneticAlgorithm
@@ -66,8 +67,9 @@ SUITES: dict[str, tuple[Check, ...]] = {
         SteadyStateGA, options=[{}, {"population": 21, "overlap": 1.0}], problem=six_of_twelve,
         expected_failures={"any_problem": "it needs a fixed number of features"}),
     "ga-transgenic": solver_checks(TransgenicGA, options=[{}, {"population": 21}]),
-    "ica": solver_checks(ImperialistCompetition),
-    "pso": solver_checks(BinarySwarm),
+    "ica": solver_checks(ImperialistCompetition, options=[{}, {"population": 60}]),
+    "pso": solver_checks(BinarySwarm, options=[{}, {"population": 21, "neighbours": 0}]),
+    "aco": solver_checks(AntColony, options=[{}, {"population": 21, "restart": 0.0}]),
     "swap": solver_checks(Swap),
     "exact": solver_checks(Exact, expected_failures={"any_problem": "it needs parts to walk"}),
     "random": solver_checks(RandomSearch, expected_failures=NO_SEARCH),
