@@ -47,6 +47,7 @@ def termsel_criteria() -> Iterable[Criterion]:
 @hookimpl
 def termsel_solvers() -> Iterable[type[Solver]]:
     """Return the built-in solvers."""
+    from termsel.solvers.aco import AntColony
     from termsel.solvers.baselines import AllTerms, RandomSearch
     from termsel.solvers.exact import Exact
     from termsel.solvers.ga import GeneticAlgorithm
@@ -62,7 +63,7 @@ def termsel_solvers() -> Iterable[type[Solver]]:
     from termsel.solvers.shrinkage import Lasso, Ridge
 
     return [GeneticAlgorithm, CorrelationSeededGA, SteadyStateGA, TransgenicGA,
-            ImperialistCompetition, BinarySwarm,
+            ImperialistCompetition, BinarySwarm, AntColony,
             Nsga2, AgeMoea2, SmsEmoa, Spea2, Exact, Swap, RandomSearch, AllTerms,
             Stepwise, TTest, NestedRegression, Lasso, Ridge]
 
