@@ -377,7 +377,7 @@ def test_a_spreading_model_is_not_enumerated() -> None:
     scaling = scaling_of(features)
     problem = SelectionProblem(Inputs(Spreading(degree=1), scaling.features(features), no_points(),
                                       scaling.image_scale, Press()), terms=True, features=False)
-    with pytest.raises(termsel.TermselError, match="spreads the residuals"):
+    with pytest.raises(termsel.TermselError, match="corrects its predictions by the control"):
         problem.parts()
 
 

@@ -9,7 +9,6 @@ import numpy as np
 
 from termsel.adjustment.equations import line_normals
 from termsel.adjustment.solve import Adjustment, solve
-from termsel.criteria import predict
 from termsel.features import BoolArray, FeatureSet, FloatArray, Points
 from termsel.models.base import SensorModel
 from termsel.models.polynomial import Polynomial2D, Polynomial3D
@@ -63,9 +62,9 @@ class Fit:
 
     def project(self, ground: FloatArray) -> FloatArray:
         """Return line and sample [pixel] of ground points, shape (n, 2)."""
-        points = self.control.points.take(self.used[:len(self.control.points)])
-        scaled = predict(self.model, self.adjustment.coefficients, self.scaling.points(points),
-                         self.scaling.ground(ground))
+        used = self.scaling.features(self.control.take(self.used))
+        scaled = self.model.predict(self.adjustment.coefficients, used,
+                                    self.scaling.ground(ground))
         return self.scaling.pixels(scaled)
 
     def errors(self, points: Points) -> FloatArray:

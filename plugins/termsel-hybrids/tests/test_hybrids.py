@@ -12,7 +12,6 @@ pytest.importorskip("termsel_hybrids", reason="termsel-hybrids is not installed:
 
 from termsel import FeatureSet, Points, SensorModel
 from termsel.adjustment import solve
-from termsel.criteria import predict
 from termsel.plugins.manager import registry
 
 
@@ -54,14 +53,14 @@ def test_interpolates_residuals_as_a_linear_radial_basis_function() -> None:
     residuals = control.image - model.project(coefficients, control.ground)
     expected = RBFInterpolator(control.ground[:, :2], residuals, kernel="linear", degree=-1)
     assert np.abs(residuals).max() > 0.01
-    np.testing.assert_allclose(predict(model, coefficients, control, ground) - plain,
+    np.testing.assert_allclose(model.predict(coefficients, FeatureSet(control), ground) - plain,
                                expected(ground[:, :2]), atol=1e-12)
 
 
 def test_control_points_are_met_exactly() -> None:
     model = registry().get("models", "multiquadric")()
     control = control_points()
-    met = predict(model, fitted(model, control), control, control.ground)
+    met = model.predict(fitted(model, control), FeatureSet(control), control.ground)
     np.testing.assert_allclose(met, control.image, atol=1e-12)
 
 
@@ -70,10 +69,11 @@ def test_a_population_is_predicted_as_its_members_are() -> None:
     control = control_points()
     one = fitted(model, control)
     many = np.stack([one, 0.5 * one, 0 * one])
-    together = predict(model, many, control, control.ground[:5])
+    together = model.predict(many, FeatureSet(control), control.ground[:5])
     for coefficients, expected in zip(many, together, strict=True):
         np.testing.assert_allclose(
-            predict(model, coefficients, control, control.ground[:5]), expected, atol=1e-12)
+            model.predict(coefficients, FeatureSet(control), control.ground[:5]), expected,
+            atol=1e-12)
 
 
 def test_points_at_one_place_share_their_mean_residual() -> None:

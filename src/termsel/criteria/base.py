@@ -22,31 +22,6 @@ POLE_MARGIN = 0.1
 """Least value of a denominator over the scene; vendor RPCs stay within some hundredths of 1."""
 
 
-def predict(model: SensorModel, coefficients: FloatArray, control: Points,
-            ground: FloatArray) -> FloatArray:
-    """Return image positions, with the correction an interpolating model adds.
-
-    Parameters
-    ----------
-    model : SensorModel
-    coefficients : ndarray, shape (..., k)
-    control : Points
-        Control points in scaled coordinates, whose residuals an interpolating model spreads.
-    ground : ndarray, shape (n, 3)
-        Scaled.
-
-    Returns
-    -------
-    ndarray, shape (..., n, 2)
-        Scaled line and sample.
-    """
-    image = model.project(coefficients, ground)
-    weights = model.residual_weights(control.ground, ground) if len(control) else None
-    if weights is not None:
-        image = image + weights @ (control.image - model.project(coefficients, control.ground))
-    return image
-
-
 @dataclass(frozen=True, eq=False)
 class Fits:
     """A population of fitted models, as a criterion sees it.
@@ -86,7 +61,8 @@ class Fits:
     @cached_property
     def check_errors(self) -> FloatArray:
         """Predicted minus measured line and sample of the check points [pixel], (p, n, 2)."""
-        predicted = predict(self.model, self.coefficients, self.control, self.check.ground)
+        predicted = self.model.predict(self.coefficients, FeatureSet(self.control, self.lines),
+                                       self.check.ground)
         return np.asarray((predicted - self.check.image) * self.pixels)
 
     @property
@@ -114,11 +90,11 @@ class Fits:
         """
         owner, ground = self._vertices
         seen = np.isin(owner, features)
-        others = self.control
-        if self._interpolates:
+        others = FeatureSet(self.control, self.lines)
+        if self.model.corrects:
             others = others.take(~np.isin(np.arange(len(others)), features))
         with np.errstate(over="ignore", invalid="ignore"):
-            image = predict(self.model, coefficients, others, ground[seen])
+            image = self.model.predict(coefficients, others, ground[seen])
             return self._squares(image, self.model.denominators(coefficients, ground[seen]),
                                  features)
 
@@ -136,7 +112,7 @@ class Fits:
             As `held_out`.
         """
         model, features = self.model, np.arange(len(coefficients))
-        if not isinstance(model, RationalModel) or self._interpolates:
+        if not isinstance(model, RationalModel) or model.corrects:
             return np.concatenate([self.held_out(one, features[i:i + 1])
                                    for i, one in enumerate(coefficients)], axis=1)
         # Numerators and denominators are linear: those of unit vectors tell all.
@@ -151,11 +127,6 @@ class Fits:
                 below = 1.0 + (solutions @ (below - 1.0).transpose(1, 0, 2)).transpose(1, 0, 2)
                 image = image / below
             return self._squares(image, below, features)
-
-    @cached_property
-    def _interpolates(self) -> bool:
-        ground = self.control.ground
-        return len(ground) > 0 and self.model.residual_weights(ground, ground[:1]) is not None
 
     @cached_property
     def _vertices(self) -> tuple[IntArray, FloatArray]:

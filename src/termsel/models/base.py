@@ -76,6 +76,44 @@ class SensorModel(Configurable, ABC):
         """
         return None
 
+    @property
+    def corrects(self) -> bool:
+        """True if the control corrects predictions directly, not by the coefficients alone.
+
+        A control feature then helps to predict itself: its residual says less than elsewhere,
+        and nothing where the model interpolates.
+        """
+        own = type(self)
+        return (own.residual_weights is not SensorModel.residual_weights
+                or own.predict is not SensorModel.predict)
+
+    def predict(self, coefficients: FloatArray, control: FeatureSet,
+                ground: FloatArray) -> FloatArray:
+        """Return image positions, with the correction that the control gives, if any.
+
+        By default what `residual_weights` makes of the residuals of the control points is
+        added to `project`. A model with another second step overrides this.
+
+        Parameters
+        ----------
+        coefficients : ndarray, shape (..., k)
+            One set or many.
+        control : FeatureSet
+            The control features in use, scaled.
+        ground : ndarray, shape (n, 3)
+            Scaled.
+
+        Returns
+        -------
+        ndarray, shape (..., n, 2)
+            Scaled line and sample.
+        """
+        image, points = self.project(coefficients, ground), control.points
+        weights = self.residual_weights(points.ground, ground) if len(points) else None
+        if weights is not None:
+            image = image + weights @ (points.image - self.project(coefficients, points.ground))
+        return image
+
     def residual_weights(self, control: FloatArray, ground: FloatArray) -> FloatArray | None:
         """Return weights that spread control residuals over other places.
 

@@ -76,8 +76,8 @@ def _refuse_other_errors(inputs: Inputs) -> None:
         return
     if points.sigma is not None and np.ptp(points.sigma) > 0:
         raise _unwalkable(f"standard deviations weight the rows, and {name!r} is of pixels")
-    if inputs.model.residual_weights(points.ground, points.ground[:1]) is not None:
-        raise _unwalkable(f"model {inputs.model.name!r} spreads the residuals of the control, "
+    if inputs.model.corrects:
+        raise _unwalkable(f"model {inputs.model.name!r} corrects its predictions by the control, "
                           f"which {name!r} would have to do anew for every feature left out")
 
 
@@ -105,6 +105,8 @@ def _with_check(system: SubsetSystem, model: RationalModel, inputs: Inputs,
     judged = _axis_of_points(model, check, side)
     weights = model.residual_weights(points.ground, check.ground)
     A, b = judged.A, judged.b
+    if weights is None and model.corrects:
+        raise _unwalkable(f"the second step of model {model.name!r} is not linear in its terms")
     if weights is not None:
         # The correction is linear in the residuals of the control, hence in the unknowns.
         plain = _axis_of_points(model, points, side)

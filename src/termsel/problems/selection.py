@@ -92,10 +92,11 @@ class SelectionProblem(Problem):
         self._n_term_genes = sum(len(s.labels) for s in segments)
         self._selects_features = features
         if features:
-            if _interpolates(model, control):
+            if model.corrects:
                 raise TermselError(
-                    f"features cannot be selected under the interpolating model {model.name!r}",
-                    hint="Choose a model without interpolation, such as --model poly3d.")
+                    f"features cannot be selected under model {model.name!r}, which corrects its "
+                    "predictions by all control features",
+                    hint="Choose a model without such a step, such as --model poly3d.")
             segments.append(Segment("features", control.ids, *_feature_counts(inputs)))
         self.genome = Genome(segments)
         self._refuse_hopeless(terms)
@@ -245,11 +246,6 @@ def pole_violation(model: SensorModel, coefficients: FloatArray,
         return np.zeros(len(coefficients))
     least = np.nan_to_num(below, nan=-WORST).min(axis=(1, 2))
     return np.asarray(np.clip(POLE_MARGIN - least, 0.0, WORST))
-
-
-def _interpolates(model: SensorModel, control: FeatureSet) -> bool:
-    ground = control.points.ground
-    return len(ground) > 0 and model.residual_weights(ground, ground[:1]) is not None
 
 
 def _term_segments(names: tuple[str, ...], axis: IntArray, mask: str,

@@ -193,8 +193,13 @@ def batch_project(model: SensorModel) -> None:
     """Many sets of coefficients at once give what they give one by one."""
     rng = seeded()
     sets = np.stack([random_coefficients(model, rng) for _ in range(6)]).reshape(2, 3, -1)
-    ground = random_ground(rng, 11)
-    for name, method in (("project", model.project), ("denominators", model.denominators)):
+    ground, control = random_ground(rng, 11), accepted_scenes(model)[-1]
+
+    def predict(coefficients: FloatArray, ground: FloatArray) -> FloatArray:
+        return model.predict(coefficients, control, ground)
+
+    for name, method in (("project", model.project), ("denominators", model.denominators),
+                         ("predict", predict)):
         together = method(sets, ground)
         if together is None:
             continue
@@ -250,8 +255,8 @@ def height(model: SensorModel) -> None:
                           lines=replace(features.lines, ground=flattened(features.lines.ground)))
     first, second = model.equations(features), model.equations(flat)
     same = (np.array_equal(first.A, second.A) and np.array_equal(first.b, second.b)
-            and np.array_equal(model.project(coefficients, ground),
-                               model.project(coefficients, flattened(ground))))
+            and np.array_equal(model.predict(coefficients, features, ground),
+                               model.predict(coefficients, flat, flattened(ground))))
     if model.uses_height:
         require(not same, "uses_height is True, but heights make no difference; declare "
                           "uses_height = False, so that it takes features without height")
@@ -374,8 +379,6 @@ def _problems(model: SensorModel, features: FeatureSet) -> list[tuple[str, Selec
     listed = [("terms", SelectionProblem(inputs, terms=True, features=False)),
               ("terms, line and sample together",
                SelectionProblem(inputs, terms=True, features=False, mask="shared"))]
-    ground = features.points.ground
-    # An interpolating model does not allow the choice of features.
-    if not len(ground) or model.residual_weights(ground, ground[:1]) is None:
+    if not model.corrects:  # else features cannot be chosen
         listed.append(("features", SelectionProblem(inputs, terms=False, features=True)))
     return listed

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from termsel.adjustment.solve import solve
-from termsel.criteria import predict
 from termsel.errors import TermselError
 from termsel.features import FeatureSet, FloatArray, Lines, Points, no_lines, no_points
 from termsel.models.base import SensorModel
@@ -135,7 +134,7 @@ def accepted_scenes(model: SensorModel) -> list[FeatureSet]:
 def fitted(model: SensorModel, features: FeatureSet, ground: FloatArray) -> FloatArray:
     """Return image positions, shape (n, 2), after fitting all terms to the features."""
     coefficients = solve(model.equations(features)).coefficients
-    return predict(model, coefficients, features.points, ground)
+    return model.predict(coefficients, features, ground)
 
 
 def _ids(letter: str, n: int) -> tuple[str, ...]:
