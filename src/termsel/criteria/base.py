@@ -11,7 +11,15 @@ import numpy as np
 
 from termsel.adjustment.equations import line_normals
 from termsel.adjustment.parts import Part
-from termsel.features import BoolArray, FloatArray, IntArray, Lines, Points, no_lines
+from termsel.features import (
+    BoolArray,
+    FeatureSet,
+    FloatArray,
+    IntArray,
+    Lines,
+    Points,
+    no_lines,
+)
 from termsel.models.base import RationalModel, SensorModel
 from termsel.options import Configurable
 
