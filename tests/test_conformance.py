@@ -13,6 +13,7 @@ from termsel.errors import TermselError
 from termsel.features import FeatureSet, FloatArray, Points
 from termsel.models.base import Blocks, RationalModel
 from termsel.models.polynomial import Affine, Polynomial2D, Polynomial3D
+from termsel.models.projective import DLT2D, DLT3D, Projective2D
 from termsel.models.rational import RationalFunctions
 from termsel.problems.selection import Inputs, SelectionProblem
 from termsel.solvers.aco import AntColony
@@ -59,6 +60,9 @@ SUITES: dict[str, tuple[Check, ...]] = {
     "poly2d": model_checks(Polynomial2D, options=[{"degree": d} for d in (1, 4, 5, 8)]),
     "poly3d": model_checks(Polynomial3D, options=[{"degree": d} for d in (1, 2, 3, 5)]),
     "affine": model_checks(Affine),
+    "projective2d": model_checks(Projective2D),
+    "dlt2d": model_checks(DLT2D),
+    "dlt3d": model_checks(DLT3D),
     "ga": solver_checks(GeneticAlgorithm, options=[{}, {"population": 21, "elite": 1}]),
     "ga-correlation": solver_checks(
         CorrelationSeededGA, options=[{}, {"population": 21, "preset": "case-1"}],

@@ -1,0 +1,102 @@
+"""Projective models: line and sample as quotients that share one denominator."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from functools import cached_property
+
+from termsel.features import FloatArray
+from termsel.models.base import Blocks, RationalModel
+from termsel.models.polynomial import Exponents, graded_exponents, monomial_name, monomials
+from termsel.options import Option
+
+
+class Projective(RationalModel):
+    """A quotient of forms in the same monomials, with one denominator for both axes."""
+
+    @property
+    @abstractmethod
+    def exponents(self) -> Exponents:
+        """Exponents of X, Y, Z of each column, the constant first."""
+
+    def blocks(self, ground: FloatArray) -> Blocks:
+        """Return the monomials as numerators, and without the constant as denominator."""
+        columns = monomials(ground, self.exponents)
+        return Blocks(line=columns, sample=columns, shared_denominator=columns[:, 1:])
+
+    def column_names(self, block: str) -> tuple[str, ...]:
+        """Return the monomials' names."""
+        names = tuple(monomial_name(e) for e in self.exponents)
+        return names[1:] if block == "shared_denominator" else names
+
+
+class Projective2D(Projective):
+    """2D projective transformation: line and sample linear in X and Y over one denominator.
+
+    8 terms. It maps plane to plane, as a frame camera maps flat ground.
+
+    References
+    ----------
+    Valadan Zoej et al. 2002, eq. 3, where the numerator of y repeats the coefficients of x by
+    a misprint.
+    """
+
+    name = "projective2d"
+    uses_height = False
+
+    @cached_property
+    def exponents(self) -> Exponents:
+        """Exponents of 1, X, Y."""
+        return graded_exponents(1, 2)
+
+
+class DLT2D(Projective):
+    """Improved 2D-DLT: a DLT whose heights are a function of X and Y, over one denominator.
+
+    The DLT has numerators and a denominator linear in X, Y, Z. With Z = d0 + d1 X + d2 Y + d3
+    XY it becomes
+
+        (a3 + a0 X + a1 Y + a2 XY) / (1 + c0 X + c1 Y + c2 XY)
+
+    for the line, likewise with b for the sample: 11 terms, in which the four d are absorbed.
+    They are no constraint: any 11 values arise, for instance from Z = XY.
+
+    With a plane, Z = d0 + d1 X + d2 Y, the same substitution leaves a quotient of linear forms,
+    8 terms. Whatever plane it was, that is `projective2d`: a tilted plane is no relief to a
+    projective transformation. What the DLT adds to it is XY alone.
+
+    References
+    ----------
+    Valadan Zoej et al. 2002, eq. 4 (plane) and eq. 5 (with XY).
+    """
+
+    name = "dlt2d"
+    uses_height = False
+    declared_options = (
+        Option("relief", "xy", "Heights as a function of X and Y: with the term d3 XY, or a plane, "
+               "which is projective2d.", choices=("xy", "plane")),)
+
+    @cached_property
+    def exponents(self) -> Exponents:
+        """Exponents of 1, X, Y and, unless the relief is a plane, XY."""
+        linear = graded_exponents(1, 2)
+        return (*linear, (1, 1, 0)) if self.options["relief"] == "xy" else linear
+
+
+class DLT3D(Projective):
+    """Direct linear transformation: line and sample linear in X, Y, Z over one denominator.
+
+    11 terms: the collinearity equations of a frame camera without constraints between them. The
+    columns are those of `rfm` of order 1 with a shared denominator.
+
+    References
+    ----------
+    Abdel-Aziz and Karara 1971; Valadan Zoej et al. 2002, eq. 4, first part.
+    """
+
+    name = "dlt3d"
+
+    @cached_property
+    def exponents(self) -> Exponents:
+        """Exponents of 1, X, Y, Z."""
+        return graded_exponents(1, 3)
