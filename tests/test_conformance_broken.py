@@ -221,7 +221,7 @@ BROKEN_MODELS = [
     (ShortAxis, "axis", r"shape \(8,\).* not \(7,\)"),
     (WrongAxis, "axis", "'line.num:1' does not act on the line"),
     (NoLines, "control_kinds", "lines alone: model 'dlt-demo' does not take"),
-    (OneRow, "equations", r"A must have shape \(24, 8\), two rows a feature, not \(23, 8\)"),
+    (OneRow, "equations", r"A must have shape \(24, 8\), two rows a point or line, not \(23, 8\)"),
     (NotFinite, "equations", "finite"),
     (LinesFirst, "equations", "feature must number"),
     (Scribbler, "inputs_unchanged", "changes the ground points"),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import platform
+from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, replace
 from importlib.metadata import version
@@ -11,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from termsel.features import BoolArray, FeatureSet
+from termsel.features import BoolArray, FeatureSet, IntArray, Lines, select
 from termsel.fitting import Fit, Rmse, fit, plain_fits
 from termsel.judging import judge, name_conventional, notes_on
 from termsel.problems.base import Selection
@@ -184,11 +185,26 @@ def _residuals(chosen: Fit, observations: Observations) -> Iterable[Residual]:
     points, lines = observations.control.points, observations.control.lines
     used = tuple(bool(on) for on in chosen.used)
     yield from residuals_of(points.ids, chosen.errors(points), "control", used[:len(points)])
-    for vertex in (0, 1):
-        yield from residuals_of(lines.ids, chosen.line_errors()[:, vertex], "control",
-                                used[len(points):], f"vertex {vertex + 1}")
+    errors, piece = chosen.line_errors(), _pieces(lines)
+    for i in range(piece.max(initial=-1) + 1):
+        which = piece == i
+        features = len(points) + lines.feature[which]
+        for vertex in (0, 1):
+            yield from residuals_of(select(lines.ids, which), errors[which, vertex], "control",
+                                    tuple(used[f] for f in features),
+                                    f"vertex {2 * i + vertex + 1}")
     for role, others in (("check", observations.check), ("independent", observations.independent)):
         yield from residuals_of(others.ids, chosen.errors(others), role, (False,) * len(others))
+
+
+def _pieces(lines: Lines) -> IntArray:
+    """Return which piece of its feature each line is, counted from 0."""
+    seen: Counter[str] = Counter()
+    piece = np.empty(len(lines), dtype=np.intp)
+    for i, name in enumerate(lines.ids):
+        piece[i] = seen[name]
+        seen[name] += 1
+    return piece
 
 
 def _data(task: Task) -> dict[str, Any]:
@@ -198,7 +214,7 @@ def _data(task: Task) -> dict[str, Any]:
         "noise": task.features.noise,
         "counts": {"control": len(observations.control.points), "check": len(observations.check),
                    "independent": len(observations.independent),
-                   "lines": len(observations.control.lines), "off": len(observations.off)},
+                   "lines": len(observations.control.lines.features), "off": len(observations.off)},
         "roles": {"control": list(observations.control.ids), "off": list(observations.off),
                   "check": list(observations.check.ids),
                   "independent": list(observations.independent.ids)}}

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -26,12 +27,15 @@ def _frozen(values: ArrayLike, shape: tuple[int, ...], what: str) -> FloatArray:
     return array
 
 
-def _check_ids(ids: Sequence[str], kind: str) -> None:
+def _check_unique(ids: Sequence[str], kind: str) -> None:
     twice = [name for name, count in Counter(ids).items() if count > 1]
     if twice:
         raise TermselError(f"{kind} id {twice[0]!r} is used {Counter(ids)[twice[0]]} times",
                            hint="Give every feature an id of its own.", ids=twice[:1])
-    if any(not name for name in ids):
+
+
+def _check_named(ids: Sequence[str], kind: str) -> None:
+    if not all(ids):
         raise TermselError(f"a {kind} has no id", hint="Give every feature an id.")
 
 
@@ -89,7 +93,8 @@ class Points:
         object.__setattr__(self, "roles", roles)
         object.__setattr__(self, "image", _frozen(self.image, (n, 2), "image of points"))
         object.__setattr__(self, "ground", _frozen(self.ground, (n, 3), "ground of points"))
-        _check_ids(ids, "point")
+        _check_unique(ids, "point")
+        _check_named(ids, "point")
         if n == 0:
             return
         _check_finite(self.image, ids, "point", "image coordinates")
@@ -140,10 +145,13 @@ class Points:
 class Lines:
     """Conjugate straight lines, whose end points are not conjugate.
 
+    Lines with one id are pieces of one feature, such as a polyline: they are selected and left
+    out together.
+
     Parameters
     ----------
     ids : sequence of str, length n
-        Unique names.
+        Name of the feature each line is, or is a piece of.
     image : array_like, shape (n, 2, 2)
         Two measured image points a line, each as line and sample [pixel].
     ground : array_like, shape (n, 2, 3)
@@ -152,8 +160,8 @@ class Lines:
     Raises
     ------
     TermselError
-        For shapes that do not fit, values that are not finite, ids used twice, lines of
-        zero length, or two lines with the same ground vertices.
+        For shapes that do not fit, values that are not finite, lines of zero length, or two
+        lines with the same ground vertices.
     """
 
     ids: tuple[str, ...]
@@ -166,7 +174,7 @@ class Lines:
         object.__setattr__(self, "ids", ids)
         object.__setattr__(self, "image", _frozen(self.image, (n, 2, 2), "image of lines"))
         object.__setattr__(self, "ground", _frozen(self.ground, (n, 2, 3), "ground of lines"))
-        _check_ids(ids, "line")
+        _check_named(ids, "line")
         if n == 0:
             return
         _check_finite(self.image, ids, "line", "image coordinates")
@@ -201,6 +209,33 @@ class Lines:
 
     def __len__(self) -> int:
         return len(self.ids)
+
+    @cached_property
+    def features(self) -> tuple[str, ...]:
+        """Names of the features, each once, in the order of their first lines."""
+        return tuple(dict.fromkeys(self.ids))
+
+    @cached_property
+    def feature(self) -> IntArray:
+        """The feature each line is a piece of, counted from 0; shape (n,)."""
+        number = {name: i for i, name in enumerate(self.features)}
+        return np.array([number[name] for name in self.ids], dtype=np.intp)
+
+    def by_feature(self, values: FloatArray) -> FloatArray:
+        """Return the mean of values over the lines of each feature.
+
+        Parameters
+        ----------
+        values : ndarray, shape (n, ...)
+
+        Returns
+        -------
+        ndarray, shape (len(features), ...)
+        """
+        total = np.zeros((len(self.features), *values.shape[1:]))
+        np.add.at(total, self.feature, values)
+        count = np.bincount(self.feature, minlength=len(total))
+        return np.asarray(total / count.reshape(-1, *[1] * (values.ndim - 1)))
 
     def take(self, index: ArrayLike) -> Lines:
         """Return the lines at `index` (integers or a mask)."""
@@ -257,29 +292,41 @@ class FeatureSet:
     @property
     def ids(self) -> tuple[str, ...]:
         """Ids of all features, points first."""
-        return self.points.ids + self.lines.ids
+        return self.points.ids + self.lines.features
 
     def __len__(self) -> int:
-        return len(self.points) + len(self.lines)
+        return len(self.points) + len(self.lines.features)
+
+    @property
+    def feature(self) -> IntArray:
+        """The feature each point, then each line, belongs to; counted from 0, points first."""
+        n = len(self.points)
+        return np.concatenate([np.arange(n), n + self.lines.feature])
 
     def with_(self, *, points: Points | None = None, lines: Lines | None = None) -> FeatureSet:
         """Return a copy with other points or lines."""
         return replace(self, points=self.points if points is None else points,
                        lines=self.lines if lines is None else lines)
 
+    def take(self, mask: BoolArray) -> FeatureSet:
+        """Return the features whose mask is set, lines with all their pieces."""
+        n = len(self.points)
+        return self.with_(points=self.points.take(mask[:n]),
+                          lines=self.lines.take(mask[n:][self.lines.feature]))
+
     def without_height(self) -> tuple[str, ...]:
         """Return the ids of features with an unknown height."""
         points = np.isnan(self.points.ground[:, 2])
-        lines = np.isnan(self.lines.ground[..., 2]).any(axis=1)
-        missing = np.concatenate([points, lines])
-        return tuple(name for name, gone in zip(self.ids, missing, strict=True) if gone)
+        lines: BoolArray = np.any(np.isnan(self.lines.ground[..., 2]), axis=1)
+        return select(self.points.ids, points) + tuple(
+            dict.fromkeys(select(self.lines.ids, lines)))
 
     def ground_vertices(self) -> FloatArray:
-        """Return ground points and line vertices together, shape (n_points + 2 n_lines, 3)."""
+        """Return ground points and line vertices together, shape (n_points + 2 n, 3) of n lines."""
         return np.concatenate([self.points.ground, self.lines.ground.reshape(-1, 3)])
 
     def image_vertices(self) -> FloatArray:
-        """Return image points and line ends together, shape (n_points + 2 n_lines, 2)."""
+        """Return image points and line ends together, shape (n_points + 2 n, 2) of n lines."""
         return np.concatenate([self.points.image, self.lines.image.reshape(-1, 2)])
 
 

@@ -87,7 +87,8 @@ class Fit:
         """Return the RMSE of the control features in use."""
         n = len(self.control.points)
         errors = np.concatenate([self.errors(self.control.points)[self.used[:n]],
-                                 self.line_errors()[self.used[n:]].reshape(-1, 2)])
+                                 self.line_errors()[self.used[n:][self.control.lines.feature]]
+                                 .reshape(-1, 2)])
         return _rmse(errors, int(self.used.sum()))
 
     def rmse(self, points: Points) -> Rmse | None:

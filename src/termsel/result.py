@@ -165,7 +165,8 @@ class Residual:
     Parameters
     ----------
     id : str
-    kind : {"point", "vertex 1", "vertex 2"}
+    kind : str
+        "point", or "vertex 1" and "vertex 2" of a line and of its further pieces from 3 on.
     role : str
     used : bool
         Whether the feature took part in the adjustment.

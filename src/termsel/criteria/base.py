@@ -78,7 +78,7 @@ class Fits:
         """Control features in use, points before lines, shape (p, n)."""
         if self.used is not None:
             return self.used
-        return np.ones((len(self.terms), len(self.control) + len(self.lines)), dtype=bool)
+        return np.ones((len(self.terms), len(FeatureSet(self.control, self.lines))), dtype=bool)
 
     def held_out(self, coefficients: FloatArray, features: IntArray) -> FloatArray:
         """Return squared errors of control features under solutions they took no part in.
@@ -92,7 +92,7 @@ class Fits:
         Returns
         -------
         ndarray, shape (p, n)
-            Of a point dl^2 + ds^2, of a line the sum of the squared distances of both ground
+            Of a point dl^2 + ds^2, of a line the sum of the squared distances of its ground
             vertices from the image line [pixel^2]; infinite where a denominator falls short
             of POLE_MARGIN.
         """
@@ -139,8 +139,8 @@ class Fits:
     @cached_property
     def _vertices(self) -> tuple[IntArray, FloatArray]:
         """Points and ground vertices of lines: the features they are of, and where they are."""
-        n, lines = len(self.control), np.arange(len(self.lines))
-        return (np.concatenate([np.arange(n), n + np.repeat(lines, 2)]),
+        n = len(self.control)
+        return (np.concatenate([np.arange(n), n + np.repeat(self.lines.feature, 2)]),
                 np.concatenate([self.control.ground, self.lines.ground.reshape(-1, 3)]))
 
     @cached_property
@@ -151,21 +151,25 @@ class Fits:
                  features: IntArray) -> FloatArray:
         """Return squared errors, given image positions and denominators of the vertices."""
         n = len(self.control)
-        points, lines = features[features < n], features[features >= n] - n
+        points, lines = features[features < n], np.isin(n + self.lines.feature, features)
         squares = ((image[:, :len(points)] - self.control.image[points])**2).sum(axis=2)
-        if len(lines):
+        if lines.any():
             normal, rho = (np.repeat(part[lines], 2, axis=0) for part in self._image_lines)
             distances = rho - (image[:, len(points):] * normal).sum(axis=2)
             squares = np.concatenate([squares, distances**2], axis=1)
         if below is not None:
             squares = np.where((below >= POLE_MARGIN).all(axis=2), squares, np.inf)
-        ends = squares[:, len(points):].reshape(len(squares), -1, 2).sum(axis=2)
-        return np.concatenate([squares[:, :len(points)], ends], axis=1) * self.pixels**2
+        if lines.any():  # all vertices of a feature together
+            owner = np.concatenate([points, n + np.repeat(self.lines.feature[lines], 2)])
+            order = np.argsort(owner, kind="stable")
+            squares = np.add.reduceat(squares[:, order],
+                                      np.searchsorted(owner[order], features), axis=1)
+        return np.asarray(squares * self.pixels**2)
 
     def rmse(self, squares: FloatArray) -> FloatArray:
         """Return the RMSE of the control in use, infinite without any, shape (p,).
 
-        As everywhere, sqrt(mean(dl^2 + ds^2)) over points and over both vertices of lines.
+        As everywhere, sqrt(mean(dl^2 + ds^2)) over points and over all vertices of lines.
 
         Parameters
         ----------
@@ -173,7 +177,7 @@ class Fits:
             As from `held_out`, of all control features.
         """
         used = self.in_use
-        errors = np.repeat([1.0, 2.0], [len(self.control), len(self.lines)])
+        errors = np.bincount(self._vertices[0]).astype(np.float64)
         count = used @ errors
         total = np.where(used, squares, 0.0).sum(axis=1)
         mean = np.divide(total, count, out=np.full(len(used), np.inf), where=count > 0)

@@ -96,7 +96,8 @@ class KFold(Criterion):
         lines : Lines
             They stand where the middle of their ground vertices is.
         """
-        xy = np.concatenate([points.ground[:, :2], lines.ground[:, :, :2].mean(axis=1)])
+        xy = np.concatenate([points.ground[:, :2],
+                             lines.by_feature(lines.ground[:, :, :2].mean(axis=1))])
         rng = np.random.default_rng(self.options["fold_seed"])
         repeats, folds = self.options["repeats"], min(self.options["folds"], len(xy))
         found: list[IntArray] = []

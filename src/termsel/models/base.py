@@ -281,7 +281,7 @@ class RationalModel(SensorModel):
                              np.zeros(0, dtype=np.intp))
         return Equations(np.concatenate([A for A, _ in parts]),
                          np.concatenate([b for _, b in parts]),
-                         np.repeat(np.arange(len(features)), 2))
+                         np.repeat(features.feature, 2))
 
     def _line_rows(self, features: FeatureSet) -> tuple[FloatArray, FloatArray]:
         lines = features.lines

@@ -89,7 +89,8 @@ _SINGULAR = 16.0
 
 def _centres(control: FeatureSet) -> FloatArray:
     """Return the image position of each feature, of lines the middle."""
-    return np.concatenate([control.points.image, control.lines.image.mean(axis=1)])
+    lines = control.lines
+    return np.concatenate([control.points.image, lines.by_feature(lines.image.mean(axis=1))])
 
 
 def uncovered(chosen: Chosen) -> FloatArray:

@@ -105,9 +105,9 @@ class SelectionProblem(Problem):
         """Refuse before any search what no selection could solve."""
         most = self.genome.segments[-1].maximum if self._selects_features else None
         for part in self._parts:
-            rows, columns = part.equations.A.shape
-            if most is not None:
-                rows = rows * most // len(self.inputs.control)
+            columns = part.equations.A.shape[1]
+            each = np.sort(np.bincount(part.equations.feature))[::-1]  # rows of a feature
+            rows = each[:most].sum()
             if not selects_terms and rows < columns:
                 raise TermselError(
                     f"model {self.inputs.model.name!r} has {columns} terms to be determined "

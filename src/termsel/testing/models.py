@@ -98,19 +98,27 @@ def equations(model: SensorModel) -> None:
     """Points and lines give two finite rows each, points first, over all terms."""
     k = len(model.terms)
     for features in accepted_scenes(model):
+        if len(features.lines):
+            features = _in_pieces(features)
         n, m = len(features.points), len(features.lines)
         found = model.equations(features)
-        of = f"of {n} points and {m} lines"
+        of = f"of {n} points and {m} lines in {len(features) - n} features"
         rows = 2 * (n + m)
         for name, value, shape in (("A", found.A, (rows, k)), ("b", found.b, (rows,)),
                                    ("feature", found.feature, (rows,))):
             require(np.shape(value) == shape, f"equations {of}: {name} must have shape {shape}, "
-                    f"two rows a feature, not {np.shape(value)}")
+                    f"two rows a point or line, not {np.shape(value)}")
         require(np.isfinite(found.A).all() and np.isfinite(found.b).all(),
                 f"equations {of}: A and b must be finite")
-        require(np.array_equal(found.feature, np.repeat(np.arange(n + m), 2)),
+        require(np.array_equal(found.feature, np.repeat(features.feature, 2)),
                 f"equations {of}: feature must number the features each row belongs to, points "
-                "first and then lines, with two rows each")
+                "first and then lines, as np.repeat(features.feature, 2) does")
+
+
+def _in_pieces(features: FeatureSet) -> FeatureSet:
+    """Return the features with the last line as a piece of the one before it."""
+    ids = features.lines.ids
+    return features.with_(lines=replace(features.lines, ids=(*ids[:-1], ids[-2])))
 
 
 def inputs_unchanged(model: SensorModel) -> None:
