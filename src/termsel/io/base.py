@@ -124,7 +124,7 @@ def read_text(path: Path) -> str:
         data = path.read_bytes()
     except OSError as error:
         raise _unreadable(path, error) from error
-    if data.startswith(_UTF16):
+    if is_utf16(data):
         raise _utf16(path)
     if b"\0" in data:
         raise TermselError("this is a binary file, expected UTF-8 text", file=path)
@@ -134,6 +134,35 @@ def read_text(path: Path) -> str:
         line = error.object[:error.start].count(b"\n") + 1
         raise TermselError("this text is not UTF-8", file=path, line=line,
                            hint="Save it again with the encoding UTF-8.") from error
+
+
+def read_head(path: Path, expected: str) -> bytes:
+    """Return the first 64 KiB of a file.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+    expected : str
+        A sentence on what the file should be.
+
+    Raises
+    ------
+    TermselError
+        If the file is missing, empty, a folder or not readable.
+    """
+    if path.is_dir():
+        raise TermselError("this is a folder, expected a file", file=path, hint=expected)
+    try:
+        with path.open("rb") as file:
+            head = file.read(_HEAD)
+    except FileNotFoundError as error:
+        raise TermselError("there is no such file", file=path,
+                           hint="Check the name and the folder it is given from.") from error
+    except OSError as error:
+        raise _unreadable(path, error) from error
+    if not head.strip():
+        raise TermselError("the file is empty", file=path, hint=expected)
+    return head
 
 
 def read_file(path: Path, readers: Iterable[Reader], format: str | None = None) -> FeatureSet:
@@ -158,22 +187,11 @@ def read_file(path: Path, readers: Iterable[Reader], format: str | None = None) 
     if format is not None and not chosen:
         raise unknown_name("file format", format, [reader.name for reader in known])
     expected = "Expected one of: " + "; ".join(f"{r.name}: {r.summary}" for r in known) + "."
-    if path.is_dir():
-        raise TermselError("this is a folder, expected a file", file=path, hint=expected)
-    try:
-        with path.open("rb") as file:
-            head = file.read(_HEAD)
-    except FileNotFoundError as error:
-        raise TermselError("there is no such file", file=path,
-                           hint="Check the name and the folder it is given from.") from error
-    except OSError as error:
-        raise _unreadable(path, error) from error
-    if not head.strip():
-        raise TermselError("the file is empty", file=path, hint=expected)
+    head = read_head(path, expected)
     for reader in chosen or known:
         if chosen or reader.sniff(path, head):
             return reader.read(path)
-    if head.startswith(_UTF16):
+    if is_utf16(head):
         raise _utf16(path)
     kind = "binary file" if b"\0" in head else "file"
     raise TermselError(f"this {kind} is in no format termsel knows", file=path, hint=expected)
@@ -258,6 +276,11 @@ def _agreed_crs(sets: dict[Path, FeatureSet], stated: str | None) -> str:
 
 def _unreadable(path: Path, error: OSError) -> TermselError:
     return TermselError(f"cannot read this file: {error.strerror or error}", file=path)
+
+
+def is_utf16(head: bytes) -> bool:
+    """Return True for text that begins with the byte order mark of UTF-16."""
+    return head.startswith(_UTF16)
 
 
 def _utf16(path: Path) -> TermselError:

@@ -1,0 +1,299 @@
+"""RPCs: read from every format, written, and evaluated as GDAL does."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from termsel.errors import TermselError
+from termsel.features import FloatArray
+from termsel.io.rpc_files import read_rpc
+from termsel.io.rpc_text import rpb_text, rpc_items, rpc_txt_text
+from termsel.io.vrt import Picture, vrt_text
+from termsel.rpc import Rpc
+
+pytestmark = pytest.mark.filterwarnings("ignore:Dataset has no geotransform")
+
+VENDOR_FORMATS = {".TXT", ".txt", ".RPB", ".rpc", ".XML", ".xml"}
+
+
+def _rpc(folder: Path, name: str) -> Rpc:
+    """Return one of the RPCs as the collection has it, offsets from the first pixel's centre."""
+    entries = json.loads((folder / "rpc" / "all_rpc.json").read_text())
+    entry = next(entry for entry in entries if entry["name"] == name)
+    c = entry["rpc"]
+    # The collection keeps the offsets as the file has them; in DIMAP they count from 1.
+    first = 1 if "pleiades" in name and "right" not in name else 0
+    return Rpc((c["LINE_OFF"] - first, c["SAMP_OFF"] - first), (c["LINE_SCALE"], c["SAMP_SCALE"]),
+               (c["LONG_OFF"], c["LAT_OFF"], c["HEIGHT_OFF"]),
+               (c["LONG_SCALE"], c["LAT_SCALE"], c["HEIGHT_SCALE"]),
+               *(tuple(map(float, c[key])) for key in ("LINE_NUM", "LINE_DEN", "SAMP_NUM",
+                                                       "SAMP_DEN")))
+
+
+NAMES = (
+    "ikonos_montevideo", "skysat_l1a", "planet_l1a", "planet_l1b", "pleiades_montevideo",
+    "wv1_belgium", "wv3_lucknow", "wv3_jacksonville_crop", "enmap_yemen_band1",
+    "enmap_yemen_band113", "enmap_yemen_band224", "pleiades_nice_a", "pleiades_nice_b",
+    "pleiades_ventoux_left", "pleiades_ventoux_right", "wv3_sanfernando_30", "orbview3_russia",
+    "kompsat_russia", "wv3_rome_sparse")
+
+
+def _ground(rpc: Rpc, seed: int = 0) -> FloatArray:
+    """Return 1,000 ground points in the image's box."""
+    # A producer of two of these RPCs has scales of 1 degree, far beyond the image.
+    share = np.random.default_rng(seed).uniform(-1.0, 1.0, (1000, 3))
+    if rpc.ground_scale[0] == 1:
+        share *= 0.005
+    return np.asarray(share * rpc.ground_scale + rpc.ground_offset)
+
+
+def _by_gdal(path: Path, ground: FloatArray) -> FloatArray:
+    """Return line and sample by GDAL, counted as in termsel."""
+    rasterio = pytest.importorskip("rasterio")
+    from rasterio.transform import RPCTransformer
+
+    with rasterio.open(path) as raster, RPCTransformer(raster.rpcs) as transformer:
+        rows, columns = transformer.rowcol(*ground.T, op=np.asarray)
+    return np.column_stack([rows, columns]) - 0.5
+
+
+def _as_rpb(rpc: Rpc, folder: Path) -> tuple[Path, Path]:
+    (folder / "scene.RPB").write_text(rpb_text(rpc))
+    return folder / "scene.RPB", _empty_image(folder / "scene.tif")
+
+
+def _as_txt(rpc: Rpc, folder: Path) -> tuple[Path, Path]:
+    (folder / "scene_RPC.TXT").write_text(rpc_txt_text(rpc))
+    return folder / "scene_RPC.TXT", _empty_image(folder / "scene.tif")
+
+
+def _as_vrt(rpc: Rpc, folder: Path) -> tuple[Path, Path]:
+    path = folder / "scene.vrt"
+    path.write_text(vrt_text(Picture((8, 8)), folder, domains={"RPC": rpc_items(rpc)}))
+    return path, path
+
+
+def _as_tag(rpc: Rpc, folder: Path) -> tuple[Path, Path]:
+    rasterio = pytest.importorskip("rasterio")
+    from rasterio.rpc import RPC
+
+    path = _empty_image(folder / "scene.tif")
+    with rasterio.open(path, "r+") as raster:
+        raster.rpcs = RPC.from_gdal(rpc_items(rpc))
+    return path, path
+
+
+def _empty_image(path: Path) -> Path:
+    rasterio = pytest.importorskip("rasterio")
+    with rasterio.open(path, "w", driver="GTiff", width=8, height=8, count=1, dtype="uint8"):
+        pass
+    return path
+
+
+FORMS = {"rpb": _as_rpb, "rpc-txt": _as_txt, "vrt": _as_vrt}
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_every_rpc_in_every_form_is_gdals(name: str, data_folder: Path, tmp_path: Path) -> None:
+    rpc = _rpc(data_folder, name)
+    ground = _ground(rpc)
+    ours = rpc.project(ground)
+    for form, write in FORMS.items():
+        folder = tmp_path / form
+        folder.mkdir()
+        path, image = write(rpc, folder)
+        assert read_rpc(path) == rpc
+        assert np.abs(_by_gdal(image, ground) - ours).max() < 1e-6, form
+    # A GeoTIFF's tag keeps 15 digits.
+    path, _ = _as_tag(rpc, tmp_path)
+    assert np.abs(read_rpc(path).project(ground) - ours).max() < 1e-6
+
+
+def _originals(folder: Path) -> Iterator[tuple[str, Path]]:
+    for entry in json.loads((folder / "rpc" / "all_rpc.json").read_text()):
+        path = folder / "rpc" / (entry["original"] or "-")
+        if path.suffix in VENDOR_FORMATS and not path.name.startswith("enmap"):
+            yield entry["name"], path
+
+
+def test_vendors_files(data_folder: Path) -> None:
+    found = dict(_originals(data_folder))
+    assert len(found) == 13
+    for name, path in found.items():
+        vendor = read_rpc(path)
+        assert replace(vendor, error_bias=None, error_random=None) == _rpc(data_folder, name)
+
+
+def test_dimap_is_gdals(data_folder: Path, tmp_path: Path) -> None:
+    """GDAL finds the RPC file of a product by the names its producer gives."""
+    original = dict(_originals(data_folder))["pleiades_nice_a"]
+    rpc = read_rpc(original)
+    (tmp_path / "RPC_PHR1A.XML").write_bytes(original.read_bytes())
+    (tmp_path / "DIM_PHR1A.XML").write_text("<Dimap_Document/>")
+    image = _empty_image(tmp_path / "IMG_PHR1A_R1C1.TIF")
+    ground = _ground(rpc)
+    assert np.abs(_by_gdal(image, ground) - rpc.project(ground)).max() < 1e-6
+
+
+DIMAP_3 = """<?xml version="1.0" encoding="UTF-8"?>
+<Dimap_Document><Metadata_Identification>
+<METADATA_FORMAT version="3.0.0">DIMAP</METADATA_FORMAT></Metadata_Identification>
+<Rational_Function_Model><Global_RFM>
+<ImagetoGround_Values>{wrong}</ImagetoGround_Values>
+<GroundtoImage_Values>{right}</GroundtoImage_Values>
+<RFM_Validity><ImagetoGround_Validity_Domain><FIRST_ROW>0.5</FIRST_ROW><FIRST_COL>0.5</FIRST_COL>
+</ImagetoGround_Validity_Domain>
+<LONG_SCALE>0.1</LONG_SCALE><LONG_OFF>7</LONG_OFF><LAT_SCALE>0.1</LAT_SCALE><LAT_OFF>43</LAT_OFF>
+<HEIGHT_SCALE>500</HEIGHT_SCALE><HEIGHT_OFF>600</HEIGHT_OFF>
+<SAMP_SCALE>5000</SAMP_SCALE><SAMP_OFF>5000.5</SAMP_OFF>
+<LINE_SCALE>6000</LINE_SCALE><LINE_OFF>6000.5</LINE_OFF>
+</RFM_Validity></Global_RFM></Rational_Function_Model></Dimap_Document>
+"""
+
+
+def test_dimap_version_3_counts_from_its_first_column(tmp_path: Path) -> None:
+    def values(factor: float) -> str:
+        return "".join(f"<{key}_{i}>{factor if i == second else int(i == 1 and 'DEN' in key)}"
+                       f"</{key}_{i}>"
+                       for key, second in (("SAMP_NUM_COEFF", 2), ("SAMP_DEN_COEFF", 0),
+                                           ("LINE_NUM_COEFF", 3), ("LINE_DEN_COEFF", 0))
+                       for i in range(1, 21))
+
+    path = tmp_path / "RPC.XML"
+    path.write_text(DIMAP_3.format(wrong=values(7.0), right=values(1.0)))
+    assert np.allclose(read_rpc(path).project([[7.0, 43.0, 600.0], [7.1, 43.1, 0.0]]),
+                       [[6000.0, 5000.0], [12000.0, 10000.0]])
+
+
+def _simple(**other: object) -> Rpc:
+    """Return an RPC whose line and sample are -latitude and longitude, scaled."""
+    one, lon, lat = ((0.0,) * i + (1.0,) + (0.0,) * (19 - i) for i in range(3))
+    return replace(Rpc((100.0, 200.0), (50.0, 40.0), (10.0, 20.0, 300.0), (0.5, 0.25, 100.0),
+                       tuple(-c for c in lat), one, lon, one), **other)
+
+
+def test_by_hand() -> None:
+    assert _simple().project([[10.5, 19.75, 0.0]]).tolist() == [[150.0, 240.0]]
+
+
+def test_longitudes_of_either_side_of_the_date_line_are_one_place() -> None:
+    rpc = _simple(ground_offset=(179.9, 20.0, 300.0))
+    assert np.allclose(rpc.project([[-179.9, 20.0, 0.0]]), rpc.project([[180.1, 20.0, 0.0]]))
+
+
+@given(st.floats(0.01, 0.2), st.integers(0, 10**6))
+def test_rays_meet_the_heights_they_are_seen_at(curvature: float, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    base = _simple()
+    rpc = replace(base, **{name: tuple(np.array(getattr(base, name)) + curvature * np.append(
+        0.0, rng.uniform(-0.1, 0.1, 19))) for name in (
+            "line_numerator", "line_denominator", "sample_numerator", "sample_denominator")})
+    ground = rng.uniform(-1.0, 1.0, (50, 3)) * rpc.ground_scale + rpc.ground_offset
+    back = rpc.locate(rpc.project(ground), ground[:, 2])
+    assert np.abs(back - ground).max() < 1e-9
+
+
+def _oblique() -> Rpc:
+    """Return an RPC that looks from the side: 100 m of height are 100 pixels."""
+    height = (0.0, 0.0, 0.0, 2.0) + (0.0,) * 16
+    base = _simple()
+    return replace(base, line_numerator=tuple(map(sum, zip(base.line_numerator, height,
+                                                           strict=True))))
+
+
+@pytest.mark.parametrize("surface", [
+    lambda xy: 300.0 + 80.0 * np.sin(40.0 * xy[:, 1]) * np.cos(30.0 * xy[:, 0]),
+    lambda xy: 300.0 + 150.0 * np.abs(xy[:, 1] - 20.0),
+    lambda xy: 250.0 + 90.0 * (xy[:, 1] > 20.0)], ids=["hills", "ridge", "cliff"])
+def test_rays_meet_terrain(surface: Callable[[FloatArray], FloatArray]) -> None:
+    rpc = _oblique()
+    image = np.random.default_rng(1).uniform([80.0, 190.0], [120.0, 210.0], (300, 2))
+    found = rpc.locate(image, surface)
+    met = np.isfinite(found).all(axis=1)
+    assert met.mean() > 0.7  # some rays meet the cliff's face, where there is no height
+    assert np.abs(rpc.project(found[met]) - image[met]).max() < 1e-6
+    assert np.abs(surface(found[met, :2]) - found[met, 2]).max() < 1e-3
+
+
+def test_rays_that_miss_have_no_place() -> None:
+    found = _oblique().locate([[100.0, 200.0]], lambda xy: np.full(len(xy), np.nan))
+    assert np.isnan(found).all()
+
+
+@pytest.mark.parametrize(("text", "message"), [
+    ("", "the file is empty"),
+    ("id,line,sample\n1,2,3\n", "holds no RPC"),
+    ("LINE_OFF: 12,5\n", "line 1: LINE_OFF is '12,5', which is not a number. Write a decimal"),
+    (rpc_txt_text(_simple())[:900], "the RPC lacks LINE_DEN_COEFF_"),
+    (rpc_txt_text(_simple()).replace("HEIGHT_SCALE: 100.0", "HEIGHT_SCALE: 0"),
+     "a scale of the RPC is 0"),
+    (rpc_txt_text(_simple()).replace("SAMP_OFF: 200.0", "SAMP_OFF: nan"), "is not finite"),
+    (rpc_txt_text(_simple()).replace("SAMP_OFF: 200.0", "SAMP_OFF:"), "lacks SAMP_OFF"),
+    (rpb_text(_simple())[:150], "the RPC lacks"),
+    (rpb_text(_simple()).replace("\t1.0,\n", "", 1), "LINE_DEN_COEFF has 19 numbers"),
+    ("<Dimap_Document><Global", "this XML cannot be read"),
+    ("<Dimap_Document></Dimap_Document>", "has no Global_RFM"),
+    ("<VRTDataset/>", "<VRTDataset> holds no RPC")])
+def test_faults_are_named(text: str, message: str, tmp_path: Path) -> None:
+    path = tmp_path / "fault.txt"
+    path.write_text(text)
+    with pytest.raises(TermselError) as caught:
+        read_rpc(path)
+    assert message in str(caught.value)
+    assert str(caught.value).startswith(str(path))
+
+
+@pytest.mark.parametrize("change", [
+    lambda data: data.replace(b"\n", b"\r\n"), lambda data: b"\xef\xbb\xbf" + data,
+    lambda data: data + b"\n\n", lambda data: data.replace(b"200.0", b"  +0200.0E+00 pixels")])
+@pytest.mark.parametrize("write", [rpb_text, rpc_txt_text])
+def test_what_editors_and_vendors_make_of_it(
+        change: Callable[[bytes], bytes], write: Callable[[Rpc], str], tmp_path: Path) -> None:
+    path = tmp_path / "rpc"
+    path.write_bytes(change(write(_simple()).encode()))
+    assert read_rpc(path) == _simple()
+
+
+def test_wrong_encodings(tmp_path: Path) -> None:
+    path = tmp_path / "rpc"
+    path.write_text(rpc_txt_text(_simple()), encoding="utf-16")
+    with pytest.raises(TermselError, match="UTF-16"):
+        read_rpc(path)
+    path.write_bytes(rpc_txt_text(_simple()).encode() + b"\xb0")
+    with pytest.raises(TermselError, match="not UTF-8"):
+        read_rpc(path)
+
+
+def test_an_image_without_rpc_and_one_that_is_none(tmp_path: Path) -> None:
+    with pytest.raises(TermselError, match="has no RPC"):
+        read_rpc(_empty_image(tmp_path / "a.tif"))
+    (tmp_path / "b.tif").write_bytes((tmp_path / "a.tif").read_bytes()[:60])
+    with pytest.raises(TermselError, match="GDAL cannot read"):
+        read_rpc(tmp_path / "b.tif")
+
+
+numbers = st.floats(-1e6, 1e6, allow_nan=False)
+twenty = st.tuples(*[numbers] * 20)
+
+
+@given(st.builds(
+    Rpc, st.tuples(numbers, numbers), st.tuples(*[st.floats(1e-3, 1e6)] * 2),
+    st.tuples(numbers, numbers, numbers), st.tuples(*[st.floats(1e-3, 1e6)] * 3),
+    twenty, twenty.filter(any), twenty, twenty.filter(any), st.none() | st.floats(0, 1e3),
+    st.none() | st.floats(0, 1e3)))
+def test_text_keeps_every_digit(rpc: Rpc) -> None:
+    from tempfile import TemporaryDirectory
+
+    with TemporaryDirectory() as folder:
+        for write in (rpb_text, rpc_txt_text):
+            path = Path(folder) / "rpc"
+            path.write_text(write(rpc))
+            assert read_rpc(path) == rpc
