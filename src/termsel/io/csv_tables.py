@@ -7,21 +7,16 @@ is (0, 0), whatever the image columns are called.
 
 from __future__ import annotations
 
-import csv
-import io
 import re
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from math import isfinite
 from pathlib import Path
 
 import numpy as np
 
-from termsel.crs import normalise
 from termsel.errors import TermselError
-from termsel.features import ROLES, FeatureSet, FloatArray, Lines, Points
+from termsel.features import FeatureSet, FloatArray, Lines, Points
 from termsel.io.atomic import write_text
-from termsel.io.base import Reader, located, read_text
+from termsel.io.base import Reader
+from termsel.io.tables import USE, read_table, sniff_table
 
 _COORDINATES = {
     "line": ("line", "row", "y_px"),
@@ -30,19 +25,11 @@ _COORDINATES = {
     "y": ("y", "lat", "latitude", "northing"),
     "z": ("z", "h", "height", "elevation", "altitude"),
 }
-_USE = {"id": ("id", "name"), "role": ("role",), "enabled": ("enabled", "enable")}
-_POINTS = _USE | _COORDINATES | {
+_POINTS = USE | _COORDINATES | {
     "sigma_line": ("sigma_line", "sigma_px"), "sigma_sample": ("sigma_sample", "sigma_px")}
-_LINES = _USE | {
+_LINES = USE | {
     f"{meaning}{end}": tuple(f"{alias}{end}" for alias in aliases)
     for end in "12" for meaning, aliases in _COORDINATES.items()}
-_TEXTS = frozenset(_USE)
-_OPTIONAL = frozenset({"role", "enabled", "sigma_line", "sigma_sample"})
-
-_ENABLED = {"": True, "1": True, "true": True, "yes": True, "on": True,
-            "0": False, "false": False, "no": False, "off": False}
-_DECLARATION = re.compile(r"#\s*(crs|units?)\s*[:=]\s*(.*\S)", re.IGNORECASE)
-_UNITS = re.compile(r"(deg|degrees?|m|met(re|er)s?)", re.IGNORECASE)
 
 
 class PointsCsv(Reader):
@@ -53,18 +40,14 @@ class PointsCsv(Reader):
 
     def sniff(self, path: Path, head: bytes) -> bool:
         """Return True if a header names at least three columns of points."""
-        return _sniff(head, _POINTS)
+        return sniff_table(head, _POINTS)
 
     def read(self, path: Path) -> FeatureSet:
         """Return the points of a table; errors name file, line and column."""
-        table = _read_table(path, _POINTS)
+        table = read_table(path, _POINTS)
         image, ground = table.stack("line", "sample"), table.stack("x", "y", "z")
-        ids, roles, sigma = table.ids(), table.roles(), table.sigma()
-        try:
-            points = Points(tuple(ids), image, ground, sigma, tuple(roles))
-        except TermselError as error:
-            raise table.placed(error) from error
-        return FeatureSet(points=points, crs=table.crs)
+        return FeatureSet(table.points(image, ground, table.sigma(), table.roles()),
+                          crs=table.crs)
 
 
 class LinesCsv(Reader):
@@ -75,11 +58,11 @@ class LinesCsv(Reader):
 
     def sniff(self, path: Path, head: bytes) -> bool:
         """Return True if a header names at least three columns of lines."""
-        return _sniff(head, _LINES)
+        return sniff_table(head, _LINES)
 
     def read(self, path: Path) -> FeatureSet:
         """Return the lines of a table that are not off; errors name file, line and column."""
-        table = _read_table(path, _LINES)
+        table = read_table(path, _LINES)
         roles = table.roles()
         for row, role in enumerate(roles):
             if role in ("check", "independent"):
@@ -156,245 +139,3 @@ def _quoted(text: str) -> str:
     if re.search(r'[,;\t"\r\n#]', text):
         return '"' + text.replace('"', '""') + '"'
     return text
-
-
-@dataclass(frozen=True)
-class _Table:
-    """The cells of a file, by the meaning of their columns.
-
-    `names` holds the header's text for each meaning, `lines` the line of the file each row
-    begins on.
-    """
-
-    path: Path
-    crs: str
-    names: Mapping[str, str]
-    columns: Mapping[str, Sequence[str]]
-    lines: Sequence[int]
-    decimal_comma: bool
-
-    def error(self, what: str, row: int, meaning: str, hint: str | None = None) -> TermselError:
-        return TermselError(what, hint=hint, file=self.path, line=self.lines[row],
-                            column=self.names[meaning])
-
-    def placed(self, error: TermselError) -> TermselError:
-        """Return `error` with the line of the first feature it is about."""
-        line = self.lines[self.ids().index(error.ids[0])] if error.ids else None
-        return located(error, self.path, line)
-
-    def ids(self) -> list[str]:
-        names = [cell.strip() for cell in self.columns["id"]]
-        first: dict[str, int] = {}
-        for row, name in enumerate(names):
-            if not name:
-                raise self.error("the id is blank", row, "id", "Give every feature an id.")
-            if first.setdefault(name, row) != row:
-                raise self.error(f"id {name!r} is used already on line {self.lines[first[name]]}",
-                                 row, "id", "Give every feature an id of its own.")
-        return names
-
-    def roles(self) -> list[str]:
-        """Return the role of each row, "off" where it is not enabled."""
-        roles = [""] * len(self.lines)
-        for row, cell in enumerate(self.columns.get("role", ())):
-            roles[row] = cell.strip().lower()
-            if roles[row] and roles[row] not in ROLES:
-                raise self.error(f"unknown role {cell.strip()!r}", row, "role",
-                                 f"Roles are {', '.join(ROLES)}, or blank.")
-        for row, cell in enumerate(self.columns.get("enabled", ())):
-            enabled = _ENABLED.get(cell.strip().lower())
-            if enabled is None:
-                raise self.error(f"{cell.strip()!r} is neither true nor false", row, "enabled",
-                                 "Write 1 or 0.")
-            if not enabled:
-                roles[row] = "off"
-        return roles
-
-    def sigma(self) -> FloatArray | None:
-        """Return standard deviations of line and sample, None where there are none at all."""
-        if "sigma_line" not in self.columns:
-            return None
-        sigma = self.stack("sigma_line", "sigma_sample", may_be_blank=True)
-        blank = np.isnan(sigma)
-        if blank.all():
-            return None
-        if blank.any():
-            row, axis = (int(i) for i in np.argwhere(blank)[0])
-            raise self.error("the standard deviation is blank here but not everywhere", row,
-                             ("sigma_line", "sigma_sample")[axis],
-                             "Fill it in every row, or leave the columns out.")
-        return sigma
-
-    def stack(self, *meanings: str, may_be_blank: bool = False) -> FloatArray:
-        """Return columns of numbers side by side; heights may always be blank."""
-        return np.column_stack([self._numbers(meaning, may_be_blank or meaning[0] == "z")
-                                for meaning in meanings])
-
-    def _numbers(self, meaning: str, may_be_blank: bool) -> FloatArray:
-        # Whole columns at C speed; single cells are looked at only to say which one is bad.
-        cells = self.columns[meaning]
-        joined = "".join(cells)
-        texts = [cell.replace(",", ".") for cell in cells] if self.decimal_comma else cells
-        blank = np.zeros(len(cells), dtype=bool)
-        if may_be_blank:
-            blank = np.array([not cell or cell.isspace() for cell in cells])
-            texts = ["nan" if gone else text for text, gone in zip(texts, blank, strict=True)]
-        try:
-            values = np.fromiter(map(float, texts), np.float64, len(texts))
-        except ValueError:
-            raise self._bad_number(meaning, may_be_blank) from None
-        # float() reads 1_000, inf and nan; a decimal comma makes a point a thousands mark.
-        if ("_" in joined or (self.decimal_comma and "." in joined)
-                or not np.isfinite(values[~blank]).all()):
-            raise self._bad_number(meaning, may_be_blank)
-        return values
-
-    def _bad_number(self, meaning: str, may_be_blank: bool) -> TermselError:
-        for row, cell in enumerate(self.columns[meaning]):
-            text = cell.strip()
-            if not text and may_be_blank:
-                continue
-            if not text:
-                return self.error("the cell is blank, expected a number", row, meaning,
-                                  "Fill it in or remove the row.")
-            if self.decimal_comma and "." in text:
-                return self.error(f"{text!r} has a decimal point, others a decimal comma",
-                                  row, meaning, "Use one of them, and no thousands mark.")
-            try:
-                value = float(cell.replace(",", ".") if self.decimal_comma else cell)
-            except ValueError:
-                return self.error(f"{text!r} is not a number", row, meaning,
-                                  "Write a plain number such as 12.5.")
-            if not isfinite(value):
-                return self.error(f"{text!r} is not a finite number", row, meaning,
-                                  "Leave the cell blank where the value is not known."
-                                  if may_be_blank else "Mend it or remove the row.")
-            if "_" in text:
-                return self.error(f"{text!r} is not a plain number", row, meaning,
-                                  "Write it without underscores.")
-        raise AssertionError(f"no bad number in column {meaning!r}")
-
-
-def _split(text: str) -> tuple[list[str], dict[int, str]]:
-    """Return all lines, comments blank so that they still count, and comments by number."""
-    lines = list(io.StringIO(text, newline=""))
-    comments = {i: line for i, line in enumerate(lines) if line[0] == "#"}
-    for i in comments:
-        lines[i] = "\n"
-    return lines, {i + 1: line for i, line in comments.items()}
-
-
-def _header(lines: Sequence[str]) -> tuple[str, str]:
-    """Return the first line that is not blank, and the delimiter."""
-    line = next((line for line in lines if line.strip()), "")
-    return line, max(",;\t", key=line.count)
-
-
-def _matches(header: Sequence[str],
-             aliases: Mapping[str, tuple[str, ...]]) -> dict[str, list[int]]:
-    """Return the columns that could hold each meaning."""
-    folded = [cell.strip().casefold() for cell in header]
-    return {meaning: [i for i, cell in enumerate(folded) if cell in names]
-            for meaning, names in aliases.items()}
-
-
-def _sniff(head: bytes, aliases: Mapping[str, tuple[str, ...]]) -> bool:
-    # Another encoding is recognised too, so that read() can say what is wrong with it.
-    text = head.decode("utf-8-sig", errors="replace")
-    if "\0" in text:
-        return False
-    line, delimiter = _header(_split(text)[0])
-    matches = _matches(next(csv.reader([line], delimiter=delimiter), []), aliases)
-    return sum(bool(columns) for meaning, columns in matches.items() if meaning not in _TEXTS) >= 3
-
-
-def _columns(path: Path, line: int, header: Sequence[str],
-             aliases: Mapping[str, tuple[str, ...]]) -> dict[str, int]:
-    """Return the one column of each meaning, refusing missing and ambiguous ones."""
-    here = f"The columns here are: {', '.join(cell.strip() for cell in header)}."
-    found: dict[str, int] = {}
-    matches = _matches(header, aliases)
-    sigma = bool(matches.get("sigma_line") or matches.get("sigma_sample"))
-    for meaning, columns in matches.items():
-        if len(columns) > 1:
-            named = " and ".join(repr(header[i].strip()) for i in columns)
-            raise TermselError(f"columns {named} both mean {meaning}", file=path, line=line,
-                               column=header[columns[1]].strip(),
-                               hint="Rename or remove all but one.")
-        if columns:
-            found[meaning] = columns[0]
-        elif meaning not in _OPTIONAL or (sigma and meaning.startswith("sigma")):
-            blank = " Its cells may be blank." if meaning[0] == "z" else ""
-            raise TermselError(f"there is no column for {meaning}", file=path, line=line,
-                               column=meaning, hint=f"{here} Accepted names: "
-                                                    f"{', '.join(aliases[meaning])}.{blank}")
-    return found
-
-
-def _declared_crs(path: Path, comments: Mapping[int, str]) -> str:
-    """Return the CRS the comments declare, "" for none, and check the units."""
-    crs = ""
-    for line, comment in comments.items():
-        declared = _DECLARATION.match(comment)
-        if not declared:
-            continue
-        key, value = declared[1].lower(), declared[2]
-        if key == "crs":
-            try:
-                name = normalise(value)
-            except TermselError as error:
-                raise located(error, path, line) from error
-            if crs not in ("", name):
-                raise TermselError(f"the CRS is declared as {name} here and as {crs} before",
-                                   file=path, line=line, hint="Remove the wrong one.")
-            crs = name
-        elif not all(_UNITS.fullmatch(unit.strip()) for unit in value.split(",")):
-            raise TermselError(f"units {value!r} are not read", file=path, line=line,
-                               hint="Convert the ground coordinates to degrees or metres.")
-    return crs
-
-
-def _rows(path: Path, text: Sequence[str], delimiter: str) -> tuple[list[list[str]], list[int]]:
-    """Return the rows that are not blank and the line each begins on."""
-    reader = csv.reader(text, delimiter=delimiter, strict=True)
-    rows: list[list[str]] = []
-    lines: list[int] = []
-    end = 0
-    try:
-        for row in reader:
-            if "".join(row).strip():  # spreadsheets leave empty cells behind the data
-                rows.append(row)
-                lines.append(end + 1)
-            end = reader.line_num
-    except csv.Error as error:
-        raise TermselError(f"the row that begins here cannot be read: {error}", file=path,
-                           line=end + 1, hint='Look for a quotation mark (") that is not closed.'
-                           ) from error
-    return rows, lines
-
-
-def _read_table(path: Path, aliases: Mapping[str, tuple[str, ...]]) -> _Table:
-    text_lines, comments = _split(read_text(path))
-    crs = _declared_crs(path, comments)
-    _, delimiter = _header(text_lines)
-    rows, lines = _rows(path, text_lines, delimiter)
-    if not rows:
-        raise TermselError("the file holds no table", file=path,
-                           hint="It must begin with a header that names the columns.")
-    header, header_line = rows.pop(0), lines.pop(0)
-    found = _columns(path, header_line, header, aliases)
-    if not rows:
-        raise TermselError("there are no rows below the header", file=path, line=header_line,
-                           hint="Add one row for each feature.")
-    width = len(header)
-    if set(map(len, rows)) != {width}:
-        i = next(i for i, row in enumerate(rows) if len(row) != width)
-        comma = " A decimal comma needs semicolons between columns." if delimiter == "," else ""
-        raise TermselError(f"the row has {len(rows[i])} cells, but the header has {width}",
-                           file=path, line=lines[i],
-                           hint=f"Every row needs one cell for each column.{comma}")
-    columns = {meaning: [row[i] for row in rows] for meaning, i in found.items()}
-    decimal_comma = delimiter != "," and any(
-        "," in "".join(columns[meaning]) for meaning in columns.keys() - _TEXTS)
-    return _Table(path, crs, {meaning: header[i].strip() for meaning, i in found.items()},
-                  columns, lines, decimal_comma)
