@@ -133,8 +133,8 @@ def test_out_holds_the_result_the_residuals_and_the_summary(tmp_path) -> None:
     rows = (folder / "residuals.csv").read_text().splitlines()
     assert len(rows) == 1 + 2 * 120 + 24 + 26
     assert (folder / "summary.txt").read_text() == summary(result)
-    assert sorted(p.name for p in folder.iterdir()) == ["residuals.csv", "result.json",
-                                                        "summary.txt"]
+    assert sorted(p.name for p in folder.iterdir()) == [
+        "lines.csv", "points.csv", "residuals.csv", "result.json", "summary.txt"]
 
 
 def test_residuals_agree_with_the_rmse() -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import platform
-from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, replace
 from importlib.metadata import version
@@ -12,13 +11,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from termsel.features import BoolArray, FeatureSet, IntArray, Lines, select
+from termsel.features import BoolArray, FeatureSet
 from termsel.fitting import Fit, Rmse, fit, plain_fits
 from termsel.judging import judge, name_conventional, notes_on
 from termsel.problems.base import Selection
 from termsel.problems.selection import guard_points, pole_violation
-from termsel.result import Baseline, Residual, Result, plain_rmse, residuals_of
-from termsel.roles import Observations
+from termsel.residuals import residuals_of
+from termsel.result import Baseline, Result, plain_rmse
+from termsel.roles import Observations, with_roles
 from termsel.searching import Search
 from termsel.solvers.exact import gap
 
@@ -63,7 +63,8 @@ def assess(task: Task, found: Search) -> Result:
         evaluations=found.evaluations, lookups=found.lookups, generations=found.generations,
         seconds=found.seconds, interrupted=found.interrupted,
         polish=asdict(found.polish) if found.polish else None, fit=chosen,
-        residuals=tuple(_residuals(chosen, observations)), versions=_versions(),
+        residuals=residuals_of(chosen, observations),
+        features=with_roles(task.features, observations), versions=_versions(),
         front=tuple(_front(task, found)), certificate=_certificate(task, found))
 
 
@@ -181,37 +182,12 @@ def _control_alone(fitted: Fit, observations: Observations) -> Rmse | None:
     return alone.control_rmse()
 
 
-def _residuals(chosen: Fit, observations: Observations) -> Iterable[Residual]:
-    points, lines = observations.control.points, observations.control.lines
-    used = tuple(bool(on) for on in chosen.used)
-    yield from residuals_of(points.ids, chosen.errors(points), "control", used[:len(points)])
-    errors, piece = chosen.line_errors(), _pieces(lines)
-    for i in range(piece.max(initial=-1) + 1):
-        which = piece == i
-        features = len(points) + lines.feature[which]
-        for vertex in (0, 1):
-            yield from residuals_of(select(lines.ids, which), errors[which, vertex], "control",
-                                    tuple(used[f] for f in features),
-                                    f"vertex {2 * i + vertex + 1}")
-    for role, others in (("check", observations.check), ("independent", observations.independent)):
-        yield from residuals_of(others.ids, chosen.errors(others), role, (False,) * len(others))
-
-
-def _pieces(lines: Lines) -> IntArray:
-    """Return which piece of its feature each line is, counted from 0."""
-    seen: Counter[str] = Counter()
-    piece = np.empty(len(lines), dtype=np.intp)
-    for i, name in enumerate(lines.ids):
-        piece[i] = seen[name]
-        seen[name] += 1
-    return piece
-
-
 def _data(task: Task) -> dict[str, Any]:
     observations = task.observations
     return {
         "source": task.source, "sha256": _checksum(task.features), "crs": task.features.crs,
         "noise": task.features.noise,
+        "image_size": task.features.image_size and list(task.features.image_size),
         "counts": {"control": len(observations.control.points), "check": len(observations.check),
                    "independent": len(observations.independent),
                    "lines": len(observations.control.lines.features), "off": len(observations.off)},

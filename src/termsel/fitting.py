@@ -6,10 +6,12 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from termsel.adjustment.equations import line_normals
 from termsel.adjustment.solve import Adjustment, solve
 from termsel.features import BoolArray, FeatureSet, FloatArray, Points
+from termsel.inverse import Surface, locate
 from termsel.models.base import SensorModel
 from termsel.models.polynomial import Polynomial2D, Polynomial3D
 from termsel.scaling import Scaling, scaling_of
@@ -66,6 +68,11 @@ class Fit:
         scaled = self.model.predict(self.adjustment.coefficients, used,
                                     self.scaling.ground(ground))
         return self.scaling.pixels(scaled)
+
+    def locate(self, image: ArrayLike, height: ArrayLike | Surface) -> FloatArray:
+        """Return the ground points seen at image points (see `termsel.inverse.locate`)."""
+        return locate(self.project, image, height, centre=self.scaling.ground_offset,
+                      scale=self.scaling.ground_scale)
 
     def errors(self, points: Points) -> FloatArray:
         """Return measured minus computed line and sample [pixel], shape (n, 2)."""

@@ -4,14 +4,21 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
-from typing import Any
+from dataclasses import asdict, dataclass
+from html import escape
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from termsel.features import FloatArray
+from termsel.features import FeatureSet, FloatArray
 from termsel.fitting import Fit, Rmse
+from termsel.inverse import Surface
 from termsel.problems.base import Selection
+from termsel.residuals import Residuals
+
+if TYPE_CHECKING:
+    from termsel.rpc import Rpc
 
 SCHEMA = "termsel-result-1"
 ROLES = ("control", "check", "independent")
@@ -76,7 +83,10 @@ class Result:
         the polish, which come on top of the solver's.
     fit : Fit
         The fitted model.
-    residuals : tuple of Residual
+    residuals : Residuals
+        Of all features, as a table.
+    features : FeatureSet
+        What was measured; each point has the role it played.
     versions : mapping
     front : tuple
         Non-dominated selections of a search with several objectives.
@@ -105,7 +115,8 @@ class Result:
     interrupted: bool
     polish: Mapping[str, float] | None
     fit: Fit
-    residuals: tuple[Residual, ...]
+    residuals: Residuals
+    features: FeatureSet
     versions: Mapping[str, str]
     front: tuple[Mapping[str, Any], ...] = ()
     certificate: Mapping[str, Any] | None = None
@@ -153,55 +164,65 @@ class Result:
             "scaling": self.fit.scaling.to_dict(),
             "versions": dict(self.versions)}
 
+    def project(self, ground: ArrayLike) -> FloatArray:
+        """Return where the fitted model sees ground points.
+
+        Parameters
+        ----------
+        ground : array_like, shape (n, 3)
+            In the CRS of the control; NaN for heights a plane model does without.
+
+        Returns
+        -------
+        ndarray, shape (n, 2)
+            Line and sample [pixel].
+        """
+        return self.fit.project(np.asarray(ground, dtype=np.float64))
+
+    def locate(self, image: ArrayLike, height: ArrayLike | Surface) -> FloatArray:
+        """Return the ground points seen at image points, by the fitted model.
+
+        Parameters
+        ----------
+        image : array_like, shape (n, 2)
+            Line and sample [pixel].
+        height : array_like, shape (n,), a number, or callable
+            Heights, or what gives them for x and y, shape (n, 2), such as a DEM.
+
+        Returns
+        -------
+        ndarray, shape (n, 3)
+            In the CRS of the control; NaN where there is none.
+        """
+        return self.fit.locate(image, height)
+
+    def to_rpc(self) -> Rpc:
+        """Return the fitted model as RPC.
+
+        Rational functions and polynomials to the third degree of WGS84 longitude, latitude and
+        ellipsoidal height are RPCs as they are. Any other fit is replaced by the RPC next to
+        it, and what that costs is logged; `termsel.rpc_fitting.rpc_of` returns it.
+
+        Raises
+        ------
+        TermselError
+            If the ground coordinates cannot be turned into longitude and latitude, or no RPC
+            comes near the fit.
+        """
+        from termsel.rpc_fitting import rpc_of
+
+        return rpc_of(self.fit).rpc
+
     def to_json(self) -> str:
         """Return result.json as text."""
         return json.dumps(self.to_dict(), indent=1, allow_nan=False) + "\n"
 
 
-@dataclass(frozen=True)
-class Residual:
-    """What is left at one point, or at one ground vertex of a control line.
+    def _repr_html_(self) -> str:
+        """Return the summary for a notebook."""
+        from termsel.report.text import summary
 
-    Parameters
-    ----------
-    id : str
-    kind : str
-        "point", or "vertex 1" and "vertex 2" of a line and of its further pieces from 3 on.
-    role : str
-    used : bool
-        Whether the feature took part in the adjustment.
-    line, sample : float
-        Measured minus computed [pixel]; for a vertex, from its projection to the image line.
-    distance : float
-        Length of that vector [pixel].
-    """
-
-    id: str
-    kind: str
-    role: str
-    used: bool
-    line: float
-    sample: float
-    distance: float = field(init=False)
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "distance", float(np.hypot(self.line, self.sample)))
-
-
-def residuals_of(ids: tuple[str, ...], errors: FloatArray, role: str,
-                 used: tuple[bool, ...], kind: str = "point") -> list[Residual]:
-    """Return the residuals of one role.
-
-    Parameters
-    ----------
-    ids : tuple of str, length n
-    errors : ndarray, shape (n, 2)
-    role : str
-    used : tuple of bool, length n
-    kind : str
-    """
-    return [Residual(name, kind, role, on, float(line), float(sample))
-            for name, on, (line, sample) in zip(ids, used, errors, strict=True)]
+        return f"<pre>{escape(summary(self))}</pre>"
 
 
 def plain_rmse(rmse: Rmses) -> dict[str, Any]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -169,6 +169,37 @@ def observe(
         check=points.take(roles == "check"),
         independent=points.take(roles == "independent"),
         off=tuple(points.ids[i] for i in np.flatnonzero(off)))
+
+
+def with_roles(features: FeatureSet, observations: Observations) -> FeatureSet:
+    """Return the features, each point with the role it has in the observations.
+
+    Parameters
+    ----------
+    features : FeatureSet
+        What the observations were made of. Lines that are not control are left out.
+    observations : Observations
+    """
+    role = {name: role for role, ids in (
+        ("control", observations.control.points.ids), ("check", observations.check.ids),
+        ("independent", observations.independent.ids), ("off", observations.off)) for name in ids}
+    points = replace(features.points, roles=tuple(role[name] for name in features.points.ids))
+    return features.with_(points=points, lines=observations.control.lines)
+
+
+def by_roles(features: FeatureSet) -> Observations:
+    """Return the observations of features whose points all have a role.
+
+    Parameters
+    ----------
+    features : FeatureSet
+        As from `with_roles`.
+    """
+    points, roles = features.points, np.array(features.points.roles, dtype=object)
+    control, check, independent = (points.take(roles == role) if (roles == role).any()
+                                   else no_points() for role in ASSIGNABLE)
+    return Observations(features.with_(points=control), check, independent,
+                        tuple(points.ids[i] for i in np.flatnonzero(roles == "off")))
 
 
 def _share_out(xy: FloatArray, shares: Sequence[float], how: str,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -68,6 +69,14 @@ class Scaling:
             "sample_offset": self.image_offset[1], "sample_scale": self.image_scale,
             **{f"{axis}_{part}": getattr(self, f"ground_{part}")[i]
                for part in ("offset", "scale") for i, axis in enumerate("xyz")}}
+
+    @classmethod
+    def from_dict(cls, values: Mapping[str, float]) -> Scaling:
+        """Return the scaling that `to_dict` gave these numbers for."""
+        offset, scale = (tuple(values[f"{axis}_{part}"] for axis in "xyz")
+                         for part in ("offset", "scale"))
+        return cls((offset[0], offset[1], offset[2]), (scale[0], scale[1], scale[2]),
+                   (values["line_offset"], values["sample_offset"]), values["line_scale"])
 
 
 def scaling_of(features: FeatureSet) -> Scaling:

@@ -1,17 +1,26 @@
-"""The folder of a result: result.json, residuals.csv, summary.txt."""
+"""The folder of a result: result.json, what it was made of, and tables for people."""
 
 from __future__ import annotations
 
 import csv
 import io
+import json
 import os
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 from termsel.errors import TermselError
+from termsel.features import FeatureSet, no_lines, no_points
 from termsel.io.atomic import write_text
+from termsel.io.base import read_text
+from termsel.io.csv_tables import LinesCsv, PointsCsv, write_lines_csv, write_points_csv
+from termsel.reloading import result_from
 from termsel.report.text import summary
-from termsel.result import Result
+from termsel.result import SCHEMA, Result
+from termsel.roles import by_roles
 
+RECORD, POINTS, LINES = "result.json", "points.csv", "lines.csv"
 RESIDUAL_COLUMNS = ("id", "kind", "role", "used", "residual_line", "residual_sample", "distance")
 
 
@@ -33,7 +42,10 @@ def claim_folder(folder: Path) -> None:
 
 
 def write_result(result: Result, folder: Path) -> None:
-    """Write result.json, residuals.csv and summary.txt, each whole or not at all.
+    """Write result.json, residuals.csv, summary.txt and the features, each whole or not at all.
+
+    With points.csv and lines.csv the folder says all there is to know of the result, wherever
+    the files are by then that the features came from.
 
     Parameters
     ----------
@@ -41,9 +53,73 @@ def write_result(result: Result, folder: Path) -> None:
     folder : Path
         One that exists; files of an earlier result are replaced.
     """
+    features = result.features
+    if len(features.points):
+        write_points_csv(features.points, folder / POINTS, features.crs)
+    if len(features.lines):
+        write_lines_csv(features.lines, folder / LINES, features.crs)
     write_text(folder / "residuals.csv", residuals_csv(result))
     write_text(folder / "summary.txt", summary(result))
-    write_text(folder / "result.json", result.to_json())
+    write_text(folder / RECORD, result.to_json())
+
+
+def read_result(folder: Path | str) -> Result:
+    """Return the result a run has written to a folder.
+
+    Parameters
+    ----------
+    folder : path-like
+        As given to ``--out``.
+
+    Returns
+    -------
+    Result
+        As the run returned it.
+
+    Raises
+    ------
+    TermselError
+        If there is no result, a file of it is missing, damaged or of another version, or its
+        model is of a plugin that is not installed.
+    """
+    path = Path(folder) / RECORD
+    if not path.is_file():
+        raise TermselError("there is no result here", file=path,
+                           hint="Give the folder of a run, as in termsel run --out DIR.")
+    try:
+        record = json.loads(read_text(path))
+    except json.JSONDecodeError as error:
+        raise TermselError(f"this is not JSON: {error.msg}", file=path, line=error.lineno,
+                           hint="Run the search again.") from error
+    if not isinstance(record, dict) or record.get("schema") != SCHEMA:
+        raise TermselError(f"this is not a result of the form {SCHEMA}", file=path,
+                           hint="Run the search again with this version of termsel.")
+    features = _read_features(Path(folder), record)
+    try:
+        return result_from(record, features)
+    except (KeyError, TypeError, ValueError) as error:
+        raise TermselError(f"this result is damaged: {type(error).__name__}: {error}", file=path,
+                           hint="Run the search again.") from error
+
+
+def _read_features(folder: Path, record: Mapping[str, Any]) -> FeatureSet:
+    """Return the features of a result, refusing other features than it was made of."""
+    points = PointsCsv().read(folder / POINTS).points if (folder / POINTS).exists() else no_points()
+    lines = LinesCsv().read(folder / LINES).lines if (folder / LINES).exists() else no_lines()
+    data = record.get("data", {})
+    size = data.get("image_size")
+    features = FeatureSet(points, lines, data.get("crs", ""), size and tuple(size),
+                          data.get("noise"))
+    observations = by_roles(features)
+    roles = {"control": observations.control.ids, "check": observations.check.ids,
+             "independent": observations.independent.ids, "off": observations.off}
+    for role, ids in roles.items():
+        if set(ids) != set(data.get("roles", {}).get(role, ())):
+            raise TermselError(f"{POINTS} and {LINES} do not hold the features in the role {role} "
+                               f"that {RECORD} names", file=folder,
+                               hint="Leave the files of a result as they are; run the search "
+                                    "again.")
+    return features
 
 
 def residuals_csv(result: Result) -> str:

@@ -1,0 +1,125 @@
+"""A result is whole when it is read again from its folder."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import termsel
+from termsel.errors import TermselError
+from termsel.features import FeatureSet, Points
+from termsel.io.result_files import read_result, write_result
+from termsel.result import Result
+from termsel.testing import example_results
+
+
+@pytest.fixture(scope="module")
+def of_lines() -> Result:
+    return termsel.run("owdis-lines", generations=2, options={"population": 30, "polish": False})
+
+
+def _written(result: Result, folder: Path) -> Result:
+    folder.mkdir(exist_ok=True)
+    write_result(result, folder)
+    return read_result(folder)
+
+
+@pytest.mark.parametrize("which", [0, 1])
+def test_read_again_it_is_the_same(which: int, tmp_path: Path) -> None:
+    result = example_results()[which]
+    again = _written(result, tmp_path)
+    assert again.to_json() == result.to_json()
+    assert again.residuals == result.residuals
+    assert again._repr_html_() == result._repr_html_()
+    ground = result.features.points.ground
+    assert np.array_equal(again.project(ground), result.project(ground))
+
+
+def test_read_again_with_lines(of_lines: Result, tmp_path: Path) -> None:
+    again = _written(of_lines, tmp_path)
+    assert again.to_json() == of_lines.to_json()
+    assert again.residuals == of_lines.residuals
+    assert len(again.features.lines) == 120
+    assert len(again.residuals) == 2 * 120 + 24 + 26
+
+
+def test_blank_heights_and_roles_survive(tmp_path: Path) -> None:
+    rng = np.random.default_rng(3)
+    ground = np.column_stack([rng.uniform(0.0, 1000.0, (30, 2)), np.full(30, np.nan)])
+    image = 500.0 + 0.5 * ground[:, :2] + rng.normal(0.0, 0.2, (30, 2))
+    points = Points(tuple(f"p{i}" for i in range(30)), image, ground,
+                    roles=("off", "check", *[""] * 28))
+    result = termsel.run("poly-terms", features=FeatureSet(points, image_size=(1000, 1001)),
+                         solver="all-terms", model="poly2d", options={"degree": 1})
+    again = _written(result, tmp_path)
+    assert again.to_json() == result.to_json()
+    assert again.features.points.roles == result.features.points.roles
+    assert again.features.points.roles[:2] == ("off", "check")
+    assert again.features.image_size == (1000, 1001)
+
+
+def test_image_to_ground_and_back(tmp_path: Path) -> None:
+    result = _written(termsel.run("rfm-terms", model="poly3d", solver="all-terms",
+                                  dataset="irs1c-mashad"), tmp_path)
+    ground = result.features.points.ground
+    image = result.project(ground)
+    assert np.abs(result.locate(image, ground[:, 2]) - ground).max() < 1e-8
+    on_slope = result.locate(image, lambda xy: 1000.0 + 2000.0 * (xy[:, 0] - 59.6))
+    assert np.abs(on_slope[:, 2] - 1000.0 - 2000.0 * (on_slope[:, 0] - 59.6)).max() < 1e-3
+    assert np.abs(result.project(on_slope) - image).max() < 1e-5
+
+
+def test_residuals_are_a_table_for_pandas_and_features_for_geopandas() -> None:
+    pandas = pytest.importorskip("pandas")
+    result = example_results()[0]
+    table = pandas.DataFrame(result.residuals)
+    assert list(table.columns) == ["id", "kind", "role", "used", "line", "sample", "x", "y", "z",
+                                   "distance"]
+    assert len(table) == 60
+    independent = table[table.role == "independent"]
+    assert np.sqrt((independent.distance**2).mean()) == pytest.approx(
+        result.rmse["independent"].total)
+    shapely = pytest.importorskip("shapely.geometry")
+    collection = result.residuals.__geo_interface__
+    first = collection["features"][0]
+    assert shapely.shape(first["geometry"]).z == result.residuals[0].z
+    assert first["properties"]["id"] == result.residuals[0].id
+
+
+def test_notebook_shows_the_summary() -> None:
+    assert example_results()[0]._repr_html_().startswith("<pre>rfm-terms: model rfm")
+
+
+def _damaged(folder: Path, **change: object) -> None:
+    path = folder / "result.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | change))
+
+
+@pytest.mark.parametrize(("change", "message"), [
+    ({"schema": "termsel-result-0"}, "not a result of the form termsel-result-1"),
+    ({"model": "rfn"}, "unknown model 'rfn'"),
+    ({"scaling": {}}, "this result is damaged"),
+    ({"coefficients": {"line.num:W": 1.0}}, "this result is damaged")])
+def test_damaged_records_are_refused(change: dict[str, object], message: str, tmp_path: Path,
+                                     ) -> None:
+    write_result(example_results()[0], tmp_path)
+    _damaged(tmp_path, **change)
+    with pytest.raises(TermselError, match=message):
+        read_result(tmp_path)
+
+
+def test_folders_that_lack_something_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(TermselError, match=r"result\.json: there is no result here"):
+        read_result(tmp_path)
+    write_result(example_results()[0], tmp_path)
+    whole = (tmp_path / "result.json").read_text()
+    (tmp_path / "result.json").write_text(whole[:500])
+    with pytest.raises(TermselError, match=r"result\.json, line \d+: this is not JSON"):
+        read_result(tmp_path)
+    (tmp_path / "result.json").write_text(whole)
+    (tmp_path / "points.csv").unlink()
+    with pytest.raises(TermselError, match="do not hold the features in the role control"):
+        read_result(tmp_path)
