@@ -12,18 +12,19 @@ from typing import TYPE_CHECKING, Any
 __version__ = "0.1.0"
 
 if TYPE_CHECKING:
-    from termsel.adjustment import Equations
+    from termsel.adjustment import Equations, line_normals
     from termsel.criteria import Criterion, Fits
     from termsel.datasets import DatasetSpec
     from termsel.errors import TermselError
     from termsel.features import FeatureSet, Lines, Points
     from termsel.io.base import Reader, Writer
-    from termsel.models import Blocks, RationalModel, SensorModel
+    from termsel.io.reading import read
+    from termsel.models import Blocks, Polynomial2D, RationalModel, SensorModel
     from termsel.options import Option
     from termsel.plugins import hookimpl
     from termsel.problems.base import Evaluation, Genome, Problem, Segment, Selection
     from termsel.problems.recipes import Recipe
-    from termsel.problems.selection import Inputs
+    from termsel.problems.selection import Inputs, SelectionProblem
     from termsel.result import Result
     from termsel.running import Task, prepare, run
     from termsel.searching import Search, search
@@ -44,6 +45,7 @@ _HOME = {
     "Lines": "termsel.features",
     "Option": "termsel.options",
     "Points": "termsel.features",
+    "Polynomial2D": "termsel.models",
     "Problem": "termsel.problems.base",
     "RationalModel": "termsel.models",
     "Reader": "termsel.io.base",
@@ -52,12 +54,14 @@ _HOME = {
     "Search": "termsel.searching",
     "Segment": "termsel.problems.base",
     "Selection": "termsel.problems.base",
+    "SelectionProblem": "termsel.problems.selection",
     "SensorModel": "termsel.models",
     "Solver": "termsel.solvers",
     "Task": "termsel.running",
     "TermselError": "termsel.errors",
     "Writer": "termsel.io.base",
     "hookimpl": "termsel.plugins",
+    "line_normals": "termsel.adjustment",
     "prepare": "termsel.running",
     "run": "termsel.running",
     "search": "termsel.searching",
@@ -79,6 +83,7 @@ __all__ = [
     "Option",
     "Points",
     "Problem",
+    "Polynomial2D",
     "RationalModel",
     "Reader",
     "Recipe",
@@ -87,6 +92,7 @@ __all__ = [
     "Segment",
     "Selection",
     "SensorModel",
+    "SelectionProblem",
     "Solver",
     "Task",
     "TermselError",
@@ -94,6 +100,7 @@ __all__ = [
     "__version__",
     "hookimpl",
     "prepare",
+    "line_normals",
     "run",
     "search",
     "simulate_scene",

@@ -17,7 +17,7 @@ from termsel.judging import judge, name_conventional, notes_on
 from termsel.problems.base import Selection
 from termsel.problems.selection import guard_points, pole_violation
 from termsel.residuals import residuals_of
-from termsel.result import Baseline, Result, plain_rmse
+from termsel.result import LEAVE_ONE_OUT, Baseline, Result, plain_rmse
 from termsel.roles import Observations, with_roles
 from termsel.searching import Search
 from termsel.solvers.exact import gap
@@ -46,8 +46,9 @@ def assess(task: Task, found: Search) -> Result:
                              task.scaling.points(observations.check))
         feasible = not pole_violation(task.model, found.coefficients[None], guard).any()
         objectives = []  # those of least squares are not those of these coefficients
-    rmse = {"control": chosen.control_rmse(), "check": chosen.rmse(observations.check),
-            "independent": chosen.rmse(observations.independent)}
+    rmse = _figures(chosen, observations)
+    if found.coefficients is not None:
+        rmse.pop(LEAVE_ONE_OUT, None)  # that would be of least squares too
     baselines = tuple(_baselines(task))
     return Result(
         problem=task.recipe.name, model=task.model.name, solver=task.solver.name,
@@ -103,6 +104,15 @@ def recommended(task: Task, found: Search) -> Search:
                    violation=float(evaluation.violation[index]))
 
 
+def _figures(fitted: Fit, observations: Observations) -> dict[str, Rmse | None]:
+    """Return the RMSE by role, and where control corrects itself, leave-one-out beside it."""
+    figures = {"control": fitted.control_rmse(), "check": fitted.rmse(observations.check),
+               "independent": fitted.rmse(observations.independent)}
+    if fitted.model.corrects:
+        figures[LEAVE_ONE_OUT] = fitted.leave_one_out_rmse()
+    return figures
+
+
 def _certificate(task: Task, found: Search) -> Mapping[str, Any] | None:
     """Return what the solver proved, or how far its find is from the proven optimum."""
     if (found.certificate is not None or found.violation or found.interrupted
@@ -155,14 +165,11 @@ def _baselines(task: Task) -> Iterable[Baseline]:
 
 def _baseline(name: str, fitted: Fit, observations: Observations,
               roles: tuple[str, ...]) -> Baseline:
-    if observations.control is fitted.control:
-        control = fitted.control_rmse()
-    else:
+    figures = _figures(fitted, observations)
+    if observations.control is not fitted.control:
         # The check points served as control; the figure of control is of control alone.
-        control = _control_alone(fitted, observations)
-    return Baseline(name, int(fitted.terms.sum()), roles, fitted.adjustment.feasible,
-                    {"control": control, "check": fitted.rmse(observations.check),
-                     "independent": fitted.rmse(observations.independent)})
+        figures["control"] = _control_alone(fitted, observations)
+    return Baseline(name, int(fitted.terms.sum()), roles, fitted.adjustment.feasible, figures)
 
 
 def _heights(observations: Observations) -> bool:

@@ -92,11 +92,20 @@ class Fit:
 
     def control_rmse(self) -> Rmse | None:
         """Return the RMSE of the control features in use."""
-        n = len(self.control.points)
-        errors = np.concatenate([self.errors(self.control.points)[self.used[:n]],
-                                 self.line_errors()[self.used[n:][self.control.lines.feature]]
-                                 .reshape(-1, 2)])
-        return _rmse(errors, int(self.used.sum()))
+        return _rmse(self._control_errors(self.used), int(self.used.sum()))
+
+    def leave_one_out_rmse(self) -> Rmse | None:
+        """Return the RMSE of the control features in use, each under the fit without it."""
+        one_each = np.eye(len(self.used), dtype=bool)[self.used]
+        errors = [fit(self.model, self.control, self.scaling, self.terms, self.used & ~one)
+                  ._control_errors(one) for one in one_each]
+        return _rmse(np.concatenate(errors), len(errors))
+
+    def _control_errors(self, features: BoolArray) -> FloatArray:
+        """Return the errors of some control features [pixel], of lines at each vertex."""
+        n, lines = len(self.control.points), self.control.lines
+        return np.concatenate([self.errors(self.control.points)[features[:n]],
+                               self.line_errors()[features[n:][lines.feature]].reshape(-1, 2)])
 
     def rmse(self, points: Points) -> Rmse | None:
         """Return the RMSE of points that took no part in the adjustment; None without points."""

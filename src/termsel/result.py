@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 
 SCHEMA = "termsel-result-1"
 ROLES = ("control", "check", "independent")
+LEAVE_ONE_OUT = "leave-one-out"
+"""Key of a further RMSE of the control, under models that correct predictions by it."""
 
 Rmses = Mapping[str, Rmse | None]
 
@@ -226,11 +228,14 @@ class Result:
 
 
 def plain_rmse(rmse: Rmses) -> dict[str, Any]:
-    """Return RMSE by role as result.json holds them; null where there are no points."""
+    """Return RMSE by role as result.json holds them; null where there are no points.
+
+    That by leave-one-out stands beside them, if there is one.
+    """
     nothing = {"line": None, "sample": None, "total": None, "n": 0}
     return {role: nothing if value is None else
             {k: _number(v) if k != "n" else v for k, v in asdict(value).items()}
-            for role, value in ((role, rmse.get(role)) for role in ROLES)}
+            for role, value in ((role, rmse.get(role)) for role in dict.fromkeys((*ROLES, *rmse)))}
 
 
 def _number(value: float) -> float | None:

@@ -10,9 +10,21 @@ from scipy.interpolate import RBFInterpolator
 pytest.importorskip("termsel_hybrids", reason="termsel-hybrids is not installed: "
                     "pip install -e plugins/termsel-hybrids")
 
-from termsel import FeatureSet, Points, SensorModel
+import termsel
+from termsel import FeatureSet, Lines, Points, SensorModel
 from termsel.adjustment import solve
+from termsel.models.projective import DLT2D
 from termsel.plugins.manager import registry
+from termsel.testing import Check, model_checks
+from termsel_hybrids import Hybrid1, Hybrid3, Multiquadric, Pointwise
+
+MODELS = ("multiquadric", "pointwise", "hybrid-1", "hybrid-3")
+
+
+def model_of(name: str, **options: object) -> SensorModel:
+    model = registry().get("models", name)(**options)
+    assert isinstance(model, SensorModel)
+    return model
 
 
 def control_points(n: int = 30, seed: int = 3) -> Points:
@@ -28,59 +40,69 @@ def fitted(model: SensorModel, control: Points) -> NDArray[np.float64]:
     return solve(model.equations(FeatureSet(control))).coefficients
 
 
-def test_is_registered_under_its_name() -> None:
-    entry = next(e for e in registry().entries("models") if e.name == "multiquadric")
+def predicted(model: SensorModel, control: Points, ground: NDArray[np.float64],
+              ) -> NDArray[np.float64]:
+    return model.predict(fitted(model, control), FeatureSet(control), ground)
+
+
+CHECKS = {
+    "multiquadric": model_checks(Multiquadric),
+    "hybrid-3": model_checks(Hybrid3),
+    "hybrid-1": model_checks(Hybrid1, options=[{"degree": d} for d in (1, 3)]),
+    "pointwise": model_checks(Pointwise) + model_checks(
+        Pointwise, options=[{"local_degree": 3, "count": 12}, {"local_degree": 0}]),
+}
+
+
+@pytest.mark.parametrize("check", [
+    pytest.param(check, id=f"{name}-{i}-{check.name}")
+    for name, checks in CHECKS.items() for i, check in enumerate(checks)])
+def test_conforms(check: Check) -> None:
+    check.run()
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_is_registered_under_its_name(name: str) -> None:
+    entry = next(e for e in registry().entries("models") if e.name == name)
     assert entry.provided_by == "termsel-hybrids"
-    assert entry.summary.startswith("Plane polynomial with multiquadric")
+    assert model_of(name).corrects
     assert not registry().failures("models")
 
 
-@pytest.mark.parametrize("degree", [1, 2, 5])
-def test_has_the_terms_of_poly2d(degree: int) -> None:
-    model = registry().get("models", "multiquadric")(degree=degree)
-    plane = registry().get("models", "poly2d")(degree=degree)
-    ground = control_points().ground
-    assert model.terms == plane.terms
-    np.testing.assert_allclose(model.blocks(ground).line, plane.blocks(ground).line, rtol=1e-14)
+@pytest.mark.parametrize("name", MODELS)
+def test_has_the_terms_of_poly2d(name: str) -> None:
+    assert model_of(name, degree=3).terms == model_of("poly2d", degree=3).terms
+    assert not model_of(name).uses_height
 
 
-def test_interpolates_residuals_as_a_linear_radial_basis_function() -> None:
-    model = registry().get("models", "multiquadric")()
-    control = control_points()
-    coefficients = fitted(model, control)
+# Multiquadric and hybrid-3
+
+
+@pytest.mark.parametrize("name", ["multiquadric", "hybrid-3"])
+def test_interpolates_residuals_as_a_linear_radial_basis_function(name: str) -> None:
+    model, control = model_of(name), control_points()
     ground = control_points(200, seed=4).ground
+    coefficients = fitted(model_of("poly2d", **model.options), control)
     plain = model.project(coefficients, ground)
     residuals = control.image - model.project(coefficients, control.ground)
     expected = RBFInterpolator(control.ground[:, :2], residuals, kernel="linear", degree=-1)
-    assert np.abs(residuals).max() > 0.01
-    np.testing.assert_allclose(model.predict(coefficients, FeatureSet(control), ground) - plain,
-                               expected(ground[:, :2]), atol=1e-12)
+    assert np.abs(residuals).max() > 0.003
+    np.testing.assert_allclose(predicted(model, control, ground) - plain, expected(ground[:, :2]),
+                               atol=1e-12)
 
 
 def test_control_points_are_met_exactly() -> None:
-    model = registry().get("models", "multiquadric")()
     control = control_points()
-    met = model.predict(fitted(model, control), FeatureSet(control), control.ground)
+    met = predicted(model_of("multiquadric"), control, control.ground)
     np.testing.assert_allclose(met, control.image, atol=1e-12)
 
 
-def test_a_population_is_predicted_as_its_members_are() -> None:
-    model = registry().get("models", "multiquadric")()
-    control = control_points()
-    one = fitted(model, control)
-    many = np.stack([one, 0.5 * one, 0 * one])
-    together = model.predict(many, FeatureSet(control), control.ground[:5])
-    for coefficients, expected in zip(many, together, strict=True):
-        np.testing.assert_allclose(
-            model.predict(coefficients, FeatureSet(control), control.ground[:5]), expected,
-            atol=1e-12)
-
-
 def test_points_at_one_place_share_their_mean_residual() -> None:
-    model = registry().get("models", "multiquadric")()
+    model = model_of("multiquadric")
     control = control_points().ground.copy()
     control[1, :2] = control[0, :2]
     weights = model.residual_weights(control, control)
+    assert weights is not None
     values = np.arange(30.0)
     spread = weights @ values
     np.testing.assert_allclose(spread[:2], [0.5, 0.5], atol=1e-9)
@@ -88,6 +110,197 @@ def test_points_at_one_place_share_their_mean_residual() -> None:
 
 
 def test_one_control_point_corrects_nothing() -> None:
-    model = registry().get("models", "multiquadric")()
     ground = control_points().ground
-    assert not model.residual_weights(ground[:1], ground).any()
+    weights = model_of("multiquadric").residual_weights(ground[:1], ground)
+    assert weights is not None
+    assert not weights.any()
+
+
+def test_fitness_under_hybrid_3_is_that_after_interpolation() -> None:
+    """Some terms of a polynomial, then scipy's interpolation of what they leave."""
+    task = termsel.prepare("poly-terms", model="hybrid-3")
+    problem = task.problem
+    genes = problem.genome.random(np.random.default_rng(1), 20)
+    genes[:, [0, 1, 2, 15, 16, 17]] = True
+    found = problem.evaluate(genes)
+    control = task.scaling.features(task.observations.control)
+    check = task.scaling.points(task.observations.check)
+    equations = task.model.equations(control)
+    terms = np.array(task.model.terms)
+    for one, fitness in zip(genes, found.objectives[:, 0], strict=True):
+        used = np.isin(terms, problem.decode(one).terms)
+        coefficients = solve(equations, used).coefficients
+        residuals = control.points.image - task.model.project(coefficients, control.points.ground)
+        correction = RBFInterpolator(control.points.ground[:, :2], residuals, kernel="linear",
+                                     degree=-1)(check.ground[:, :2])
+        errors = task.model.project(coefficients, check.ground) + correction - check.image
+        rmse = np.sqrt((errors**2).sum(axis=1).mean()) * task.scaling.image_scale
+        assert fitness == pytest.approx(rmse, rel=1e-9)
+
+
+def test_the_best_terms_under_hybrid_3_are_proven() -> None:
+    found = termsel.run("poly-terms", model="hybrid-3", solver="exact", options={"degree": 3})
+    searched = termsel.run("poly-terms", model="hybrid-3", options={"degree": 3}, generations=20)
+    assert found.certificate is not None
+    assert found.certificate["optimal"]
+    assert found.objectives["check-rmse"] <= searched.objectives["check-rmse"] + 1e-9
+
+
+# Pointwise
+
+
+def by_hand(control: Points, place: NDArray[np.float64], neighbours: NDArray[np.intp],
+            power: int, *, degree: int = 1) -> NDArray[np.float64]:
+    """Fit a polynomial of image coordinates to some control points; return its value."""
+    offset = control.ground[neighbours, :2] - place[:2]
+    distance = np.linalg.norm(offset, axis=1)
+    weight = 1 / (distance / distance.max() + 1e-4)**power
+    x, y = offset.T
+    columns = np.stack([x**i * y**j for i in range(degree + 1) for j in range(degree + 1 - i)],
+                       axis=1)
+    root = np.sqrt(weight)[:, None]
+    found = np.linalg.lstsq(root * columns, root * control.image[neighbours], rcond=None)[0]
+    return np.asarray(found[0])
+
+
+@pytest.mark.parametrize(("weight", "power"), [("uniform", 0), ("inverse-distance", 1),
+                                               ("inverse-square", 2)])
+@pytest.mark.parametrize("degree", [1, 2])
+def test_nearest_neighbours_are_fitted_point_by_point(weight: str, power: int,
+                                                      degree: int) -> None:
+    # A local polynomial absorbs a global one of its degree, so image coordinates are fitted.
+    control, places = control_points(40), control_points(25, seed=4).ground
+    model = model_of("pointwise", degree=degree, local_degree=degree, weight=weight, count=9)
+    for place, found in zip(places, predicted(model, control, places), strict=True):
+        distance = np.linalg.norm(control.ground[:, :2] - place[:2], axis=1)
+        nearest = np.argsort(distance)[:9]
+        np.testing.assert_allclose(
+            found, by_hand(control, place, nearest, power, degree=degree), atol=1e-9)
+
+
+def test_neighbours_in_each_quadrant() -> None:
+    control, places = control_points(40), control_points(25, seed=4).ground
+    model = model_of("pointwise", degree=1, neighbours="quadrants", count=3)
+    for place, found in zip(places, predicted(model, control, places), strict=True):
+        offset = control.ground[:, :2] - place[:2]
+        distance = np.linalg.norm(offset, axis=1)
+        around: list[int] = []
+        for right in (True, False):
+            for up in (True, False):
+                inside = np.flatnonzero(((offset[:, 0] >= 0) == right)
+                                        & ((offset[:, 1] >= 0) == up))
+                around.extend(inside[np.argsort(distance[inside])][:3])
+        np.testing.assert_allclose(found, by_hand(control, place, np.array(around), 2), atol=1e-9)
+
+
+def test_residuals_beyond_the_global_polynomial_are_corrected() -> None:
+    control, others = control_points(60), control_points(50, seed=4)
+
+    def rmse(model: SensorModel) -> float:
+        errors = predicted(model, control, others.ground) - others.image
+        return float(np.sqrt((errors**2).mean()))
+
+    assert rmse(model_of("pointwise")) < 0.5 * rmse(model_of("poly2d", degree=2))
+
+
+def test_a_local_mean_keeps_to_its_neighbours() -> None:
+    model = model_of("pointwise", local_degree=0, weight="gaussian", count=5)
+    control, places = control_points().ground, control_points(seed=4).ground
+    weights = model.residual_weights(control, places)
+    assert weights is not None
+    assert ((weights > 0).sum(axis=1) == 5).all()
+    np.testing.assert_allclose(weights.sum(axis=1), 1)
+    distance = np.linalg.norm(places[:, None, :2] - control[None, :, :2], axis=2)
+    np.testing.assert_array_equal(weights.argmax(axis=1), distance.argmin(axis=1))
+
+
+@pytest.mark.parametrize("n", [1, 2, 5])
+def test_few_control_points_lower_the_local_degree(n: int) -> None:
+    model = model_of("pointwise", local_degree=2)
+    weights = model.residual_weights(control_points(n).ground, control_points(seed=4).ground)
+    assert weights is not None
+    np.testing.assert_allclose(weights.sum(axis=1), 1)  # constants are kept
+
+
+# Hybrid-1
+
+
+def test_hybrid_1_is_a_polynomial_and_then_a_projective_transformation_of_its_output() -> None:
+    control, places = control_points(), control_points(40, seed=4).ground
+    polynomial, second = model_of("poly2d", degree=3), DLT2D()
+    first = fitted(polynomial, control)
+
+    def computed(ground: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.column_stack([polynomial.project(first, ground), np.zeros(len(ground))])
+
+    middle = Points(control.ids, control.image, computed(control.ground))
+    expected = second.project(fitted(second, middle), computed(places))
+    found = predicted(model_of("hybrid-1"), control, places)
+    np.testing.assert_allclose(found, expected, atol=1e-10)
+    assert np.abs(found - computed(places)[:, :2]).max() > 1e-4
+
+
+def test_the_second_step_of_hybrid_1_takes_lines() -> None:
+    """Lines whose image a projective transformation has bent out of shape."""
+    rng = np.random.default_rng(6)
+    second = np.array([0.05, 0.9, 0.1, 0.02, -0.03, -0.1, 0.95, 0.03, 0.06, -0.05, 0.04])
+    vertices = rng.uniform(-1, 1, (30, 2, 3))
+    image = DLT2D().project(second, vertices.reshape(-1, 3)).reshape(30, 2, 2)
+    lines = Lines(tuple(f"L{i}" for i in range(30)),
+                  image[:, :1] + np.array([-0.2, 1.3])[:, None] * (image[:, 1:] - image[:, :1]),
+                  vertices)
+    model = model_of("hybrid-1", degree=1)
+    identity = np.zeros(len(model.terms))
+    identity[[model.terms.index("line.num:X"), model.terms.index("sample.num:Y")]] = 1.0
+    places = rng.uniform(-1, 1, (20, 3))
+    found = model.predict(identity, FeatureSet(lines=lines), places)
+    np.testing.assert_allclose(found, DLT2D().project(second, places), atol=1e-9)
+
+
+def test_without_control_hybrid_1_is_its_polynomial() -> None:
+    model, control = model_of("hybrid-1"), control_points()
+    coefficients = fitted(model, control)
+    np.testing.assert_allclose(model.predict(coefficients, FeatureSet(), control.ground),
+                               model.project(coefficients, control.ground))
+
+
+def test_hybrid_1_cannot_be_enumerated() -> None:
+    with pytest.raises(termsel.TermselError, match="second step of model 'hybrid-1'"):
+        termsel.prepare("poly-terms", model="hybrid-1", solver="exact").problem.parts()
+
+
+# Hybrid-2, and all of them in a run
+
+
+def test_hybrid_2_is_poly_terms_by_ga() -> None:
+    mine = termsel.run("hybrid-2", generations=5)
+    plain = termsel.run("poly-terms", generations=5)
+    assert mine.solver == "ga"
+    assert mine.selection == plain.selection
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_leave_one_out_figures_stand_beside_those_of_the_control(name: str) -> None:
+    features = termsel.simulate_scene("ikonos-hamedan", n_points=45, n_lines=0)
+    result = termsel.run("poly-terms", features=features, model=name, solver="all-terms",
+                         options={"degree": 1})
+    control = result.fit.control.points
+    errors = []
+    for i in range(len(control)):
+        others = control.take(np.arange(len(control)) != i)
+        scaled = result.fit.scaling.points(others)
+        place = result.fit.scaling.ground(control.ground[i:i + 1])
+        image = predicted(result.fit.model, scaled, place)
+        errors.append(control.image[i] - result.fit.scaling.pixels(image)[0])
+    line, sample = np.sqrt((np.array(errors)**2).mean(axis=0))
+    found = result.to_dict()["rmse"]["leave-one-out"]
+    assert found["n"] == len(control)
+    assert found["line"] == pytest.approx(line)
+    assert found["sample"] == pytest.approx(sample)
+    assert found["total"] == pytest.approx(np.hypot(line, sample))
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_features_are_not_selected(name: str) -> None:
+    with pytest.raises(termsel.TermselError, match="by all control features"):
+        termsel.prepare("owdis-points", model=name)

@@ -1,6 +1,6 @@
 """The masked adjustment: equations, one solution through LAPACK, many through kernels."""
 
-from termsel.adjustment.equations import Equations
+from termsel.adjustment.equations import Equations, line_normals
 from termsel.adjustment.solve import Adjustment, solve
 
-__all__ = ["Adjustment", "Equations", "solve"]
+__all__ = ["Adjustment", "Equations", "line_normals", "solve"]

@@ -102,7 +102,7 @@ class Polynomial2D(Polynomial):
     name = "poly2d"
     variables = 2
     uses_height = False
-    declared_options = (
+    declared_options: ClassVar[tuple[Option, ...]] = (
         Option("degree", 4, "Total degree; 4 gives 15 terms an axis, 5 gives 21.", int, 1, 8),)
 
 

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from termsel.fitting import Rmse
-from termsel.result import ROLES, Result, Rmses
+from termsel.result import LEAVE_ONE_OUT, ROLES, Result, Rmses
 
 _WIDTH = 88
 _LONGEST_FRONT = 40
@@ -73,6 +73,11 @@ def _table(result: Result) -> Iterator[str]:
     for name, n_terms, rmse in rows:
         control, check, independent = (_figure(rmse.get(role)) for role in ROLES)
         yield f"{name:<24}{n_terms:>6}{control:>12}{check:>12}{independent:>14}"
+        if LEAVE_ONE_OUT in rmse:
+            yield f"{'  ' + LEAVE_ONE_OUT:<30}{_figure(rmse[LEAVE_ONE_OUT]):>12}"
+    if LEAVE_ONE_OUT in result.rmse:
+        yield (f"{LEAVE_ONE_OUT}: each control feature by the fit without it, as {result.model} "
+               "corrects by control")
     if len(result.baselines) > 1:
         yield "* plain polynomial fitted to control and check together; its check figure is a fit"
     if result.criterion == "check-rmse":

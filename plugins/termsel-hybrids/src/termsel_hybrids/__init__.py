@@ -1,4 +1,4 @@
-"""Interpolating image models of Valadan Zoej et al. 2002, as a plugin of termsel.
+"""Interpolating and hybrid image models of Valadan Zoej et al. 2002, as a plugin of termsel.
 
 References
 ----------
@@ -11,16 +11,30 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
-from termsel import hookimpl
-from termsel_hybrids.multiquadric import Multiquadric
+from termsel import Recipe, SelectionProblem, hookimpl
+from termsel_hybrids.hybrid1 import Hybrid1
+from termsel_hybrids.multiquadric import Hybrid3, Multiquadric
+from termsel_hybrids.pointwise import Pointwise
 
 if TYPE_CHECKING:
-    from termsel import SensorModel
+    from termsel import Inputs, SensorModel
 
-__all__ = ["Multiquadric"]
+__all__ = ["Hybrid1", "Hybrid3", "Multiquadric", "Pointwise"]
 
 
 @hookimpl
 def termsel_models() -> Iterable[type[SensorModel]]:
     """Return the models of this package."""
-    return [Multiquadric]
+    return [Multiquadric, Pointwise, Hybrid1, Hybrid3]
+
+
+@hookimpl
+def termsel_problems() -> Iterable[Recipe]:
+    """Return the paper's hybrid model 2, which is no model but a search."""
+    return [Recipe("hybrid-2", "Hybrid model 2: which terms of a plane polynomial to use, by GA.",
+                   _terms_of_each_axis, model="poly2d", dataset="ikonos-hamedan",
+                   source="Valadan Zoej et al. 2002, section 3.2")]
+
+
+def _terms_of_each_axis(inputs: Inputs) -> SelectionProblem:
+    return SelectionProblem(inputs, terms=True, features=False)

@@ -1,16 +1,16 @@
-"""The multiquadric: a plane polynomial whose residuals are interpolated."""
+"""Plane polynomials whose residuals are interpolated by multiquadrics."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from termsel import Blocks, Option, RationalModel
+from termsel import Option, Polynomial2D
 
 FloatArray = NDArray[np.float64]
 
 
-class Multiquadric(RationalModel):
+class Multiquadric(Polynomial2D):
     """Plane polynomial with multiquadric interpolation of its control residuals.
 
     With F the planimetric distances between the control points, zero on its diagonal, and v
@@ -28,27 +28,8 @@ class Multiquadric(RationalModel):
     """
 
     name = "multiquadric"
-    uses_height = False
     declared_options = (
         Option("degree", 2, "Total degree of the polynomial; 2 gives 6 terms an axis.", int, 1, 8),)
-
-    @property
-    def _powers(self) -> list[tuple[int, int]]:
-        """Powers of X and Y of each column, in the order of termsel's poly2d."""
-        return [(total - j, j) for total in range(self.options["degree"] + 1)
-                for j in range(total + 1)]
-
-    def blocks(self, ground: FloatArray) -> Blocks:
-        """Return the monomials of X and Y at ground points of shape (n, 3)."""
-        x, y = ground[:, 0], ground[:, 1]
-        columns = np.stack([x**i * y**j for i, j in self._powers], axis=1)
-        return Blocks(line=columns, sample=columns)
-
-    def column_names(self, block: str) -> tuple[str, ...]:
-        """Return the monomials' names: 1, X, Y, X2, XY, Y2 ..."""
-        return tuple("".join(f"{letter}{power if power > 1 else ''}"
-                             for letter, power in (("X", i), ("Y", j)) if power) or "1"
-                     for i, j in self._powers)
 
     def residual_weights(self, control: FloatArray, ground: FloatArray) -> FloatArray:
         """Return the weights of the control residuals, W = f inv(F).
@@ -69,6 +50,26 @@ class Multiquadric(RationalModel):
         # F has full rank for points apart from one another; only shared places lower it.
         inverse = np.linalg.pinv(_distances(control, control), rcond=1e-12, hermitian=True)
         return np.asarray(_distances(ground, control) @ inverse)
+
+
+class Hybrid3(Multiquadric):
+    """Selected terms of a plane polynomial, with multiquadric interpolation of the residuals.
+
+    The equations are those of `multiquadric`; on offer are the terms of a higher degree, for a
+    search to select from. What counts in that search is the prediction with the interpolated
+    residuals: W is the same for all selections, and the correction is linear in the residuals.
+    (The paper selects by the polynomial alone and interpolates afterwards: `hybrid-2`, and then
+    its terms under this model.)
+
+    References
+    ----------
+    Valadan Zoej et al. 2002, section 3.3.
+    """
+
+    name = "hybrid-3"
+    declared_options = (
+        Option("degree", 4, "Total degree of the polynomial on offer; 4 gives 15 terms an axis.",
+               int, 1, 8),)
 
 
 def _distances(a: FloatArray, b: FloatArray) -> FloatArray:

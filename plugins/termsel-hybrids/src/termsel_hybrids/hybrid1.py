@@ -1,0 +1,103 @@
+"""Hybrid model 1: a global polynomial, then the improved 2D projective on its output."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from termsel import FeatureSet, Option, Polynomial2D, line_normals
+
+FloatArray = NDArray[np.float64]
+
+_LEAST_DENOMINATOR = 0.1
+_IDENTITY = np.concatenate([[0.0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0]])
+"""Coefficients of x' = x, y' = y: of 1, x, y, xy for line and sample, and of the denominator."""
+
+
+class Hybrid1(Polynomial2D):
+    """Plane polynomial, overcorrected by an improved 2D projective transformation.
+
+    The polynomial computes image coordinates (x, y). A second adjustment to the same control
+    then maps them to the measured ones,
+
+        x' = (a3 + a0 x + a1 y + a2 xy) / (1 + c0 x + c1 y + c2 xy),
+
+    y' with b: 11 unknowns, solved as `dlt2d` is, from points and lines. Unknowns that the
+    control leaves open stay those of x' = x, y' = y. They are no terms: only the terms of the
+    polynomial can be selected, and what counts is the prediction after the second step. Where
+    the denominator of the second step falls to 0.1 or below there is no prediction.
+
+    References
+    ----------
+    Valadan Zoej et al. 2002, section 3.1, eq. 5. The paper's polynomial has 8 or 5 terms.
+    """
+
+    name = "hybrid-1"
+    declared_options = (
+        Option("degree", 3, "Total degree of the polynomial; 3 gives 10 terms an axis.",
+               int, 1, 8),)
+
+    def predict(self, coefficients: FloatArray, control: FeatureSet,
+                ground: FloatArray) -> FloatArray:
+        """Return image positions after both steps.
+
+        Parameters
+        ----------
+        coefficients : ndarray, shape (..., k)
+            Of the polynomial; one set or many.
+        control : FeatureSet
+            Scaled.
+        ground : ndarray, shape (n, 3)
+            Scaled.
+
+        Returns
+        -------
+        ndarray, shape (..., n, 2)
+            Infinite where there is no prediction.
+        """
+        second = _fitted(self.project(coefficients, control.ground_vertices()), control)
+        return _mapped(second, self.project(coefficients, ground))
+
+
+def _fitted(computed: FloatArray, control: FeatureSet) -> FloatArray:
+    """Return the coefficients of the second step, shape (..., 11).
+
+    Every row says that a vertex lies on an image line n x' = rho; a measured point is two such
+    lines, one along each axis.
+
+    Parameters
+    ----------
+    computed : ndarray, shape (..., n, 2)
+        Image positions of the control's ground vertices by the polynomial.
+    control : FeatureSet
+    """
+    points, n = control.points, len(control.points)
+    of_lines, offset = line_normals(control.lines)
+    normal = np.concatenate([np.tile(np.eye(2), (n, 1)), np.repeat(of_lines, 2, axis=0)])
+    rho = np.concatenate([points.image.ravel(), np.repeat(offset, 2)])
+    weight = np.ones(len(rho))
+    if points.sigma is not None:
+        weight[:2 * n] = (np.median(points.sigma) / points.sigma).ravel()
+    vertex = np.concatenate([np.repeat(np.arange(n), 2), np.arange(n, computed.shape[-2])])
+    columns = _columns(computed[..., vertex, :])
+    A = weight[:, None] * np.concatenate(
+        [normal[:, :1] * columns, normal[:, 1:] * columns, -rho[:, None] * columns[..., 1:]],
+        axis=-1)
+    change = np.linalg.pinv(A, rcond=1e-8) @ (weight * rho - A @ _IDENTITY)[..., None]
+    return np.asarray(_IDENTITY + change[..., 0])
+
+
+def _mapped(second: FloatArray, image: FloatArray) -> FloatArray:
+    """Return image positions, shape (..., n, 2), mapped by the second step."""
+    columns = _columns(image)
+    above = np.stack([np.einsum("...nk,...k->...n", columns, second[..., where])
+                      for where in (slice(0, 4), slice(4, 8))], axis=-1)
+    below = 1 + np.einsum("...nk,...k->...n", columns[..., 1:], second[..., 8:])[..., None]
+    return np.asarray(np.divide(above, below, out=np.full_like(above, np.inf),
+                                where=below > _LEAST_DENOMINATOR))
+
+
+def _columns(image: FloatArray) -> FloatArray:
+    """Return 1, x, y, xy, shape (..., n, 4)."""
+    x, y = image[..., 0], image[..., 1]
+    return np.stack([np.ones_like(x), x, y, x * y], axis=-1)

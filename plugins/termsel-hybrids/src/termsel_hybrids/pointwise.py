@@ -1,0 +1,103 @@
+"""The pointwise transformation: a polynomial of its own for every point."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from termsel import Option, Polynomial2D
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+_AT_ONCE = 1e-4  # of the reach: keeps the weight of a control point at the place itself finite
+
+WEIGHTS = {
+    "uniform": lambda u: np.ones_like(u),
+    "inverse-distance": lambda u: 1 / (u + _AT_ONCE),
+    "inverse-square": lambda u: 1 / (u + _AT_ONCE)**2,
+    "gaussian": lambda u: np.exp(-4 * u**2),
+}
+"""Weights of control points by their distance, as a share of that of the farthest neighbour."""
+
+
+class Pointwise(Polynomial2D):
+    """Plane polynomial, corrected at each point by a polynomial of the residuals around it.
+
+    A global polynomial is fitted to all control. Each point then has a transformation of its
+    own: a local polynomial of the offsets in X and Y, fitted by weighted least squares to the
+    residuals of the control points around it. That is linear in the residuals. A local
+    polynomial absorbs any global one of its own or a lower degree, so that with `degree=1` and
+    `local_degree=1` image coordinates might as well be fitted directly.
+
+    The paper leaves neighbourhood, weights and degrees open; the defaults are termsel's own.
+    Where there are fewer neighbours than terms, the local degree is lowered. Distances are in
+    termsel's scaled ground coordinates, as in `multiquadric`.
+
+    References
+    ----------
+    Valadan Zoej et al. 2002, section 2.2, after Leberl 1990.
+    """
+
+    name = "pointwise"
+    declared_options = (
+        Option("degree", 2, "Total degree of the global polynomial; 2 gives 6 terms an axis.",
+               int, 1, 8),
+        Option("local_degree", 1, "Total degree of the local polynomials; 0 is a weighted mean.",
+               int, 0, 3),
+        Option("neighbours", "nearest", "Control points around a point: the nearest, or the "
+               "nearest in each of the four quadrants.", choices=("nearest", "quadrants")),
+        Option("count", None, "How many, in all or in each quadrant; 8 or 2 by default.", int, 1),
+        Option("weight", "inverse-square", "Weight by the distance, as a share of the farthest "
+               "neighbour's; those by inverse distance meet the control points.",
+               choices=tuple(WEIGHTS)))
+
+    def residual_weights(self, control: FloatArray, ground: FloatArray) -> FloatArray:
+        """Return the weights of the control residuals: what each adds to the local constant.
+
+        Parameters
+        ----------
+        control : ndarray, shape (n, 3)
+            Scaled ground positions of the control points.
+        ground : ndarray, shape (m, 3)
+            Scaled ground positions to be corrected.
+
+        Returns
+        -------
+        ndarray, shape (m, n)
+        """
+        offset = control[None, :, :2] - ground[:, None, :2]
+        distance = np.linalg.norm(offset, axis=2)
+        near = self._neighbours(offset, distance)
+        reach = np.where(near, distance, 0.0).max(axis=1, keepdims=True)
+        reach[reach == 0.0] = 1.0
+        root = np.sqrt(np.where(near, WEIGHTS[self.options["weight"]](distance / reach), 0.0))
+        columns = self._columns_around(offset / reach[..., None], near.sum(axis=1))
+        return np.asarray(
+            np.linalg.pinv(root[..., None] * columns, rcond=1e-8)[:, 0] * root)
+
+    def _neighbours(self, offset: FloatArray, distance: FloatArray) -> BoolArray:
+        """Return which control points each place sees, shape (m, n)."""
+        if self.options["neighbours"] == "nearest":
+            return _nearest(distance, self.options["count"] or 8)
+        quadrant = 2 * (offset[..., 0] < 0) + (offset[..., 1] < 0)
+        count = self.options["count"] or 2
+        return np.asarray(np.any([_nearest(np.where(quadrant == i, distance, np.inf), count)
+                                  for i in range(4)], axis=0))
+
+    def _columns_around(self, offset: FloatArray, count: NDArray[np.intp]) -> FloatArray:
+        """Return the local monomials, 0 where a place has too few neighbours, (m, n, terms)."""
+        x, y = offset[..., 0], offset[..., 1]
+        columns = []
+        for degree in range(self.options["local_degree"] + 1):
+            enough = count >= (degree + 1) * (degree + 2) // 2
+            columns += [enough[:, None] * x**(degree - j) * y**j for j in range(degree + 1)]
+        return np.stack(columns, axis=-1)
+
+
+def _nearest(distance: FloatArray, count: int) -> BoolArray:
+    """Return which control points are the nearest of finite distance, shape (m, n)."""
+    near = np.zeros(distance.shape, dtype=bool)
+    order = np.argsort(distance, axis=1, kind="stable")[:, :count]
+    np.put_along_axis(near, order, True, axis=1)
+    return near & np.isfinite(distance)
