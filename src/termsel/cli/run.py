@@ -27,9 +27,19 @@ INTERRUPTED = 130
 @click.option("--dataset", metavar="NAME", shell_complete=complete("datasets"),
               help="A data set known by name; the problem's own by default.")
 @click.option("--points", metavar="FILE", type=click.Path(path_type=Path),
-              help="Points: id,role,line,sample,x,y,z.")
+              help="Points, in any format of `termsel list readers`.")
 @click.option("--lines", metavar="FILE", type=click.Path(path_type=Path),
-              help="Control lines: id,line1,sample1,line2,sample2,x1,y1,z1,x2,y2,z2.")
+              help="Control lines, likewise.")
+@click.option("--format", "formats", metavar="NAME", multiple=True,
+              shell_complete=complete("readers"),
+              help="Read the file in this format whatever it looks like; with --points and "
+                   "--lines give it for either, in this order.")
+@click.option("--dem", metavar="FILE", type=click.Path(path_type=Path),
+              help="Raster of heights, for points and lines that have none.")
+@click.option("--raster", metavar="FILE",
+              help="The image the points were measured in, for formats that need it.")
+@click.option("--image-lines", metavar="FILE",
+              help="Image lines id,line1,sample1,line2,sample2, for ground lines from a GIS.")
 @click.option("--crs", metavar="CRS",
               help="CRS of the ground coordinates: EPSG:4979 for longitude, latitude and "
                    "ellipsoidal height; `local` for plane coordinates without a CRS.")
@@ -51,13 +61,15 @@ INTERRUPTED = 130
 @click.option("--seconds", type=click.FloatRange(min=0, min_open=True),
               help="Stop after S seconds.")
 @click.option("--out", metavar="DIR", type=click.Path(path_type=Path),
-              help="Folder for result.json, residuals.csv and summary.txt.")
+              help="Folder for result.json, residuals.csv, summary.txt and the features.")
 @click.option("--json", "as_json", is_flag=True, help="Print result.json alone on stdout.")
 @click.option("--quiet", is_flag=True, help="No progress bar.")
 def run(
-    problem: str, dataset: str | None, points: Path | None, lines: Path | None, crs: str | None,
-    model: str | None, solver: str | None, criterion: str | None, settings: tuple[str, ...],
-    seed: int, generations: int | None, evaluations: int | None, seconds: float | None,
+    problem: str, dataset: str | None, points: Path | None, lines: Path | None,
+    formats: tuple[str, ...], dem: Path | None, raster: str | None, image_lines: str | None,
+    crs: str | None, model: str | None, solver: str | None, criterion: str | None,
+    settings: tuple[str, ...], seed: int, generations: int | None, evaluations: int | None,
+    seconds: float | None,
     out: Path | None, as_json: bool, quiet: bool,
 ) -> None:
     """Search for the terms or control features that serve best.
@@ -70,6 +82,7 @@ def run(
       termsel run --problem owdis-lines
       termsel run --problem rfm-terms --points gcp.csv --crs EPSG:4979 --out result
       termsel run --problem poly-terms --points gcp.csv --crs local --set degree=5
+      termsel run --problem rfm-terms --points image.points --dem heights.tif
       termsel run --problem owdis-lines --points points.csv --lines roads.csv \\
           --crs EPSG:32639 --model poly3d --seed 7 --json > result.json
     """
@@ -77,16 +90,22 @@ def run(
     if dataset is not None and (points is not None or lines is not None):
         raise TermselError("--dataset and files of your own exclude each other",
                            hint="Give --dataset NAME, or --points FILE and --lines FILE.")
-    if crs is not None and points is None and lines is None:
-        raise TermselError("--crs speaks of the ground coordinates of a file, and none is given",
-                           hint="Give --points FILE, or leave --crs out.")
+    of_files = {"--crs": crs, "--format": formats, "--dem": dem, "--raster": raster,
+                "--image-lines": image_lines}
+    for name, value in of_files.items():
+        if value and points is None and lines is None:
+            raise TermselError(f"{name} speaks of a file of points or lines, and none is given",
+                               hint=f"Give --points FILE, or leave {name} out.")
 
     _show_messages()
 
     from termsel import running
     from termsel.report.text import summary
 
-    features = _read(points, lines, crs)
+    features = None
+    if points is not None or lines is not None:
+        features = _read(points, lines, options, crs=crs, format=formats, dem=dem, raster=raster,
+                         image_lines=image_lines)
     source = ", ".join(str(path) for path in (points, lines) if path is not None)
     task = running.prepare(problem, features=features, dataset=dataset, source=source or None,
                            model=model, solver=solver, criterion=criterion, options=options)
@@ -132,14 +151,19 @@ def _show_messages() -> None:
         logger.setLevel(logging.INFO)
 
 
-def _read(points: Path | None, lines: Path | None, crs: str | None) -> FeatureSet | None:
-    if points is None and lines is None:
-        return None
-    from termsel.io.base import read_features
+def _read(points: Path | None, lines: Path | None, settings: dict[str, str],
+          **given: Any) -> FeatureSet:
+    """Read the files, with those settings that are options of readers, which are taken out."""
+    from termsel.io.reading import read
     from termsel.plugins.manager import registry
 
-    readers = [entry.object for entry in registry().entries("readers")]
-    return read_features(points, lines, crs=crs, readers=readers)
+    known = {option.name for entry in registry().entries("readers")
+             for option in entry.object.declared_options}
+    options = {key: settings.pop(key) for key in list(settings) if key in known}
+    for key in options:
+        if given.get(key) is not None:
+            raise TermselError(f"{key} is given twice", hint="Give it once.")
+    return read(points, lines, **given, **options)
 
 
 def _progress(title: str, quiet: bool) -> Any:
