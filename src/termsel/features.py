@@ -269,6 +269,8 @@ class FeatureSet:
     noise : float, optional
         Standard deviation of the image measurements [pixel], where it is known, as it is
         for simulated data.
+    heights : str
+        Where heights were taken from and what they refer to, where a raster gave them.
 
     Raises
     ------
@@ -281,6 +283,7 @@ class FeatureSet:
     crs: str = "local"
     image_size: tuple[int, int] | None = None
     noise: float | None = None
+    heights: str = ""
 
     def __post_init__(self) -> None:
         both = set(self.points.ids) & set(self.lines.ids)

@@ -163,7 +163,7 @@ def _read(points: Path | None, lines: Path | None, settings: dict[str, str],
     for key in options:
         if given.get(key) is not None:
             raise TermselError(f"{key} is given twice", hint="Give it once.")
-    return read(points, lines, **given, **options)
+    return read(points, lines, **{**given, **options})
 
 
 def _progress(title: str, quiet: bool) -> Any:

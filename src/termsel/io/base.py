@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
+from itertools import zip_longest
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from termsel.crs import EXAMPLES, check_ground, normalise
 from termsel.errors import TermselError, unknown_name
 from termsel.features import FeatureSet, no_lines, no_points
+from termsel.options import Configurable
 
 if TYPE_CHECKING:
     from termsel.result import Result
@@ -18,8 +20,10 @@ _HEAD = 65536  # bytes shown to sniff(): room for a long comment before a header
 _UTF16 = (b"\xff\xfe", b"\xfe\xff")
 
 
-class Reader(ABC):
+class Reader(Configurable, ABC):
     """Reads one format of ground control features.
+
+    The options a reader declares are given by ``--set``, or to `termsel.read`.
 
     Attributes
     ----------
@@ -165,8 +169,26 @@ def read_head(path: Path, expected: str) -> bytes:
     return head
 
 
-def read_file(path: Path, readers: Iterable[Reader], format: str | None = None) -> FeatureSet:
+def read_file(path: Path, readers: Iterable[Reader], format: str | None = None,
+              options: Mapping[str, Any] | None = None) -> FeatureSet:
     """Return the features of a file, with the first reader that recognises its content.
+
+    Parameters
+    ----------
+    path, readers, format, options
+        As `find_reader`.
+
+    Raises
+    ------
+    TermselError
+        As `find_reader`, or if the content is at fault.
+    """
+    return find_reader(path, readers, format, options).read(path)
+
+
+def find_reader(path: Path, readers: Iterable[Reader], format: str | None = None,
+                options: Mapping[str, Any] | None = None) -> Reader:
+    """Return the first reader that recognises the content of a file.
 
     Parameters
     ----------
@@ -175,14 +197,16 @@ def read_file(path: Path, readers: Iterable[Reader], format: str | None = None) 
         In the order they are asked.
     format : str, optional
         The name of the reader to use, whatever the content looks like.
+    options : mapping, optional
+        Each reader takes those it declares.
 
     Raises
     ------
     TermselError
-        If there is no such reader, the file is missing, empty, a folder or not readable, no
-        reader recognises it, or its content is at fault.
+        If there is no such reader, an option does not take its value, the file is missing,
+        empty, a folder or not readable, or no reader recognises it.
     """
-    known = list(readers)
+    known = [_with_options(reader, options or {}) for reader in readers]
     chosen = [reader for reader in known if reader.name == format]
     if format is not None and not chosen:
         raise unknown_name("file format", format, [reader.name for reader in known])
@@ -190,15 +214,21 @@ def read_file(path: Path, readers: Iterable[Reader], format: str | None = None) 
     head = read_head(path, expected)
     for reader in chosen or known:
         if chosen or reader.sniff(path, head):
-            return reader.read(path)
+            return reader
     if is_utf16(head):
         raise _utf16(path)
     kind = "binary file" if b"\0" in head else "file"
     raise TermselError(f"this {kind} is in no format termsel knows", file=path, hint=expected)
 
 
+def _with_options(reader: Reader, given: Mapping[str, Any]) -> Reader:
+    own = {o.name: given[o.name] for o in reader.declared_options if o.name in given}
+    return type(reader)(**{**reader.options, **own}) if own else reader
+
+
 def read_features(points: Path | None, lines: Path | None, *, crs: str | None,
-                  readers: Iterable[Reader]) -> FeatureSet:
+                  readers: Iterable[Reader], formats: Sequence[str] = (),
+                  options: Mapping[str, Any] | None = None) -> FeatureSet:
     """Return the points of one file and the lines of another, in one CRS.
 
     Parameters
@@ -208,20 +238,31 @@ def read_features(points: Path | None, lines: Path | None, *, crs: str | None,
     crs : str, optional
         What the user states; needed where no file declares one.
     readers : iterable of Reader
+    formats : sequence of str
+        Names of the readers of the files, in their order, as far as they are to be forced.
+    options : mapping, optional
+        Options of the readers.
 
     Raises
     ------
     TermselError
-        As `read_file`; if a file holds no features of its kind, or others that were not asked
-        for; if the CRS is not known or stated twice and differently; if coordinates cannot
-        be in it; if a point and a line have the same id.
+        As `read_file`; if no file's reader has such an option; if a file holds no features of
+        its kind, or others that were not asked for; if the CRS is not known or stated twice
+        and differently; if coordinates cannot be in it; if a point and a line have the same id.
     """
     if points is None and lines is None:
         raise TermselError("no file of features is given",
                            hint="Give --points FILE, --lines FILE or both.")
     known = list(readers)
     stated = None if crs is None else normalise(crs)
-    sets = {path: read_file(path, known) for path in (points, lines) if path is not None}
+    paths = list(dict.fromkeys(path for path in (points, lines) if path is not None))
+    if len(formats) > len(paths):
+        raise TermselError(f"{len(formats)} formats are given for {len(paths)} files",
+                           hint="Give --format once for each file, that of the points first.")
+    chosen = {path: find_reader(path, known, name, options)
+              for path, name in zip_longest(paths, formats)}
+    _refuse_idle(options or {}, chosen)
+    sets = {path: reader.read(path) for path, reader in chosen.items()}
     for path, features in sets.items():
         counts = {"points": len(features.points), "lines": len(features.lines)}
         _check_kinds(path, counts, {"points": path == points, "lines": path == lines})
@@ -236,6 +277,15 @@ def read_features(points: Path | None, lines: Path | None, *, crs: str | None,
         place = points if error.ids[0] in measured.points.ids else lines
         raise (located(error, place) if place else error) from error
     return measured
+
+
+def _refuse_idle(options: Mapping[str, Any], chosen: Mapping[Path, Reader]) -> None:
+    for key in options:
+        if not any(key in reader.options for reader in chosen.values()):
+            raise TermselError(
+                f"option {key!r} means nothing to " + " and ".join(
+                    f"{reader.name}, the format of {path}" for path, reader in chosen.items()),
+                hint="Leave it out, or force another format with --format.")
 
 
 def _check_kinds(path: Path, counts: dict[str, int], asked: dict[str, bool]) -> None:

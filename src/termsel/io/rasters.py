@@ -9,7 +9,10 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from termsel.errors import TermselError
+from termsel.features import FloatArray
 
 
 def require_rasterio() -> Any:
@@ -58,3 +61,22 @@ def open_raster(path: Path | str) -> Iterator[Any]:
     except (rasterio.errors.RasterioError, rasterio.errors.RasterioIOError) as error:
         raise TermselError(f"GDAL cannot read this raster: {error}", file=path,
                            hint="Is it whole, and an image?") from error
+
+
+def positions(raster: Any, x: FloatArray, y: FloatArray) -> FloatArray:
+    """Return line and sample, shape (n, 2), of coordinates in the CRS of a raster.
+
+    Parameters
+    ----------
+    raster : rasterio.DatasetReader
+        With a geotransform.
+    x, y : ndarray, shape (n,)
+
+    Returns
+    -------
+    ndarray, shape (n, 2)
+        The centre of the upper-left pixel is (0, 0).
+    """
+    to_pixel = ~raster.transform
+    return np.stack([to_pixel.d * x + to_pixel.e * y + to_pixel.f,
+                     to_pixel.a * x + to_pixel.b * y + to_pixel.c], axis=1) - 0.5

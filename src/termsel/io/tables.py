@@ -24,7 +24,7 @@ from termsel.io.base import located, read_text
 Aliases = Mapping[str, tuple[str, ...]]
 """Names of the columns that hold each meaning, in lower case."""
 
-USE: Aliases = {"id": ("id", "name"), "role": ("role",), "enabled": ("enabled", "enable")}
+USE = {"id": ("id", "name"), "role": ("role",), "enabled": ("enabled", "enable")}
 """Columns of text; all others hold numbers."""
 
 _OPTIONAL = frozenset({"role", "enabled", "sigma_line", "sigma_sample"})
