@@ -13,7 +13,11 @@ from termsel.errors import TermselError
 from termsel.features import BoolArray, FloatArray
 from termsel.problems.base import EnumerablePart, Evaluation, Problem, Selection
 from termsel.solvers.base import Generation, Solver
-from termsel.solvers.local import descend, neighbours
+from termsel.solvers.local import climb, neighbours
+
+POLISH_SHARE = 3
+"""Most evaluations of a polish by those of the search before it: as many as let the embedded
+problem of 21 terms an axis end at its proven optimum from most seeds (docs/solver-table.md)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -282,7 +286,8 @@ def search(
     generation: Generation | None = None
     polish = None
     interrupted = False
-    running = solver.generations(ledger, np.random.default_rng(seed))
+    rng = np.random.default_rng(seed)
+    running = solver.generations(ledger, rng)
     try:
         for generation in _until_spent(running):
             progress = ledger.progress(generation, budget.share(generation, ledger))
@@ -292,7 +297,7 @@ def search(
                 break
         done, lookups = ledger.count, ledger.lookups
         if solver.options.get("polish"):
-            polish = _polish(ledger)
+            polish = _polish(ledger, rng)
     except KeyboardInterrupt:
         if ledger.best_genes is None:
             raise
@@ -341,35 +346,37 @@ def _until_spent(running: Iterator[Generation]) -> Iterator[Generation]:
         return
 
 
-def _polish(ledger: Ledger) -> Polish | None:
-    """Descend from the best individual, or from every member of a front.
+def _polish(ledger: Ledger, rng: np.random.Generator) -> Polish | None:
+    """Climb from the best individual, or look around all members of a front.
 
-    The evaluations come on top of the solver's; a budget of time holds for both.
+    The evaluations come on top of the solver's, up to POLISH_SHARE times as many; a budget of
+    time holds for both. The first descent is always finished.
     """
     if ledger.best_genes is None:
         return None
     found, count, lookups = ledger.best[1], ledger.count, ledger.lookups
     ledger.limit = None
+    most = (1 + POLISH_SHARE) * count
     try:
         if len(ledger.objectives) == 1:
             start = ledger.best_genes[None]
-            for _ in descend(ledger, start, ledger.evaluate(start)):
-                pass
+            for _ in climb(ledger, start, ledger.evaluate(start), rng):
+                ledger.limit = most
+                if ledger.count >= most:
+                    break
         else:
-            _widen(ledger)
-    except _BudgetSpent:  # the deadline holds for the polish too
+            _widen(ledger, 2 * count)
+    except _BudgetSpent:  # the limit above, or the deadline
         pass
     return Polish(found, ledger.best[1], ledger.count - count, ledger.lookups - lookups)
 
 
-def _widen(ledger: Ledger) -> None:
+def _widen(ledger: Ledger, most: int) -> None:
     """Look at all neighbours of all members of the front until no member is new.
 
-    A front of many objectives has no end of members, so this costs at most as many
-    evaluations as the search before it.
+    A front of many objectives has no end of members, so this ends at `most` evaluations.
     """
     seen: set[bytes] = set()
-    most = 2 * ledger.count
     while True:
         new = [genes for genes in ledger.front() if genes.tobytes() not in seen]
         if not new:

@@ -349,11 +349,11 @@ def solve_many(
     if columns.shape != (p, k) or len(rows) != p or rows.shape[1] <= feature.max(initial=-1):
         raise ValueError(f"masks of shapes {columns.shape} and {rows.shape} do not fit {k} terms "
                          f"and {equations.n_features} features")
-    first, copies = _distinct(np.concatenate([columns, rows], axis=1))
-    if len(first) < p:
-        columns, rows = columns[first], rows[first]
     # One memory layout for all, or each would be compiled for.
     columns, rows = (np.require(mask, requirements=("C", "W")) for mask in (columns, rows))
+    first, copies = _distinct(columns, rows)
+    if len(first) < p:
+        columns, rows = columns[first], rows[first]
     coefficients, violation = np.zeros(columns.shape), np.zeros(len(first), dtype=np.intp)
 
     def solve(part: slice) -> None:
@@ -372,16 +372,42 @@ def solve_many(
                                                               violation[copies])
 
 
-def _distinct(masks: BoolArray) -> tuple[list[int], list[int]]:
+@_compiled
+def _distinct(columns: BoolArray, rows: BoolArray) -> tuple[IntArray, IntArray]:
     """Return the first occurrence of every distinct mask, and which of these each mask is.
 
     Some hundredths of a solution's time, and a population that converges is full of twins.
     """
-    packed = np.ascontiguousarray(np.packbits(masks, axis=1))
-    keys = packed.view(np.dtype((np.void, packed.shape[1]))).ravel().tolist()
-    first = dict(zip(reversed(keys), reversed(range(len(keys))), strict=True))
-    number = dict(zip(first, range(len(first)), strict=True))
-    return list(first.values()), list(map(number.__getitem__, keys))
+    p, k, f = len(columns), columns.shape[1], rows.shape[1]
+    words = np.zeros((p, k // 64 + f // 64 + 2), dtype=np.uint64)
+    one = np.uint64(1)
+    size = 4
+    while size < 2 * p:
+        size *= 2
+    table = np.full(size, -1, dtype=np.intp)
+    first, copies = np.empty(p, dtype=np.intp), np.empty(p, dtype=np.intp)
+    n = 0
+    for i in range(p):
+        word = words[i]
+        for j in range(k):
+            word[j >> 6] = (word[j >> 6] << one) | np.uint64(columns[i, j])
+        for j in range(f):
+            w = k // 64 + 1 + (j >> 6)
+            word[w] = (word[w] << one) | np.uint64(rows[i, j])
+        # Fibonacci hashing: the upper bits of a product with 2^64 / golden ratio.
+        key = np.uint64(0)
+        for w in range(len(word)):
+            key = (key ^ word[w]) * np.uint64(0x9E3779B97F4A7C15)
+            key ^= key >> np.uint64(29)
+        place = np.intp(key & np.uint64(size - 1))
+        while table[place] >= 0 and not (words[first[table[place]]] == word).all():
+            place = (place + 1) & (size - 1)
+        if table[place] < 0:
+            table[place] = n
+            first[n] = i
+            n += 1
+        copies[i] = table[place]
+    return first[:n], copies
 
 
 def needs_compilation() -> bool:
