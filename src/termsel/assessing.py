@@ -193,7 +193,7 @@ def _data(task: Task) -> dict[str, Any]:
     observations = task.observations
     return {
         "source": task.source, "sha256": _checksum(task.features), "crs": task.features.crs,
-        "noise": task.features.noise,
+        "noise": task.features.noise, "heights": task.features.heights or None,
         "image_size": task.features.image_size and list(task.features.image_size),
         "counts": {"control": len(observations.control.points), "check": len(observations.check),
                    "independent": len(observations.independent),
