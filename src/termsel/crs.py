@@ -8,7 +8,7 @@ the authority gives.
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -23,7 +23,9 @@ LOCAL = "local"
 EXAMPLES = ("EPSG:4979 (longitude, latitude, ellipsoidal height), EPSG:32631 (UTM zone 31 north) "
             "or local (plane coordinates without a CRS)")
 
-_GEOGRAPHIC = frozenset({"EPSG:4326", "EPSG:4979"})
+WGS84 = frozenset({"EPSG:4326", "EPSG:4979"})
+"""WGS84 longitude and latitude; the second also says that heights are ellipsoidal."""
+
 _CODE = re.compile(r"(?:urn:ogc:def:crs:)?(EPSG|OGC):(?:[\d.]*:)?(\w+)", re.IGNORECASE)
 # x is longitude in termsel, so the OGC names say nothing more than the EPSG codes.
 _OGC = {"CRS84": "EPSG:4326", "CRS84H": "EPSG:4979"}
@@ -66,7 +68,7 @@ def normalise(crs: str) -> str:
             return _OGC[number]
         if authority == "EPSG" and number.isdecimal():
             name = f"EPSG:{int(number)}"
-            if name not in _GEOGRAPHIC and not _UTM.fullmatch(name):
+            if name not in WGS84 and not _UTM.fullmatch(name):
                 _with_pyproj(name)
             return name
     elif _WKT.fullmatch(text):
@@ -96,6 +98,55 @@ def is_geographic(crs: str) -> bool:
         For a CRS `normalise` refuses.
     """
     return _kind(normalise(crs)) == "geographic"
+
+
+def to_wgs84(crs: str) -> Callable[[FloatArray], FloatArray]:
+    """Return what turns ground coordinates into WGS84 longitude, latitude, ellipsoidal height.
+
+    Parameters
+    ----------
+    crs : str
+        Of the ground coordinates; where it does not say what heights are, they are taken as
+        ellipsoidal.
+
+    Returns
+    -------
+    callable
+        From (n, 3) to (n, 3).
+
+    Raises
+    ------
+    TermselError
+        For "local"; if pyproj, which is needed for all but WGS84 itself, is not installed or
+        cannot transform the CRS.
+    """
+    name = normalise(crs)
+    if name in WGS84:
+        return np.asarray
+    if name == LOCAL:
+        raise TermselError("plane coordinates without a CRS cannot be turned into longitude and "
+                           "latitude", hint="State the CRS the ground coordinates are in.")
+    try:
+        from pyproj import Transformer
+        from pyproj.exceptions import ProjError
+    except ImportError:
+        raise TermselError(f"coordinates in {_short(name)} need the package pyproj, which is not "
+                           "installed", hint='Install it: pip install "termsel[gis]".') from None
+    known = _with_pyproj(name)
+    assert known is not None  # pyproj is there
+    source = known if len(known.axis_info) > 2 else known.to_3d()
+
+    def convert(ground: FloatArray) -> FloatArray:
+        known_heights = np.nan_to_num(ground, nan=0.0)
+        try:
+            turned = Transformer.from_crs(source, "EPSG:4979", always_xy=True, allow_ballpark=False
+                                          ).transform(*known_heights.T, errcheck=True)
+        except ProjError as error:
+            raise TermselError(f"coordinates in {_short(name)} cannot be turned into longitude and "
+                               f"latitude: {error}") from error
+        return np.stack(turned, axis=1)
+
+    return convert
 
 
 def check_ground(features: FeatureSet) -> None:
@@ -163,7 +214,7 @@ def _short(crs: str) -> str:
 
 def _kind(crs: str) -> str:
     """Return "geographic", "projected", or "" where neither or not known."""
-    if crs in _GEOGRAPHIC:
+    if crs in WGS84:
         return "geographic"
     if _UTM.fullmatch(crs):
         return "projected"

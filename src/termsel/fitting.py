@@ -74,6 +74,15 @@ class Fit:
         return locate(self.project, image, height, centre=self.scaling.ground_offset,
                       scale=self.scaling.ground_scale)
 
+    def image_box(self) -> tuple[tuple[float, float], tuple[float, float]]:
+        """Return first and last line and sample [pixel]: of the image, or of the control."""
+        if self.control.image_size is not None:
+            lines, samples = self.control.image_size
+            return (0.0, 0.0), (lines - 1.0, samples - 1.0)
+        image = self.control.image_vertices()
+        (top, left), (bottom, right) = image.min(axis=0).tolist(), image.max(axis=0).tolist()
+        return (top, left), (bottom, right)
+
     def errors(self, points: Points) -> FloatArray:
         """Return measured minus computed line and sample [pixel], shape (n, 2)."""
         return points.image - self.project(points.ground)
