@@ -14,8 +14,9 @@ from termsel.options import Configurable, Option
 from termsel.problems.base import Evaluation, Problem
 
 POLISH = Option("polish", True, "Follow the search by adding, dropping and swapping genes as "
-                "long as that helps. The result says what the solver found and what this added; "
-                "its evaluations come on top of the budget.", bool)
+                "long as that helps, again and again from elsewhere. The result says what the "
+                "solver found and what this added; its evaluations come on top of the budget.",
+                bool)
 """Declared by solvers whose find is to be polished by the run."""
 
 
