@@ -112,9 +112,12 @@ class Fit:
 
     def _control_errors(self, features: BoolArray) -> FloatArray:
         """Return the errors of some control features [pixel], of lines at each vertex."""
-        n, lines = len(self.control.points), self.control.lines
-        return np.concatenate([self.errors(self.control.points)[features[:n]],
-                               self.line_errors()[features[n:][lines.feature]].reshape(-1, 2)])
+        some = self.control.take(features)
+        errors = [self.errors(some.points)]
+        if len(some.lines):
+            which = features[len(self.control.points):][self.control.lines.feature]
+            errors.append(self.line_errors()[which].reshape(-1, 2))
+        return np.concatenate(errors)
 
     def rmse(self, points: Points) -> Rmse | None:
         """Return the RMSE of points that took no part in the adjustment; None without points."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -47,9 +49,8 @@ class Multiquadric(Polynomial2D):
             Where control points share their X and Y, the mean of their residuals is
             interpolated; a single control point corrects nothing.
         """
-        # F has full rank for points apart from one another; only shared places lower it.
-        inverse = np.linalg.pinv(_distances(control, control), rcond=1e-12, hermitian=True)
-        return np.asarray(_distances(ground, control) @ inverse)
+        places = np.ascontiguousarray(control[:, :2])
+        return np.asarray(_distances(ground, control) @ _inverse(places.tobytes()))
 
 
 class Hybrid3(Multiquadric):
@@ -70,6 +71,14 @@ class Hybrid3(Multiquadric):
     declared_options = (
         Option("degree", 4, "Total degree of the polynomial on offer; 4 gives 15 terms an axis.",
                int, 1, 8),)
+
+
+@lru_cache(maxsize=8)
+def _inverse(places: bytes) -> FloatArray:
+    """Return inv(F) of control points; a search asks for the same one again and again."""
+    control = np.frombuffer(places).reshape(-1, 2)
+    # F has full rank for points apart from one another; only shared places lower it.
+    return np.asarray(np.linalg.pinv(_distances(control, control), rcond=1e-12, hermitian=True))
 
 
 def _distances(a: FloatArray, b: FloatArray) -> FloatArray:
