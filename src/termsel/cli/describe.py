@@ -97,6 +97,7 @@ def _describe_dataset(entry: Entry) -> None:
 def _describe_format(entry: Entry) -> None:
     click.echo(f"\n{entry.summary}")
     _document(entry)
+    _options(getattr(entry.object, "declared_options", ()))
 
 
 _DESCRIBE: dict[str, Callable[[Entry], None]] = {

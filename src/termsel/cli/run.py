@@ -106,7 +106,7 @@ def run(
     if points is not None or lines is not None:
         features = _read(points, lines, options, crs=crs, format=formats, dem=dem, raster=raster,
                          image_lines=image_lines)
-    source = ", ".join(str(path) for path in (points, lines) if path is not None)
+    source = ", ".join(str(path) for path in (points, lines, image_lines) if path is not None)
     task = running.prepare(problem, features=features, dataset=dataset, source=source or None,
                            model=model, solver=solver, criterion=criterion, options=options)
     with _progress(f"{problem} ({task.solver.name})", quiet) as observe:

@@ -27,7 +27,7 @@ _COORDINATES = {
 }
 _POINTS = USE | _COORDINATES | {
     "sigma_line": ("sigma_line", "sigma_px"), "sigma_sample": ("sigma_sample", "sigma_px")}
-_LINES = USE | {
+LINES = USE | {
     f"{meaning}{end}": tuple(f"{alias}{end}" for alias in aliases)
     for end in "12" for meaning, aliases in _COORDINATES.items()}
 
@@ -58,11 +58,11 @@ class LinesCsv(Reader):
 
     def sniff(self, path: Path, head: bytes) -> bool:
         """Return True if a header names at least three columns of lines."""
-        return sniff_table(head, _LINES)
+        return sniff_table(head, LINES)
 
     def read(self, path: Path) -> FeatureSet:
         """Return the lines of a table that are not off; errors name file, line and column."""
-        table = read_table(path, _LINES)
+        table = read_table(path, LINES)
         roles = table.roles()
         for row, role in enumerate(roles):
             if role in ("check", "independent"):
@@ -100,8 +100,8 @@ def write_points_csv(points: Points, path: Path | str, crs: str = "") -> None:
     if points.sigma is not None:
         header += ["sigma_line", "sigma_sample"]
         columns.append(points.sigma)
-    texts = [[_quoted(name), role] for name, role in zip(points.ids, points.roles, strict=True)]
-    _write(path, crs, header, texts, np.concatenate(columns, axis=1))
+    texts = [[quoted(name), role] for name, role in zip(points.ids, points.roles, strict=True)]
+    write_table(path, crs, header, texts, np.concatenate(columns, axis=1))
 
 
 def write_lines_csv(lines: Lines, path: Path | str, crs: str = "") -> None:
@@ -121,11 +121,29 @@ def write_lines_csv(lines: Lines, path: Path | str, crs: str = "") -> None:
     """
     header = ["id", "line1", "sample1", "line2", "sample2", "x1", "y1", "z1", "x2", "y2", "z2"]
     values = np.concatenate([lines.image.reshape(-1, 4), lines.ground.reshape(-1, 6)], axis=1)
-    _write(path, crs, header, [[_quoted(name)] for name in lines.ids], values)
+    write_table(path, crs, header, [[quoted(name)] for name in lines.ids], values)
 
 
-def _write(path: Path | str, crs: str, header: list[str], texts: list[list[str]],
-           values: FloatArray) -> None:
+def write_table(path: Path | str, crs: str, header: list[str], texts: list[list[str]],
+                values: FloatArray) -> None:
+    """Write a table with the CRS in a comment line.
+
+    Parameters
+    ----------
+    path : path-like
+    crs : str
+        "" for none.
+    header : list of str
+    texts : list of list of str
+        First cells of each row, as they are to be written; see `quoted`.
+    values : ndarray, shape (rows, columns)
+        The cells behind them; NaN becomes a blank one.
+
+    Raises
+    ------
+    TermselError
+        If the file cannot be written.
+    """
     # repr() gives the fewest digits, 17 at most, that are read back to the same number.
     rows = [",".join(row + ["" if v != v else repr(v) for v in numbers])
             for row, numbers in zip(texts, values.tolist(), strict=True)]
@@ -134,7 +152,8 @@ def _write(path: Path | str, crs: str, header: list[str], texts: list[list[str]]
     write_text(path, "\n".join([*declared, ",".join(header), *rows]) + "\n")
 
 
-def _quoted(text: str) -> str:
+def quoted(text: str) -> str:
+    """Return text as a cell that is read back as it is."""
     # Unquoted, a line that begins with # would be a comment; csv.writer does not see to that.
     if re.search(r'[,;\t"\r\n#]', text):
         return '"' + text.replace('"', '""') + '"'

@@ -106,8 +106,11 @@ def open_dem(path: Path, crs: str) -> Iterator[Dem]:
         raise TermselError("heights cannot be taken from a raster without a CRS", file=path,
                            hint="State the CRS of the ground coordinates instead of local.")
     with open_raster(path) as raster:
-        from pyproj import CRS, Transformer
-
+        try:
+            from pyproj import CRS, Transformer
+        except ImportError:
+            raise TermselError("heights need the package pyproj, which is not installed",
+                               hint='Install it: pip install "termsel[gis]".') from None
         if raster.crs is None or raster.transform.is_identity:
             raise TermselError("this raster is not georeferenced", file=path,
                                hint="Heights need a raster with a geotransform and a CRS.")

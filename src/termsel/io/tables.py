@@ -10,7 +10,7 @@ import csv
 import io
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import isfinite
 from pathlib import Path
 
@@ -52,6 +52,12 @@ class Table:
     def error(self, what: str, row: int, meaning: str, hint: str | None = None) -> TermselError:
         return TermselError(what, hint=hint, file=self.path, line=self.lines[row],
                             column=self.names[meaning])
+
+    def take(self, rows: Sequence[int]) -> Table:
+        """Return the table of some rows."""
+        return replace(self, lines=[self.lines[row] for row in rows],
+                       columns={meaning: [cells[row] for row in rows]
+                                for meaning, cells in self.columns.items()})
 
     def placed(self, error: TermselError) -> TermselError:
         """Return `error` with the line of the one feature it is first about."""

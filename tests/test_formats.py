@@ -1,0 +1,431 @@
+"""Files of other programs: what is read of them, and what is refused."""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import termsel
+from termsel.errors import TermselError
+from termsel.features import FeatureSet, Lines, Points
+from termsel.io.asp_gcp import AspGcp
+from termsel.io.base import read_file
+from termsel.io.envi_points import EnviPoints
+from termsel.io.gdal_gcps import GdalGcps
+from termsel.io.geojson_points import GeoJsonPoints
+from termsel.io.ground_lines import GeoJsonLines
+from termsel.io.qgis_points import QgisPoints
+from termsel.plugins.manager import registry
+from termsel.testing import Check, reader_checks
+
+UTM = ('PROJCRS["WGS 84 / UTM zone 31N",BASEGEOGCRS["WGS 84",DATUM["World Geodetic System 1984",'
+       'ELLIPSOID["WGS 84",6378137,298.257223563,LENGTHUNIT["metre",1]]],PRIMEM["Greenwich",0,'
+       'ANGLEUNIT["degree",0.0174532925199433]],ID["EPSG",4326]],CONVERSION["UTM zone 31N",METHOD'
+       '["Transverse Mercator",ID["EPSG",9807]],PARAMETER["Latitude of natural origin",0,ANGLEUNIT'
+       '["degree",0.0174532925199433],ID["EPSG",8801]],PARAMETER["Longitude of natural origin",3,'
+       'ANGLEUNIT["degree",0.0174532925199433],ID["EPSG",8802]],PARAMETER["Scale factor at natural '
+       'origin",0.9996,SCALEUNIT["unity",1],ID["EPSG",8805]],PARAMETER["False easting",500000,'
+       'LENGTHUNIT["metre",1],ID["EPSG",8806]],PARAMETER["False northing",0,LENGTHUNIT["metre",1],'
+       'ID["EPSG",8807]]],CS[Cartesian,2],AXIS["(E)",east,ORDER[1],LENGTHUNIT["metre",1]],AXIS'
+       '["(N)",north,ORDER[2],LENGTHUNIT["metre",1]],ID["EPSG",32631]]')
+QGIS = (f"#CRS: {UTM}\n"
+        "mapX,mapY,sourceX,sourceY,enable,dX,dY,residual\n"
+        "500100.5,5000200.25,10.5,-20.5,1,0.1,-0.2,0.22\n"
+        "500900,5000300,200,-30.25,0,0,0,0\n"
+        "500400,5000900,99.5,-140.5,1,0,0,0\n")
+QGIS_READ = FeatureSet(Points(("P1", "P2", "P3"), [[20, 10], [29.75, 199.5], [140, 99]],
+                              [[500100.5, 5000200.25, np.nan], [500900, 5000300, np.nan],
+                               [500400, 5000900, np.nan]], roles=("", "off", "")),
+                       crs="EPSG:32631")
+ENVI = ("; ENVI Orthorectification Ground Control Points File\n"
+        "; projection info = {UTM, 12, North, WGS-84, units=Meters}\n"
+        "; Map (x,y,elev), Image (x,y)\n;\n"
+        "408620.653090  3698080.965069  314.977000  4366.000000  447.000000\n"
+        "406652.054304  3698011.485774  311.083000  3569.500000  479.000000\n")
+ENVI_READ = FeatureSet(Points(("P1", "P2"), [[445.5, 4364.5], [477.5, 3568]],
+                              [[408620.65309, 3698080.965069, 314.977],
+                               [406652.054304, 3698011.485774, 311.083]]), crs="EPSG:32612")
+ASP = ("# made by hand\n"
+       "5 23.7 160.1 427.1 1.0 1.0 1.0 image1.tif 124.5 19.7 1.0 0.5 image2.tif 254 73 1 1\n"
+       "6, 23.8, 160.2, 430, 1, 1, 1, image2.tif, 11, 12, 1, 1\n"
+       "7, 23.9, 160.3, 431, 1, 1, 1, image1.tif, 21, 22, 1, 1\n")
+ASP_READ = FeatureSet(Points(("5", "7"), [[19.7, 124.5], [22, 21]],
+                             [[160.1, 23.7, 427.1], [160.3, 23.9, 431]], [[0.5, 1], [1, 1]]),
+                      crs="")
+
+
+def collection(*features: tuple[dict[str, Any], str, Any], **members: Any) -> str:
+    """Return GeoJSON of (properties, type, coordinates)."""
+    return json.dumps({"type": "FeatureCollection", **members, "features": [
+        {"type": "Feature", "properties": properties,
+         "geometry": {"type": kind, "coordinates": coordinates}}
+        for properties, kind, coordinates in features]}, indent=1) + "\n"
+
+
+ORTHORITY = collection(
+    ({"ji": [821.3, 62.3], "filename": "q.tif", "id": "plinth", "info": ""}, "Point",
+     [24.4194, -33.6542, 214.75]),
+    ({"ji": [1131.9, -36.4], "filename": "q.tif", "id": "house", "info": "", "role": "check"},
+     "Point", [24.4415, -33.649, 208.75]))
+ORTHORITY_READ = FeatureSet(
+    Points(("plinth", "house"), [[62.3, 821.3], [-36.4, 1131.9]],
+           [[24.4194, -33.6542, 214.75], [24.4415, -33.649, 208.75]], roles=("", "check")),
+    crs="EPSG:4979")
+ROADS = collection(
+    ({"id": "a", "ji": [[10, 20], [30, 45]]}, "LineString", [[5, 44, 10], [5.1, 44.1, 20]]),
+    ({"id": 7, "ji": [[1, 2], [3, 4], [8, 6]]}, "LineString", [[6, 44, 1], [6.1, 44, 2],
+                                                                  [6.2, 45, 3]]))
+ROADS_READ = FeatureSet(
+    lines=Lines(("a", "7", "7"),
+                [[[20, 10], [45, 30]], [[2, 1], [4, 3]], [[4, 3], [6, 8]]],
+                [[[5, 44, 10], [5.1, 44.1, 20]], [[6, 44, 1], [6.1, 44, 2]],
+                 [[6.1, 44, 2], [6.2, 45, 3]]]), crs="EPSG:4326")
+VRT = ('<VRTDataset rasterXSize="300" rasterYSize="200">\n'
+       f'  <GCPList Projection="{UTM.replace(chr(34), "&quot;")}">\n'
+       '    <GCP Id="west" Info="" Pixel="10.5" Line="20.5" X="500100" Y="5000200" Z="12.5"/>\n'
+       '    <GCP Id="east" Info="" Pixel="99.5" Line="140.25" X="500900" Y="5000900" Z="0"/>\n'
+       '  </GCPList>\n'
+       '  <VRTRasterBand dataType="Byte" band="1"/>\n'
+       '</VRTDataset>\n')
+VRT_READ = FeatureSet(Points(("west", "east"), [[20, 10], [139.75, 99]],
+                             [[500100, 5000200, 12.5], [500900, 5000900, 0]]),
+                      crs="EPSG:32631", image_size=(200, 300))
+
+SUITES = {
+    "qgis-points": reader_checks(QgisPoints(), QGIS.encode(), QGIS_READ, filename="i.points"),
+    "envi-pts": reader_checks(EnviPoints(), ENVI.encode(), ENVI_READ, filename="i.pts"),
+    "asp-gcp": reader_checks(AspGcp(image_name="image1.tif"), ASP.encode(), ASP_READ,
+                             filename="i.gcp"),
+    "geojson-points": reader_checks(GeoJsonPoints(), ORTHORITY.encode(), ORTHORITY_READ,
+                                    filename="i.geojson"),
+    "geojson-lines": reader_checks(GeoJsonLines(), ROADS.encode(), ROADS_READ,
+                                   filename="roads.geojson")}
+CONTENT = {"qgis-points": QGIS, "envi-pts": ENVI, "asp-gcp": ASP, "geojson-points": ORTHORITY,
+           "geojson-lines": ROADS, "gdal-gcps": VRT}
+
+
+@pytest.mark.parametrize("check", [
+    pytest.param(check, id=f"{name}-{check.name}")
+    for name, checks in SUITES.items() for check in checks])
+def test_readers(check: Check) -> None:
+    check.run()
+
+
+@pytest.mark.parametrize("check", reader_checks(GdalGcps(), VRT.encode(), VRT_READ,
+                                                filename="i.vrt"), ids=lambda c: str(c.name))
+def test_reader_of_rasters(check: Check) -> None:
+    pytest.importorskip("rasterio")
+    check.run()
+
+
+def readers() -> list[termsel.Reader]:
+    return [entry.object for entry in registry().entries("readers")]
+
+
+def put(folder: Path, content: str | bytes, name: str = "file") -> Path:
+    path = folder / name
+    path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    return path
+
+
+@pytest.mark.parametrize("name", CONTENT)
+def test_one_reader_alone_recognises_a_file(name: str) -> None:
+    for content in (CONTENT[name].encode(), b"\xef\xbb\xbf" + CONTENT[name].encode()):
+        assert [r.name for r in readers() if r.sniff(Path("any"), content[:65536])] == [name]
+
+
+@pytest.mark.parametrize("name", CONTENT)
+@pytest.mark.parametrize("encoding", ["utf-16", "latin-1"])
+def test_wrong_encodings_are_named(tmp_path: Path, name: str, encoding: str) -> None:
+    path = put(tmp_path, (CONTENT[name] + "\n# é;\n").encode(encoding))
+    if name == "gdal-gcps":
+        pytest.importorskip("rasterio")
+        if encoding == "latin-1":
+            return  # it is GDAL that reads this
+    with pytest.raises(TermselError, match="UTF") as caught:
+        read_file(path, readers(), name if encoding == "latin-1" else None)
+    assert str(path) in str(caught.value)
+
+
+@settings(max_examples=300, deadline=None)
+@given(st.sampled_from([n for n in CONTENT if n != "gdal-gcps"]), st.data())
+def test_any_damage_is_read_or_refused(tmp_path_factory: pytest.TempPathFactory, name: str,
+                                       data: st.DataObject) -> None:
+    text = CONTENT[name]
+    start = data.draw(st.integers(0, len(text)))
+    stop = data.draw(st.integers(start, min(len(text), start + 40)))
+    new = data.draw(st.text('ab,;\t"#\r\n 0123456789.-e[]{}:nulNaI\x1cé', max_size=12))
+    path = put(tmp_path_factory.mktemp("any"), text[:start] + new + text[stop:])
+    with suppress(TermselError):
+        read_file(path, readers(), name)
+
+
+# QGIS
+
+
+@pytest.mark.parametrize("text", [
+    QGIS.split("\n", 1)[1],
+    QGIS.split("\n", 1)[1].replace("source", "pixel"),
+    "mapX,mapY,pixelX,pixelY,enable\n500100.5,5000200.25,10.5,-20.5,1\n500900,5000300,200,-30.25,0\n"
+    "500400,5000900,99.5,-140.5,1\n",
+    "mapX\tmapY\tpixelX\tpixelY\n500100.5\t5000200.25\t10.5\t-20.5\n500900\t5000300\t200\t-30.25\n"
+    "500400\t5000900\t99.5\t-140.5\n"])
+def test_headers_of_qgis(tmp_path: Path, text: str) -> None:
+    features = read_file(put(tmp_path, text), readers())
+    np.testing.assert_array_equal(features.points.image, QGIS_READ.points.image)
+    np.testing.assert_array_equal(features.points.ground, QGIS_READ.points.ground)
+    assert features.points.roles == (("", "off", "") if "enable" in text else ("", "", ""))
+    assert features.crs == ""
+
+
+def test_disabled_points_may_check(tmp_path: Path) -> None:
+    features = termsel.read(put(tmp_path, QGIS), disabled="check")
+    assert features.points.roles == ("", "check", "")
+    with pytest.raises(TermselError, match="'disabled' does not take 'gone'"):
+        termsel.read(put(tmp_path, QGIS), disabled="gone")
+
+
+def rows(*sources: tuple[float, float]) -> str:
+    return "mapX,mapY,sourceX,sourceY,enable\n" + "".join(
+        f"{500000 + 10 * i},{5000000 + 7 * i * i},{x},{y},1\n" for i, (x, y) in enumerate(sources))
+
+
+@pytest.mark.parametrize("text", [
+    rows((500100, 5000200), (500300, 5000100)), rows((18.4, -34.5), (18.9, -34.1)),
+    rows((500100, -3800000), (509900, -3801000)), rows((-70.5, 3.5), (-70, 3.2))])
+def test_coordinates_of_a_layer_need_the_raster(tmp_path: Path, text: str) -> None:
+    with pytest.raises(TermselError, match="Give the image with --raster FILE") as caught:
+        termsel.read(put(tmp_path, text), crs="local")
+    assert (caught.value.line, caught.value.column) == (2, "sourceX")
+
+
+def test_raster_turns_coordinates_of_a_layer_into_pixels(tmp_path: Path) -> None:
+    rasterio = pytest.importorskip("rasterio")
+    from rasterio.transform import from_origin
+
+    image = tmp_path / "image.tif"
+    with rasterio.open(image, "w", driver="GTiff", width=50, height=40, count=1, dtype="uint8",
+                       crs="EPSG:32631", transform=from_origin(500000, 5000400, 10, 10)):
+        pass
+    # The centre of the pixel in line 3, sample 7.
+    path = put(tmp_path, rows((500075, 5000365), (500100, 5000400)))
+    features = termsel.read(path, crs="EPSG:32631", raster=image)
+    np.testing.assert_allclose(features.points.image, [[3, 7], [-0.5, 9.5]])
+    assert features.image_size == (40, 50)
+    far = put(tmp_path, rows((700000, 5000365), (700010, 5000400)))
+    with pytest.raises(TermselError, match="no point lies in the image"):
+        termsel.read(far, crs="local", raster=image)
+    with pytest.raises(TermselError, match="option 'raster' means nothing to asp-gcp"):
+        termsel.read(put(tmp_path, ASP), raster=image)
+
+
+def test_raster_without_georeference_leaves_pixels(tmp_path: Path) -> None:
+    rasterio = pytest.importorskip("rasterio")
+    image = tmp_path / "image.tif"
+    with pytest.warns(rasterio.errors.NotGeoreferencedWarning), \
+            rasterio.open(image, "w", driver="GTiff", width=18, height=15, count=1, dtype="uint8"):
+        pass
+    path = put(tmp_path, rows((3.5, -2.5), (12, -9)))
+    with pytest.raises(TermselError, match="--raster"):
+        termsel.read(path, crs="local")
+    np.testing.assert_allclose(termsel.read(path, crs="local", raster=image).points.image,
+                               [[2, 3], [8.5, 11.5]])
+
+
+# GDAL
+
+
+def test_gcps_of_a_geotiff(tmp_path: Path) -> None:
+    rasterio = pytest.importorskip("rasterio")
+    from rasterio.control import GroundControlPoint
+
+    path = tmp_path / "image.tif"
+    gcps = [GroundControlPoint(row=20.5, col=10.5, x=5.0, y=44.0, z=0.0, id="a"),
+            GroundControlPoint(row=0, col=30, x=5.5, y=44.5, z=0.0, id="b")]
+    with rasterio.open(path, "w", driver="GTiff", width=50, height=40, count=1, dtype="uint8",
+                       crs="EPSG:4326", gcps=gcps):
+        pass
+    features = termsel.read(path)
+    np.testing.assert_allclose(features.points.image, [[20, 10], [-0.5, 29.5]])
+    assert np.isnan(features.points.ground[:, 2]).all()
+    assert (features.crs, features.image_size) == ("EPSG:4326", (40, 50))
+    centre = termsel.read(path, gcp_origin="centre")
+    np.testing.assert_allclose(centre.points.image, [[20.5, 10.5], [0, 30]])
+
+
+def test_raster_without_gcps(tmp_path: Path) -> None:
+    pytest.importorskip("rasterio")
+    path = put(tmp_path, VRT[:VRT.index("<GCPList")] + VRT[VRT.index("</GCPList>") + 10:])
+    with pytest.raises(TermselError, match="has no ground control points"):
+        read_file(path, readers())
+
+
+def test_without_rasterio_the_command_is_given(tmp_path: Path,
+                                               monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "rasterio", None)
+    with pytest.raises(TermselError, match=r'pip install "termsel\[gis\]"'):
+        termsel.read(put(tmp_path, VRT))
+    with pytest.raises(TermselError, match=r'pip install "termsel\[gis\]"'):
+        termsel.read(put(tmp_path, QGIS), dem=put(tmp_path, "", "dem.tif"))
+    assert len(termsel.read(put(tmp_path, QGIS)).points) == 3
+
+
+# ENVI
+
+
+@pytest.mark.parametrize(("text", "image", "ground"), [
+    ("; ENVI Image to Map GCP File\n; Map (x,y), Image (x,y)\n;\n 5.5 6.5  2.5  4.5\n",
+     [3, 1], [5.5, 6.5, math.nan]),
+    ("; ENVI Ground Control Points File\n; Map (x,y,elev), Image (x,y)\n;\n5.5 6.5 7 2.5 4.5\n",
+     [3, 1], [5.5, 6.5, 7]),
+    ("; ENVI Rigorous Orthorectification GCP File\n; FileName0=a.tif\n; FileName1=b.tif\n"
+     "; ImageFile#, Map (x,y,elev), Image (x,y)\n;\n1\t5.5\t6.5\t7\t2.5\t4.5\n", [3, 1],
+     [5.5, 6.5, 7]),
+    ("; ENVI Stereo Pair GCP File\n;\n2.5 4.5 9 9 -1.17410984e+002 4.77035482e+001 628.363\n",
+     [3, 1], [-117.410984, 47.7035482, 628.363])])
+def test_kinds_of_envi(tmp_path: Path, text: str, image: list[float], ground: list[float]) -> None:
+    features = read_file(put(tmp_path, text), readers())
+    np.testing.assert_allclose(features.points.image, [image])
+    np.testing.assert_allclose(features.points.ground, [ground])
+
+
+@pytest.mark.parametrize(("projection", "crs"), [
+    ("Geographic Lat/Lon, WGS-84, units=Degrees", "EPSG:4326"),
+    ("UTM, 7, South, WGS-84, units=Meters", "EPSG:32707"),
+    ("UTM, 7, North, North America 1927", ""), ("UTM, 77, North, WGS-84", ""),
+    ("Arbitrary, WGS-84", "")])
+def test_projections_of_envi(tmp_path: Path, projection: str, crs: str) -> None:
+    text = f"; ENVI GCP File\n; projection info = {{{projection}}}\n5.5 6.5 7 2.5 4.5\n"
+    assert read_file(put(tmp_path, text), readers()).crs == crs
+
+
+def test_several_images_of_envi(tmp_path: Path) -> None:
+    head = "; ENVI Rigorous Orthorectification GCP File\n;\n"
+    path = put(tmp_path, head + "0 1 2 3 4 5\n2 6 7 8 9 10\n")
+    with pytest.raises(TermselError, match=r"images 0, 2. Choose one with --set image_number=N"):
+        termsel.read(path, crs="local")
+    assert termsel.read(path, crs="local", image_number=2).points.image.tolist() == [[8.5, 7.5]]
+
+
+@pytest.mark.parametrize(("text", "line", "words"), [
+    (ENVI.replace("4366.000000", "4366,0"), 5, "not a number"),
+    (ENVI.replace("  447.000000\n", "\n"), 6, "5 numbers, expected 4 as in the first"),
+    (ENVI + "1 2 3\n", 7, "3 numbers"), (ENVI[:ENVI.index("408620")], None, "holds no points"),
+    ("; ENVI Image to Image GCP File\n; Base Image (x,y), Warp Image (x,y)\n;\n1 2 3 4\n", 1,
+     "between two images")])
+def test_bad_envi_files(tmp_path: Path, text: str, line: int | None, words: str) -> None:
+    with pytest.raises(TermselError, match=words) as caught:
+        read_file(put(tmp_path, text), readers())
+    assert caught.value.line == line
+
+
+# Ames Stereo Pipeline
+
+
+def test_several_images_of_asp(tmp_path: Path) -> None:
+    path = put(tmp_path, ASP)
+    with pytest.raises(TermselError, match=r"images image1\.tif, image2\.tif. Choose one"):
+        termsel.read(path, crs="EPSG:4979")
+    features = termsel.read(path, crs="EPSG:4979", image_name="image2.tif")
+    assert features.points.ids == ("5", "6")
+    assert features.points.ground[1].tolist() == [160.2, 23.8, 430]
+
+
+@pytest.mark.parametrize(("old", "new", "line", "column"), [
+    ("23.8", "north", 3, "lat"), (" 1, 1\n7", " 1\n7", 3, None), ("21, 22", "21, x", 4, "row"),
+    ("6, 23.8", "5, 23.8", 3, "id")])
+def test_bad_asp_files(tmp_path: Path, old: str, new: str, line: int, column: str | None) -> None:
+    text = ASP.replace("image1", "image2").replace(" image2.tif 254 73 1 1", "").replace(old, new)
+    with pytest.raises(TermselError) as caught:
+        read_file(put(tmp_path, text), readers(), "asp-gcp")
+    assert (caught.value.line, caught.value.column) == (line, column)
+
+
+# GeoJSON
+
+
+@pytest.mark.parametrize(("properties", "coordinates", "column"), [
+    ({}, [1, 2, 3], "ji"), ({"ji": [1]}, [1, 2, 3], "ji"), ({"ji": [1, True]}, [1, 2], "ji"),
+    ({"ji": "[1, 2"}, [1, 2], "ji"), ({"ji": [1, 2]}, [1], "coordinates"),
+    ({"ji": [1, 2]}, [1, None, 3], "coordinates"), ({"ji": [1, 2]}, None, "coordinates"),
+    ({"ji": [1, 2]}, [1, 10**400], "coordinates"),
+    ({"ji": [1, 2], "role": "best"}, [1, 2], "role"),
+    ({"ji": [1, 2], "sigma_px": "x"}, [1, 2], "sigma_px")])
+def test_bad_features(tmp_path: Path, properties: dict[str, Any], coordinates: Any,
+                      column: str) -> None:
+    good: tuple[dict[str, Any], str, Any] = ({"ji": [5, 6]}, "Point", [7, 8])
+    text = collection(good, (properties, "Point", coordinates))
+    with pytest.raises(TermselError, match=r"feature [12]: ") as caught:
+        read_file(put(tmp_path, text), readers())
+    assert caught.value.column == column or column == "sigma_px"
+
+
+def test_members_of_geojson(tmp_path: Path) -> None:
+    text = collection(
+        ({"ji": "[3, 4]", "enabled": False, "sigma_px": 0.5}, "Point", [500000, 5000000]),
+        ({"ji": [5, 6.5], "id": 12, "sigma_px": [1, 2]}, "Point", [500010, 5000900]),
+        crs={"type": "name", "properties": {"name": "urn:ogc:def:crs:EPSG::32631"}})
+    features = termsel.read(put(tmp_path, text))
+    assert features.crs == "EPSG:32631"
+    assert features.points.ids == ("P1", "12")
+    assert features.points.roles == ("off", "")
+    assert features.points.image.tolist() == [[4, 3], [6.5, 5]]
+    assert features.points.sigma is not None
+    assert features.points.sigma.tolist() == [[0.5, 0.5], [2, 1]]
+    assert np.isnan(features.points.ground[:, 2]).all()
+
+
+@pytest.mark.parametrize(("text", "words"), [
+    ('{"type": "FeatureCollection", "features": [\n\n', "not JSON"),
+    ('{"type": "FeatureCollection", "features": []}', "no features"),
+    ('{"type": "Feature"}', "not a FeatureCollection"), ("[" * 200_000, "not"),
+    (ORTHORITY.replace('"Point"', '"Polygon"'), "geometry is Polygon, expected Point")])
+def test_what_is_no_geojson_of_points(tmp_path: Path, text: str, words: str) -> None:
+    with pytest.raises(TermselError, match=words):
+        read_file(put(tmp_path, text), readers(), "geojson-points")
+
+
+def test_images_of_orthority(tmp_path: Path) -> None:
+    path = put(tmp_path, ORTHORITY.replace("q.tif", "r.tif", 1))
+    with pytest.raises(TermselError, match=r"images q\.tif, r\.tif"):
+        termsel.read(path)
+    assert termsel.read(path, image_name="r.tif").points.ids == ("plinth",)
+
+
+# Formats by name, in Python and on the command line
+
+
+def test_format_is_forced(tmp_path: Path) -> None:
+    path = put(tmp_path, ENVI)
+    with pytest.raises(TermselError, match="there is no column for x"):
+        termsel.read(path, format="qgis-points")
+    with pytest.raises(TermselError, match="Did you mean 'envi-pts'"):
+        termsel.read(path, format="envi-pt")
+    with pytest.raises(TermselError, match="2 formats are given for 1 files"):
+        termsel.read(path, format=["envi-pts", "envi-pts"])
+    assert len(termsel.read(path, format="envi-pts").points) == 2
+
+
+def test_many_points_of_each_format(tmp_path: Path) -> None:
+    n = 20_000
+    values = np.random.default_rng(1).random((n, 5)) * 1000
+    texts = {
+        "qgis-points": "mapX,mapY,sourceX,sourceY,enable\n" + "".join(
+            f"{a!r},{b!r},{c!r},{-d!r},1\n" for a, b, c, d, _ in values.tolist()),
+        "envi-pts": "; ENVI GCP File\n" + "".join(
+            f"{a!r} {b!r} {e!r} {c!r} {d!r}\n" for a, b, c, d, e in values.tolist()),
+        "asp-gcp": "".join(f"{i} {b!r} {a!r} {e!r} 1 1 1 i {c!r} {d!r} 1 1\n"
+                           for i, (a, b, c, d, e) in enumerate(values.tolist()))}
+    for name, text in texts.items():
+        features = read_file(put(tmp_path, text), readers())
+        assert len(features) == n, name
+        np.testing.assert_array_equal(features.points.ground[:, :2], values[:, :2])
