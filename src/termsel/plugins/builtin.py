@@ -80,6 +80,13 @@ def termsel_datasets() -> Iterable[DatasetSpec]:
 @hookimpl
 def termsel_readers() -> Iterable[Reader]:
     """Return the built-in readers."""
+    from termsel.io.asp_gcp import AspGcp
     from termsel.io.csv_tables import LinesCsv, PointsCsv
+    from termsel.io.envi_points import EnviPoints
+    from termsel.io.gdal_gcps import GdalGcps
+    from termsel.io.geojson_points import GeoJsonPoints
+    from termsel.io.ground_lines import GeoJsonLines, VectorLines
+    from termsel.io.qgis_points import QgisPoints
 
-    return [PointsCsv(), LinesCsv()]
+    return [PointsCsv(), LinesCsv(), QgisPoints(), GeoJsonPoints(), GeoJsonLines(), VectorLines(),
+            GdalGcps(), EnviPoints(), AspGcp()]
