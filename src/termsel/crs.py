@@ -149,6 +149,23 @@ def to_wgs84(crs: str) -> Callable[[FloatArray], FloatArray]:
     return convert
 
 
+def horizontal(crs: str) -> str:
+    """Return a CRS without its heights, as files of plane coordinates state it; "" for none.
+
+    Parameters
+    ----------
+    crs : str
+        As for `normalise`.
+    """
+    name = normalise(crs)
+    if name == LOCAL:
+        return ""
+    if name in WGS84:
+        return "EPSG:4326"
+    known = _with_pyproj(name)
+    return name if known is None or len(known.axis_info) < 3 else normalise(known.to_2d().to_wkt())
+
+
 def check_ground(features: FeatureSet) -> None:
     """Refuse ground coordinates that cannot be in the CRS of the features.
 

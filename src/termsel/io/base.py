@@ -68,8 +68,10 @@ class Reader(Configurable, ABC):
         """
 
 
-class Writer(ABC):
+class Writer(Configurable, ABC):
     """Writes a result in one format.
+
+    The options a writer declares are given by ``--image``, ``--dem`` and ``--set``.
 
     Attributes
     ----------
@@ -77,10 +79,13 @@ class Writer(ABC):
         As in ``termsel export --to``.
     summary : str
         One line that says what is written and who reads it.
+    suffix : str
+        What the names of such files end with, as ``termsel run --export`` names them.
     """
 
     name: ClassVar[str]
     summary: ClassVar[str]
+    suffix: ClassVar[str] = ""
 
     @abstractmethod
     def accepts(self, result: Result) -> bool:

@@ -33,6 +33,26 @@ def require_rasterio() -> Any:
     return rasterio
 
 
+def empty_tiff() -> bytes:
+    """Return a GeoTIFF of one pixel, for files that GDAL reads only beside an image."""
+    return tiff_bytes(np.zeros((1, 1, 1), dtype=np.uint8))
+
+
+def tiff_bytes(pixels: Any, **profile: Any) -> bytes:
+    """Return a GeoTIFF of pixels, shape (bands, lines, samples), made in memory.
+
+    A file that is written as bytes is known to be whole; GDAL may not say that a disk was full.
+    """
+    rasterio = require_rasterio()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
+        with rasterio.MemoryFile() as memory:
+            with memory.open(driver="GTiff", count=pixels.shape[0], height=pixels.shape[1],
+                             width=pixels.shape[2], dtype=pixels.dtype.name, **profile) as raster:
+                raster.write(pixels)
+            return bytes(memory.read())
+
+
 @contextmanager
 def open_raster(path: Path | str) -> Iterator[Any]:
     """Open a raster for reading.

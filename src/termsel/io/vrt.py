@@ -8,7 +8,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from xml.sax.saxutils import escape, quoteattr
 
+from termsel.errors import TermselError
 from termsel.io.rasters import open_raster
+from termsel.options import Option
+from termsel.result import Result
+
+IMAGE = Option("image", None, "The image; without it the VRT has its size and no pixels.")
+"""Option of every writer of a VRT."""
 
 _DATA_TYPES = {
     "uint8": "Byte", "int8": "Int8", "uint16": "UInt16", "int16": "Int16", "uint32": "UInt32",
@@ -60,6 +66,32 @@ class Picture:
     types: tuple[str, ...] = ("Byte",)
     nodata: tuple[float | None, ...] = (None,)
     colours: tuple[str, ...] = ("Gray",)
+
+
+def picture_for(result: Result, image: Path | str | None) -> Picture:
+    """Return what a VRT must know of the image of a result.
+
+    Parameters
+    ----------
+    result : Result
+    image : path-like, optional
+        Without it the size is that of the image, where it is known, or of the measured points.
+
+    Raises
+    ------
+    TermselError
+        If GDAL cannot read the image, or it has another size than the result's.
+    """
+    known = result.features.image_size
+    if image is None:
+        bottom, right = result.fit.image_box()[1]
+        return Picture(known or (max(1, int(bottom) + 1), max(1, int(right) + 1)))
+    picture = picture_of(Path(image))
+    if known is not None and picture.size != known:
+        raise TermselError(f"the image has {picture.size[0]} lines and {picture.size[1]} samples, "
+                           f"that of the result has {known[0]} and {known[1]}", file=image,
+                           hint="Give the image the features were measured in.")
+    return picture
 
 
 def picture_of(image: Path) -> Picture:

@@ -13,7 +13,7 @@ from termsel.plugins.hookspecs import hookimpl
 if TYPE_CHECKING:
     from termsel.criteria import Criterion
     from termsel.datasets import DatasetSpec
-    from termsel.io.base import Reader
+    from termsel.io.base import Reader, Writer
     from termsel.models import SensorModel
     from termsel.problems.recipes import Recipe
     from termsel.solvers import Solver
@@ -90,3 +90,21 @@ def termsel_readers() -> Iterable[Reader]:
 
     return [PointsCsv(), LinesCsv(), QgisPoints(), GeoJsonPoints(), GeoJsonLines(), VectorLines(),
             GdalGcps(), EnviPoints(), AspGcp()]
+
+
+@hookimpl
+def termsel_writers() -> Iterable[Writer]:
+    """Return the built-in writers."""
+    from termsel.io.grid_writers import GcpGridVrt, GeolocationVrt
+    from termsel.io.residual_writer import ResidualsGeopackage
+    from termsel.io.rpc_writers import Rpb, RpcTxt, RpcVrt
+    from termsel.io.selection_writers import (
+        GcpVrt,
+        LinesTable,
+        OrthorityGeojson,
+        PointsTable,
+        QgisPoints,
+    )
+
+    return [Rpb(), RpcTxt(), RpcVrt(), GcpGridVrt(), GeolocationVrt(), QgisPoints(), GcpVrt(),
+            OrthorityGeojson(), PointsTable(), LinesTable(), ResidualsGeopackage()]

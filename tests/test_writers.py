@@ -1,0 +1,373 @@
+"""Writers: whole or nothing, read back by termsel, GDAL and others."""
+
+from __future__ import annotations
+
+import json
+import logging
+import warnings
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import termsel
+from termsel.errors import TermselError
+from termsel.features import FeatureSet, Points
+from termsel.io.csv_tables import LinesCsv, PointsCsv
+from termsel.io.grid_writers import GcpGridVrt, GeolocationVrt
+from termsel.io.rasters import empty_tiff
+from termsel.io.residual_writer import ResidualsGeopackage
+from termsel.io.rpc_files import read_rpc
+from termsel.io.rpc_text import rpb_text
+from termsel.io.rpc_writers import Rpb, RpcTxt, RpcVrt, require_read_back
+from termsel.io.selection_writers import (
+    GcpVrt,
+    LinesTable,
+    OrthorityGeojson,
+    PointsTable,
+    QgisPoints,
+)
+from termsel.result import Result
+from termsel.rpc_fitting import rpc_of
+from termsel.testing import Check, example_results, writer_checks
+
+pytestmark = pytest.mark.filterwarnings("ignore:Dataset has no geotransform")
+rasterio = pytest.importorskip("rasterio")
+pyproj = pytest.importorskip("pyproj")
+
+
+def _mashad(crs: str = "EPSG:4979", **options: object) -> Result:
+    """Return a result of all terms over a simulated scene, its ground coordinates in a CRS."""
+    features = termsel.simulate_scene("irs1c-mashad")
+    if crs != "EPSG:4979":
+        turn = pyproj.Transformer.from_crs("EPSG:4979", crs, always_xy=True)
+        lon, lat, height = features.points.ground.T
+        ground = np.column_stack([*turn.transform(lon, lat), height])
+        features = replace(features, crs=crs, points=replace(features.points, ground=ground))
+    chosen: dict[str, object] = {"model": "poly3d", "solver": "all-terms", **options}
+    return termsel.run("rfm-terms", features=features, **chosen)  # type: ignore[arg-type]
+
+
+@pytest.fixture(scope="module")
+def geographic() -> Result:
+    return _mashad()
+
+
+@pytest.fixture(scope="module")
+def utm() -> Result:
+    return _mashad("EPSG:32640")
+
+
+@pytest.fixture(scope="module")
+def of_lines() -> Result:
+    return termsel.run("owdis-lines", generations=2, options={"population": 30, "polish": False})
+
+
+# The suite of every writer; the example results have random coefficients and selections, so
+# that grids are made of a fitted scene.
+
+SUITES: dict[str, tuple[Check, ...]] = {
+    writer.name: writer_checks(writer, filename=f"scene{writer.suffix}")
+    for writer in (QgisPoints(), OrthorityGeojson(), GcpVrt(), PointsTable(),
+                   ResidualsGeopackage())}
+
+
+@pytest.mark.parametrize("check", [
+    pytest.param(check, id=f"{name}-{check.name}")
+    for name, checks in SUITES.items() for check in checks])
+def test_conformance(check: Check) -> None:
+    check.run()
+
+
+@pytest.mark.parametrize("writer", [Rpb(), RpcTxt(), RpcVrt(), GcpGridVrt(across=5),
+                                    GeolocationVrt(step=500), LinesTable()], ids=lambda w: w.name)
+def test_conformance_on_fitted_scenes(writer: termsel.Writer, geographic: Result,
+                                      of_lines: Result) -> None:
+    local = replace(geographic, fit=replace(geographic.fit, control=replace(
+        geographic.fit.control, crs="local")))
+    results = [geographic, of_lines] + ([local] if "rpc" in writer.name else [])
+    for check in writer_checks(writer, filename=f"scene{writer.suffix}", results=results):
+        check.run()
+
+
+# RPCs
+
+
+@pytest.mark.parametrize("crs", ["EPSG:4979", "EPSG:32640"])
+def test_rpcs_of_fits_in_any_crs(crs: str) -> None:
+    result = _mashad(crs)
+    found = rpc_of(result.fit)
+    assert found.how == ("exact" if crs == "EPSG:4979" else "the selected")
+    assert found.worst < (1e-9 if crs == "EPSG:4979" else 0.05)
+    degrees = termsel.simulate_scene("irs1c-mashad").points.ground
+    apart = found.rpc.project(degrees) - result.project(result.features.points.ground)
+    assert np.abs(apart).max() <= max(found.worst, 1e-9)
+
+
+def test_terms_that_were_not_selected_are_zero_and_denominators_begin_with_one() -> None:
+    result = termsel.run("rfm-terms", dataset="irs1c-mashad", solver="random", generations=2)
+    rpc = result.to_rpc()
+    names = {name for name in result.selection.terms if ".num" in name or ".den" in name}
+    written = sum(np.count_nonzero(part) for part in (
+        rpc.line_numerator, rpc.sample_numerator, rpc.line_denominator[1:],
+        rpc.sample_denominator[1:]))
+    assert written == len(names) == len(result.selection.terms)
+    assert rpc.line_denominator[0] == rpc.sample_denominator[0] == 1.0
+
+
+@pytest.mark.parametrize(("model", "options", "how"), [
+    ("affine", {}, "exact"), ("poly3d", {"degree": 3}, "exact"), ("dlt3d", {}, "exact"),
+    ("poly2d", {"degree": 3}, "exact"), ("poly2d", {"degree": 4}, "all 40 polynomial"),
+    ("rfm", {"order": 1, "denominators": "shared"}, "exact")])
+def test_which_models_are_rpcs(model: str, options: dict[str, object], how: str,
+                               caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level(logging.INFO, "termsel")
+    result = _mashad(model=model, options=options)
+    found = rpc_of(result.fit)
+    assert found.how == how
+    assert ("fitted anew" in caplog.text) == (how != "exact")
+    if how != "exact":
+        assert f"at most {found.worst:.2g} px" in caplog.text
+
+
+def test_plane_coordinates_are_no_rpc() -> None:
+    local = example_results()[1]
+    assert not Rpb().accepts(local)
+    with pytest.raises(TermselError, match="without a CRS cannot be turned into longitude"):
+        local.to_rpc()
+
+
+def test_an_rpc_that_gdal_cannot_use_is_not_written() -> None:
+    rpc = rpc_of(_mashad(model="affine").fit).rpc
+    flat = replace(rpc, line_numerator=(0.5,) + (0.0,) * 19)
+    with pytest.raises(TermselError, match="GDAL"):
+        require_read_back(flat, rpb_text(flat), ".RPB")
+    with pytest.raises(TermselError, match="not what is read back"):
+        require_read_back(flat, rpb_text(rpc), ".RPB")
+
+
+def test_vendors_file_of_higher_priority_is_warned_of(
+        geographic: Result, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    image = tmp_path / "scene.tif"
+    image.write_bytes(empty_tiff())
+    RpcTxt(image=str(image)).write(geographic, tmp_path / "scene_RPC.TXT")
+    assert "Warning" not in caplog.text
+    vendor = replace(geographic.to_rpc(), image_offset=(0.0, 0.0))
+    (tmp_path / "scene.RPB").write_text(rpb_text(vendor))
+    RpcTxt().write(geographic, tmp_path / "scene_RPC.TXT")
+    assert "GDAL takes the RPC of scene.RPB rather than that of scene_RPC.TXT" in caplog.text
+    caplog.clear()
+    Rpb(image=str(image)).write(geographic, tmp_path / "other.RPB")
+    assert "GDAL does not take this RPC" in caplog.text
+    # A VRT needs no file to be moved away.
+    warnings.simplefilter("ignore")
+    picture = tmp_path / "whole.tif"
+    with rasterio.open(picture, "w", driver="GTiff", width=4000, height=4000, count=1,
+                       dtype="uint8", sparse_ok=True):
+        pass
+    (tmp_path / "whole.RPB").write_text(rpb_text(vendor))
+    RpcVrt(image=str(picture)).write(geographic, tmp_path / "whole.vrt")
+    assert read_rpc(tmp_path / "whole.vrt") == geographic.to_rpc()
+    with rasterio.open(tmp_path / "whole.vrt") as raster:
+        assert raster.rpcs.line_off == geographic.to_rpc().image_offset[0]
+
+
+# Selections
+
+
+def _some_left_out() -> Result:
+    """Return a result in UTM with 20 of 30 control points selected, one point off."""
+    features = termsel.simulate_scene("irs1c-mashad", n_points=60)
+    turn = pyproj.Transformer.from_crs("EPSG:4979", "EPSG:32640", always_xy=True)
+    lon, lat, height = features.points.ground.T
+    roles = ("off", *("control", "check", "control", "independent") * 15)[:60]
+    points = replace(features.points, roles=roles, ground=np.column_stack(
+        [*turn.transform(lon, lat), height]))
+    return termsel.run("owdis-points", features=replace(features, crs="EPSG:32640", points=points),
+                       model="affine", generations=3, options={
+                           "population": 30, "max_features": 20, "polish": False})
+
+
+@pytest.fixture(scope="module")
+def selected() -> Result:
+    return _some_left_out()
+
+
+def _lines(path: Path) -> list[list[str]]:
+    return [line.split(",") for line in path.read_text().splitlines() if not line.startswith("#")]
+
+
+def test_qgis_points(selected: Result, tmp_path: Path) -> None:
+    path = tmp_path / "scene.points"
+    QgisPoints().write(selected, path)
+    assert path.read_text().startswith('#CRS: PROJCRS["WGS 84 / UTM zone 40N"')
+    header, *rows = _lines(path)
+    assert header == ["mapX", "mapY", "sourceX", "sourceY", "enable", "dX", "dY", "residual"]
+    values = np.array(rows, dtype=float)
+    points = selected.features.points
+    assert np.array_equal(values[:, :2], points.ground[:, :2])
+    assert np.array_equal(values[:, 2], points.image[:, 1] + 0.5)
+    assert np.array_equal(values[:, 3], -points.image[:, 0] - 0.5)
+    assert [name for name, on in zip(points.ids, values[:, 4], strict=True) if on] == list(
+        selected.selection.features)
+    # Where QGIS would draw the computed place: measured plus (dX, dY), y up.
+    computed = selected.project(points.ground)
+    assert np.allclose(values[:, 2] + values[:, 5], computed[:, 1] + 0.5)
+    assert np.allclose(-(values[:, 3] + values[:, 6]), computed[:, 0] + 0.5)
+    assert np.allclose(values[:, 7], np.hypot(values[:, 5], values[:, 6]))
+
+
+def test_points_csv_is_read_again_with_the_selection(selected: Result, tmp_path: Path) -> None:
+    path = tmp_path / "points.csv"
+    PointsTable().write(selected, path)
+    read = PointsCsv().read(path)
+    assert read.crs == "EPSG:32640"
+    assert np.array_equal(read.points.ground, selected.features.points.ground)
+    assert np.array_equal(read.points.image, selected.features.points.image)
+    control = [name for name, role in zip(read.points.ids, read.points.roles, strict=True)
+               if role == "control"]
+    assert control == list(selected.selection.features)
+    assert read.points.roles.count("off") == 1 + 30 - len(control)
+
+
+def test_lines_csv_is_read_again_with_the_selection(of_lines: Result, tmp_path: Path) -> None:
+    path = tmp_path / "lines.csv"
+    LinesTable().write(of_lines, path)
+    read = LinesCsv().read(path)
+    assert read.lines.ids == of_lines.selection.features
+    with pytest.raises(TermselError, match=r"cannot be written as qgis-points.*residuals-gpkg"):
+        QgisPoints().write(of_lines, path)
+
+
+def test_orthority_geojson(selected: Result, tmp_path: Path) -> None:
+    path = tmp_path / "gcps.geojson"
+    OrthorityGeojson(image="/somewhere/scene.tif").write(selected, path)
+    collection = json.loads(path.read_text())
+    assert collection["type"] == "FeatureCollection"
+    ids = [feature["properties"]["id"] for feature in collection["features"]]
+    assert ids == list(selected.selection.features)
+    original = termsel.simulate_scene("irs1c-mashad", n_points=60).points
+    for feature in collection["features"]:
+        i = original.ids.index(feature["properties"]["id"])
+        assert feature["geometry"]["type"] == "Point"
+        assert np.allclose(feature["geometry"]["coordinates"], original.ground[i], atol=1e-9)
+        assert feature["properties"]["ji"] == original.image[i, ::-1].tolist()
+        assert feature["properties"]["filename"] == "scene.tif"
+        assert isinstance(feature["properties"]["info"], str)
+
+
+def test_gcps_are_gdals(selected: Result, tmp_path: Path) -> None:
+    path = tmp_path / "gcps.vrt"
+    GcpVrt().write(selected, path)
+    with rasterio.open(path) as raster:
+        gcps, crs = raster.gcps
+        assert raster.shape == (4000, 4000)
+    assert crs.to_epsg() == 32640
+    points = selected.features.points
+    assert [gcp.id for gcp in gcps] == list(selected.selection.features)
+    for gcp in gcps:
+        i = points.ids.index(gcp.id)
+        assert (gcp.row - 0.5, gcp.col - 0.5) == pytest.approx(tuple(points.image[i]))
+        assert (gcp.x, gcp.y, gcp.z) == tuple(points.ground[i])
+
+
+def test_names_with_markup_survive_a_vrt(tmp_path: Path) -> None:
+    result = example_results()[0]
+    points = replace(result.features.points,
+                     ids=('a<b>&"c"', *result.features.points.ids[1:]))
+    control = replace(result.fit.control, points=points.take(
+        np.array(points.roles) == "control"))
+    named = replace(result, features=replace(result.features, points=points),
+                    fit=replace(result.fit, control=control),
+                    selection=replace(result.selection, features=control.ids))
+    GcpVrt().write(named, tmp_path / "gcps.vrt")
+    with rasterio.open(tmp_path / "gcps.vrt") as raster:
+        assert [gcp.id for gcp in raster.gcps[0]] == list(control.ids)
+
+
+def test_residuals_for_a_map(selected: Result, of_lines: Result, tmp_path: Path) -> None:
+    pyogrio = pytest.importorskip("pyogrio")
+    shapely = pytest.importorskip("shapely")
+    path = tmp_path / "residuals.gpkg"
+    ResidualsGeopackage(exaggeration=100).write(selected, path)
+    assert sorted(name for name, _ in pyogrio.list_layers(path)) == ["residuals", "vectors"]
+    meta, _, shapes, columns = pyogrio.raw.read(path, layer="vectors")
+    assert "32640" in meta["crs"]
+    table = dict(zip(meta["fields"], columns, strict=True))
+    assert set(table["exaggeration"]) == {100.0}
+    for i, shape in enumerate(shapely.from_wkb(shapes)):
+        residual = selected.residuals[i]
+        assert table["id"][i] == residual.id
+        assert table["distance"][i] == residual.distance
+        start, end = np.array(shape.coords)
+        assert tuple(start) == (residual.x, residual.y)
+        there = np.append(start + (end - start) / 100, residual.z)
+        moved = selected.project(there[None])[0] - selected.project(
+            np.array([[residual.x, residual.y, residual.z]]))[0]
+        assert moved == pytest.approx((residual.line, residual.sample), abs=1e-3)
+    ResidualsGeopackage().write(of_lines, path)
+    assert pyogrio.read_info(path, layer="residuals")["features"] == 2 * 120 + 24 + 26
+
+
+# Grids
+
+
+def _dem(path: Path, heights: np.ndarray, west: float, north: float, pixel: float) -> Path:
+    from affine import Affine
+
+    with rasterio.open(path, "w", driver="GTiff", width=heights.shape[1], height=heights.shape[0],
+                       count=1, dtype="float32", crs="EPSG:4326", transform=Affine(
+                           pixel, 0.0, west, 0.0, -pixel, north)) as raster:
+        raster.write(heights.astype(np.float32), 1)
+    return path
+
+
+def test_grids_lie_on_the_terrain(geographic: Result, tmp_path: Path) -> None:
+    slope = 900.0 + 400.0 * np.linspace(0.0, 1.0, 500)[None, :] * np.ones((500, 1))
+    dem = _dem(tmp_path / "dem.tif", slope, 59.3, 36.6, 0.0012)
+    GcpGridVrt(dem=str(dem), across=7).write(geographic, tmp_path / "grid.vrt")
+    with rasterio.open(tmp_path / "grid.vrt") as raster:
+        gcps = raster.gcps[0]
+    assert len(gcps) == 64
+    ground = np.array([(gcp.x, gcp.y, gcp.z) for gcp in gcps])
+    image = np.array([(gcp.row - 0.5, gcp.col - 0.5) for gcp in gcps])
+    assert np.abs(geographic.project(ground) - image).max() < 1e-3
+    assert np.ptp(ground[:, 2]) > 100
+    GeolocationVrt(dem=str(dem), step=100).write(geographic, tmp_path / "g.vrt")
+    with rasterio.open(tmp_path / "g_xy.tif") as raster:
+        x, y = raster.read()
+    with_height = geographic.locate([[2000.0, 1000.0]], lambda xy: np.interp(
+        xy[:, 0], 59.3 + 0.0012 * (np.arange(500) + 0.5), slope[0]))
+    assert np.abs(with_height[0, :2] - (x[21, 11], y[21, 11])).max() < 1e-7
+
+
+def test_level_ground_is_warned_of(geographic: Result, tmp_path: Path,
+                                   caplog: pytest.LogCaptureFixture) -> None:
+    GcpGridVrt().write(geographic, tmp_path / "grid.vrt")
+    assert "without a raster of heights (--dem) the ground is taken as level" in caplog.text
+    caplog.clear()
+    GcpGridVrt(height=1000.0).write(geographic, tmp_path / "grid.vrt")
+    assert "Warning" not in caplog.text
+
+
+def test_an_image_of_another_size_is_refused(geographic: Result, tmp_path: Path) -> None:
+    (tmp_path / "small.tif").write_bytes(empty_tiff())
+    for writer in (RpcVrt, GcpVrt, GcpGridVrt, GeolocationVrt):
+        with pytest.raises(TermselError, match="the image has 1 lines and 1 samples, that of the"):
+            writer(image=str(tmp_path / "small.tif")).write(geographic, tmp_path / "x.vrt")
+        assert not (tmp_path / "x.vrt").exists()
+
+
+def test_plane_models_need_no_heights(tmp_path: Path) -> None:
+    rng = np.random.default_rng(3)
+    ground = np.column_stack([rng.uniform(0.0, 1000.0, (40, 2)), np.full(40, np.nan)])
+    image = np.column_stack([500.0 - 0.5 * ground[:, 1], 0.5 * ground[:, 0]])
+    image += rng.normal(0.0, 0.1, (40, 2))
+    points = Points(tuple(f"p{i}" for i in range(40)), image, ground)
+    result = termsel.run("poly-terms", features=FeatureSet(points, crs="EPSG:32640"),
+                         solver="all-terms", model="poly2d", options={"degree": 2})
+    for writer in (GcpGridVrt(), GcpVrt(), QgisPoints(), PointsTable(), ResidualsGeopackage(),
+                   GeolocationVrt(step=50), RpcVrt()):
+        writer.write(result, tmp_path / f"scene{writer.suffix}")
+    assert not OrthorityGeojson().accepts(result)
