@@ -136,3 +136,13 @@ def test_vertices_of_lines_are_checked() -> None:
                   [[[5, 44, 0], [6, 44, 0]], [[5, 45, 0], [6, 145, 0]]])
     with pytest.raises(TermselError, match="feature 'm' with x = 6, y = 145"):
         check_ground(FeatureSet(no_points(), lines, crs="EPSG:4979"))
+
+
+@pytest.mark.usefixtures("_no_pyproj")
+def test_wkt_tells_its_code_without_pyproj() -> None:
+    base = 'GEOGCRS["WGS 84",DATUM["x",ELLIPSOID["y",1,2]],ID["EPSG",4326]]'
+    assert normalise(base) == "EPSG:4326"
+    assert normalise(f'PROJCRS["a",{base},ID["EPSG",32631]]\n') == "EPSG:32631"
+    assert normalise('GEOGCS["a",DATUM["x"],AUTHORITY["EPSG","4326"]]') == "EPSG:4326"
+    for own in (f'PROJCRS["a",CS[Cartesian,2],{base}]', f'COMPOUNDCRS["a",PROJCRS["b"],{base}]'):
+        assert normalise(own) == own

@@ -134,6 +134,20 @@ def test_lines_that_are_off_are_left_out(tmp_path: Path) -> None:
     assert (error.line, error.column) == (3, "role")
 
 
+def test_columns_are_declared(tmp_path: Path) -> None:
+    path = put(tmp_path, "Punkt,Zeile,Spalte,Rechtswert,Hochwert,h\na,1.5,2.5,5.25,44.5,300\n")
+    columns = "id:Punkt, line:zeile,sample:Spalte,x:Rechtswert,y:Hochwert"
+    features = read_file(path, READERS, options={"columns": columns})
+    np.testing.assert_array_equal(features.points.ground, [[5.25, 44.5, 300]])
+    np.testing.assert_array_equal(features.points.image, [[1.5, 2.5]])
+    for wrong, words in [("line=Zeile", "'line=Zeile' does not declare a column"),
+                         ("lines:Zeile", "Did you mean 'line'")]:
+        with pytest.raises(TermselError, match=words):
+            read_file(path, READERS, "points-csv", {"columns": wrong})
+    error = refusal(tmp_path, path.read_bytes(), "points-csv")
+    assert (error.line, error.column) == (1, "id")
+
+
 def test_rows_of_one_id_are_pieces_of_one_line(tmp_path: Path) -> None:
     lines = read(tmp_path, LINES + L + "m,1,2,3,5,6,7,8,9,10,11\n" + L.replace("44", "54")).lines
     assert lines.ids == ("l", "m", "l")

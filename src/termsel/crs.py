@@ -33,6 +33,10 @@ _UTM = re.compile(r"EPSG:32([67])(0[1-9]|[1-5]\d|60)")
 _WKT = re.compile(r"(GEOG|GEOD|GEOC|PROJ|COMP|LOCAL_CS|ENG|BOUND|DERIVED)\w*\s*\[.*\]",
                   re.IGNORECASE | re.DOTALL)
 
+# The code of the whole stands last, as that of WKT's outermost bracket.
+_AUTHORITY = re.compile(r'(?:ID|AUTHORITY)\s*\[\s*"EPSG"\s*,\s*"?(\d+)"?\s*\]\s*\]\s*$',
+                        re.IGNORECASE)
+
 _DEGREES = ((-180.0, -90.0), (360.0, 90.0))
 # Generous: scenes reach into the next zone, and some producers keep northern zones with
 # negative northings south of the equator.
@@ -50,7 +54,8 @@ def normalise(crs: str) -> str:
     Returns
     -------
     str
-        "EPSG:n" where the code is known or pyproj finds it, else the WKT, or "local".
+        "EPSG:n" where the code is known, pyproj finds it or WKT ends with it, else the WKT, or
+        "local".
 
     Raises
     ------
@@ -73,7 +78,10 @@ def normalise(crs: str) -> str:
             return name
     elif _WKT.fullmatch(text):
         known = _with_pyproj(text)
-        epsg = None if known is None else known.to_epsg(min_confidence=100)
+        if known is None:
+            own = _AUTHORITY.search(text)
+            return f"EPSG:{int(own[1])}" if own else text
+        epsg = known.to_epsg(min_confidence=100)
         return text if epsg is None else f"EPSG:{epsg}"
     guess = f"Did you mean EPSG:{text}? " if text.isdecimal() else ""
     raise TermselError(f"unknown CRS {crs!r}", hint=f"{guess}Examples: {EXAMPLES}; or WKT.")

@@ -16,7 +16,7 @@ from termsel.errors import TermselError
 from termsel.features import FeatureSet, FloatArray, Lines, Points
 from termsel.io.atomic import write_text
 from termsel.io.base import Reader
-from termsel.io.tables import USE, read_table, sniff_table
+from termsel.io.tables import COLUMNS, USE, Aliases, declared, read_table, sniff_table
 
 _COORDINATES = {
     "line": ("line", "row", "y_px"),
@@ -37,14 +37,18 @@ class PointsCsv(Reader):
 
     name = "points-csv"
     summary = "points as a table headed id,role,line,sample,x,y,z[,sigma_line,sigma_sample]"
+    declared_options = (COLUMNS,)
 
     def sniff(self, path: Path, head: bytes) -> bool:
         """Return True if a header names at least three columns of points."""
-        return sniff_table(head, _POINTS)
+        return sniff_table(head, self._aliases())
+
+    def _aliases(self) -> Aliases:
+        return declared(_POINTS, self.options["columns"])
 
     def read(self, path: Path) -> FeatureSet:
         """Return the points of a table; errors name file, line and column."""
-        table = read_table(path, _POINTS)
+        table = read_table(path, self._aliases())
         image, ground = table.stack("line", "sample"), table.stack("x", "y", "z")
         return FeatureSet(table.points(image, ground, table.sigma(), table.roles()),
                           crs=table.crs)
@@ -55,14 +59,18 @@ class LinesCsv(Reader):
 
     name = "lines-csv"
     summary = "lines as a table headed id,line1,sample1,line2,sample2,x1,y1,z1,x2,y2,z2"
+    declared_options = (COLUMNS,)
 
     def sniff(self, path: Path, head: bytes) -> bool:
         """Return True if a header names at least three columns of lines."""
-        return sniff_table(head, LINES)
+        return sniff_table(head, self._aliases())
+
+    def _aliases(self) -> Aliases:
+        return declared(LINES, self.options["columns"])
 
     def read(self, path: Path) -> FeatureSet:
         """Return the lines of a table that are not off; errors name file, line and column."""
-        table = read_table(path, LINES)
+        table = read_table(path, self._aliases())
         roles = table.roles()
         for row, role in enumerate(roles):
             if role in ("check", "independent"):

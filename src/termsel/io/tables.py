@@ -17,15 +17,20 @@ from pathlib import Path
 import numpy as np
 
 from termsel.crs import normalise
-from termsel.errors import TermselError
+from termsel.errors import TermselError, unknown_name
 from termsel.features import ROLES, FloatArray, Points
 from termsel.io.base import located, read_text
+from termsel.options import Option
 
 Aliases = Mapping[str, tuple[str, ...]]
 """Names of the columns that hold each meaning, in lower case."""
 
 USE = {"id": ("id", "name"), "role": ("role",), "enabled": ("enabled", "enable")}
 """Columns of text; all others hold numbers."""
+
+COLUMNS = Option("columns", "", "Columns by other names, as meaning:name, such as "
+                 "x:Rechtswert,y:Hochwert.")
+"""The option of readers of tables that `declared` takes."""
 
 _OPTIONAL = frozenset({"role", "enabled", "sigma_line", "sigma_sample"})
 _ENABLED = {"": True, "1": True, "true": True, "yes": True, "on": True,
@@ -266,6 +271,32 @@ def _rows(path: Path, text: Sequence[str], delimiter: str) -> tuple[list[list[st
                            line=end + 1, hint='Look for a quotation mark (") that is not closed.'
                            ) from error
     return rows, lines
+
+
+def declared(aliases: Aliases, columns: str) -> Aliases:
+    """Return the aliases with the columns the user names.
+
+    Parameters
+    ----------
+    aliases : mapping
+    columns : str
+        Pairs meaning:name between commas; "" for none.
+
+    Raises
+    ------
+    TermselError
+        For text that is no such pair, or a meaning that does not exist.
+    """
+    own = {}
+    for pair in filter(None, map(str.strip, columns.split(","))):
+        meaning, colon, name = (part.strip() for part in pair.partition(":"))
+        if not colon or not name:
+            raise TermselError(f"{pair!r} does not declare a column",
+                               hint="Write meaning:name, such as --set columns=x:Rechtswert.")
+        if meaning not in aliases:
+            raise unknown_name("meaning of a column", meaning, aliases)
+        own[meaning] = (name.casefold(),)
+    return {**aliases, **own}
 
 
 def read_table(path: Path, aliases: Aliases) -> Table:
