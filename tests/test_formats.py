@@ -6,12 +6,13 @@ import json
 import math
 import sys
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import termsel
@@ -399,6 +400,62 @@ def test_images_of_orthority(tmp_path: Path) -> None:
     with pytest.raises(TermselError, match=r"images q\.tif, r\.tif"):
         termsel.read(path)
     assert termsel.read(path, image_name="r.tif").points.ids == ("plinth",)
+
+
+# Round trips through the writers of results
+
+pixels = st.floats(-0.5, 999.5, allow_subnormal=False)
+degrees = st.floats(-80, 80, allow_subnormal=False)
+
+
+@pytest.fixture(scope="module")
+def result() -> termsel.Result:
+    return termsel.run("poly-terms", generations=1, options={"population": 20, "polish": False})
+
+
+def write(result: termsel.Result, name: str, path: Path) -> None:
+    registry().get("writers", name).write(result, path)
+
+
+@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@given(st.lists(st.tuples(pixels, pixels, degrees, degrees), max_size=6,
+                unique_by=lambda row: row[2:]), st.data())
+def test_points_of_qgis_come_back(tmp_path_factory: pytest.TempPathFactory, result: termsel.Result,
+                                  drawn: list[tuple[float, ...]], data: st.DataObject) -> None:
+    # Corners, so that no draw looks like coordinates of a layer.
+    values = np.array([(0, 0, 90, 90), (999, 999, -90, -90), *drawn], dtype=float)
+    ids = tuple(f"P{i + 1}" for i in range(len(values)))
+    roles = data.draw(st.lists(st.sampled_from(["control", "check"]), min_size=len(ids),
+                               max_size=len(ids)))
+    points = Points(ids, values[:, :2], np.column_stack([values[:, 2:], np.zeros(len(ids))]),
+                    roles=tuple(roles))
+    chosen = replace(result, features=FeatureSet(points, crs="EPSG:4979"),
+                     selection=replace(result.selection, features=ids))
+    path = tmp_path_factory.mktemp("qgis") / "image.points"
+    write(chosen, "qgis-points", path)
+    found = termsel.read(path)
+    np.testing.assert_allclose(found.points.image, points.image, atol=1e-12)
+    np.testing.assert_array_equal(found.points.ground[:, :2], points.ground[:, :2])
+    assert found.points.roles == tuple("" if role == "control" else "off" for role in roles)
+    assert found.crs == "EPSG:4326"
+
+
+@pytest.mark.parametrize(("writer", "crs"), [
+    ("orthority-geojson", "EPSG:4979"), ("points-csv", "EPSG:4979"), ("gcp-vrt", "EPSG:4326")])
+def test_what_is_written_is_read(tmp_path: Path, result: termsel.Result, writer: str,
+                                 crs: str) -> None:
+    if writer == "gcp-vrt":
+        pytest.importorskip("rasterio")
+    path = tmp_path / "out"
+    write(result, writer, path)
+    found = termsel.read(path)
+    assert found.crs == crs
+    points = result.features.points
+    if writer != "points-csv":
+        points = points.take([name in result.selection.features for name in points.ids])
+    assert found.points.ids == points.ids
+    np.testing.assert_allclose(found.points.image, points.image, rtol=1e-14, atol=1e-9)
+    np.testing.assert_allclose(found.points.ground, points.ground, rtol=1e-14)
 
 
 # Formats by name, in Python and on the command line
