@@ -25,7 +25,11 @@ from termsel.solvers.ga_steady import SteadyStateGA
 from termsel.solvers.ga_transgenic import TransgenicGA
 from termsel.solvers.ica import ImperialistCompetition
 from termsel.solvers.local import Swap
+from termsel.solvers.nested import NestedRegression
+from termsel.solvers.pareto import AgeMoea2, Nsga2, SmsEmoa, Spea2
 from termsel.solvers.pso import BinarySwarm
+from termsel.solvers.regression import Stepwise, TTest
+from termsel.solvers.shrinkage import Lasso, Ridge
 from termsel.testing import (
     Check,
     check_criterion,
@@ -38,6 +42,8 @@ from termsel.testing import (
 # What is built in
 
 NO_SEARCH = {"feasible_first": "it does not search", "optimum_found": "it does not search"}
+NEEDS_COLUMNS = {"any_problem": "it needs the columns of an adjustment",
+                 "optimum_found": "it does not search"}
 
 
 def six_of_twelve() -> SelectionProblem:
@@ -76,6 +82,9 @@ SUITES: dict[str, tuple[Check, ...]] = {
     "aco": solver_checks(AntColony, options=[{}, {"population": 21, "restart": 0.0}]),
     "swap": solver_checks(Swap),
     "exact": solver_checks(Exact, expected_failures={"any_problem": "it needs parts to walk"}),
+    **{solver.name: solver_checks(solver) for solver in (Nsga2, AgeMoea2, SmsEmoa, Spea2)},
+    **{solver.name: solver_checks(solver, expected_failures=NEEDS_COLUMNS)
+       for solver in (Stepwise, TTest, NestedRegression, Lasso, Ridge)},
     "random": solver_checks(RandomSearch, expected_failures=NO_SEARCH),
     "all-terms": solver_checks(AllTerms, expected_failures=NO_SEARCH),
     "check-rmse": criterion_checks(CheckRmse())}

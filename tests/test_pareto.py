@@ -4,13 +4,19 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from pymoo.algorithms.moo.age2 import AGEMOEA2Survival
+from scipy.spatial import ConvexHull, QhullError
 
 import termsel
 from termsel.adjustment.parts import independent_parts
 from termsel.assessing import recommended
 from termsel.features import FeatureSet, Points
 from termsel.problems.objectives import Chosen, max_correlation, uncovered, unevenness
+from termsel.problems.spread import hull_areas, uncovered_share
 from termsel.searching import Search
+from termsel.solvers.pareto import _AgeSurvival
 
 SOLVERS = ("nsga2", "age-moea2", "sms-emoa", "spea2")
 
@@ -149,3 +155,39 @@ def test_two_constants_do_not_correlate() -> None:
     mask = np.array([[name.endswith(":1") for name in names]])
     assert max_correlation(Chosen(task.problem.equations, parts, task.problem.inputs.control,
                                   mask, np.ones((1, 24), dtype=bool))) == 0
+
+
+@settings(deadline=None)  # pymoo compiles first
+@given(st.integers(0, 2**32), st.sampled_from([0.5, 1.0, 1.7, 4.0]))
+def test_distances_on_an_estimated_front_are_those_of_pymoo(seed: int, p: float) -> None:
+    front = np.random.default_rng(seed).uniform(0.01, 1.0, (12, 2))
+    assert _AgeSurvival.pairwise_distances(front, p) == pytest.approx(
+        AGEMOEA2Survival.pairwise_distances(front, p))
+
+
+@settings(deadline=None)
+@given(st.integers(0, 2**32))
+def test_hull_areas_are_those_of_qhull(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    points = rng.integers(0, 6, (15, 2)).astype(float)  # with ties and collinear points
+    masks = rng.random((20, 15)) < rng.random((20, 1))
+    for mask, area in zip(masks, hull_areas(points, masks), strict=True):
+        try:
+            expected = ConvexHull(points[mask]).volume if mask.sum() > 2 else 0.0
+        except QhullError:
+            expected = 0.0
+        assert area == pytest.approx(expected, abs=1e-9)
+
+
+def test_spread_as_a_constraint() -> None:
+    result = termsel.run("owdis-points", solver="ga-steady", generations=20, options={
+        "degree": 1, "min_features": 8, "max_features": 8, "max_uncovered": 0.3})
+    task = termsel.prepare("owdis-points")
+    chosen_ids = np.isin(task.observations.control.ids, result.selection.features)
+    places = task.observations.control.points.image
+    assert result.feasible
+    assert uncovered_share(places, chosen_ids[None])[0] <= 0.3
+    free = termsel.run("owdis-points", solver="ga-steady", generations=20, options={
+        "degree": 1, "min_features": 8, "max_features": 8})
+    chosen_ids = np.isin(task.observations.control.ids, free.selection.features)
+    assert uncovered_share(places, chosen_ids[None])[0] > 0.3

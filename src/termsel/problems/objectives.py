@@ -6,11 +6,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import ConvexHull, QhullError
 
 from termsel.adjustment.equations import Equations
 from termsel.adjustment.parts import Part
 from termsel.features import BoolArray, FeatureSet, FloatArray
+from termsel.problems.spread import uncovered_share
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,31 +87,15 @@ def log_condition(chosen: Chosen) -> FloatArray:
 _SINGULAR = 16.0
 
 
-def _centres(control: FeatureSet) -> FloatArray:
-    """Return the image position of each feature, of lines the middle."""
+def centres(control: FeatureSet) -> FloatArray:
+    """Return the image position of each feature, of lines the middle, shape (f, 2)."""
     lines = control.lines
     return np.concatenate([control.points.image, lines.by_feature(lines.image.mean(axis=1))])
 
 
 def uncovered(chosen: Chosen) -> FloatArray:
-    """Return the share of the image that the hull of the chosen features leaves out.
-
-    The image is the smallest rectangle around all control on offer. (Covered area as an
-    objective: Konugurthi et al. 2016; their formula could not be consulted.)
-    """
-    centres = _centres(chosen.control)
-    area = float(np.prod(np.ptp(centres, axis=0)))
-    return np.array([1.0 - min(1.0, _hull_area(centres[mask]) / area) if area > 0 else 1.0
-                     for mask in chosen.features])
-
-
-def _hull_area(points: FloatArray) -> float:
-    if len(points) < 3:
-        return 0.0
-    try:
-        return float(ConvexHull(points).volume)
-    except QhullError:  # all on one line
-        return 0.0
+    """Return the share of the image that the hull of the chosen features leaves out."""
+    return uncovered_share(centres(chosen.control), chosen.features)
 
 
 def unevenness(chosen: Chosen) -> FloatArray:
@@ -120,8 +104,8 @@ def unevenness(chosen: Chosen) -> FloatArray:
     The coefficient of variation of the distances to the nearest chosen neighbour in the
     image; 1 for fewer than three features. termsel's own measure.
     """
-    centres = _centres(chosen.control)
-    distance = np.linalg.norm(centres[:, None] - centres[None], axis=2)
+    places = centres(chosen.control)
+    distance = np.linalg.norm(places[:, None] - places[None], axis=2)
     np.fill_diagonal(distance, np.inf)
     result = np.ones(len(chosen.features))
     for i, mask in enumerate(chosen.features):

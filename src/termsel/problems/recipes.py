@@ -57,6 +57,8 @@ COUNTS = (
            int, 1),
     Option("max_features", None, "Most control features of a selection; by default free. With "
            "the same number for both, m of n features are chosen.", int, 1),
+    Option("max_uncovered", None, "Largest share of the image that the hull of the chosen "
+           "features may leave out, 0 to 1; by default free.", float, 0.0, 1.0),
 )
 
 OBJECTIVES = Option(

@@ -22,7 +22,8 @@ from termsel.problems.base import (
     Selection,
 )
 from termsel.problems.enumeration import enumerable_parts
-from termsel.problems.objectives import OBJECTIVES, Chosen
+from termsel.problems.objectives import OBJECTIVES, Chosen, centres
+from termsel.problems.spread import uncovered_share
 from termsel.roles import spatial_order
 
 GUARDED = 100
@@ -121,14 +122,16 @@ class SelectionProblem(Problem):
         """Return the criterion and the violation of a population (see `Problem.evaluate`).
 
         The violation counts terms that are not determined, axes without a numerator term,
-        and by how much a denominator falls short of POLE_MARGIN somewhere in the scene; it is
-        1 where nothing of this is wrong and yet the criterion has no figure.
+        by how much a denominator falls short of POLE_MARGIN somewhere in the scene, and by how
+        much the share of the image left out exceeds the option "max_uncovered"; it is 1 where
+        nothing of this is wrong and yet the criterion has no figure.
         """
         inputs = self.inputs
         terms, features = self.masks(genes)
         coefficients, violation = solve_parts(self._parts, terms, features)
         violation += self._empty_axes(terms)
         violation += pole_violation(inputs.model, coefficients, self._guard)
+        violation += self._lacking_spread(features)
         good = violation == 0
         score = np.full(len(genes), WORST)
         if good.any():
@@ -139,6 +142,13 @@ class SelectionProblem(Problem):
         violation[~np.isfinite(score)] = 1.0
         score = np.minimum(np.nan_to_num(score, nan=WORST, posinf=WORST), WORST)
         return Evaluation(self._others(score, terms, features), violation)
+
+    def _lacking_spread(self, features: BoolArray | None) -> FloatArray | float:
+        most = self.inputs.options.get("max_uncovered")
+        if features is None or most is None:
+            return 0.0
+        share = uncovered_share(centres(self.inputs.control), features)
+        return np.asarray(np.maximum(share - most, 0.0))
 
     def _others(self, score: FloatArray, terms: BoolArray,
                 features: BoolArray | None) -> FloatArray:

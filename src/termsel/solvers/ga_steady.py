@@ -152,7 +152,8 @@ class SteadyStateGA(GeneticAlgorithm):
     Konugurthi et al. 2016, page 380: a chromosome is a tuple of m feature numbers out of n;
     about half of the population, the best, lives on; chromosomes drawn at random join every
     generation, since a small population lacks most features. The objective is the problem's,
-    by default the RMSE over all check points.
+    by default the RMSE over all check points; the covered area, the paper's other, comes in as
+    the bound `max_uncovered` of the problem.
 
     Only that page could be consulted. The rest is termsel's own: tournaments; a crossover of
     sets, which keeps what both parents have and fills up from what one of them has, so that no

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from typing import Any, ClassVar
 
 import numpy as np
-from pymoo.algorithms.moo.age2 import AGEMOEA2
+from pymoo.algorithms.moo.age2 import AGEMOEA2, AGEMOEA2Survival
 from pymoo.algorithms.moo.nsga2 import NSGA2
 from pymoo.algorithms.moo.sms import SMSEMOA
 from pymoo.algorithms.moo.spea2 import SPEA2
@@ -19,7 +19,7 @@ from pymoo.core.termination import NoTermination
 from pymoo.operators.crossover.ux import UX
 from pymoo.operators.mutation.bitflip import BitflipMutation
 
-from termsel.features import BoolArray
+from termsel.features import BoolArray, FloatArray
 from termsel.options import Option
 from termsel.problems.base import Evaluation, Genome, Problem
 from termsel.solvers.base import POLISH, Generation, Solver
@@ -108,14 +108,37 @@ class Nsga2(PymooSolver):
         return NSGA2(**common)
 
 
+class _AgeSurvival(AGEMOEA2Survival):  # type: ignore[misc]
+    """pymoo's, which divides by zero where a member is best in every objective."""
+
+    @staticmethod
+    def pairwise_distances(front: FloatArray, p: float) -> FloatArray:
+        """Return distances along the estimated front, shape (m, m)."""
+        on_front = _project(front, p)
+        if 0.95 < p < 1.05:
+            return np.asarray(np.linalg.norm(on_front[:, None] - on_front, axis=-1))
+        middle = _project((on_front[:, None] + on_front) / 2, p)
+        half = np.linalg.norm(on_front[:, None] - middle, axis=-1)
+        return np.asarray(half + half.T)
+
+
+def _project(points: FloatArray, p: float) -> FloatArray:
+    """Return points scaled to a p-norm of 1; the origin stays."""
+    length = np.maximum(points, 0.0)
+    length = (length**p).sum(axis=-1, keepdims=True) ** (1 / p)
+    return np.asarray(points / np.where(length > 0, length, 1.0))
+
+
 class AgeMoea2(PymooSolver):
     """AGE-MOEA-II: survival by proximity and diversity on an estimated front (Panichella 2022)."""
 
     name = "age-moea2"
 
     def algorithm(self, **common: Any) -> Algorithm:
-        """Return pymoo's AGEMOEA2."""
-        return AGEMOEA2(**common)
+        """Return pymoo's AGEMOEA2, with distances that bear fronts of one member."""
+        algorithm = AGEMOEA2(**common)
+        algorithm.survival = _AgeSurvival()
+        return algorithm
 
 
 class SmsEmoa(PymooSolver):

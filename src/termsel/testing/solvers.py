@@ -58,7 +58,7 @@ def generations_hold(trial: Trial) -> None:
 
     What was yielded stays as it was when the solver goes on.
     """
-    problem = trial.problem()
+    problem = trial.posed(trial.problem())
     kept: list[tuple[Generation, Any, Evaluation]] = []
     for expected, generation in enumerate(trial.few(problem)):
         require(isinstance(generation, Generation),
@@ -196,7 +196,7 @@ def closes(trial: Trial) -> None:
     """Its iterator can be closed before, between and after generations, and then rests."""
     for taken in (0, 1, 3):
         problem = Watched(trial.problem())
-        running = trial.solver.generations(problem, np.random.default_rng(1))
+        running = trial.solver.generations(trial.posed(problem), np.random.default_rng(1))
         close = getattr(running, "close", None)
         if close is None:
             raise AssertionError("generations() must be a generator, a method with `yield`, whose "
@@ -240,7 +240,7 @@ def best_never_worse(trial: Trial) -> None:
         require((found.violation, float(found.objectives[0])) == problem.best,
                 "the search does not return the best it evaluated")
         true = problem.inner.evaluate(found.genes[None])
-        require(np.allclose(true.objectives[0], found.objectives)
+        require(np.allclose(true.objectives[0, 0], found.objectives[0])
                 and np.allclose(true.violation[0], found.violation),
                 "the result's objectives are not those of its genes")
 

@@ -12,12 +12,37 @@ from typing import Any
 import numpy as np
 
 from termsel.errors import TermselError
-from termsel.problems.base import Problem
+from termsel.features import BoolArray
+from termsel.problems.base import Evaluation, Problem, Selection
 from termsel.searching import Search, search
 from termsel.solvers.base import Generation, Solver
 
 FEW = 4
 """Generations looked at where more would show no more."""
+
+
+class Counted(Problem):
+    """A problem with the number of genes that are on as its last objective.
+
+    Parameters
+    ----------
+    inner : Problem
+    """
+
+    def __init__(self, inner: Problem) -> None:
+        self.inner = inner
+        self.genome = inner.genome
+        self.objectives = (*inner.objectives, "on")
+
+    def evaluate(self, genes: BoolArray) -> Evaluation:
+        """Return the evaluation of the problem within, and the count."""
+        found = self.inner.evaluate(genes)
+        return Evaluation(np.column_stack([found.objectives, genes.sum(axis=1)]), found.violation)
+
+    def decode(self, genes: BoolArray) -> Selection:
+        """Return what the problem within selects."""
+        return self.inner.decode(genes)
+
 
 @dataclass(frozen=True, eq=False)
 class Trial:
@@ -38,6 +63,12 @@ class Trial:
         """True for a solver that goes on until its budget is spent."""
         return self.solver.default_generations is not None
 
+    def posed(self, problem: Problem) -> Problem:
+        """Return a problem with as many objectives as the solver needs."""
+        while len(problem.objectives) < self.solver.min_objectives:
+            problem = Counted(problem)
+        return problem
+
     def takes(self, problem: Problem) -> bool:
         """Return False if the solver refuses the problem."""
         try:
@@ -48,11 +79,12 @@ class Trial:
 
     def few(self, problem: Problem, n: int = FEW) -> Iterator[Generation]:
         """Yield the first generations of a search."""
-        yield from islice(self.solver.generations(problem, np.random.default_rng(1)), n)
+        yield from islice(
+            self.solver.generations(self.posed(problem), np.random.default_rng(1)), n)
 
     def search(self, problem: Problem, *, seed: int = 1, **budget: Any) -> Search:
         """Search as a run does."""
-        return search(problem, self.solver, seed=seed, **budget)
+        return search(self.posed(problem), self.solver, seed=seed, **budget)
 
 
 def global_states() -> tuple[Any, ...]:

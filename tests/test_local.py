@@ -1,0 +1,52 @@
+"""Local search: its neighbourhood, and where its climbs end."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import termsel
+from termsel.problems.base import Genome, Segment
+from termsel.solvers import local
+from termsel.solvers.exact import prove
+from termsel.testing.problems import kept
+
+
+@given(st.integers(0, 2**32), st.integers(1, 5), st.integers(1, 4))
+def test_neighbours_are_all_selections_one_step_away(seed: int, a: int, b: int) -> None:
+    rng = np.random.default_rng(seed)
+    least = int(rng.integers(0, a + 1))
+    genome = Genome([Segment("a", tuple(f"a{i}" for i in range(a)), least,
+                             int(rng.integers(least, a + 1))),
+                     Segment("b", tuple(f"b{i}" for i in range(b)))], on=("b0",))
+    genes = genome.random(rng, 1)[0]
+    found = {tuple(one) for batch in local.neighbours(genes, genome) for one in batch}
+    everything = (np.arange(2**genome.size)[:, None] >> np.arange(genome.size)) & 1 > 0
+    expected = set()
+    for one in everything[kept(genome, everything)]:
+        changed = one != genes
+        gained, lost = (one & changed), (genes & changed)
+        within = changed[:a].sum() in (0, changed.sum())
+        if changed.sum() == 1 or (changed.sum() == 2 and gained.sum() == lost.sum() and within):
+            expected.add(tuple(one))
+    assert found == expected
+
+
+def test_neighbours_of_many_genes_come_in_batches() -> None:
+    genome = Genome([Segment("features", tuple(map(str, range(200))))])
+    sizes = [len(b) for b in local.neighbours(np.arange(200) % 2 == 0, genome)]
+    assert sum(sizes) == 200 + 100 * 100
+    assert max(sizes) == local.BATCH
+
+
+@pytest.mark.parametrize("mask", ["per-axis", "shared"])
+def test_polish_reaches_the_proven_optimum_of_15_terms(mask: str) -> None:
+    task = termsel.prepare("poly-terms", options={"degree": 4, "mask": mask})
+    *_, proof = prove(task.problem)
+    best = task.problem.evaluate(proof.front()[-1][None]).objectives[0, 0]
+    for seed in (1, 2, 3):
+        found = termsel.search(task.problem, task.solver, seed=seed, evaluations=10_000)
+        assert found.objectives[0] == pytest.approx(best, rel=1e-9)
+        assert found.polish.evaluations <= 30_000
