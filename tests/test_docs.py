@@ -21,7 +21,7 @@ from termsel.plugins.loading import HOOKS
 from termsel.plugins.manager import registry
 
 ROOT = Path(__file__).parents[1]
-DOCS = sorted(ROOT.glob("docs/*.md"))
+DOCS = sorted([*ROOT.glob("docs/*.md"), *ROOT.glob("docs/formats/*.md")])
 PAGES = [ROOT / "README.md", ROOT / "CHANGELOG.md", ROOT / "CONTRIBUTING.md",
          *sorted(ROOT.glob("plugins/*/README.md")), *DOCS]
 OWN = {"termsel", *(path.name for path in ROOT.glob("plugins/*"))}

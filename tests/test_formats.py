@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import sys
 from contextlib import suppress
 from dataclasses import replace
@@ -470,6 +471,29 @@ def test_format_is_forced(tmp_path: Path) -> None:
     with pytest.raises(TermselError, match="2 formats are given for 1 files"):
         termsel.read(path, format=["envi-pts", "envi-pts"])
     assert len(termsel.read(path, format="envi-pts").points) == 2
+
+
+PAGES = Path(__file__).parents[1] / "docs" / "formats"
+
+
+@pytest.mark.parametrize("page", sorted(PAGES.glob("*.md")), ids=lambda page: page.stem)
+def test_examples_of_the_pages_are_read(page: Path, tmp_path: Path) -> None:
+    text = page.read_text(encoding="utf-8")
+    name = re.search(r"^Readers? `([\w-]+)`", text, re.MULTILINE)
+    if name is None:
+        return  # a page of something else
+    if name[1] == "gdal-gcps":
+        pytest.importorskip("rasterio")
+    blocks = re.findall(r"^```(?:text|xml|json)\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
+    example = re.sub(r'PROJCRS\[.*"EPSG",(\d+)\]\]', r"EPSG:\1", blocks[0])
+    options: dict[str, Any] = {"asp-gcp": {"image_name": "image1.tif"}}.get(name[1], {})
+    if name[1] == "geojson-lines":
+        options = {"join": "name", "image_lines": put(tmp_path, blocks[1], "image.csv")}
+    features = read_file(put(tmp_path, example), readers(), None, options)
+    expected = {"asp-gcp": "", "geojson-points": "EPSG:4979", "envi-pts": "EPSG:32612",
+                "points-csv": "EPSG:4979", "lines-csv": "EPSG:4979", "geojson-lines": "EPSG:4326"}
+    assert features.crs == expected.get(name[1], "EPSG:32631")
+    assert len(features) == (1 if name[1] == "lines-csv" else 2)
 
 
 def test_many_points_of_each_format(tmp_path: Path) -> None:
