@@ -1,0 +1,236 @@
+"""Cubic polynomials whose terms beyond the affine ones are shrunk, averaged over how much.
+
+The prior: with all coordinates scaled to [-1, 1], the coefficient of X^a Y^b Z^c, a + b + c >= 2,
+is normal with the mean 0 and the standard deviation
+
+    size * fall^(a + b + c - 2) * relief^c * own
+
+in units of the noise: the coefficients of a Taylor series of a smooth function fall from order
+to order by one rate, and by a further one with each power of Z, as the relief is shallow beside
+the scene. Affine terms are free. How large `size` is for line and for sample, and what `fall`
+and `relief` are for both, is not known: the least-squares solutions for all values on a wide
+grid are averaged with their posterior probabilities, and nothing is set. `own` is a factor for
+each term, log-normal, drawn a few times, so that single terms may stand out from the rule.
+Noise is taken to be the same in line and sample; its variance is integrated out.
+
+Every solution on the grid is linear in the measurements. Leaving a point out changes it, and
+its probability, in closed form, so that the leave-one-out errors are those of the whole
+procedure repeated without each point.
+
+References
+----------
+Hoerl and Kennard 1970 for ridge regression; Lindley and Smith 1972, J. R. Stat. Soc. B 34(1), for
+its prior; Hoeting et al. 1999, Statistical Science 14(4), for averaging. The prior's form is
+termsel's own.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from termsel.adjustment.solve import TOLERANCE
+from termsel.features import BoolArray, FloatArray
+from termsel.models.polynomial import Exponents, monomials
+
+SIZES = 10.0 ** np.arange(-0.5, 5.5, 0.5)
+"""Standard deviations of quadratic coefficients by that of the noise. From where they cannot be
+told from 0 to where they are as good as free."""
+
+FALLS = (0.01, 0.03, 0.1, 0.3)
+"""Cubic coefficients by quadratic ones."""
+
+RELIEFS = (0.03, 0.1, 0.3, 1.0)
+"""Coefficients of one power of Z more, by those without."""
+
+DRAWS, SPREAD = 4, 1.0
+"""How often factors of single terms are drawn, beside 1 for all, and their standard deviation in
+natural logarithms."""
+
+NO_NOISE = 1e-11
+"""Noise that counts as none, as a part of the image's half-range."""
+
+TINY = 1e-14
+"""What is left of 1 by rounding error."""
+
+
+@dataclass(frozen=True, eq=False)
+class Average:
+    """An averaged polynomial.
+
+    Parameters
+    ----------
+    coefficients : ndarray, shape (k, 2)
+        Of line and sample.
+    errors : ndarray, shape (n, 2)
+        Measured minus predicted by the same procedure without that point.
+    effective : float
+        Number of terms of line and sample together that are free in effect: the trace of the
+        matrix that turns measurements into their fitted values.
+    """
+
+    coefficients: FloatArray
+    errors: FloatArray
+    effective: float
+
+
+@dataclass(frozen=True, eq=False)
+class _Side:
+    """All solutions of one axis: g groups of scales, s sizes, n points, j free columns.
+
+    `evidence` and `square` make up the marginal likelihood, square^-nu/2 exp(evidence);
+    `left` is 1 minus the leverage of each point, `errors` are fitted residuals.
+    """
+
+    evidence: FloatArray
+    square: FloatArray
+    left: FloatArray
+    errors: FloatArray
+    coefficients: FloatArray
+
+
+def average(ground: FloatArray, image: FloatArray, exponents: Exponents,
+            weights: FloatArray | None = None) -> Average | None:
+    """Fit an averaged polynomial.
+
+    Parameters
+    ----------
+    ground : ndarray, shape (n, 3)
+        Scaled to [-1, 1].
+    image : ndarray, shape (n, 2)
+    exponents : k exponents of X, Y, Z
+        Affine ones first.
+    weights : ndarray, shape (n, 2), optional
+        By which equations are multiplied: reciprocals of standard deviations, up to a factor.
+
+    Returns
+    -------
+    Average or None
+        None if the affine terms are not determined twice over by all points but any one.
+    """
+    order = np.array(exponents).sum(axis=1)
+    columns = monomials(ground, exponents)
+    scales = _scales(np.array(exponents)[order > 1])
+    freedom = 2 * (len(ground) - int((order < 2).sum()))
+    noise = 2 * len(ground) * (NO_NOISE * float(np.ptp(image, axis=0).max()) / 2) ** 2
+    if weights is None:
+        weights = np.ones_like(image)
+        designs = [_design(columns, order < 2, scales)] * 2
+    else:
+        designs = [_design(columns * w[:, None], order < 2, scales) for w in weights.T]
+    sides = [_solutions(design, image[:, axis] * weights[:, axis], scales)
+             for axis, design in enumerate(designs) if design is not None]
+    if len(sides) < 2 or freedom < 4:
+        return None
+    probability = _probability(sides, freedom, noise)
+    line, sample = probability.sum(axis=2), probability.sum(axis=1)
+    coefficients = np.empty((len(exponents), 2))
+    effective = 0.0
+    for axis, (side, share) in enumerate(zip(sides, (line, sample), strict=True)):
+        shrunk = np.einsum("gs,gsk->k", share, side.coefficients)
+        affine = columns[:, order < 2] * weights[:, axis, None]
+        rest = weights[:, axis] * (image[:, axis] - columns[:, order > 1] @ shrunk)
+        coefficients[order > 1, axis] = shrunk
+        coefficients[order < 2, axis] = np.linalg.lstsq(affine, rest)[0]
+        effective += float((share * (1.0 - side.left).sum(axis=2)).sum())
+    errors = _left_out(sides, freedom, noise) / weights
+    return Average(coefficients, errors, effective)
+
+
+def _scales(exponents: FloatArray) -> FloatArray:
+    """Return standard deviations of the shrunken coefficients for size 1, shape (g, k)."""
+    order, height = exponents.sum(axis=1), exponents[:, 2]
+    reliefs = RELIEFS if height.any() else (1.0,)
+    rule = np.array([fall ** (order - 2.0) * relief ** height
+                     for fall in FALLS for relief in reliefs])
+    rng = np.random.default_rng(0)
+    own = np.exp(SPREAD * rng.standard_normal((DRAWS, *rule.shape)))
+    return np.concatenate([rule, (rule * own).reshape(-1, rule.shape[1])])
+
+
+@dataclass(frozen=True, eq=False)
+class _Design:
+    """Decompositions of the shrunken columns, beside the free ones, one for each group.
+
+    Parameters
+    ----------
+    basis : ndarray, shape (n, m)
+        What no affine function explains.
+    u : ndarray, shape (g, m, j)
+    values : ndarray, shape (g, j)
+    vt : ndarray, shape (g, j, k)
+    """
+
+    basis: FloatArray
+    u: FloatArray
+    values: FloatArray
+    vt: FloatArray
+
+
+def _design(columns: FloatArray, free: BoolArray, scales: FloatArray) -> _Design | None:
+    """Return the decompositions; None if the free columns lack a point's redundancy."""
+    lead = columns[:, free]
+    if len(lead) <= lead.shape[1]:
+        return None
+    q, r = np.linalg.qr(lead, mode="complete")
+    basis = q[:, lead.shape[1]:]
+    if (np.abs(np.diag(r)) <= TOLERANCE * np.linalg.norm(lead, axis=0)).any() \
+            or (basis**2).sum(axis=1).min() < TOLERANCE:
+        return None
+    rest = basis.T @ columns[:, ~free]
+    return _Design(basis, *np.linalg.svd(rest * scales[:, None, :], full_matrices=False))
+
+
+def _solutions(design: _Design, target: FloatArray, scales: FloatArray) -> _Side:
+    """Return the solutions of one axis for all scales and sizes."""
+    y = design.basis.T @ target
+    along = y @ design.u
+    u = design.basis @ design.u
+    # What no column reaches is kept apart, so that nothing cancels where noise tends to 0.
+    beyond, room = np.zeros(u.shape[:2]), np.zeros(u.shape[:2])
+    if len(y) > scales.shape[1]:
+        beyond = design.basis @ y - (u @ along[:, :, None])[..., 0]
+        room = np.maximum((design.basis**2).sum(axis=1) - (u**2).sum(axis=2), 0.0)
+    ratio = SIZES[:, None] * design.values[:, None, :]                        # (g, s, j)
+    keep = 1.0 / (1.0 + ratio**2)
+    part = keep * along[:, None, :]
+    return _Side(
+        0.5 * np.log(keep).sum(axis=2),
+        (beyond**2).sum(axis=1)[:, None] + (part * along[:, None, :]).sum(axis=2),
+        np.maximum(room[:, None, :] + keep @ (u**2).transpose(0, 2, 1), TINY),
+        beyond[:, None, :] + part @ u.transpose(0, 2, 1),
+        scales[:, None, :] * ((SIZES[:, None] * ratio * part) @ design.vt))
+
+
+def _probability(sides: list[_Side], freedom: int, noise: float) -> FloatArray:
+    """Return posterior probabilities of group, size of line and size of sample."""
+    line, sample = sides
+    square = line.square[:, :, None] + sample.square[:, None, :]
+    return _shares(line.evidence[:, :, None] + sample.evidence[:, None, :]
+                   - freedom / 2 * np.log(square + noise))
+
+
+def _shares(logarithm: FloatArray) -> FloatArray:
+    share = np.exp(logarithm - logarithm.max())
+    return np.asarray(share / share.sum())
+
+
+def _left_out(sides: list[_Side], freedom: int, noise: float) -> FloatArray:
+    """Return the averages' errors at each point, errors and probabilities without it, (n, 2)."""
+    line, sample = sides
+    square = line.square[:, :, None] + sample.square[:, None, :] + noise
+    evidence = line.evidence[:, :, None] + sample.evidence[:, None, :]
+    found = np.empty((line.left.shape[2], 2))
+    for i in range(len(found)):
+        # The determinant loses the factor `left`, the sum of squares errors^2 / left.
+        lost = [side.errors[..., i] ** 2 / side.left[..., i] for side in sides]
+        rest = square - lost[0][:, :, None] - lost[1][:, None, :]
+        share = _shares(
+            evidence - 0.5 * (np.log(line.left[..., i])[:, :, None]
+                              + np.log(sample.left[..., i])[:, None, :])
+            - (freedom - 2) / 2 * np.log(np.maximum(rest, noise + TINY * square)))
+        for axis, (side, ours) in enumerate(zip(sides, (share.sum(axis=2), share.sum(axis=1)),
+                                                strict=True)):
+            found[i, axis] = (ours * side.errors[..., i] / side.left[..., i]).sum()
+    return found

@@ -1,0 +1,244 @@
+"""Candidates that are fitted to points, and the choice among them by leave-one-out.
+
+A candidate takes points and gives a fitted model with the error of each point under the same
+procedure without it. Nothing here knows of roles: what it is given are the points it may use.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from termsel.adjustment.leave_out import leave_one_out
+from termsel.adjustment.parts import independent_parts
+from termsel.adjustment.solve import Adjustment
+from termsel.criteria import POLE_MARGIN, Fits
+from termsel.features import FeatureSet, FloatArray, no_points
+from termsel.fitting import Fit, fit
+from termsel.models.base import SensorModel
+from termsel.models.polynomial import Affine, Polynomial, Polynomial2D, Polynomial3D
+from termsel.models.projective import DLT3D, Projective2D
+from termsel.models.rational import RationalFunctions
+from termsel.problems.selection import guard_points, pole_violation
+from termsel.roles import spatial_order
+from termsel.scaling import Scaling, scaling_of
+from termsel.strategies.averaging import average
+
+SHRUNK = "shrunken cubic"
+"""Name of the candidate that is taken unless another one is better by a standard error."""
+
+MAX_FOLDS = 20
+"""Folds in which the whole choice is repeated; with fewer points each is left out alone."""
+
+WIDER = 1.5
+"""A denominator must be positive in a box this much wider than that of the points."""
+
+
+@dataclass(frozen=True, eq=False)
+class Fitted:
+    """A candidate fitted to points.
+
+    Parameters
+    ----------
+    name : str
+    fit : Fit
+    squares : ndarray, shape (n,)
+        dl^2 + ds^2 of each point under the same procedure without it [pixel^2]; infinite where
+        that does not determine the model.
+    effective : float
+        Terms that are free in effect.
+    """
+
+    name: str
+    fit: Fit
+    squares: FloatArray
+    effective: float
+
+    @property
+    def predicted(self) -> float:
+        """RMSE by leave-one-out [pixel]."""
+        return float(np.sqrt(self.squares.mean()))
+
+
+Candidate = Callable[[FeatureSet, Scaling], Fitted | None]
+
+
+@dataclass(frozen=True, eq=False)
+class Choice:
+    """A candidate chosen from a portfolio.
+
+    Parameters
+    ----------
+    chosen : Fitted
+    fitted : tuple of Fitted
+        All candidates the points determine.
+    """
+
+    chosen: Fitted
+    fitted: tuple[Fitted, ...]
+
+
+def plain(name: str, model: SensorModel) -> Candidate:
+    """Return the candidate that fits all terms of a model by least squares."""
+    def candidate(control: FeatureSet, scaling: Scaling) -> Fitted | None:
+        fitted = fit(model, control, scaling)
+        if not fitted.adjustment.feasible or fitted.adjustment.redundancy < 1 or _pole(fitted):
+            return None
+        squares = left_out_squares(fitted)
+        return None if not np.isfinite(squares).all() else \
+            Fitted(name, fitted, squares, float(fitted.adjustment.n_terms))
+    return candidate
+
+
+def _pole(fitted: Fit) -> bool:
+    """Return whether a denominator falls short of the margin in a box wider than the points'."""
+    guard = guard_points(fitted.scaling.features(fitted.control), no_points())
+    middle = (guard.max(axis=0) + guard.min(axis=0)) / 2
+    return bool(pole_violation(fitted.model, fitted.adjustment.coefficients[None],
+                               middle + WIDER * (guard - middle))[0] > 0)
+
+
+def left_out_squares(fitted: Fit) -> FloatArray:
+    """Return the squared error of each control feature under the fit without it, shape (n,).
+
+    Parameters
+    ----------
+    fitted : Fit
+        By least squares.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        [pixel^2]; infinite throughout where some feature is indispensable.
+    """
+    model, control = fitted.model, fitted.scaling.features(fitted.control)
+    parts = independent_parts(model.equations(control), model.axis)
+    terms, used = fitted.terms[None], fitted.used[None]
+    solutions = np.zeros((len(control), *terms.shape))
+    for part in parts:
+        solutions[..., part.columns], determined = leave_one_out(
+            part.equations, terms[:, part.columns], used)
+        if not determined.all():
+            return np.full(len(control), np.inf)
+    fits = Fits(model, control.points, no_points(), fitted.scaling.image_scale, terms,
+                fitted.adjustment.coefficients[None], control.lines, parts)
+    return fits.held_out_each(solutions)[0]
+
+
+def shrunken(family: type[Polynomial]) -> Candidate:
+    """Return the candidate that averages shrunken cubic polynomials."""
+    def candidate(control: FeatureSet, scaling: Scaling) -> Fitted | None:
+        model = family(degree=3)
+        points = scaling.points(control.points)
+        weights = None if points.sigma is None else np.median(points.sigma) / points.sigma
+        found = average(points.ground, points.image, model.exponents, weights)
+        if found is None:
+            return None
+        coefficients = found.coefficients.T.ravel()
+        equations = model.equations(scaling.features(control))
+        k = len(coefficients)
+        residuals = equations.b - equations.A @ coefficients
+        freedom = len(residuals) - found.effective
+        sigma0 = float(np.sqrt(residuals @ residuals / freedom)) if freedom > 0.5 else np.nan
+        fitted = Fit(model, scaling, control, np.ones(k, dtype=bool),
+                     np.ones(len(control), dtype=bool),
+                     Adjustment(coefficients, residuals, np.full(k, np.nan),
+                                round(found.effective), len(residuals), round(found.effective),
+                                float("nan"), sigma0))
+        squares = (found.errors**2).sum(axis=1) * scaling.image_scale**2
+        return Fitted(SHRUNK, fitted, squares, found.effective)
+    return candidate
+
+
+def portfolio(heights: bool) -> tuple[Candidate, ...]:
+    """Return the candidates, the plainest first.
+
+    Parameters
+    ----------
+    heights : bool
+        Whether heights are known and differ.
+    """
+    if not heights:
+        return (plain("affine", Polynomial2D(degree=1)), plain("projective", Projective2D()),
+                plain("quadratic", Polynomial2D(degree=2)),
+                plain("cubic", Polynomial2D(degree=3)), shrunken(Polynomial2D))
+    return (plain("affine", Affine()), plain("DLT", DLT3D()),
+            plain("quadratic", Polynomial3D(degree=2)),
+            plain("second-order RFM", RationalFunctions(order=2)),
+            plain("cubic", Polynomial3D(degree=3)), shrunken(Polynomial3D))
+
+
+def choose(control: FeatureSet, heights: bool) -> Choice | None:
+    """Fit the portfolio to points and choose by leave-one-out.
+
+    The shrunken polynomial contains the plain ones as limits, so it is the choice unless
+    another candidate's squared errors are smaller by more than one standard error of the mean
+    difference; of those, the one with the smallest.
+
+    Parameters
+    ----------
+    control : FeatureSet
+        Points.
+    heights : bool
+
+    Returns
+    -------
+    Choice or None
+        None if the points do not determine any candidate with redundancy.
+    """
+    scaling = scaling_of(control)
+    fitted = tuple(one for one in (make(control, scaling) for make in portfolio(heights)) if one)
+    if not fitted:
+        return None
+    least = min(fitted, key=lambda one: one.predicted)
+    shrunk = next((one for one in fitted if one.name == SHRUNK), None)
+    return Choice(shrunk if shrunk and not _better(least, shrunk) else least, fitted)
+
+
+def _better(one: Fitted, other: Fitted) -> bool:
+    """Return whether one's errors are smaller by more than a standard error."""
+    gain = other.squares - one.squares
+    return bool(gain.mean() > gain.std(ddof=1) / np.sqrt(len(gain)))
+
+
+def repeated(control: FeatureSet, heights: bool) -> FloatArray | None:
+    """Return the errors of points under choices made without them.
+
+    In each fold the whole portfolio is fitted and chosen from anew, so that the errors are
+    those of the choice and not of a model that was chosen by them.
+
+    Parameters
+    ----------
+    control : FeatureSet
+        Points. Folds are spread over the scene.
+    heights : bool
+
+    Returns
+    -------
+    ndarray, shape (n, 2), or None
+        Measured minus predicted [pixel]; None if some fold leaves too little to choose by.
+    """
+    points = control.points
+    order = spatial_order(points.ground[:, :2])
+    folds = min(MAX_FOLDS, len(points))
+    errors = np.empty((len(points), 2))
+    for fold in range(folds):
+        out = np.zeros(len(points), dtype=bool)
+        out[order[fold::folds]] = True
+        choice = choose(control.with_(points=points.take(~out)), heights)
+        if choice is None:
+            return None
+        errors[out] = choice.chosen.fit.errors(points.take(out))
+    return errors
+
+
+def in_role(fitted: Fit, control: FeatureSet) -> Fit:
+    """Return a fit to more points as one whose control figures are of `control` alone."""
+    return replace(fitted, control=control, used=np.ones(len(control), dtype=bool))
+
+
+def limits() -> Mapping[str, float]:
+    """Return the constants that a result records."""
+    return {"pole_margin": POLE_MARGIN, "wider": WIDER, "folds": MAX_FOLDS}
