@@ -94,18 +94,21 @@ class Table:
 
     def roles(self) -> list[str]:
         """Return the role of each row, "off" where it is not enabled."""
-        roles = [""] * len(self.lines)
-        for row, cell in enumerate(self.columns.get("role", ())):
-            roles[row] = cell.strip().lower()
-            if roles[row] and roles[row] not in ROLES:
-                raise self.error(f"unknown role {cell.strip()!r}", row, "role",
+        cells = self.columns.get("role", [""] * len(self.lines))
+        known = {cell: cell.strip().lower() for cell in set(cells)}  # few, whatever the rows
+        for cell, role in known.items():
+            if role not in ("", *ROLES):
+                raise self.error(f"unknown role {cell.strip()!r}", cells.index(cell), "role",
                                  f"Roles are {', '.join(ROLES)}, or blank.")
-        for row, cell in enumerate(self.columns.get("enabled", ())):
-            enabled = _ENABLED.get(cell.strip().lower())
-            if enabled is None:
-                raise self.error(f"{cell.strip()!r} is neither true nor false", row, "enabled",
-                                 "Write 1 or 0.")
-            if not enabled:
+        flags = self.columns.get("enabled", ())
+        enabled = {cell: _ENABLED.get(cell.strip().lower()) for cell in set(flags)}
+        for cell, on in enabled.items():
+            if on is None:
+                raise self.error(f"{cell.strip()!r} is neither true nor false",
+                                 flags.index(cell), "enabled", "Write 1 or 0.")
+        roles = [known[cell] for cell in cells]
+        for row, cell in enumerate(flags):
+            if not enabled[cell]:
                 roles[row] = "off"
         return roles
 
