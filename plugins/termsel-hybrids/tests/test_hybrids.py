@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -13,8 +15,10 @@ pytest.importorskip("termsel_hybrids", reason="termsel-hybrids is not installed:
 import termsel
 from termsel import FeatureSet, Lines, Points, SensorModel
 from termsel.adjustment import solve
+from termsel.fitting import fit
 from termsel.models.projective import DLT2D
 from termsel.plugins.manager import registry
+from termsel.report.text import summary
 from termsel.testing import Check, model_checks
 from termsel_hybrids import Hybrid1, Hybrid3, Multiquadric, Pointwise
 
@@ -298,6 +302,26 @@ def test_leave_one_out_figures_stand_beside_those_of_the_control(name: str) -> N
     assert found["line"] == pytest.approx(line)
     assert found["sample"] == pytest.approx(sample)
     assert found["total"] == pytest.approx(np.hypot(line, sample))
+    [shown, _] = re.findall(r"^  leave-one-out +(\S+)$", summary(result), re.MULTILINE)
+    assert shown == f"{found['total']:.3f}"
+
+
+def test_other_models_need_no_leave_one_out() -> None:
+    result = termsel.run("hybrid-2", generations=1)
+    assert list(result.to_dict()["rmse"]) == ["control", "check", "independent"]
+    assert "leave-one-out" not in summary(result)
+
+
+def test_a_line_is_left_out_as_a_whole() -> None:
+    result = termsel.run("poly-terms", model="hybrid-1", solver="all-terms",
+                         options={"mixed": True, "degree": 1})
+    control, lines = result.fit.control, result.fit.control.lines
+    found = result.rmse["leave-one-out"]
+    assert found is not None
+    assert found.n == len(control) == len(control.points) + len(lines)
+    last = np.arange(len(control)) == len(control) - 1
+    without = fit(result.fit.model, control, result.fit.scaling, used=~last)
+    assert np.abs(without.line_errors()[-1]).max() > np.abs(result.fit.line_errors()[-1]).max()
 
 
 @pytest.mark.parametrize("name", MODELS)
