@@ -144,5 +144,7 @@ def test_wkt_tells_its_code_without_pyproj() -> None:
     assert normalise(base) == "EPSG:4326"
     assert normalise(f'PROJCRS["a",{base},ID["EPSG",32631]]\n') == "EPSG:32631"
     assert normalise('GEOGCS["a",DATUM["x"],AUTHORITY["EPSG","4326"]]') == "EPSG:4326"
+    with pytest.raises(TermselError, match="unknown CRS"):
+        normalise("EPSG:" + "4" * 5000)
     for own in (f'PROJCRS["a",CS[Cartesian,2],{base}]', f'COMPOUNDCRS["a",PROJCRS["b"],{base}]'):
         assert normalise(own) == own

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import re
+import subprocess
 import sys
 from contextlib import suppress
 from dataclasses import replace
@@ -390,6 +391,7 @@ def test_members_of_geojson(tmp_path: Path) -> None:
     ('{"type": "FeatureCollection", "features": [\n\n', "not JSON"),
     ('{"type": "FeatureCollection", "features": []}', "no features"),
     ('{"type": "Feature"}', "not a FeatureCollection"), ("[" * 200_000, "not"),
+    (ORTHORITY.replace("821.3", "8" * 5000), "not GeoJSON"),
     (ORTHORITY.replace('"Point"', '"Polygon"'), "geometry is Polygon, expected Point")])
 def test_what_is_no_geojson_of_points(tmp_path: Path, text: str, words: str) -> None:
     with pytest.raises(TermselError, match=words):
@@ -471,6 +473,22 @@ def test_format_is_forced(tmp_path: Path) -> None:
     with pytest.raises(TermselError, match="2 formats are given for 1 files"):
         termsel.read(path, format=["envi-pts", "envi-pts"])
     assert len(termsel.read(path, format="envi-pts").points) == 2
+
+
+@pytest.mark.parametrize(("name", "old", "words"), [
+    ("qgis-points", "-20.5", ", line 3, column 'sourceY': the cell is blank"),
+    ("geojson-points", "]", ", line 11: this is not JSON"), ("envi-pts", "447.000000", ", line 6"),
+    ("asp-gcp", "23.7", ", line 2")])
+def test_command_refuses_in_one_line(tmp_path: Path, name: str, old: str, words: str) -> None:
+    path = put(tmp_path, CONTENT[name].replace(old, "", 1))
+    done = subprocess.run([sys.executable, "-m", "termsel", "run", "--problem", "poly-terms",
+                           "--points", str(path), "--crs", "EPSG:4979", "--out",
+                           str(tmp_path / "out"), "--format", name], capture_output=True,
+                          text=True, check=False)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert f"{path}{words}" in done.stderr
+    assert "Traceback" not in done.stderr
+    assert not (tmp_path / "out").exists()
 
 
 PAGES = Path(__file__).parents[1] / "docs" / "formats"

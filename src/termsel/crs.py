@@ -34,7 +34,7 @@ _WKT = re.compile(r"(GEOG|GEOD|GEOC|PROJ|COMP|LOCAL_CS|ENG|BOUND|DERIVED)\w*\s*\
                   re.IGNORECASE | re.DOTALL)
 
 # The code of the whole stands last, as that of WKT's outermost bracket.
-_AUTHORITY = re.compile(r'(?:ID|AUTHORITY)\s*\[\s*"EPSG"\s*,\s*"?(\d+)"?\s*\]\s*\]\s*$',
+_AUTHORITY = re.compile(r'(?:ID|AUTHORITY)\s*\[\s*"EPSG"\s*,\s*"?(\d{1,9})"?\s*\]\s*\]\s*$',
                         re.IGNORECASE)
 
 _DEGREES = ((-180.0, -90.0), (360.0, 90.0))
@@ -71,7 +71,7 @@ def normalise(crs: str) -> str:
         authority, number = code[1].upper(), code[2].upper()
         if authority == "OGC" and number in _OGC:
             return _OGC[number]
-        if authority == "EPSG" and number.isdecimal():
+        if authority == "EPSG" and number.isdecimal() and len(number) < 10:
             name = f"EPSG:{int(number)}"
             if name not in WGS84 and not _UTM.fullmatch(name):
                 _with_pyproj(name)

@@ -49,7 +49,7 @@ class Feature:
         """Return a property of lists of numbers, which GDAL hands on as their JSON."""
         value = self.properties.get(name)
         if isinstance(value, str):
-            with suppress(json.JSONDecodeError):
+            with suppress(ValueError, RecursionError):
                 value = json.loads(value)
         return value
 
@@ -87,8 +87,8 @@ def read_geojson(path: Path, kinds: Mapping[str, int]) -> tuple[list[Feature], s
     except json.JSONDecodeError as error:
         raise TermselError(f"this is not JSON: {error.msg}", file=path, line=error.lineno,
                            hint="Is the file whole?") from error
-    except RecursionError:
-        raise TermselError("this is not GeoJSON: its lists are too deep", file=path) from None
+    except (RecursionError, ValueError) as error:  # lists too deep, numbers too long
+        raise TermselError(f"this is not GeoJSON: {error}", file=path) from error
     if not isinstance(found, dict) or not isinstance(found.get("features"), list):
         raise TermselError("this is not a FeatureCollection of GeoJSON", file=path,
                            hint='It must have the members "type" and "features".')
