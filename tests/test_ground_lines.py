@@ -153,6 +153,28 @@ def test_layer_of_several(tmp_path: Path) -> None:
         termsel.read(lines=path, join="nr", layer="canals")
 
 
+@pytest.mark.parametrize(("wkt", "words"), [
+    ("LINESTRING EMPTY", "feature 2: its geometry is missing"),
+    ("POINT (1 2)", "feature 2: its geometry is Point, expected LineString or MultiLineString"),
+    ("LINESTRING M (500000 5000900 7, 500900 5000900 8)", None)])
+def test_geometries_of_layers(tmp_path: Path, wkt: str, words: str | None) -> None:
+    pyogrio = pytest.importorskip("pyogrio")
+    shapely = pytest.importorskip("shapely")
+    shapes = np.array([shapely.LineString([(500000, 5000000), (500100, 5000000)]),
+                       shapely.from_wkt(wkt)])
+    path = tmp_path / "roads.gpkg"
+    pyogrio.raw.write(path, shapely.to_wkb(shapes, flavor="iso"), [np.array([1.0, 2.0])], ["id"],
+                      crs="EPSG:32631", geometry_type="Unknown")
+    image = measured(tmp_path, "1,1,2,3,4\n2,5,6,7,8\n")
+    if words is not None:
+        with pytest.raises(TermselError, match=words):
+            termsel.read(lines=path, image_lines=image)
+        return
+    lines = termsel.read(lines=path, image_lines=image).lines  # ids of whole floats, too
+    assert lines.ids == ("1", "2")
+    assert np.isnan(lines.ground[..., 2]).all()
+
+
 def _vector_checks() -> list[Check]:
     """Return the checks of a reader, on a GeoPackage; none without the packages for them."""
     from tempfile import TemporaryDirectory

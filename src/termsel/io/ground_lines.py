@@ -80,8 +80,7 @@ def _read_layer(path: Path, layer: str | None) -> tuple[list[Feature], str]:
     try:
         from pyogrio.errors import DataLayerError, DataSourceError
         from pyogrio.raw import read
-        from shapely import GEOSException, from_wkb, get_parts, get_type_id
-        from shapely.geometry import mapping
+        from shapely import GEOSException, from_wkb, get_coordinates, get_parts
     except ImportError:
         raise TermselError("this needs the packages for vector files, pyogrio and shapely, which "
                            "are not installed", file=path,
@@ -101,12 +100,10 @@ def _read_layer(path: Path, layer: str | None) -> tuple[list[Feature], str]:
         properties = {name: _plain(values[number - 1])
                       for name, values in zip(names, columns, strict=True)}
         feature = Feature(path, number, properties, [])
-        if shape is None or get_type_id(shape) not in (1, 5):
-            raise feature.error("its geometry is "
-                                + ("missing" if shape is None else shape.geom_type)
-                                + ", expected " + " or ".join(_GEOMETRIES))
-        parts = [[list(vertex) for vertex in mapping(part)["coordinates"]]
-                 for part in get_parts(shape)]
+        kind = "missing" if shape is None or shape.is_empty else shape.geom_type
+        if kind not in _GEOMETRIES:
+            raise feature.error(f"its geometry is {kind}, expected " + " or ".join(_GEOMETRIES))
+        parts = [get_coordinates(part, include_z=True).tolist() for part in get_parts(shape)]
         features.append(Feature(path, number, properties, parts))
     return features, str(meta["crs"] or "")
 
@@ -114,7 +111,8 @@ def _read_layer(path: Path, layer: str | None) -> tuple[list[Feature], str]:
 def _plain(value: Any) -> Any:
     """Return a cell as a number or text; whole numbers, which ids often are, without a point."""
     if isinstance(value, float | np.floating):
-        return None if np.isnan(value) else int(value) if value == int(value) else float(value)
+        number = float(value)
+        return None if np.isnan(number) else int(number) if number.is_integer() else number
     return value
 
 
