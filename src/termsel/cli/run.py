@@ -50,8 +50,8 @@ INTERRUPTED = 130
 @click.option("--criterion", metavar="NAME", shell_complete=complete("criteria"),
               help="What is minimised; see `termsel list criteria`.")
 @click.option("--set", "settings", metavar="KEY=VALUE", multiple=True,
-              help="An option of the problem, model, solver, criterion or data; may be "
-                   "repeated. `termsel describe NAME` lists them.")
+              help="An option of the problem, model, solver, criterion, data or file format; "
+                   "may be repeated. `termsel describe NAME` lists them.")
 @click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True,
               help="Seed of the search; the same seed gives the same selection.")
 @click.option("--generations", type=click.IntRange(min=1),
