@@ -135,14 +135,14 @@ def test_reader_of_geotiffs(tmp_path: Path) -> None:
     from rasterio.control import GroundControlPoint
 
     path = tmp_path / "image.tif"
-    gcps = [GroundControlPoint(row=20.5 + i, col=10.5 + 2 * i, x=5.0 + i, y=44.0 - i, z=1.5 * i,
-                               id=f"g{i}") for i in range(5)]
+    gcps = [GroundControlPoint(row=20.5 + i, col=10.5 + 2 * i, x=5.0 + i, y=44.0 - i, z=1.5 * i)
+            for i in range(5)]
     with rasterio.open(path, "w", driver="GTiff", width=60, height=40, count=1, dtype="uint8",
                        crs="EPSG:4326", gcps=gcps, compress="deflate") as raster:
         raster.write(np.random.default_rng(1).integers(0, 255, (1, 40, 60), dtype=np.uint8))
     i = np.arange(5)
     expected = FeatureSet(
-        Points(tuple(f"g{n}" for n in i), np.column_stack([20.0 + i, 10.0 + 2 * i]),
+        Points(tuple("12345"), np.column_stack([20.0 + i, 10.0 + 2 * i]),
                np.column_stack([5.0 + i, 44.0 - i, 1.5 * i])), crs="EPSG:4326",
         image_size=(40, 60))
     check_reader(GdalGcps(), path.read_bytes(), expected, filename="image.tif")
