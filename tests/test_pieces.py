@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import termsel
+from termsel.adjustment.equations import line_normals
 from termsel.criteria import CheckRmse, KFold, Press
 from termsel.features import FeatureSet, Lines, Points
 from termsel.models.polynomial import Affine, Polynomial3D
@@ -55,44 +56,55 @@ def test_a_point_cannot_have_the_id_of_pieces() -> None:
         features.with_(points=Points(("l3",), [[0, 0]], [[0, 0, 0]]))
 
 
+def without(equations: termsel.Equations, left_out: np.ndarray) -> np.ndarray:
+    """Return the coefficients of a fit to the rows of all other features."""
+    rows = ~left_out[equations.feature]
+    return np.linalg.lstsq(equations.A[rows], equations.b[rows])[0]
+
+
+def squares(feature: FeatureSet, coefficients: np.ndarray) -> np.ndarray:
+    """Return the squared errors of a point, or of the vertices of a line's pieces."""
+    image = MODEL.project(coefficients, feature.ground_vertices())
+    if len(feature.points):
+        return ((image - feature.points.image) ** 2).sum(axis=1)
+    normal, rho = (np.repeat(part, 2, axis=0) for part in line_normals(feature.lines))
+    return (rho - (normal * image).sum(axis=1)) ** 2
+
+
 @pytest.mark.parametrize("points", [0, 12])
-@pytest.mark.parametrize("criterion", [CheckRmse(), Press(), KFold(folds=40), KFold()])
-def test_a_gene_switches_all_pieces(criterion: termsel.Criterion, points: int) -> None:
+def test_a_gene_switches_all_pieces(points: int) -> None:
+    features, check = scene(points)
+    problem = SelectionProblem(Inputs(MODEL, features, check, 1000.0, CheckRmse()),
+                               terms=False, features=True)
+    assert problem.genome.size == points + 28
+    off = np.array([name == "l3" for name in features.ids])
+    found = problem.evaluate(np.array([~off, np.ones_like(off)])).objectives[:, 0]
+    for figure, left_out in zip(found, (off, np.zeros_like(off)), strict=True):
+        errors = MODEL.project(without(MODEL.equations(features), left_out), check.ground)
+        errors -= check.image
+        expected = 1000 * np.sqrt((errors**2).sum(axis=1).mean())
+        assert figure == pytest.approx(expected, rel=1e-9)
+    assert "l3" not in problem.decode(~off).features
+
+
+@pytest.mark.parametrize("points", [0, 4])
+@pytest.mark.parametrize("criterion", [Press(), KFold(folds=40)])
+def test_a_feature_is_predicted_with_all_pieces_left_out(criterion: termsel.Criterion,
+                                                         points: int) -> None:
+    """With more folds than features each is left out alone, as by press."""
     features, check = scene(points)
     problem = SelectionProblem(Inputs(MODEL, features, check, 1000.0, criterion),
                                terms=False, features=True)
-    assert problem.genome.size == points + 28
-    genes = np.ones((3, problem.genome.size), dtype=bool)
-    off = features.ids.index("l3")
-    genes[1, off] = genes[2, -1] = False
-    found = problem.evaluate(genes)
-    assert (found.violation == 0).all()
-    # The same without the feature at all, where nothing else depends on what is on offer.
-    rest = features.take(genes[1])
-    alone = SelectionProblem(Inputs(MODEL, rest, check, 1000.0, criterion),
-                             terms=False, features=True)
-    if criterion.options.get("folds", 40) == 40:
-        expected = alone.evaluate(np.ones((1, alone.genome.size), dtype=bool)).objectives[0]
-        np.testing.assert_allclose(found.objectives[1], expected, rtol=1e-9)
-    assert "l3" not in problem.decode(genes[1]).features
-
-
-def test_leaving_out_one_by_one_is_press() -> None:
-    """With all of a feature's pieces left out, the figure is that of fits without it."""
-    features, check = scene(4)
-    problem = SelectionProblem(Inputs(MODEL, features, check, 1000.0, Press()),
-                               terms=False, features=True)
-    genes = np.ones((1, len(features)), dtype=bool)
-    found = problem.evaluate(genes).objectives[0, 0]
-    total, count = 0.0, 0
+    off = np.array([name in ("l5", "l9") for name in features.ids])
+    found = problem.evaluate(~off[None]).objectives[0, 0]
     equations = MODEL.equations(features)
-    for i in range(len(features)):
-        rest = equations.feature != i
-        x = np.linalg.lstsq(equations.A[rest], equations.b[rest])[0]
-        # The rows of a polynomial are the errors themselves, of points and of vertices.
-        total += ((equations.A @ x - equations.b)[~rest] ** 2).sum()
-        count += 1 if i < 4 else int((~rest).sum())
-    assert found == pytest.approx(1000 * np.sqrt(total / count), rel=1e-9)
+    errors = []
+    for i in np.flatnonzero(~off):
+        alone = np.arange(len(off)) == i
+        errors.append(squares(features.take(alone), without(equations, off | alone)))
+    assert len(errors[features.ids.index("l3")]) == 2 * PIECES
+    expected = 1000 * np.sqrt(np.concatenate(errors).mean())
+    assert found == pytest.approx(expected, rel=1e-9)
 
 
 def test_result_of_a_run_with_pieces() -> None:
