@@ -11,14 +11,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from termsel.baselines import baseline, compare, figures
 from termsel.features import BoolArray, FeatureSet
-from termsel.fitting import Fit, Rmse, fit, plain_fits
+from termsel.fitting import Fit, fit
 from termsel.judging import judge, name_conventional, notes_on
 from termsel.problems.base import Selection
 from termsel.problems.selection import guard_points, pole_violation
 from termsel.residuals import residuals_of
-from termsel.result import LEAVE_ONE_OUT, Baseline, Result, plain_rmse
-from termsel.roles import Observations, with_roles
+from termsel.result import LEAVE_ONE_OUT, Result, plain_rmse
+from termsel.roles import with_roles
 from termsel.searching import Search
 from termsel.solvers.exact import gap
 
@@ -46,26 +47,30 @@ def assess(task: Task, found: Search) -> Result:
                              task.scaling.points(observations.check))
         feasible = not pole_violation(task.model, found.coefficients[None], guard).any()
         objectives = []  # those of least squares are not those of these coefficients
-    rmse = _figures(chosen, observations)
+    rmse = figures(chosen, observations)
     if found.coefficients is not None:
         rmse.pop(LEAVE_ONE_OUT, None)  # that would be of least squares too
-    baselines = tuple(_baselines(task))
+    everything = fit(task.model, observations.control, task.scaling)
+    comparison = compare(observations)
+    baselines = (baseline("all-terms", everything, None, observations, ("control",)),
+                 *comparison.baselines)
     return Result(
         problem=task.recipe.name, model=task.model.name, solver=task.solver.name,
         criterion=task.criterion.name, seed=found.seed,
         options={**task.options, "model": task.model.options, "solver": task.solver.options,
                  "criterion": task.criterion.options},
-        data=_data(task), selection=selection, feasible=feasible, rmse=rmse,
+        data=data_of(task), selection=selection, feasible=feasible, rmse=rmse,
         baselines=baselines,
         judgement=judge(name_conventional(task.problem.genome, observations),
-                        task.criterion.name, rmse, baselines, feasible, task.features.noise),
+                        task.criterion.name, rmse, baselines, comparison.reference, feasible,
+                        task.features.noise),
         notes=tuple(notes_on(observations, task.criterion, found, chosen)),
         objectives=dict(zip(task.problem.objectives, objectives, strict=False)),
         evaluations=found.evaluations, lookups=found.lookups, generations=found.generations,
         seconds=found.seconds, interrupted=found.interrupted,
         polish=asdict(found.polish) if found.polish else None, fit=chosen,
         residuals=residuals_of(chosen, observations),
-        features=with_roles(task.features, observations), versions=_versions(),
+        features=with_roles(task.features, observations), versions=versions(),
         front=tuple(_front(task, found)), certificate=_certificate(task, found))
 
 
@@ -102,15 +107,6 @@ def recommended(task: Task, found: Search) -> Search:
         index = int(np.argmin(below))
     return replace(found, genes=found.front[index], objectives=evaluation.objectives[index],
                    violation=float(evaluation.violation[index]))
-
-
-def _figures(fitted: Fit, observations: Observations) -> dict[str, Rmse | None]:
-    """Return the RMSE by role, and where control corrects itself, leave-one-out beside it."""
-    figures = {"control": fitted.control_rmse(), "check": fitted.rmse(observations.check),
-               "independent": fitted.rmse(observations.independent)}
-    if fitted.model.corrects:
-        figures[LEAVE_ONE_OUT] = fitted.leave_one_out_rmse()
-    return figures
 
 
 def _certificate(task: Task, found: Search) -> Mapping[str, Any] | None:
@@ -153,43 +149,8 @@ def _mask(names: tuple[str, ...], chosen: Iterable[str]) -> BoolArray:
     return np.array([name in wanted for name in names], dtype=bool)
 
 
-def _baselines(task: Task) -> Iterable[Baseline]:
-    """Yield the conventional fit and plain polynomials."""
-    observations = task.observations
-    everything = fit(task.model, observations.control, task.scaling)
-    yield _baseline("all-terms", everything, observations, ("control",))
-    for name, fitted in plain_fits(observations.control, observations.check,
-                                   heights=_heights(observations)):
-        yield _baseline(name, fitted, observations, ("control", "check"))
-
-
-def _baseline(name: str, fitted: Fit, observations: Observations,
-              roles: tuple[str, ...]) -> Baseline:
-    figures = _figures(fitted, observations)
-    if observations.control is not fitted.control:
-        # The check points served as control; the figure of control is of control alone.
-        figures["control"] = _control_alone(fitted, observations)
-    return Baseline(name, int(fitted.terms.sum()), roles, fitted.adjustment.feasible, figures)
-
-
-def _heights(observations: Observations) -> bool:
-    """Return whether all features have heights and those of the control differ.
-
-    Of independent points only whether they have heights is looked at.
-    """
-    control, others = observations.control, (observations.check, observations.independent)
-    unknown = bool(control.without_height()) or any(
-        np.isnan(points.ground[:, 2]).any() for points in others)
-    return not unknown and bool(np.ptp(control.ground_vertices()[:, 2]) > 0)
-
-
-def _control_alone(fitted: Fit, observations: Observations) -> Rmse | None:
-    alone = Fit(fitted.model, fitted.scaling, observations.control, fitted.terms,
-                np.ones(len(observations.control), dtype=bool), fitted.adjustment)
-    return alone.control_rmse()
-
-
-def _data(task: Task) -> dict[str, Any]:
+def data_of(task: Task) -> dict[str, Any]:
+    """Return what a result says of the features it was made of."""
     observations = task.observations
     return {
         "source": task.source, "sha256": _checksum(task.features), "crs": task.features.crs,
@@ -216,6 +177,7 @@ def _checksum(features: FeatureSet) -> str:
     return digest.hexdigest()
 
 
-def _versions() -> dict[str, str]:
+def versions() -> dict[str, str]:
+    """Return the versions of termsel and what it computes with."""
     packages = ("termsel", "numpy", "scipy", "numba", "deap", "pymoo")
     return {"python": platform.python_version(), **{name: version(name) for name in packages}}

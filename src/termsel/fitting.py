@@ -1,8 +1,7 @@
-"""One fitted model: its adjustment, its residuals, its RMSE, and plain models beside it."""
+"""One fitted model: its adjustment, its residuals, its RMSE."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,8 +12,11 @@ from termsel.adjustment.solve import Adjustment, solve
 from termsel.features import BoolArray, FeatureSet, FloatArray, Points
 from termsel.inverse import Surface, locate
 from termsel.models.base import SensorModel
-from termsel.models.polynomial import Polynomial2D, Polynomial3D
-from termsel.scaling import Scaling, scaling_of
+from termsel.scaling import Scaling
+
+
+ITERATIONS = 20
+"""Most Gauss-Newton steps of a fit; two or three are usual."""
 
 
 @dataclass(frozen=True)
@@ -148,41 +150,27 @@ def fit(model: SensorModel, control: FeatureSet, scaling: Scaling,
     """
     terms = np.ones(len(model.terms), dtype=bool) if terms is None else terms
     used = np.ones(len(control), dtype=bool) if used is None else used
-    equations = model.equations(scaling.features(control))
-    return Fit(model, scaling, control, terms, used, solve(equations, terms, used))
+    scaled = scaling.features(control)
+    first = solve(model.equations(scaled), terms, used)
+    return Fit(model, scaling, control, terms, used,
+               _converged(model, scaled, terms, used, first))
 
 
-def plain_fits(control: FeatureSet, check: Points, *, heights: bool,
-               ) -> Iterator[tuple[str, Fit]]:
-    """Fit plain polynomials, with which any selection has to bear comparison.
+def _converged(model: SensorModel, features: FeatureSet, terms: BoolArray, used: BoolArray,
+               adjustment: Adjustment) -> Adjustment:
+    """Go on from a first solution to the least squares of distances (Gauss-Newton).
 
-    Nothing is chosen here, so the check points are free to serve as control as well.
-
-    Parameters
-    ----------
-    control : FeatureSet
-    check : Points
-    heights : bool
-        Whether to use polynomials of X, Y and Z, or of X and Y alone.
-
-    Yields
-    ------
-    name : str
-        "affine", "quadratic" or "cubic".
-    fit : Fit
-        Only of polynomials that the features determine with redundancy.
+    A step that does not lessen the sum of squared distances ends it.
     """
-    both = control.with_(points=_join(control.points, check))
-    scaling = scaling_of(both)
-    family = Polynomial3D if heights else Polynomial2D
-    for degree, name in ((1, "affine"), (2, "quadratic"), (3, "cubic")):
-        fitted = fit(family(degree=degree), both, scaling)
-        if fitted.adjustment.feasible and fitted.adjustment.redundancy > 0:
-            yield name, fitted
-
-
-def _join(first: Points, second: Points) -> Points:
-    sigma = (None if first.sigma is None or second.sigma is None
-             else np.concatenate([first.sigma, second.sigma]))
-    return Points(first.ids + second.ids, np.concatenate([first.image, second.image]),
-                  np.concatenate([first.ground, second.ground]), sigma)
+    best, least = adjustment, np.inf
+    for _ in range(ITERATIONS):
+        equations = (model.linearised(features, adjustment.coefficients)
+                     if adjustment.feasible else None)
+        if equations is None:
+            break
+        v = (equations.b - equations.A @ adjustment.coefficients)[used[equations.feature]]
+        if not v @ v < least * (1 - 1e-10):
+            break
+        best, least = adjustment, v @ v
+        adjustment = solve(equations, terms, used)
+    return best

@@ -20,9 +20,16 @@ ALIKE = 1.05
 """Two RMSE whose ratio is below this are called alike: with a few dozen independent points
 an RMSE is itself uncertain by more."""
 
+TITLES = {
+    "affine": "an affine polynomial", "dlt": "a DLT", "projective": "a projective transformation",
+    "quadratic": "a quadratic polynomial", "cubic": "a cubic polynomial",
+    "rfm-2": "a second-order RFM", "shrunken": "a shrunken cubic polynomial"}
+"""Baselines among which leave-one-out chooses, in words."""
+
 
 def judge(conventional: str, criterion: str, rmse: Mapping[str, Rmse | None],
-          baselines: tuple[Baseline, ...], feasible: bool, noise: float | None) -> str:
+          baselines: tuple[Baseline, ...], reference: str, feasible: bool,
+          noise: float | None) -> str:
     """Return one or two sentences that compare the selection with what needs no search.
 
     Parameters
@@ -35,6 +42,8 @@ def judge(conventional: str, criterion: str, rmse: Mapping[str, Rmse | None],
         Of the selection, by role.
     baselines : tuple of Baseline
         The conventional fit first.
+    reference : str
+        Name of the baseline that leave-one-out over control and check chooses; may be empty.
     feasible : bool
     noise : float or None
         Standard deviation of the measurements [pixel], where it is known.
@@ -49,16 +58,15 @@ def judge(conventional: str, criterion: str, rmse: Mapping[str, Rmse | None],
                 f"known: {criterion} is what the search drove down.")
     sentences = [_compare("The selection is", mine.total, baselines[0], conventional)
                  + f" on {mine.n} independent points."]
-    plain = [b for b in baselines[1:] if b.rmse["independent"] is not None]
-    if plain:
-        best = min(plain, key=_independent)
-        article = "an" if best.name[0] in "aeiou" else "a"
-        # Which of the plain fits is best is seen on these very points: in hindsight.
-        title = (f"{article} {best.name} polynomial over control and check together, in "
-                 "hindsight the best plain fit,")
+    best = next((b for b in baselines if b.name == reference), None)
+    if best is not None:
+        title = (f"{TITLES[reference]} over control and check together, which leave-one-out "
+                 "chooses,")
         ratio = _ratio(mine.total, _independent(best))
         if ratio > ALIKE:
-            sentences.append(f"Use something plainer: {title} is {_times(ratio)} better "
+            advice = ("Use --strategy auto instead" if reference == "shrunken" else
+                      "Use something plainer")
+            sentences.append(f"{advice}: {title} is {_times(ratio)} better "
                              f"({_px(_independent(best))}).")
         elif ratio > 1 / ALIKE:
             sentences.append(f"It is no better than {title} ({_px(_independent(best))}).")
@@ -67,6 +75,40 @@ def judge(conventional: str, criterion: str, rmse: Mapping[str, Rmse | None],
                              f"({_px(_independent(best))}).")
     else:
         sentences.append("No plain polynomial is determined by control and check together.")
+    if noise is not None:
+        sentences.append(f"Measurement noise alone gives {_px(noise * np.sqrt(2))}.")
+    return " ".join(sentences)
+
+
+def judge_choice(chosen: str, predicted: float | None, rmse: Mapping[str, Rmse | None],
+                 baselines: tuple[Baseline, ...], noise: float | None) -> str:
+    """Return some sentences on what the choice of a strategy is worth.
+
+    Parameters
+    ----------
+    chosen : str
+        Name of the candidate.
+    predicted : float or None
+        RMSE of the choice repeated in folds [pixel].
+    rmse : mapping
+        Of the choice, by role.
+    baselines : tuple of Baseline
+    noise : float or None
+        Standard deviation of the measurements [pixel], where it is known.
+    """
+    mine = rmse["independent"]
+    expected = "" if predicted is None else f" and predicts {_px(predicted)}"
+    start = f"Leave-one-out over control and check chooses {TITLES[chosen]}{expected}."
+    if mine is None:
+        return f"{start} There are no independent points to confirm it."
+    sentences = [start, f"{mine.n} independent points, which took no part, say "
+                        f"{_px(mine.total)}."]
+    others = [b for b in baselines
+              if b.predicted is not None and b.name not in (chosen, "shrunken")]
+    if others:
+        best = min(others, key=_predicted)
+        sentences.append(_compare("That is", mine.total, best, f"{TITLES[best.name]}, the best "
+                                  "of the other plain structures by leave-one-out") + ".")
     if noise is not None:
         sentences.append(f"Measurement noise alone gives {_px(noise * np.sqrt(2))}.")
     return " ".join(sentences)
@@ -82,6 +124,10 @@ def name_conventional(genome: Genome, observations: Observations) -> str:
     if "features" not in segments:
         return "all terms"
     return f"{features} with all terms" if terms else features
+
+
+def _predicted(baseline: Baseline) -> float:
+    return float("inf") if baseline.predicted is None else baseline.predicted
 
 
 def _independent(baseline: Baseline) -> float:

@@ -42,12 +42,13 @@ def result_from(record: Mapping[str, Any], features: FeatureSet) -> Result:
         **{name: record[name] for name in (
             "problem", "model", "solver", "criterion", "seed", "options", "data", "feasible",
             "judgement", "objectives", "evaluations", "lookups", "generations", "seconds",
-            "interrupted", "polish", "versions", "certificate")},
+            "interrupted", "polish", "versions", "certificate", "strategy")},
         selection=Selection(tuple(chosen["terms"]), tuple(chosen["features"])),
         rmse=_rmse(record["rmse"]),
         baselines=tuple(Baseline(b["name"], b["n_terms"], tuple(b["fitted_to"]), b["determined"],
-                                 _rmse(b["rmse"])) for b in record["baselines"]),
-        notes=tuple(record["notes"]), fit=fit, residuals=residuals_of(fit, by_roles(features)),
+                                 _rmse(b["rmse"]), b["predicted"]) for b in record["baselines"]),
+        notes=tuple(record["notes"]), fit=fit,
+        residuals=residuals_of(fit, by_roles(features), check_used=record["strategy"] is not None),
         features=features, front=tuple(record["front"]))
 
 

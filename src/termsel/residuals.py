@@ -68,7 +68,8 @@ class Residuals(tuple[Residual, ...]):
             for i, residual in enumerate(self)]}
 
 
-def residuals_of(chosen: Fit, observations: Observations) -> Residuals:
+def residuals_of(chosen: Fit, observations: Observations, *,
+                 check_used: bool = False) -> Residuals:
     """Return the residuals of all features that have a role.
 
     Parameters
@@ -76,11 +77,13 @@ def residuals_of(chosen: Fit, observations: Observations) -> Residuals:
     chosen : Fit
         Fitted to the control of the observations.
     observations : Observations
+    check_used : bool
+        Whether the check points took part in the adjustment too.
     """
-    return Residuals(_each(chosen, observations))
+    return Residuals(_each(chosen, observations, check_used))
 
 
-def _each(chosen: Fit, observations: Observations) -> Iterator[Residual]:
+def _each(chosen: Fit, observations: Observations, check_used: bool) -> Iterator[Residual]:
     points, lines = observations.control.points, observations.control.lines
     used = tuple(bool(on) for on in chosen.used)
     yield from _rows(points.ids, chosen.errors(points), points.ground, "control",
@@ -95,7 +98,7 @@ def _each(chosen: Fit, observations: Observations) -> Iterator[Residual]:
                              tuple(used[f] for f in features), f"vertex {2 * i + vertex + 1}")
     for role, others in (("check", observations.check), ("independent", observations.independent)):
         yield from _rows(others.ids, chosen.errors(others), others.ground, role,
-                         (False,) * len(others))
+                         (check_used and role == "check",) * len(others))
 
 
 def _rows(ids: tuple[str, ...], errors: FloatArray, ground: FloatArray, role: str,

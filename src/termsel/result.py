@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from html import escape
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -43,7 +44,9 @@ class Baseline:
         False if the control does not determine the terms; the figures are then those of
         the least-norm solution.
     rmse : mapping
-        By role; None where there are no points.
+        By role; None where there are no points, or where the model is not determined.
+    predicted : float, optional
+        RMSE by leave-one-out over the features it was fitted to [pixel].
     """
 
     name: str
@@ -51,6 +54,7 @@ class Baseline:
     fitted_to: tuple[str, ...]
     determined: bool
     rmse: Rmses
+    predicted: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,6 +98,9 @@ class Result:
         Non-dominated selections of a search with several objectives.
     certificate : mapping, optional
         What was proven.
+    strategy : mapping, optional
+        Of a choice by the strategy "auto": what was chosen, the accuracy it predicts, and all
+        candidates with theirs.
     """
 
     problem: str
@@ -122,6 +129,7 @@ class Result:
     versions: Mapping[str, str]
     front: tuple[Mapping[str, Any], ...] = ()
     certificate: Mapping[str, Any] | None = None
+    strategy: Mapping[str, Any] | None = None
 
     @property
     def hit_rate(self) -> float:
@@ -149,9 +157,10 @@ class Result:
             "rmse": plain_rmse(self.rmse),
             "baselines": [
                 {"name": b.name, "n_terms": b.n_terms, "fitted_to": list(b.fitted_to),
-                 "determined": b.determined, "rmse": plain_rmse(b.rmse)} for b in self.baselines],
+                 "determined": b.determined, "predicted": b.predicted, "rmse": plain_rmse(b.rmse)}
+                for b in self.baselines],
             "judgement": self.judgement, "notes": list(self.notes),
-            "front": list(self.front), "certificate": self.certificate,
+            "front": list(self.front), "certificate": self.certificate, "strategy": self.strategy,
             "evaluations": self.evaluations, "lookups": self.lookups,
             "hit_rate": self.hit_rate,
             "generations": self.generations, "seconds": self.seconds,
@@ -165,6 +174,18 @@ class Result:
                 "sigma0": _number(adjustment.sigma0 * self.fit.scaling.image_scale)},
             "scaling": self.fit.scaling.to_dict(),
             "versions": dict(self.versions)}
+
+    def of_image(self, size: tuple[int, int]) -> Result:
+        """Return the result with the size of its image, which files of points do not state.
+
+        Parameters
+        ----------
+        size : tuple of int
+            Lines and samples [pixel].
+        """
+        control = replace(self.fit.control, image_size=size)
+        return replace(self, features=replace(self.features, image_size=size),
+                       fit=replace(self.fit, control=control))
 
     def project(self, ground: ArrayLike) -> FloatArray:
         """Return where the fitted model sees ground points.
@@ -214,6 +235,12 @@ class Result:
         from termsel.rpc_fitting import rpc_of
 
         return rpc_of(self.fit).rpc
+
+    def export(self, to: str, path: Path | str, *, overwrite: bool = False, **options: Any) -> None:
+        """Write the result in a format known by name (see `termsel.io.exporting.export`)."""
+        from termsel.io.exporting import export
+
+        export(self, to, path, overwrite=overwrite, **options)
 
     def to_json(self) -> str:
         """Return result.json as text."""

@@ -26,6 +26,7 @@ from termsel.roles import Observations, observe
 from termsel.scaling import Scaling, scaling_of
 from termsel.searching import Observer, require_able, search
 from termsel.solvers.base import Solver
+from termsel.strategies.auto import choose_for, wanted
 
 log = logging.getLogger(__name__)
 
@@ -39,6 +40,8 @@ DATA_OPTIONS = (
 )
 
 MIN_CONTROL, MIN_CHECK = 3, 2
+AUTO: Mapping[str, Any] = {"criterion": "press", "solver": "all-terms"}
+"""What a task is prepared with where the strategy "auto" takes its observations alone."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -219,6 +222,7 @@ def run(
     seconds: float | None = None,
     observers: Iterable[Observer] = (),
     out: Path | str | None = None,
+    strategy: str | None = None,
     **prepared: Any,
 ) -> Result:
     """Search a problem and assess the selection.
@@ -237,6 +241,11 @@ def run(
         Called after each generation.
     out : path, optional
         Folder for result.json, residuals.csv and summary.txt.
+    strategy : {"auto", "as-asked"}, optional
+        "auto" chooses the model itself, among plain and shrunken ones, by what it predicts for
+        points that took no part; "as-asked" runs the problem's solver. By default "auto" where
+        the problem allows it and neither model, solver, criterion, budget nor any option but
+        those of the data is given. A prepared task is always run as asked.
     **prepared
         Arguments of `prepare`, where `problem` is a name.
 
@@ -258,20 +267,31 @@ def run(
     """
     from termsel.io.result_files import claim_folder, write_result
 
+    auto = False
     if isinstance(problem, Task):
         if prepared:
             raise TermselError(f"a prepared task takes no {', '.join(sorted(prepared))}",
                                hint="Give them to termsel.prepare.")
         task = problem
     else:
-        task = prepare(problem, **prepared)
+        auto = wanted(strategy, registry().get("problems", problem), {
+            **{key: prepared.get(key) for key in ("model", "solver", "criterion")},
+            **{f"the option {key}": True for key in prepared.get("options") or ()
+               if key not in {option.name for option in DATA_OPTIONS}},
+            "a budget": any(b is not None for b in (generations, evaluations, seconds))})
+        task = prepare(problem, **{**prepared, **(AUTO if auto else {})})
     if out is not None:
         claim_folder(Path(out))
     if needs_compilation():
         log.info("Compiling: the first run on this machine takes some 10 s longer.")
-    found = search(task.problem, task.solver, seed=seed, generations=generations,
-                   evaluations=evaluations, seconds=seconds, observers=observers)
-    result = assess(task, recommended(task, found))
+    result = choose_for(task, seed) if auto else None
+    if auto and result is None:
+        log.warning("Control and check points are too few for the strategy auto; running as asked.")
+        task = prepare(task.recipe.name, **prepared)
+    if result is None:
+        found = search(task.problem, task.solver, seed=seed, generations=generations,
+                       evaluations=evaluations, seconds=seconds, observers=observers)
+        result = assess(task, recommended(task, found))
     if out is not None:
         write_result(result, Path(out))
     registry().notify_run_finished(result)

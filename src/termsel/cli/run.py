@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import sys
 from collections.abc import Callable
 from contextlib import nullcontext
@@ -11,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from termsel.cli.messages import show_messages
 from termsel.cli.names import complete
 from termsel.errors import TermselError
 
@@ -49,6 +49,10 @@ INTERRUPTED = 130
               help="Solver; see `termsel list solvers`.")
 @click.option("--criterion", metavar="NAME", shell_complete=complete("criteria"),
               help="What is minimised; see `termsel list criteria`.")
+@click.option("--strategy", type=click.Choice(["auto", "as-asked"]),
+              help="`auto` chooses among plain and shrunken models of points by the accuracy it "
+                   "predicts; `as-asked` runs the problem's solver. By default auto for rfm-terms "
+                   "and poly-terms, unless a method or a budget is asked for.")
 @click.option("--set", "settings", metavar="KEY=VALUE", multiple=True,
               help="An option of the problem, model, solver, criterion, data or file format; "
                    "may be repeated. `termsel describe NAME` lists them.")
@@ -62,15 +66,18 @@ INTERRUPTED = 130
               help="Stop after S seconds.")
 @click.option("--out", metavar="DIR", type=click.Path(path_type=Path),
               help="Folder for result.json, residuals.csv, summary.txt and the features.")
+@click.option("--export", "exports", metavar="FORMAT", multiple=True,
+              shell_complete=complete("writers"),
+              help="Write the result to --out in this format too; may be repeated.")
 @click.option("--json", "as_json", is_flag=True, help="Print result.json alone on stdout.")
 @click.option("--quiet", is_flag=True, help="No progress bar.")
 def run(
     problem: str, dataset: str | None, points: Path | None, lines: Path | None,
     formats: tuple[str, ...], dem: Path | None, raster: str | None, image_lines: str | None,
     crs: str | None, model: str | None, solver: str | None, criterion: str | None,
-    settings: tuple[str, ...], seed: int, generations: int | None, evaluations: int | None,
-    seconds: float | None,
-    out: Path | None, as_json: bool, quiet: bool,
+    strategy: str | None, settings: tuple[str, ...], seed: int, generations: int | None,
+    evaluations: int | None, seconds: float | None, out: Path | None,
+    exports: tuple[str, ...], as_json: bool, quiet: bool,
 ) -> None:
     """Search for the terms or control features that serve best.
 
@@ -97,24 +104,33 @@ def run(
             raise TermselError(f"{name} speaks of a file of points or lines, and none is given",
                                hint=f"Give --points FILE, or leave {name} out.")
 
-    _show_messages()
+    if exports and out is None:
+        raise TermselError("--export needs a folder to write to", hint="Give --out DIR.")
+    show_messages()
 
     from termsel import running
+    from termsel.io.exporting import export, writer_of
     from termsel.report.text import summary
 
+    # A name that is not known is said before a long search.
+    files = {to: f"result{writer_of(to).suffix or f'.{to}'}" for to in exports}
     features = None
     if points is not None or lines is not None:
         features = _read(points, lines, options, crs=crs, format=formats, dem=dem, raster=raster,
                          image_lines=image_lines)
     source = ", ".join(str(path) for path in (points, lines, image_lines) if path is not None)
-    task = running.prepare(problem, features=features, dataset=dataset, source=source or None,
-                           model=model, solver=solver, criterion=criterion, options=options)
-    with _progress(f"{problem} ({task.solver.name})", quiet) as observe:
-        result = running.run(task, seed=seed, generations=generations, evaluations=evaluations,
-                             seconds=seconds, observers=[observe] if observe else [], out=out)
+    with _progress(problem, quiet) as observe:
+        result = running.run(
+            problem, strategy=strategy, features=features, dataset=dataset, source=source or None,
+            model=model, solver=solver, criterion=criterion, options=options, seed=seed,
+            generations=generations, evaluations=evaluations, seconds=seconds,
+            observers=[observe] if observe else [], out=out)
     click.echo(result.to_json() if as_json else summary(result), nl=False)
     if out is not None:
         click.echo(f"Written: {out}/result.json, residuals.csv, summary.txt", err=True)
+        for to, name in files.items():
+            export(result, to, out / name, overwrite=True)
+            click.echo(f"Written: {out}/{name}", err=True)
     if result.interrupted:
         click.echo("Interrupted. The same command with the same seed takes the same way again.",
                    err=True)
@@ -139,16 +155,6 @@ def parse_settings(settings: tuple[str, ...]) -> dict[str, str]:
             raise TermselError(f"--set {key.strip()} is given twice", hint="Give it once.")
         options[key.strip()] = value.strip()
     return options
-
-
-def _show_messages() -> None:
-    """Print what termsel logs, such as what an enumeration is about to do, on stderr."""
-    logger = logging.getLogger("termsel")
-    if not logger.handlers:
-        handler = logging.StreamHandler()
-        handler.setFormatter(logging.Formatter("%(message)s"))
-        logger.addHandler(handler)
-        logger.setLevel(logging.INFO)
 
 
 def _read(points: Path | None, lines: Path | None, settings: dict[str, str],

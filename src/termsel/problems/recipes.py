@@ -30,6 +30,9 @@ class Recipe:
         Further settings of the problem.
     second : str
         The objective beside the criterion where a solver for several is asked for.
+    portfolio : bool
+        Whether the strategy "auto" may answer the problem: what is wanted is the best model of
+        the points, by whatever terms.
     source : str
         The paper the problem comes from.
     """
@@ -45,6 +48,7 @@ class Recipe:
     control: str = "points"
     options: tuple[Option, ...] = ()
     second: str = "n_terms"
+    portfolio: bool = False
     source: str = ""
 
 
@@ -90,10 +94,10 @@ YAVARI = "Yavari, Valadan Zoej, Salehi 2018 (OWDIS)"
 
 RECIPES = (
     Recipe("rfm-terms", "Which terms of a rational function model to use.", _terms,
-           model="rfm", dataset="ikonos-hamedan", options=OF_TERMS,
+           model="rfm", dataset="ikonos-hamedan", options=OF_TERMS, portfolio=True,
            source="Valadan Zoej et al. 2007; Akhoundi Khezrabad et al. 2020"),
     Recipe("poly-terms", "Which terms of a plane polynomial to use.", _terms,
-           model="poly2d", dataset="ikonos-hamedan", options=OF_TERMS,
+           model="poly2d", dataset="ikonos-hamedan", options=OF_TERMS, portfolio=True,
            source="Valadan Zoej et al. 2002; Zakaryaie Nejad et al. 2015"),
     Recipe("owdis-points", "Which control points to use.", _features,
            model="poly3d", dataset="ikonos-hamedan", options=OF_FEATURES, second="n_features",

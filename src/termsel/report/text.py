@@ -11,8 +11,8 @@ from termsel.result import LEAVE_ONE_OUT, ROLES, Result, Rmses
 
 _WIDTH = 88
 _LONGEST_FRONT = 40
-_TITLES = {"all-terms": "conventional (all)", "affine": "affine *", "quadratic": "quadratic *",
-           "cubic": "cubic *"}
+_TITLES = {"all-terms": "conventional (all)", "dlt": "DLT", "rfm-2": "second-order RFM",
+           "rfm-3": "full RFM", "ridge": "full RFM, ridge", "shrunken": "shrunken cubic"}
 
 
 def summary(result: Result) -> str:
@@ -28,13 +28,17 @@ def summary(result: Result) -> str:
 
 def _head(result: Result) -> Iterator[str]:
     counts = result.data["counts"]
-    yield (f"{result.problem}: model {result.model}, solver {result.solver}, criterion "
-           f"{result.criterion}, seed {result.seed}")
+    yield (f"{result.problem}: model {result.model}, "
+           + (f"strategy {result.strategy['name']}" if result.strategy else
+              f"solver {result.solver}, criterion {result.criterion}, seed {result.seed}"))
     yield f"Data: {result.data['source']}"
     control = [f"{counts[key]} {word}" for key, word in (("control", "points"), ("lines", "lines"))
                if counts[key]]
     yield (f"Control: {' and '.join(control)}; {counts['check']} check points; "
            f"{counts['independent']} independent points")
+    if result.strategy:
+        yield from _strategy(result.strategy, result.seconds)
+        return
     yield (f"Selected: {_share(len(result.selection.features), len(result.fit.control))} control "
            f"features, {_share(len(result.selection.terms), len(result.fit.model.terms))} terms; "
            f"redundancy {result.fit.adjustment.redundancy}")
@@ -46,6 +50,23 @@ def _head(result: Result) -> Iterator[str]:
                "evaluations more")
     if result.certificate:
         yield _certificate(result.certificate)
+
+
+def _strategy(strategy: Mapping[str, Any], seconds: float) -> Iterator[str]:
+    """Yield the candidates with their predicted accuracy, the chosen one marked."""
+    chosen = strategy["chosen"]
+    predicted = strategy["predicted"]
+    yield (f"Chosen: {_TITLES.get(chosen, chosen)}, fitted to control and check together; "
+           + (f"predicted accuracy {predicted:.3f} pixel; " if predicted is not None else "")
+           + f"{seconds:.1f} s")
+    yield ""
+    yield f"{'candidate':<24}{'terms':>6}{'free in effect':>16}{'leave-one-out':>16}"
+    for one in strategy["candidates"]:
+        mark = " <-" if one["name"] == chosen else ""
+        yield (f"{_TITLES.get(one['name'], one['name']):<24}{one['n_terms']:>6}"
+               f"{one['effective']:>16.1f}{one['predicted']:>16.3f}{mark}")
+    yield (f"the predicted accuracy is that of the whole choice, repeated in {strategy['folds']} "
+           "folds")
 
 
 def _certificate(certificate: Mapping[str, Any]) -> str:
@@ -68,8 +89,9 @@ def _share(chosen: int, offered: int) -> str:
 def _table(result: Result) -> Iterator[str]:
     yield f"{'RMSE [pixel]':<24}{'terms':>6}{'control':>12}{'check':>12}{'independent':>14}"
     rows: list[tuple[str, int, Rmses]] = [
-        ("selection", len(result.selection.terms), result.rmse)]
-    rows += [(_TITLES.get(b.name, b.name), b.n_terms, b.rmse) for b in result.baselines]
+        ("selection" + " *" * bool(result.strategy), len(result.selection.terms), result.rmse)]
+    rows += [(_TITLES.get(b.name, b.name) + " *" * ("check" in b.fitted_to), b.n_terms, b.rmse)
+             for b in result.baselines]
     for name, n_terms, rmse in rows:
         control, check, independent = (_figure(rmse.get(role)) for role in ROLES)
         yield f"{name:<24}{n_terms:>6}{control:>12}{check:>12}{independent:>14}"
@@ -78,9 +100,11 @@ def _table(result: Result) -> Iterator[str]:
     if LEAVE_ONE_OUT in result.rmse:
         yield (f"{LEAVE_ONE_OUT}: each control feature by the fit without it, as {result.model} "
                "corrects by control")
-    if len(result.baselines) > 1:
-        yield "* plain polynomial fitted to control and check together; its check figure is a fit"
-    if result.criterion == "check-rmse":
+    if any("check" in b.fitted_to for b in result.baselines):
+        yield "* fitted to control and check together; its check figure is a fit"
+    if result.strategy:
+        yield "independent = the accuracy"
+    elif result.criterion == "check-rmse":
         yield "check = the fitness the search drove down; independent = the accuracy"
     else:
         yield f"the search drove down {result.criterion}; independent = the accuracy"

@@ -1,20 +1,20 @@
-"""Candidates that are fitted to points, and the choice among them by leave-one-out.
+"""Candidates that are fitted to features, and the choice among them by leave-one-out.
 
-A candidate takes points and gives a fitted model with the error of each point under the same
-procedure without it. Nothing here knows of roles: what it is given are the points it may use.
+A candidate takes features and gives a fitted model with the error of each feature under the same
+procedure without it. Nothing here knows of roles: what it is given are features it may use.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 
 from termsel.adjustment.leave_out import leave_one_out
 from termsel.adjustment.parts import independent_parts
 from termsel.adjustment.solve import Adjustment
-from termsel.criteria import POLE_MARGIN, Fits
+from termsel.criteria import Fits
 from termsel.features import FeatureSet, FloatArray, no_points
 from termsel.fitting import Fit, fit
 from termsel.models.base import SensorModel
@@ -26,7 +26,7 @@ from termsel.roles import spatial_order
 from termsel.scaling import Scaling, scaling_of
 from termsel.strategies.averaging import average
 
-SHRUNK = "shrunken cubic"
+SHRUNK = "shrunken"
 """Name of the candidate that is taken unless another one is better by a standard error."""
 
 MAX_FOLDS = 20
@@ -45,8 +45,8 @@ class Fitted:
     name : str
     fit : Fit
     squares : ndarray, shape (n,)
-        dl^2 + ds^2 of each point under the same procedure without it [pixel^2]; infinite where
-        that does not determine the model.
+        Squared error of each feature under the same procedure without it [pixel^2]: of a point
+        dl^2 + ds^2, of a line the sum over its vertices.
     effective : float
         Terms that are free in effect.
     """
@@ -58,8 +58,10 @@ class Fitted:
 
     @property
     def predicted(self) -> float:
-        """RMSE by leave-one-out [pixel]."""
-        return float(np.sqrt(self.squares.mean()))
+        """RMSE by leave-one-out [pixel], over points and vertices of lines."""
+        control = self.fit.control
+        return float(np.sqrt(self.squares.sum()
+                             / (len(control.points) + 2 * len(control.lines))))
 
 
 Candidate = Callable[[FeatureSet, Scaling], Fitted | None]
@@ -124,12 +126,14 @@ def left_out_squares(fitted: Fit) -> FloatArray:
             return np.full(len(control), np.inf)
     fits = Fits(model, control.points, no_points(), fitted.scaling.image_scale, terms,
                 fitted.adjustment.coefficients[None], control.lines, parts)
-    return fits.held_out_each(solutions)[0]
+    return np.asarray(fits.held_out_each(solutions)[0])
 
 
 def shrunken(family: type[Polynomial]) -> Candidate:
-    """Return the candidate that averages shrunken cubic polynomials."""
+    """Return the candidate that averages shrunken cubic polynomials; for points alone."""
     def candidate(control: FeatureSet, scaling: Scaling) -> Fitted | None:
+        if len(control.lines):
+            return None
         model = family(degree=3)
         points = scaling.points(control.points)
         weights = None if points.sigma is None else np.median(points.sigma) / points.sigma
@@ -164,29 +168,29 @@ def portfolio(heights: bool) -> tuple[Candidate, ...]:
         return (plain("affine", Polynomial2D(degree=1)), plain("projective", Projective2D()),
                 plain("quadratic", Polynomial2D(degree=2)),
                 plain("cubic", Polynomial2D(degree=3)), shrunken(Polynomial2D))
-    return (plain("affine", Affine()), plain("DLT", DLT3D()),
+    return (plain("affine", Affine()), plain("dlt", DLT3D()),
             plain("quadratic", Polynomial3D(degree=2)),
-            plain("second-order RFM", RationalFunctions(order=2)),
+            plain("rfm-2", RationalFunctions(order=2)),
             plain("cubic", Polynomial3D(degree=3)), shrunken(Polynomial3D))
 
 
 def choose(control: FeatureSet, heights: bool) -> Choice | None:
-    """Fit the portfolio to points and choose by leave-one-out.
+    """Fit the portfolio to features and choose by leave-one-out.
 
     The shrunken polynomial contains the plain ones as limits, so it is the choice unless
     another candidate's squared errors are smaller by more than one standard error of the mean
-    difference; of those, the one with the smallest.
+    difference; of those, the one with the smallest. With lines, for which there is no shrunken
+    polynomial, it is the one with the smallest.
 
     Parameters
     ----------
     control : FeatureSet
-        Points.
     heights : bool
 
     Returns
     -------
     Choice or None
-        None if the points do not determine any candidate with redundancy.
+        None if the features do not determine any candidate with redundancy.
     """
     scaling = scaling_of(control)
     fitted = tuple(one for one in (make(control, scaling) for make in portfolio(heights)) if one)
@@ -232,13 +236,3 @@ def repeated(control: FeatureSet, heights: bool) -> FloatArray | None:
             return None
         errors[out] = choice.chosen.fit.errors(points.take(out))
     return errors
-
-
-def in_role(fitted: Fit, control: FeatureSet) -> Fit:
-    """Return a fit to more points as one whose control figures are of `control` alone."""
-    return replace(fitted, control=control, used=np.ones(len(control), dtype=bool))
-
-
-def limits() -> Mapping[str, float]:
-    """Return the constants that a result records."""
-    return {"pole_margin": POLE_MARGIN, "wider": WIDER, "folds": MAX_FOLDS}

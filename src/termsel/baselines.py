@@ -1,0 +1,157 @@
+"""Fits without any search, beside which every selection is shown and judged."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from termsel.criteria import Press
+from termsel.features import FeatureSet, Points, no_points
+from termsel.fitting import Fit, Rmse, fit
+from termsel.models.rational import RationalFunctions
+from termsel.problems.selection import Inputs, SelectionProblem
+from termsel.result import LEAVE_ONE_OUT, Baseline
+from termsel.roles import Observations
+from termsel.scaling import scaling_of
+from termsel.solvers.regression import regressions
+from termsel.solvers.shrinkage import shrink
+from termsel.strategies.portfolio import SHRUNK, Choice, choose
+
+BOTH = ("control", "check")
+PLAIN = {"affine": 8, "dlt": 11, "quadratic": 20, "cubic": 40, "rfm-2": 38, "rfm-3": 78,
+         "ridge": 78}
+FLAT = {"affine": 6, "projective": 8, "quadratic": 12, "cubic": 20}
+"""Names and numbers of terms with heights, and without."""
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """What a selection is compared with.
+
+    Parameters
+    ----------
+    baselines : tuple of Baseline
+        Each fitted to control and check together.
+    reference : str
+        Name of the one that leave-one-out over control and check chooses, without a look at
+        the independent points; empty if none is determined.
+    choice : Choice or None
+        That choice.
+    """
+
+    baselines: tuple[Baseline, ...]
+    reference: str
+    choice: Choice | None
+
+
+def compare(observations: Observations) -> Comparison:
+    """Return plain structures fitted to control and check together.
+
+    No search is made with the check points there, so they are free to serve as control.
+
+    Parameters
+    ----------
+    observations : Observations
+    """
+    both, heights = together(observations), has_heights(observations)
+    choice = choose(both, heights)
+    found: dict[str, tuple[Fit, float | None]] = {}
+    if heights:
+        found |= {name: (fitted, None) for name, fitted in _rational(both)}
+    if choice:
+        found |= {one.name: (one.fit, one.predicted) for one in choice.fitted}
+    baselines = []
+    for name, n_terms in (PLAIN if heights else FLAT).items():
+        if name in found:
+            baselines.append(baseline(name, *found[name], observations))
+        else:
+            baselines.append(Baseline(name, n_terms, BOTH, False, dict.fromkeys(
+                ("control", "check", "independent"))))
+    if SHRUNK in found:
+        baselines.append(baseline(SHRUNK, *found[SHRUNK], observations))
+    return Comparison(tuple(baselines), choice.chosen.name if choice else "", choice)
+
+
+def together(observations: Observations) -> FeatureSet:
+    """Return control and check points as control."""
+    control = observations.control
+    return control.with_(points=_join(control.points, observations.check))
+
+
+def _join(first: Points, second: Points) -> Points:
+    sigma = (None if first.sigma is None or second.sigma is None
+             else np.concatenate([first.sigma, second.sigma]))
+    return Points(first.ids + second.ids, np.concatenate([first.image, second.image]),
+                  np.concatenate([first.ground, second.ground]), sigma)
+
+
+def _rational(both: FeatureSet) -> Iterator[tuple[str, Fit]]:
+    """Yield the full RFM and, for points, its ridge estimate.
+
+    The second-order one is among the candidates; one with a pole, which is not, is fitted here
+    as well, as its figures are worth seeing.
+    """
+    scaling = scaling_of(both)
+    for name, order in (("rfm-2", 2), ("rfm-3", 3)):
+        fitted = fit(RationalFunctions(order=order), both, scaling)
+        if fitted.adjustment.feasible and fitted.adjustment.redundancy > 0:
+            yield name, fitted
+    if len(both.lines):
+        return
+    model = RationalFunctions()
+    problem = SelectionProblem(
+        Inputs(model, scaling.features(both), no_points(), scaling.image_scale, Press()),
+        terms=True, features=False)
+    coefficients = np.zeros(len(model.terms))
+    for part in regressions(problem):
+        coefficients[part.genes] = shrink(part, part.free | part.kept, "gcv")[0][0]
+    yield "ridge", fit(model, both, scaling).with_coefficients(coefficients)
+
+
+def baseline(name: str, fitted: Fit, predicted: float | None, observations: Observations,
+             roles: tuple[str, ...] = BOTH) -> Baseline:
+    """Return the figures of a fit.
+
+    Parameters
+    ----------
+    name : str
+    fitted : Fit
+    predicted : float or None
+        RMSE by leave-one-out [pixel].
+    observations : Observations
+    roles : tuple of str
+        What it was fitted to.
+    """
+    return Baseline(name, int(fitted.terms.sum()), roles,
+                    name == "ridge" or fitted.adjustment.feasible,
+                    figures(in_role(fitted, observations), observations), predicted)
+
+
+def in_role(fitted: Fit, observations: Observations) -> Fit:
+    """Return a fit whose control figures are of the control alone, whatever it was fitted to."""
+    control = observations.control
+    if fitted.control is control:
+        return fitted
+    return replace(fitted, control=control, used=np.ones(len(control), dtype=bool))
+
+
+def figures(fitted: Fit, observations: Observations) -> dict[str, Rmse | None]:
+    """Return the RMSE by role, and where control corrects itself, leave-one-out beside it."""
+    found = {"control": fitted.control_rmse(), "check": fitted.rmse(observations.check),
+             "independent": fitted.rmse(observations.independent)}
+    if fitted.model.corrects:
+        found[LEAVE_ONE_OUT] = fitted.leave_one_out_rmse()
+    return found
+
+
+def has_heights(observations: Observations) -> bool:
+    """Return whether all features have heights and those of the control differ.
+
+    Of independent points only whether they have heights is looked at.
+    """
+    control, others = observations.control, (observations.check, observations.independent)
+    unknown = bool(control.without_height()) or any(
+        np.isnan(points.ground[:, 2]).any() for points in others)
+    return not unknown and bool(np.ptp(control.ground_vertices()[:, 2]) > 0)

@@ -1,0 +1,121 @@
+"""The strategy "auto": the best model of the points, with an accuracy that can be believed."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from termsel.assessing import data_of, versions
+from termsel.baselines import compare, figures, has_heights, in_role, together
+from termsel.errors import TermselError
+from termsel.judging import judge_choice
+from termsel.problems.base import Selection
+from termsel.problems.recipes import Recipe
+from termsel.residuals import residuals_of
+from termsel.result import Result
+from termsel.roles import with_roles
+from termsel.strategies.portfolio import MAX_FOLDS, SHRUNK, portfolio, repeated
+
+if TYPE_CHECKING:
+    from termsel.running import Task
+
+NAMES = ("auto", "as-asked")
+
+
+def wanted(strategy: str | None, recipe: Recipe, asked: Mapping[str, Any]) -> bool:
+    """Return whether a run is to choose its method by itself.
+
+    Parameters
+    ----------
+    strategy : {"auto", "as-asked"} or None
+        None means "auto" for problems that a portfolio can answer and where nothing of a method
+        is asked for.
+    recipe : Recipe
+    asked : mapping
+        What the user has named of a method, by what it is called; None or empty counts as not
+        named.
+
+    Raises
+    ------
+    TermselError
+        If "auto" is asked for and so is a method, or the problem is not one for it.
+    """
+    if strategy is not None and strategy not in NAMES:
+        raise TermselError(f"there is no strategy {strategy!r}",
+                           hint=f"Choose {' or '.join(NAMES)}.")
+    named = [name for name, value in asked.items() if value]
+    if strategy != "auto":
+        return strategy is None and recipe.portfolio and not named
+    if not recipe.portfolio:
+        raise TermselError(f"the strategy auto is not for the problem {recipe.name}",
+                           hint="It chooses among models of points: rfm-terms, poly-terms.")
+    if named:
+        raise TermselError(
+            f"the strategy auto chooses the method itself, and {named[0]} is asked for",
+            hint="Leave one of them out; --strategy as-asked runs a method as it is.")
+    return True
+
+
+def choose_for(task: Task, seed: int) -> Result | None:
+    """Return the choice from the portfolio as a result.
+
+    Parameters
+    ----------
+    task : Task
+        Whose observations are taken; its model and solver are not.
+    seed : int
+        For the record: nothing is drawn.
+
+    Returns
+    -------
+    Result or None
+        None if control and check together are too few for any candidate.
+    """
+    start = time.perf_counter()
+    observations = task.observations
+    both, heights = together(observations), has_heights(observations)
+    comparison = compare(observations)
+    if comparison.choice is None:
+        return None
+    chosen, candidates = comparison.choice.chosen, comparison.choice.fitted
+    errors = repeated(both, heights)
+    predicted = None if errors is None else float(np.sqrt((errors**2).sum(axis=1).mean()))
+    fitted = in_role(chosen.fit, observations)
+    model = fitted.model
+    rmse = figures(fitted, observations)
+    # The chosen one is the selection; the others stand beside it.
+    baselines = tuple(b for b in comparison.baselines if b.name != SHRUNK)
+    folds = min(MAX_FOLDS, len(both))
+    return Result(
+        problem=task.recipe.name, model=model.name, solver="auto", criterion="press", seed=seed,
+        options={"problem": {}, "data": task.options["data"], "model": model.options,
+                 "solver": {}, "criterion": {}},
+        data=data_of(task), selection=Selection(model.terms, observations.control.ids),
+        feasible=True, rmse=rmse, baselines=baselines,
+        judgement=judge_choice(chosen.name, predicted, rmse, baselines, task.features.noise),
+        notes=tuple(_notes(task, predicted)), objectives={"press": chosen.predicted},
+        evaluations=len(portfolio(heights)) * (1 + folds), lookups=0, generations=0,
+        seconds=time.perf_counter() - start, interrupted=False, polish=None, fit=fitted,
+        residuals=residuals_of(fitted, observations, check_used=True),
+        features=with_roles(task.features, observations), versions=versions(),
+        strategy={
+            "name": "auto", "chosen": chosen.name, "predicted": predicted, "folds": folds,
+            "fitted_to": ["control", "check"],
+            "candidates": [
+                {"name": one.name, "model": one.fit.model.name,
+                 "n_terms": int(one.fit.terms.sum()), "effective": one.effective,
+                 "predicted": one.predicted} for one in candidates]})
+
+
+def _notes(task: Task, predicted: float | None) -> list[str]:
+    notes = []
+    if predicted is None:
+        notes.append("The points are too few to repeat the choice without some of them, so it "
+                     "predicts no accuracy.")
+    if has_heights(task.observations) and not task.model.uses_height:
+        notes.append(f"Heights are known and were used. --model {task.model.name} keeps to a "
+                     "plane model.")
+    return notes
