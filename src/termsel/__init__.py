@@ -19,6 +19,9 @@ if TYPE_CHECKING:
     from termsel.features import FeatureSet, Lines, Points
     from termsel.io.base import Reader, Writer
     from termsel.io.reading import read
+    from termsel.io.rectifying import rectify
+    from termsel.io.result_files import read_result
+    from termsel.io.rpc_files import read_rpc
     from termsel.models import Blocks, Polynomial2D, RationalModel, SensorModel
     from termsel.options import Option
     from termsel.plugins import hookimpl
@@ -26,6 +29,7 @@ if TYPE_CHECKING:
     from termsel.problems.recipes import Recipe
     from termsel.problems.selection import Inputs, SelectionProblem
     from termsel.result import Result
+    from termsel.rpc import Rpc
     from termsel.running import Task, prepare, run
     from termsel.searching import Search, search
     from termsel.simulate import simulate_scene
@@ -51,6 +55,7 @@ _HOME = {
     "Reader": "termsel.io.base",
     "Recipe": "termsel.problems.recipes",
     "Result": "termsel.result",
+    "Rpc": "termsel.rpc",
     "Search": "termsel.searching",
     "Segment": "termsel.problems.base",
     "Selection": "termsel.problems.base",
@@ -64,6 +69,9 @@ _HOME = {
     "line_normals": "termsel.adjustment",
     "prepare": "termsel.running",
     "read": "termsel.io.reading",
+    "read_result": "termsel.io.result_files",
+    "read_rpc": "termsel.io.rpc_files",
+    "rectify": "termsel.io.rectifying",
     "run": "termsel.running",
     "search": "termsel.searching",
     "simulate_scene": "termsel.simulate",
@@ -89,6 +97,7 @@ __all__ = [
     "Reader",
     "Recipe",
     "Result",
+    "Rpc",
     "Search",
     "Segment",
     "Selection",
@@ -103,6 +112,9 @@ __all__ = [
     "line_normals",
     "prepare",
     "read",
+    "read_result",
+    "read_rpc",
+    "rectify",
     "run",
     "search",
     "simulate_scene",

@@ -19,7 +19,7 @@ Surface = Callable[[FloatArray], FloatArray]
 TOLERANCE = 1e-6
 """How near [pixel] the projection of what was found must come to the image point."""
 
-_STEPS = 12
+_STEPS, _KEPT = 24, 3
 _SECANTS, _HALVINGS = 20, 40
 _AT_SURFACE, _CLOSE = 1e-6, 1e-3  # in the unit of height; both far less than a pixel
 _DIFFERENCE = 1e-4  # of the half-range: central differences leave about 1e-8 of a derivative
@@ -59,9 +59,10 @@ def locate(
 
     Notes
     -----
-    Newton's method at fixed heights. On a surface, the height found where a ray reaches one
-    height is the next to try; the secant method finds the one that repeats itself. Of several
-    places where a ray meets a steep surface it gives one, not always the one that is seen.
+    Newton's method at fixed heights, with derivatives that are kept for some steps. On a
+    surface, the height found where a ray reaches one height is the next to try; the secant
+    method finds the one that repeats itself. Of several places where a ray meets a steep
+    surface it gives one, not always the one that is seen.
     """
     image = np.asarray(image, dtype=np.float64)
     if image.ndim != 2 or image.shape[1] != 2:
@@ -70,45 +71,52 @@ def locate(
     ground = np.tile(middle, (len(image), 1))
     if not callable(height):
         ground[:, 2] = height
-        return _newton(project, image, ground, unit)
-    return _meet(project, image, height, _newton(project, image, ground, unit), unit)
+    inverse = _inverse(project, ground, unit)
+    ground = _newton(project, image, ground, unit, inverse)
+    return _meet(project, image, height, ground, unit, inverse) if callable(height) else ground
 
 
 def _newton(project: Projection, image: FloatArray, ground: FloatArray, unit: FloatArray,
-            ) -> FloatArray:
-    """Return ground points at the heights they have, moved to where the image points are."""
+            inverse: FloatArray) -> FloatArray:
+    """Return ground points at the heights they have, moved to where the image points are.
+
+    `inverse`, the moves on the ground for a pixel, hardly changes over an image: it is renewed
+    only for points that do not arrive.
+    """
     ground = ground.copy()
     with np.errstate(all="ignore"):
         error = image - project(ground)
-        for _ in range(_STEPS):
+        for step in range(_STEPS):
             going = np.flatnonzero(np.abs(error).max(axis=1) > TOLERANCE / 100)
             if not going.size:
                 break
-            ground[going, :2] += _newton_step(project, ground[going], error[going], unit)
+            moves = (_inverse(project, ground[going], unit) if step and not step % _KEPT
+                     else inverse[going])
+            ground[going, :2] += np.einsum("nij,nj->ni", moves, error[going])
             error[going] = image[going] - project(ground[going])
     ground[~(np.abs(error).max(axis=1) <= TOLERANCE)] = np.nan
     return ground
 
 
-def _newton_step(project: Projection, ground: FloatArray, error: FloatArray, unit: FloatArray,
-                 ) -> FloatArray:
-    steps = np.diag(_DIFFERENCE * unit)[:2]
-    (lx, sx), (ly, sy) = (((project(ground + step) - project(ground - step)) / 2).T
-                          for step in steps)
-    determinant = lx * sy - ly * sx
-    moves = np.stack([sy * error[:, 0] - ly * error[:, 1],
-                      lx * error[:, 1] - sx * error[:, 0]], axis=1) / determinant[:, None]
-    return np.asarray(moves * (_DIFFERENCE * unit[:2]))
+def _inverse(project: Projection, ground: FloatArray, unit: FloatArray) -> FloatArray:
+    """Return the moves in x and y for a pixel of line and of sample, shape (n, 2, 2)."""
+    with np.errstate(all="ignore"):
+        steps = np.diag(_DIFFERENCE * unit)[:2]
+        (lx, sx), (ly, sy) = (((project(ground + step) - project(ground - step)) / 2).T
+                              for step in steps)
+        moves = np.stack([np.stack([sy, -ly], axis=-1), np.stack([-sx, lx], axis=-1)], axis=-2)
+        moves /= (lx * sy - ly * sx)[:, None, None]
+    return np.asarray(moves * (_DIFFERENCE * unit[:2])[:, None])
 
 
 def _meet(project: Projection, image: FloatArray, surface: Surface, ground: FloatArray,
-          unit: FloatArray) -> FloatArray:
+          unit: FloatArray, inverse: FloatArray) -> FloatArray:
     """Return ground points moved along their rays onto the surface."""
     def moved(rays: IntArray, height: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return places of rays at heights, and how far the surface lies above them."""
         places = ground[rays]
         places[:, 2] = height
-        places = _newton(project, image[rays], places, unit)
+        places = _newton(project, image[rays], places, unit, inverse[rays])
         return places, surface(places[:, :2]) - places[:, 2]
 
     above = surface(ground[:, :2]) - ground[:, 2]

@@ -6,6 +6,11 @@ when a command is used.
 
 COMMANDS = {
     "run": ("termsel.cli.run:run", "Search for the terms or control features that serve best."),
+    "export": ("termsel.cli.export:export",
+               "Write a result for GDAL, QGIS, OTB, Orthority and others."),
+    "project": ("termsel.cli.project:project",
+                "Compute image positions of ground points, or the other way round."),
+    "rectify": ("termsel.cli.rectify:rectify", "Resample an image to a map."),
     "list": ("termsel.cli.list:list_", "List what can be asked for by name."),
     "describe": ("termsel.cli.describe:describe",
                  "Describe a problem, model, solver or anything else that has a name."),

@@ -18,18 +18,18 @@ from termsel.io.atomic import write_text
 from termsel.io.base import Reader
 from termsel.io.tables import COLUMNS, USE, Aliases, declared, read_table, sniff_table
 
-_COORDINATES = {
+COORDINATES = {
     "line": ("line", "row", "y_px"),
     "sample": ("sample", "col", "column", "x_px", "pixel"),
     "x": ("x", "lon", "longitude", "easting"),
     "y": ("y", "lat", "latitude", "northing"),
     "z": ("z", "h", "height", "elevation", "altitude"),
 }
-_POINTS = USE | _COORDINATES | {
+_POINTS = USE | COORDINATES | {
     "sigma_line": ("sigma_line", "sigma_px"), "sigma_sample": ("sigma_sample", "sigma_px")}
 LINES = USE | {
     f"{meaning}{end}": tuple(f"{alias}{end}" for alias in aliases)
-    for end in "12" for meaning, aliases in _COORDINATES.items()}
+    for end in "12" for meaning, aliases in COORDINATES.items()}
 
 
 class PointsCsv(Reader):
@@ -108,7 +108,7 @@ def write_points_csv(points: Points, path: Path | str, crs: str = "") -> None:
     if points.sigma is not None:
         header += ["sigma_line", "sigma_sample"]
         columns.append(points.sigma)
-    texts = [[quoted(name), role] for name, role in zip(points.ids, points.roles, strict=True)]
+    texts = [[name, role] for name, role in zip(points.ids, points.roles, strict=True)]
     write_table(path, crs, header, texts, np.concatenate(columns, axis=1))
 
 
@@ -129,7 +129,7 @@ def write_lines_csv(lines: Lines, path: Path | str, crs: str = "") -> None:
     """
     header = ["id", "line1", "sample1", "line2", "sample2", "x1", "y1", "z1", "x2", "y2", "z2"]
     values = np.concatenate([lines.image.reshape(-1, 4), lines.ground.reshape(-1, 6)], axis=1)
-    write_table(path, crs, header, [[quoted(name)] for name in lines.ids], values)
+    write_table(path, crs, header, [[name] for name in lines.ids], values)
 
 
 def write_table(path: Path | str, crs: str, header: list[str], texts: list[list[str]],
@@ -143,7 +143,7 @@ def write_table(path: Path | str, crs: str, header: list[str], texts: list[list[
         "" for none.
     header : list of str
     texts : list of list of str
-        First cells of each row, as they are to be written; see `quoted`.
+        First cells of each row.
     values : ndarray, shape (rows, columns)
         The cells behind them; NaN becomes a blank one.
 
@@ -152,16 +152,20 @@ def write_table(path: Path | str, crs: str, header: list[str], texts: list[list[
     TermselError
         If the file cannot be written.
     """
+    write_text(path, table_text(crs, header, texts, values))
+
+
+def table_text(crs: str, header: list[str], texts: list[list[str]], values: FloatArray) -> str:
+    """Return the text of a table; see `write_table`."""
     # repr() gives the fewest digits, 17 at most, that are read back to the same number.
-    rows = [",".join(row + ["" if v != v else repr(v) for v in numbers])
+    rows = [",".join([_quoted(text) for text in row] + ["" if v != v else repr(v) for v in numbers])
             for row, numbers in zip(texts, values.tolist(), strict=True)]
     # WKT may span lines, a comment may not.
     declared = [f"# crs: {' '.join(crs.split())}"] if crs else []
-    write_text(path, "\n".join([*declared, ",".join(header), *rows]) + "\n")
+    return "\n".join([*declared, ",".join(header), *rows]) + "\n"
 
 
-def quoted(text: str) -> str:
-    """Return text as a cell that is read back as it is."""
+def _quoted(text: str) -> str:
     # Unquoted, a line that begins with # would be a comment; csv.writer does not see to that.
     if re.search(r'[,;\t"\r\n#]', text):
         return '"' + text.replace('"', '""') + '"'

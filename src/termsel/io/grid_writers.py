@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import logging
-from contextlib import nullcontext
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
@@ -15,7 +14,7 @@ from termsel.features import FloatArray
 from termsel.fitting import Fit
 from termsel.io.atomic import atomic_path, write_bytes, write_text
 from termsel.io.base import Writer
-from termsel.io.heights import open_dem
+from termsel.io.heights import surface_of
 from termsel.io.rasters import require_rasterio, tiff_bytes
 from termsel.io.vrt import IMAGE, Gcp, picture_for, relative, vrt_text
 from termsel.options import Option
@@ -38,11 +37,16 @@ class GridWriter(Writer):
 
     def ground(self, result: Result, lines: FloatArray, samples: FloatArray) -> FloatArray:
         """Return the ground seen at a grid of image places, shape (lines, samples, 3)."""
-        fitted = result.fit
+        fitted, height = result.fit, self.options["height"]
+        if height is None:
+            height = fitted.scaling.ground_offset[2]
+            if fitted.model.uses_height and self.options["dem"] is None:
+                log.warning("Warning: without a raster of heights (--dem) the ground is taken as "
+                            "level, at the height %.6g.", height)
         image = np.stack(np.meshgrid(lines, samples, indexing="ij"), axis=-1)
-        with _surface(self.options, fitted) as height:
-            ground = fitted.locate(image.reshape(-1, 2), height).reshape(*image.shape[:2], 3)
-            self._say_loss(fitted, image, ground)
+        with surface_of(self.options["dem"], fitted.control.crs, height) as surface:
+            ground = fitted.locate(image.reshape(-1, 2), surface).reshape(*image.shape[:2], 3)
+        self._say_loss(fitted, image, ground)
         return ground
 
     def _say_loss(self, fitted: Fit, image: FloatArray, ground: FloatArray) -> None:
@@ -55,19 +59,6 @@ class GridWriter(Writer):
             log.info("Between the places of the grid GDAL interpolates: by at most %.2g px from "
                      "the model (95 %% within %.2g px), but for relief.", apart.max(),
                      np.quantile(apart, 0.95))
-
-
-def _surface(options: dict[str, Any], fitted: Fit) -> Any:
-    """Return a context that yields a surface or a height."""
-    if options["dem"] is not None:
-        return open_dem(Path(options["dem"]), fitted.control.crs)
-    height = options["height"]
-    if height is None:
-        height = fitted.scaling.ground_offset[2]
-        if fitted.model.uses_height:
-            log.warning("Warning: without a raster of heights (--dem) the ground is taken as "
-                        "level, at the height %.6g.", height)
-    return nullcontext(height)
 
 
 class GcpGridVrt(GridWriter):

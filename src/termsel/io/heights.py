@@ -131,6 +131,24 @@ def open_dem(path: Path, crs: str) -> Iterator[Dem]:
         yield Dem(path, raster, to_raster, datum or "not declared by the raster")
 
 
+@contextmanager
+def surface_of(dem: Path | str | None, crs: str, height: float) -> Iterator[Dem | float]:
+    """Open a raster of heights, or yield the height that stands for it where there is none.
+
+    Parameters
+    ----------
+    dem : path-like, optional
+    crs : str
+        Of the ground coordinates.
+    height : float
+    """
+    if dem is None:
+        yield height
+        return
+    with open_dem(Path(dem), crs) as surface:
+        yield surface
+
+
 def vertical_datum(crs: Any) -> str:
     """Return what the heights of a CRS refer to, "" where it does not say.
 

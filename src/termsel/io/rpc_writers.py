@@ -46,6 +46,9 @@ class RpcWriter(Writer):
             As `termsel.rpc_fitting.rpc_of`; if what is read back is another RPC; if the file
             cannot be written.
         """
+        image = self.options["image"]
+        if image is not None:
+            result = result.of_image(picture_for(result, image).size)
         rpc = result.to_rpc()
         text = self.text(rpc, result, path)
         with atomic_path(path) as temporary:

@@ -14,7 +14,7 @@ from termsel.errors import TermselError
 from termsel.features import BoolArray, FloatArray
 from termsel.io.atomic import write_text
 from termsel.io.base import Writer
-from termsel.io.csv_tables import quoted, write_table
+from termsel.io.csv_tables import write_table
 from termsel.io.vrt import IMAGE, Gcp, picture_for, vrt_text
 from termsel.options import Option
 from termsel.result import Result
@@ -154,7 +154,7 @@ class PointsTable(SelectionWriter):
             columns.append(points.sigma)
         header += ["computed_line", "computed_sample", "residual_line", "residual_sample"]
         values = np.concatenate([*columns, points.image - errors, errors], axis=1)
-        texts = [[quoted(name), role, str(int(on or role != "control"))]
+        texts = [[name, role, str(int(on or role != "control"))]
                  for name, role, on in zip(points.ids, points.roles, chosen, strict=True)]
         write_table(path, result.features.crs, header, texts, values)
 
@@ -179,7 +179,7 @@ class LinesTable(Writer):
         distances = np.linalg.norm(result.fit.line_errors(), axis=-1)
         values = np.concatenate([lines.image.reshape(-1, 4), lines.ground.reshape(-1, 6),
                                  distances], axis=1)
-        texts = [[quoted(name), "control", str(int(name in chosen))] for name in lines.ids]
+        texts = [[name, "control", str(int(name in chosen))] for name in lines.ids]
         write_table(path, result.features.crs, header, texts, values)
 
 

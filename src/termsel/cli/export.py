@@ -1,0 +1,55 @@
+"""The command `termsel export`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from termsel.cli.messages import show_messages
+from termsel.cli.names import complete
+from termsel.cli.run import parse_settings
+from termsel.errors import TermselError
+
+
+@click.command()
+@click.argument("folder", metavar="DIR", type=click.Path(path_type=Path))
+@click.option("--to", metavar="FORMAT", required=True, shell_complete=complete("writers"),
+              help="The format; see `termsel list writers`.")
+@click.option("--output", "-o", metavar="FILE", required=True, type=click.Path(path_type=Path),
+              help="The file to write.")
+@click.option("--image", metavar="FILE", help="The image, for formats that refer to it.")
+@click.option("--dem", metavar="FILE", help="Raster of heights, for grids of the ground.")
+@click.option("--set", "settings", metavar="KEY=VALUE", multiple=True,
+              help="An option of the format; `termsel describe FORMAT` lists them.")
+@click.option("--overwrite", is_flag=True, help="Replace a file that is there.")
+def export(folder: Path, to: str, output: Path, image: str | None, dem: str | None,
+           settings: tuple[str, ...], overwrite: bool) -> None:
+    """Write a result for GDAL, QGIS, OTB, Orthority and others.
+
+    DIR is the folder a run has written with --out. RPCs are read back through GDAL and
+    compared with the fitted model before they take their place.
+
+    \b
+    Examples:
+      termsel export result --to rpc-txt --output scene_RPC.TXT --image scene.tif
+      termsel export result --to rpc-vrt --output scene.vrt --image scene.tif
+      termsel export result --to qgis-points --output scene.tif.points
+      termsel export result --to geolocation-vrt --output scene.vrt --image scene.tif \\
+          --dem heights.tif
+    """
+    options: dict[str, str] = parse_settings(settings)
+    for name, value in (("image", image), ("dem", dem)):
+        if value is not None:
+            if name in options:
+                raise TermselError(f"{name} is given twice", hint="Give it once.")
+            options[name] = value
+    show_messages()
+
+    from termsel.io.exporting import export as write
+    from termsel.io.exporting import writer_of
+    from termsel.io.result_files import read_result
+
+    writer_of(to, **options)  # a mistake in these is said before the folder is read
+    write(read_result(folder), to, output, overwrite=overwrite, **options)
+    click.echo(f"Written: {output}", err=True)

@@ -1,0 +1,51 @@
+"""The command `termsel project`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from termsel.cli.messages import show_messages
+
+
+@click.command()
+@click.argument("folder", metavar="DIR", type=click.Path(path_type=Path))
+@click.option("--points", metavar="FILE", required=True, type=click.Path(path_type=Path),
+              help="Table id,x,y,z of ground points in the CRS of the control; with --inverse "
+                   "id,line,sample of image points.")
+@click.option("--inverse", is_flag=True, help="From the image to the ground.")
+@click.option("--dem", metavar="FILE", type=click.Path(path_type=Path),
+              help="With --inverse: raster of heights the rays are followed to.")
+@click.option("--height", type=float, help="With --inverse: height of the ground.")
+@click.option("--output", "-o", metavar="FILE", type=click.Path(path_type=Path),
+              help="Table to write; stdout by default.")
+def project(folder: Path, points: Path, inverse: bool, dem: Path | None, height: float | None,
+            output: Path | None) -> None:
+    """Compute image positions of ground points, or ground positions of image points.
+
+    DIR is the folder a run has written with --out. The table that is written is headed
+    id,line,sample,x,y,z; cells are blank where a ray meets no ground.
+
+    \b
+    Examples:
+      termsel project result --points ground.csv
+      termsel project result --points pixels.csv --inverse --dem heights.tif -o ground.csv
+    """
+    show_messages()
+
+    from termsel.io.projecting import project_table
+    from termsel.io.result_files import read_result
+
+    text, missed = project_table(read_result(folder), points, inverse=inverse, dem=dem,
+                                 height=height)
+    if output is None:
+        click.echo(text, nl=False)
+    else:
+        from termsel.io.atomic import write_text
+
+        write_text(output, text)
+        click.echo(f"Written: {output}", err=True)
+    if missed:
+        click.echo(f"Warning: no place was found for {len(missed)} points: "
+                   f"{', '.join(missed[:10])}{' ...' if len(missed) > 10 else ''}", err=True)

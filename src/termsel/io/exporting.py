@@ -1,0 +1,67 @@
+"""Write a result in a format known by name."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from termsel.errors import TermselError
+from termsel.plugins.manager import registry
+
+if TYPE_CHECKING:
+    from termsel.io.base import Writer
+    from termsel.result import Result
+
+
+def writer_of(to: str, **options: Any) -> Writer:
+    """Return the writer of a format.
+
+    Parameters
+    ----------
+    to : str
+        Its name, as in ``termsel list writers``.
+    **options
+        Options it declares.
+
+    Raises
+    ------
+    TermselError
+        For an unknown name or option.
+    """
+    writer: Writer = registry().get("writers", to)
+    return type(writer)(**options) if options else writer
+
+
+def export(result: Result, to: str, path: Path | str, *, overwrite: bool = False,
+           **options: Any) -> None:
+    """Write a result in a format known by name.
+
+    Parameters
+    ----------
+    result : Result
+    to : str
+        As in ``termsel list writers``.
+    path : path-like
+    overwrite : bool
+        Whether a file that is there may be replaced, such as a vendor's RPC.
+    **options
+        Options of the writer, such as `image`.
+
+    Raises
+    ------
+    TermselError
+        If there is no such format or option, the format does not hold this result, the file
+        exists and may not be replaced, or it cannot be written.
+    """
+    path = Path(path)
+    writer = writer_of(to, **options)
+    if not writer.accepts(result):
+        others = ", ".join(entry.name for entry in registry().entries("writers")
+                           if entry.object.accepts(result))
+        raise TermselError(f"the format {to} does not hold this result",
+                           hint=f"termsel describe {to} says what it needs. Formats that do: "
+                                f"{others}.")
+    if path.exists() and not overwrite:
+        raise TermselError("this file exists already", file=path,
+                           hint="Choose another name, or give --overwrite.")
+    writer.write(result, path)

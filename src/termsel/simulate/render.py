@@ -1,0 +1,99 @@
+"""Pictures a simulated scanner takes of ground with a pattern on it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from scipy.ndimage import map_coordinates
+
+from termsel.features import FloatArray
+from termsel.simulate.pushbroom import Pushbroom
+
+Heights = Callable[[FloatArray], FloatArray]
+"""Ellipsoidal heights [m], shape (n,), of longitude and latitude [deg], shape (n, 2)."""
+
+Pattern = Callable[[FloatArray], FloatArray]
+"""Brightness, shape (n,), of longitude and latitude [deg], shape (n, 2)."""
+
+_ROUNDS = 12
+_MESH = 4  # pixels; the ground between is interpolated by cubic splines
+_MARGIN = 3  # meshes around the image, as splines are at their worst at the edge
+
+
+def on_terrain(sensor: Pushbroom, terrain: Heights, image: FloatArray, start: float,
+               ) -> FloatArray:
+    """Return where rays of image points meet the terrain.
+
+    Parameters
+    ----------
+    sensor : Pushbroom
+    terrain : callable
+    image : ndarray, shape (n, 2)
+        Line and sample [pixel].
+    start : float
+        Height to begin with [m].
+
+    Returns
+    -------
+    ndarray, shape (n, 3)
+        Longitude, latitude [deg] and ellipsoidal height [m].
+    """
+    height = np.full(len(image), start)
+    for _ in range(_ROUNDS):
+        place = sensor.locate(image, height)
+        height = terrain(place)
+    return np.column_stack([place, height])
+
+
+def checkerboard(origin: tuple[float, float], side: tuple[float, float]) -> Pattern:
+    """Return a pattern of dark and bright fields.
+
+    Parameters
+    ----------
+    origin : tuple of float
+        Longitude and latitude of a corner [deg].
+    side : tuple of float
+        Width and height of a field [deg].
+    """
+    def brightness(place: FloatArray) -> FloatArray:
+        column, row = np.floor((place - origin) / side).T
+        return np.where((column + row) % 2 == 0, 60.0, 190.0)
+
+    return brightness
+
+
+def render(sensor: Pushbroom, terrain: Heights, pattern: Pattern, *, oversample: int = 4,
+           ) -> FloatArray:
+    """Return the image a scanner takes of a pattern on the terrain.
+
+    Each pixel is the mean over its area; light and shade of the terrain are not modelled.
+
+    Parameters
+    ----------
+    sensor : Pushbroom
+    terrain, pattern : callable
+    oversample : int
+        Rays along either side of a pixel.
+
+    Returns
+    -------
+    ndarray, shape (n_lines, n_samples)
+        Brightness as of the pattern.
+    """
+    lines, samples = (np.arange(-_MARGIN, -(-size // _MESH) + _MARGIN + 1) * _MESH
+                      for size in (sensor.n_lines, sensor.n_samples))
+    image = np.stack(np.meshgrid(lines, samples, indexing="ij"), axis=-1).astype(np.float64)
+    middle = sensor.locate(np.array([sensor.centre]), 0.0)
+    ground = on_terrain(sensor, terrain, image.reshape(-1, 2), float(terrain(middle)[0]))
+    ground = ground.reshape(*image.shape[:2], 3)
+    # From the centre of a pixel: the middles of its equal parts.
+    part = (np.arange(oversample) + 0.5) / oversample - 0.5
+    fine_line, fine_sample = (
+        (np.arange(size)[:, None] + part).ravel() / _MESH + _MARGIN
+        for size in (sensor.n_lines, sensor.n_samples))
+    where = np.meshgrid(fine_line, fine_sample, indexing="ij")
+    place = np.stack([map_coordinates(ground[..., axis], where, order=3).ravel()
+                      for axis in (0, 1)], axis=-1)
+    bright = pattern(place).reshape(sensor.n_lines, oversample, sensor.n_samples, oversample)
+    return np.asarray(bright.mean(axis=(1, 3)))

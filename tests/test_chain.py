@@ -1,0 +1,139 @@
+"""The whole way: measure, select, export, rectify; what was on the ground lands in its place."""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from termsel.cli.main import cli
+
+pytest.importorskip("rasterio")
+pytest.importorskip("pyproj")
+pytestmark = pytest.mark.filterwarnings("ignore:Dataset has no geotransform",
+                                        "ignore::PendingDeprecationWarning")
+SCRIPT = Path(__file__).parents[1] / "docs" / "rectified.py"
+
+
+@pytest.fixture(scope="module")
+def chain() -> ModuleType:
+    spec = importlib.util.spec_from_file_location("rectified", SCRIPT)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules["rectified"] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture(scope="module")
+def folder(chain: ModuleType, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("chain")
+    chain.make_scene(path)
+    return path
+
+
+def _termsel(*arguments: str) -> str:
+    done = CliRunner().invoke(cli, arguments, catch_exceptions=False)
+    assert done.exit_code == 0, done.output
+    return done.output
+
+
+@pytest.fixture(scope="module")
+def result(folder: Path) -> Path:
+    out = folder / "result"
+    _termsel("run", "--problem", "rfm-terms", "--points", str(folder / "corners.csv"),
+             "--generations", "30", "--out", str(out), "--export", "rpc-txt", "--quiet")
+    return out
+
+
+def _rectified(chain: ModuleType, folder: Path, result: Path, name: str) -> np.ndarray:
+    target = folder / name
+    _termsel("rectify", str(result), str(folder / "scene.tif"), "--dem", str(folder / "dem.tif"),
+             "--output", str(target), "--crs", "EPSG:32639", "--res", "10", "--quiet")
+    apart = chain.corners_found(target) - chain.corners_true(target)
+    assert len(apart) > 150
+    return np.asarray(apart)
+
+
+def _require_in_place(apart: np.ndarray) -> None:
+    assert np.linalg.norm(apart, axis=1).max() < 0.5
+    # A half-pixel shift would be seen here, whatever the noise of the points.
+    assert np.abs(apart.mean(axis=0)).max() < 0.1
+
+
+def test_corners_land_in_their_places_by_rpc(chain: ModuleType, folder: Path, result: Path,
+                                             ) -> None:
+    _require_in_place(_rectified(chain, folder, result, "rpc.tif"))
+
+
+def test_corners_land_in_their_places_by_geolocation_array(
+        chain: ModuleType, folder: Path, result: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("termsel.io.rectifying.GOOD", -1.0)  # as if no RPC came near the model
+    _require_in_place(_rectified(chain, folder, result, "array.tif"))
+
+
+def test_map_is_cloud_optimised_and_empty_around(chain: ModuleType, folder: Path, result: Path,
+                                                 ) -> None:
+    import rasterio
+
+    _rectified(chain, folder, result, "map.tif")
+    with rasterio.open(folder / "map.tif") as raster:
+        assert raster.tags(ns="IMAGE_STRUCTURE")["LAYOUT"] == "COG"
+        assert raster.crs.to_epsg() == 32639
+        assert raster.res == (10.0, 10.0)
+        assert raster.nodata == 0
+        pixels = raster.read(1)
+    assert (pixels[0] == 0).all()
+    assert (pixels[:, -1] == 0).all()
+    assert (pixels > 0).mean() > 0.5
+    assert sorted(path.name for path in folder.glob("map*")) == ["map.tif"]
+
+
+def test_gdal_warps_the_exported_rpc_to_the_same_place(
+        chain: ModuleType, folder: Path, result: Path) -> None:
+    """What a user of gdalwarp -rpc -to RPC_DEM=dem.tif gets."""
+    import rasterio
+    from rasterio.warp import reproject
+
+    _rectified(chain, folder, result, "ours.tif")
+    (folder / "scene_RPC.TXT").write_bytes((result / "result_RPC.TXT").read_bytes())
+    with rasterio.open(folder / "ours.tif") as ours:
+        pixels = np.zeros(ours.shape, dtype=np.uint8)
+        with rasterio.open(folder / "scene.tif") as scene:
+            reproject(rasterio.band(scene, 1), pixels, dst_crs=ours.crs,
+                      dst_transform=ours.transform, dst_nodata=0, rpcs=scene.rpcs,
+                      resampling=rasterio.enums.Resampling.bilinear,
+                      RPC_DEM=str(folder / "dem.tif"))
+        assert np.array_equal(pixels, ours.read(1))
+    (folder / "scene_RPC.TXT").unlink()
+
+
+def test_what_cannot_be_rectified_is_refused(folder: Path, result: Path, tmp_path: Path) -> None:
+    scene, dem, out = (str(path) for path in (folder / "scene.tif", folder / "dem.tif",
+                                              tmp_path / "map.tif"))
+    (tmp_path / "text.tif").write_text("not an image")
+    (tmp_path / "there.tif").write_text("a map made before")
+    for arguments, message in (
+            ([scene, "-o", out], "depends on the height of the ground"),
+            ([scene, "-o", out, "--dem", dem, "--height", "5"], "exclude each other"),
+            ([scene, "-o", out, "--dem", dem, "--crs", "local"], "a map needs a CRS"),
+            ([scene, "-o", out, "--dem", dem, "--crs", "EPSG:99"], "does not exist"),
+            ([scene, "-o", out, "--dem", dem, "--res", "1e-9"], "Give --res in the units"),
+            ([scene, "-o", out, "--dem", dem, "--resampling", "best"], "unknown resampling"),
+            ([scene, "-o", str(tmp_path / "there.tif"), "--dem", dem], "exists already"),
+            ([scene, "-o", str(tmp_path / "no" / "map.tif"), "--dem", dem], "cannot "),
+            ([str(tmp_path / "text.tif"), "-o", out, "--dem", dem], "GDAL cannot read"),
+            ([scene, "-o", out, "--dem", str(tmp_path / "text.tif")], "GDAL cannot read"),
+            ([scene, "-o", out, "--dem", scene], "not georeferenced")):
+        done = CliRunner().invoke(cli, ["rectify", str(result), *arguments])
+        assert done.exit_code == 2, (arguments, done.output)
+        assert message in done.output
+        assert not (tmp_path / "map.tif").exists()
+    assert (tmp_path / "there.tif").read_text() == "a map made before"
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["text.tif", "there.tif"]
