@@ -273,8 +273,9 @@ def main() -> None:
 Made by `python -m benchmarks.honest --write`: {asked.splits} splits of each set and number of
 points. Points are those in control and check together; up to 300 others are independent. The
 best plain structure (affine, DLT or projective, quadratic, cubic) is chosen with hindsight, by the
-median of its independent RMSE over all splits. The embedded scenes are simulated; sets derived from sensor
-models carry Gaussian noise of {NOISE} pixel. Seconds are of one process on a busy machine.
+median of its independent RMSE over all splits. The embedded scenes are simulated; sets derived
+from sensor models carry Gaussian noise of {NOISE} pixel. Seconds are of one process on a busy
+machine.
 
 ## What was asked for, and what is measured
 
@@ -290,7 +291,8 @@ points as check, {GA_SPLITS} splits of {', '.join(map(str, GA_COUNTS))} points.
 ## Constants
 
 The median over splits of auto's independent RMSE by that of the best plain structure of the
-split, at 12, 20 and 40 points, with each constant of `termsel.strategies.averaging` halved and doubled.
+split, at 12, 20 and 40 points, with each constant of `termsel.strategies.averaging` halved and
+doubled.
 
 {sensitivity(wanted, min(asked.splits, 4))}
 

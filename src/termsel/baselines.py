@@ -17,7 +17,7 @@ from termsel.roles import Observations
 from termsel.scaling import scaling_of
 from termsel.solvers.regression import regressions
 from termsel.solvers.shrinkage import shrink
-from termsel.strategies.portfolio import SHRUNK, Choice, choose
+from termsel.strategies.portfolio import SELECTED, SHRUNK, Choice, choose
 
 BOTH = ("control", "check")
 PLAIN = {"affine": 8, "dlt": 11, "quadratic": 20, "cubic": 40, "rfm-2": 38, "rfm-3": 78,
@@ -69,8 +69,9 @@ def compare(observations: Observations) -> Comparison:
         else:
             baselines.append(Baseline(name, n_terms, BOTH, False, dict.fromkeys(
                 ("control", "check", "independent"))))
-    if SHRUNK in found:
-        baselines.append(baseline(SHRUNK, *found[SHRUNK], observations))
+    for name in (SELECTED, SHRUNK):
+        if name in found:
+            baselines.append(baseline(name, *found[name], observations))
     return Comparison(tuple(baselines), choice.chosen.name if choice else "", choice)
 
 

@@ -23,8 +23,12 @@ an RMSE is itself uncertain by more."""
 TITLES = {
     "affine": "an affine polynomial", "dlt": "a DLT", "projective": "a projective transformation",
     "quadratic": "a quadratic polynomial", "cubic": "a cubic polynomial",
-    "rfm-2": "a second-order RFM", "shrunken": "a shrunken cubic polynomial"}
+    "rfm-2": "a second-order RFM", "selected": "a cubic polynomial of selected terms",
+    "shrunken": "a shrunken cubic polynomial"}
 """Baselines among which leave-one-out chooses, in words."""
+
+PLAIN = ("affine", "dlt", "projective", "quadratic", "cubic", "rfm-2")
+"""Those that need neither selection nor shrinkage."""
 
 
 def judge(conventional: str, criterion: str, rmse: Mapping[str, Rmse | None],
@@ -64,7 +68,7 @@ def judge(conventional: str, criterion: str, rmse: Mapping[str, Rmse | None],
                  "chooses,")
         ratio = _ratio(mine.total, _independent(best))
         if ratio > ALIKE:
-            advice = ("Use --strategy auto instead" if reference == "shrunken" else
+            advice = ("Use --strategy auto instead" if reference not in PLAIN else
                       "Use something plainer")
             sentences.append(f"{advice}: {title} is {_times(ratio)} better "
                              f"({_px(_independent(best))}).")
@@ -104,7 +108,7 @@ def judge_choice(chosen: str, predicted: float | None, rmse: Mapping[str, Rmse |
     sentences = [start, f"{mine.n} independent points, which took no part, say "
                         f"{_px(mine.total)}."]
     others = [b for b in baselines
-              if b.predicted is not None and b.name not in (chosen, "shrunken")]
+              if b.predicted is not None and b.name in PLAIN and b.name != chosen]
     if others:
         best = min(others, key=_predicted)
         sentences.append(_compare("That is", mine.total, best, f"{TITLES[best.name]}, the best "

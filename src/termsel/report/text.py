@@ -12,7 +12,8 @@ from termsel.result import LEAVE_ONE_OUT, ROLES, Result, Rmses
 _WIDTH = 88
 _LONGEST_FRONT = 40
 _TITLES = {"all-terms": "conventional (all)", "dlt": "DLT", "rfm-2": "second-order RFM",
-           "rfm-3": "full RFM", "ridge": "full RFM, ridge", "shrunken": "shrunken cubic"}
+           "rfm-3": "full RFM", "ridge": "full RFM, ridge", "selected": "selected cubic",
+           "shrunken": "shrunken cubic"}
 
 
 def summary(result: Result) -> str:

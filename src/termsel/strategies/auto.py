@@ -11,13 +11,14 @@ import numpy as np
 from termsel.assessing import data_of, versions
 from termsel.baselines import compare, figures, has_heights, in_role, together
 from termsel.errors import TermselError
-from termsel.judging import judge_choice
+from termsel.features import select
+from termsel.judging import PLAIN, judge_choice
 from termsel.problems.base import Selection
 from termsel.problems.recipes import Recipe
 from termsel.residuals import residuals_of
 from termsel.result import Result
 from termsel.roles import with_roles
-from termsel.strategies.portfolio import MAX_FOLDS, SHRUNK, portfolio, repeated
+from termsel.strategies.portfolio import MAX_FOLDS, portfolio, repeated
 
 if TYPE_CHECKING:
     from termsel.running import Task
@@ -86,14 +87,15 @@ def choose_for(task: Task, seed: int) -> Result | None:
     fitted = in_role(chosen.fit, observations)
     model = fitted.model
     rmse = figures(fitted, observations)
-    # The chosen one is the selection; the others stand beside it.
-    baselines = tuple(b for b in comparison.baselines if b.name != SHRUNK)
+    # The chosen one is the selection, and is not shown twice unless it is plain.
+    baselines = tuple(b for b in comparison.baselines if b.name in PLAIN or b.name != chosen.name)
     folds = min(MAX_FOLDS, len(both))
     return Result(
         problem=task.recipe.name, model=model.name, solver="auto", criterion="press", seed=seed,
         options={"problem": {}, "data": task.options["data"], "model": model.options,
                  "solver": {}, "criterion": {}},
-        data=data_of(task), selection=Selection(model.terms, observations.control.ids),
+        data=data_of(task),
+        selection=Selection(select(model.terms, fitted.terms), observations.control.ids),
         feasible=True, rmse=rmse, baselines=baselines,
         judgement=judge_choice(chosen.name, predicted, rmse, baselines, task.features.noise),
         notes=tuple(_notes(task, predicted)), objectives={"press": chosen.predicted},

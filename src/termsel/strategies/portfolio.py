@@ -15,19 +15,22 @@ from termsel.adjustment.leave_out import leave_one_out
 from termsel.adjustment.parts import independent_parts
 from termsel.adjustment.solve import Adjustment
 from termsel.criteria import Fits
-from termsel.features import FeatureSet, FloatArray, no_points
+from termsel.features import FeatureSet, FloatArray, Points, no_points
 from termsel.fitting import Fit, fit
 from termsel.models.base import SensorModel
-from termsel.models.polynomial import Affine, Polynomial, Polynomial2D, Polynomial3D
+from termsel.models.polynomial import Affine, Polynomial, Polynomial2D, Polynomial3D, monomials
 from termsel.models.projective import DLT3D, Projective2D
 from termsel.models.rational import RationalFunctions
 from termsel.problems.selection import guard_points, pole_violation
 from termsel.roles import spatial_order
 from termsel.scaling import Scaling, scaling_of
 from termsel.strategies.averaging import average
+from termsel.strategies.forward import select_forward
 
 SHRUNK = "shrunken"
 """Name of the candidate that is taken unless another one is better by a standard error."""
+
+SELECTED = "selected"
 
 MAX_FOLDS = 20
 """Folds in which the whole choice is repeated; with fewer points each is left out alone."""
@@ -136,8 +139,8 @@ def shrunken(family: type[Polynomial]) -> Candidate:
             return None
         model = family(degree=3)
         points = scaling.points(control.points)
-        weights = None if points.sigma is None else np.median(points.sigma) / points.sigma
-        found = average(points.ground, points.image, model.exponents, weights)
+        found = average(points.ground, points.image, model.exponents,
+                        None if points.sigma is None else _weights(points))
         if found is None:
             return None
         coefficients = found.coefficients.T.ravel()
@@ -156,6 +159,33 @@ def shrunken(family: type[Polynomial]) -> Candidate:
     return candidate
 
 
+def selected(family: type[Polynomial]) -> Candidate:
+    """Return the candidate that selects terms of a cubic polynomial; for points alone."""
+    def candidate(control: FeatureSet, scaling: Scaling) -> Fitted | None:
+        if len(control.lines):
+            return None
+        model = family(degree=3)
+        points, weights = scaling.points(control.points), _weights(control.points)
+        columns = monomials(points.ground, model.exponents)
+        affine = np.array(model.exponents).sum(axis=1) < 2
+        sides = [select_forward(columns * w[:, None], image * w, affine)
+                 for image, w in zip(points.image.T, weights.T, strict=True)]
+        line, sample = sides
+        if line is None or sample is None:
+            return None
+        errors = np.stack([line.errors, sample.errors], axis=1) / weights * scaling.image_scale
+        fitted = fit(model, control, scaling, np.concatenate([line.terms, sample.terms]))
+        return Fitted(SELECTED, fitted, (errors**2).sum(axis=1),
+                      float(fitted.adjustment.n_terms))
+    return candidate
+
+
+def _weights(points: Points) -> FloatArray:
+    """Return by what the equations of points are multiplied, shape (n, 2)."""
+    return (np.ones_like(points.image) if points.sigma is None
+            else np.asarray(np.median(points.sigma) / points.sigma))
+
+
 def portfolio(heights: bool) -> tuple[Candidate, ...]:
     """Return the candidates, the plainest first.
 
@@ -167,11 +197,13 @@ def portfolio(heights: bool) -> tuple[Candidate, ...]:
     if not heights:
         return (plain("affine", Polynomial2D(degree=1)), plain("projective", Projective2D()),
                 plain("quadratic", Polynomial2D(degree=2)),
-                plain("cubic", Polynomial2D(degree=3)), shrunken(Polynomial2D))
+                plain("cubic", Polynomial2D(degree=3)), selected(Polynomial2D),
+                shrunken(Polynomial2D))
     return (plain("affine", Affine()), plain("dlt", DLT3D()),
             plain("quadratic", Polynomial3D(degree=2)),
             plain("rfm-2", RationalFunctions(order=2)),
-            plain("cubic", Polynomial3D(degree=3)), shrunken(Polynomial3D))
+            plain("cubic", Polynomial3D(degree=3)), selected(Polynomial3D),
+            shrunken(Polynomial3D))
 
 
 def choose(control: FeatureSet, heights: bool) -> Choice | None:
