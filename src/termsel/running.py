@@ -284,11 +284,9 @@ def run(
         claim_folder(Path(out))
     if needs_compilation():
         log.info("Compiling: the first run on this machine takes some 10 s longer.")
-    result = choose_for(task, seed) if auto else None
-    if auto and result is None:
-        log.warning("Control and check points are too few for the strategy auto; running as asked.")
-        task = prepare(task.recipe.name, **prepared)
-    if result is None:
+    if auto:
+        result = choose_for(task, seed)
+    else:
         found = search(task.problem, task.solver, seed=seed, generations=generations,
                        evaluations=evaluations, seconds=seconds, observers=observers)
         result = assess(task, recommended(task, found))

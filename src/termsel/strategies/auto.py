@@ -60,7 +60,7 @@ def wanted(strategy: str | None, recipe: Recipe, asked: Mapping[str, Any]) -> bo
     return True
 
 
-def choose_for(task: Task, seed: int) -> Result | None:
+def choose_for(task: Task, seed: int) -> Result:
     """Return the choice from the portfolio as a result.
 
     Parameters
@@ -72,15 +72,21 @@ def choose_for(task: Task, seed: int) -> Result | None:
 
     Returns
     -------
-    Result or None
-        None if control and check together are too few for any candidate.
+    Result
+
+    Raises
+    ------
+    TermselError
+        If control and check points together determine no candidate with redundancy.
     """
     start = time.perf_counter()
     observations = task.observations
     both, heights = together(observations), has_heights(observations)
     comparison = compare(observations)
     if comparison.choice is None:
-        return None
+        raise TermselError(
+            f"{len(both)} control and check points are too few for any model with redundancy, or "
+            "lie badly", hint="Measure more, spread over the scene: an affine model needs 5.")
     chosen, candidates = comparison.choice.chosen, comparison.choice.fitted
     errors = repeated(both, heights)
     predicted = None if errors is None else float(np.sqrt((errors**2).sum(axis=1).mean()))

@@ -1,0 +1,285 @@
+"""The strategy auto: what it chooses, what it promises, and what it never looks at."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import termsel
+from termsel.features import FeatureSet, Points
+from termsel.io.result_files import read_result
+from termsel.models.polynomial import graded_exponents, monomials
+from termsel.simulate import simulate_scene
+from termsel.strategies.averaging import average
+from termsel.strategies.forward import select_forward
+from termsel.strategies.portfolio import SHRUNK, choose, repeated
+
+CUBIC = graded_exponents(3, 3)
+
+
+@pytest.fixture(scope="module")
+def result() -> termsel.Result:
+    return termsel.run("rfm-terms")
+
+
+def scene(count: int, seed: int = 0, **more: object) -> FeatureSet:
+    return simulate_scene("ikonos-hamedan", seed=seed, n_points=count, n_lines=0, **more)
+
+
+def drawn(n: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    """Ground points, and image points of a known polynomial with noise."""
+    rng = np.random.default_rng(seed)
+    ground = rng.uniform(-1, 1, (n, 3))
+    truth = rng.normal(size=(20, 2)) * np.array(
+        [1000.0 if sum(e) < 2 else 5.0 if sum(e) == 2 else 0.3 for e in CUBIC])[:, None]
+    return ground, monomials(ground, CUBIC) @ truth + rng.normal(0, 0.5, (n, 2))
+
+
+def frame_camera(n: int, seed: int = 1) -> FeatureSet:
+    """An oblique aerial photograph, of which the DLT is the exact model."""
+    rng = np.random.default_rng(seed)
+    ground = rng.uniform(-1, 1, (n, 3)) * [1000, 800, 120]
+    turn = np.radians(35)
+    seen = (ground - [0, -1500, 2500]) @ np.array(
+        [[1, 0, 0], [0, np.cos(turn), -np.sin(turn)], [0, np.sin(turn), np.cos(turn)]]).T
+    image = np.column_stack([-seen[:, 1], seen[:, 0]]) / -seen[:, 2:] * 6000
+    roles = ("control", "control", "check", "independent") * (n // 4)
+    return FeatureSet(Points(tuple(f"P{i}" for i in range(n)),
+                             image + rng.normal(0, 0.5, (n, 2)), ground, None, roles))
+
+
+def test_auto_is_the_default_where_only_points_are_given(result: termsel.Result) -> None:
+    assert result.strategy is not None
+    assert result.strategy["name"] == "auto"
+    names = [one["name"] for one in result.strategy["candidates"]]
+    assert result.strategy["chosen"] in names
+    assert {"affine", "dlt", "quadratic", "cubic", "selected", SHRUNK} <= set(names)
+    quadratic = next(b for b in result.baselines if b.name == "quadratic")
+    assert result.rmse["independent"].total < quadratic.rmse["independent"].total
+
+
+@pytest.mark.parametrize("asked", [
+    {"solver": "stepwise"}, {"criterion": "press", "generations": 1},
+    {"model": "affine", "generations": 1}, {"generations": 1}, {"evaluations": 100},
+    {"options": {"order": 1}, "evaluations": 100}, {"strategy": "as-asked", "evaluations": 100}])
+def test_a_method_asked_for_runs_as_it_is(asked: dict) -> None:
+    found = termsel.run("rfm-terms", **asked)
+    assert found.strategy is None
+    assert found.solver == asked.get("solver", "ga")
+    assert "which leave-one-out chooses" in found.judgement
+
+
+def test_options_of_the_data_leave_the_strategy(result: termsel.Result) -> None:
+    other = termsel.run("rfm-terms", options={"roles": "random", "split": 3})
+    assert other.strategy is not None
+    assert other.data["roles"] != result.data["roles"]
+
+
+@pytest.mark.parametrize(("problem", "more", "message"), [
+    ("rfm-terms", {"solver": "ga"}, "chooses the method itself, and solver is asked for"),
+    ("rfm-terms", {"options": {"order": 2}}, "the option order is asked for"),
+    ("rfm-terms", {"seconds": 3}, "a budget is asked for"),
+    ("owdis-lines", {}, "not for the problem owdis-lines")])
+def test_auto_and_a_method_exclude_each_other(problem: str, more: dict, message: str) -> None:
+    with pytest.raises(termsel.TermselError, match=message):
+        termsel.run(problem, strategy="auto", **more)
+
+
+def test_an_unknown_strategy_is_refused() -> None:
+    with pytest.raises(termsel.TermselError, match="no strategy 'best'"):
+        termsel.run("rfm-terms", strategy="best")
+
+
+def test_independent_points_are_touched_once(result: termsel.Result) -> None:
+    features = simulate_scene("ikonos-hamedan")
+    independent = np.array(features.points.roles) == "independent"
+    moved = features.points.image + 7.0 * independent[:, None]
+    other = termsel.run("rfm-terms", features=features.with_(
+        points=replace(features.points, image=moved)), source=result.data["source"])
+    first, second = result.to_dict(), other.to_dict()
+    assert first["rmse"].pop("independent") != second["rmse"].pop("independent")
+    for record in (first, second):
+        for changing in ("judgement", "seconds"):
+            record.pop(changing)
+        record["data"].pop("sha256")
+        for one in record["baselines"]:
+            one["rmse"].pop("independent")
+    assert first == second
+
+
+def test_what_a_search_does_never_depends_on_independent_points() -> None:
+    features = scene(48)
+    independent = np.array(features.points.roles) == "independent"
+    moved = features.points.image + 7.0 * independent[:, None]
+    other = features.with_(points=replace(features.points, image=moved))
+    first, second = (termsel.run("rfm-terms", features=one, generations=2).to_dict()
+                     for one in (features, other))
+    for key in ("selection", "coefficients", "objectives", "options"):
+        assert first[key] == second[key]
+    for one, two in zip(first["baselines"], second["baselines"], strict=True):
+        assert one["predicted"] == two["predicted"]
+        assert one["rmse"]["check"] == two["rmse"]["check"]
+
+
+def test_leave_one_out_is_that_of_the_whole_procedure() -> None:
+    ground, image = drawn(15)
+    found = average(ground, image, CUBIC)
+    assert found is not None
+    for i in range(15):
+        others = np.arange(15) != i
+        without = average(ground[others], image[others], CUBIC)
+        assert without is not None
+        error = image[i] - monomials(ground[i:i + 1], CUBIC)[0] @ without.coefficients
+        np.testing.assert_allclose(found.errors[i], error, rtol=1e-3, atol=1e-3)
+
+
+def test_with_many_points_the_average_is_as_good_as_least_squares() -> None:
+    ground, image = drawn(400)
+    found = average(ground, image, CUBIC)
+    assert found is not None
+    free = np.linalg.lstsq(monomials(ground, CUBIC), image)[0]
+    places = np.random.default_rng(5).uniform(-1, 1, (100, 3))
+    difference = monomials(places, CUBIC) @ (found.coefficients - free)
+    assert np.sqrt((difference**2).mean()) < 0.1
+    assert 20 < found.effective < 40
+
+
+def test_units_do_not_matter_to_the_average() -> None:
+    ground, image = drawn(20)
+    one, other = average(ground, image, CUBIC), average(ground, 1e-4 * image + 3.0, CUBIC)
+    assert one is not None
+    assert other is not None
+    np.testing.assert_allclose(other.errors, 1e-4 * one.errors, rtol=1e-4, atol=1e-9)
+
+
+def test_a_measurement_without_weight_does_not_matter() -> None:
+    ground, image = drawn(20)
+    wrong = image.copy()
+    wrong[3] += 50.0
+    weights = np.ones((20, 2))
+    weights[3] = 1e-4
+    one, other = (average(ground, values, CUBIC, weights) for values in (image, wrong))
+    assert one is not None
+    assert other is not None
+    difference = monomials(ground, CUBIC) @ (one.coefficients - other.coefficients)
+    assert np.abs(difference).max() < 0.5
+
+
+def test_exact_data_are_fitted_exactly() -> None:
+    ground, _ = drawn(60)
+    truth = np.random.default_rng(2).normal(size=(20, 2))
+    found = average(ground, monomials(ground, CUBIC) @ truth, CUBIC)
+    assert found is not None
+    np.testing.assert_allclose(found.coefficients, truth, atol=1e-5)
+
+
+def test_too_few_points_give_no_average() -> None:
+    ground, image = drawn(5)
+    assert average(ground, image, CUBIC) is None
+
+
+def test_forward_selection_finds_the_terms_and_leaves_out_honestly() -> None:
+    rng = np.random.default_rng(3)
+    ground = rng.uniform(-1, 1, (40, 3))
+    columns = monomials(ground, CUBIC)
+    affine = np.array([sum(e) < 2 for e in CUBIC])
+    wanted = affine.copy()
+    wanted[[5, 12]] = True
+    target = columns[:, wanted] @ np.array([3.0, 4.0, 5.0, 6.0, 2.0, -2.0])
+    target += rng.normal(0, 0.05, 40)
+    found = select_forward(columns, target, affine)
+    assert found is not None
+    np.testing.assert_array_equal(found.terms, wanted)
+    for i in (0, 17):
+        others = np.arange(40) != i
+        again = select_forward(columns[others], target[others], affine)
+        assert again is not None
+        x = np.linalg.lstsq(columns[others][:, again.terms], target[others])[0]
+        assert found.errors[i] == pytest.approx(target[i] - columns[i, again.terms] @ x, abs=1e-9)
+
+
+def test_the_dlt_is_chosen_for_a_photograph() -> None:
+    found = termsel.run("rfm-terms", features=frame_camera(40))
+    assert found.strategy is not None
+    assert found.strategy["chosen"] == "dlt"
+    assert found.model == "dlt3d"
+
+
+def test_predictions_come_true() -> None:
+    ratios = []
+    for seed in range(5):
+        features = scene(100, seed)
+        order = np.random.default_rng(seed).permutation(100)
+        mine = FeatureSet(features.points.take(order[:40]))
+        choice, errors = choose(mine, True), repeated(mine, True)
+        assert choice is not None
+        assert errors is not None
+        found = choice.chosen.fit.errors(features.points.take(order[40:]))
+        ratios.append(np.sqrt((found**2).sum(axis=1).mean() / (errors**2).sum(axis=1).mean()))
+    assert 0.8 < np.median(ratios) < 1.25
+
+
+def test_one_wrong_check_point_is_in_the_prediction() -> None:
+    """What is repeated in folds sees the point as a stranger does."""
+    features = scene(45)
+    wrong = features.points.image.copy()
+    at = features.points.roles.index("check")
+    wrong[at] += 40.0
+    spoilt = termsel.run("rfm-terms", features=features.with_(
+        points=replace(features.points, image=wrong)))
+    clean = termsel.run("rfm-terms", features=features)
+    assert spoilt.strategy is not None
+    assert clean.strategy is not None
+    assert spoilt.strategy["predicted"] > 3 * clean.strategy["predicted"]
+
+
+def test_plane_points_get_plane_models() -> None:
+    points = simulate_scene("ikonos-hamedan").points
+    flat = points.ground.copy()
+    flat[:, 2] = np.nan
+    found = termsel.run("poly-terms", features=FeatureSet(replace(points, ground=flat)))
+    assert found.strategy is not None
+    assert "projective" in {one["name"] for one in found.strategy["candidates"]}
+    assert not found.fit.model.uses_height
+
+
+def test_check_points_are_not_needed() -> None:
+    points = simulate_scene("ikonos-hamedan").points
+    roles = tuple("control" if role == "check" else role for role in points.roles)
+    found = termsel.run("rfm-terms", features=FeatureSet(replace(points, roles=roles)))
+    assert found.strategy is not None
+    assert found.rmse["check"] is None
+
+
+def test_too_few_points_are_said_to_be() -> None:
+    points = simulate_scene("ikonos-hamedan").points.take(np.arange(6))
+    roles = ("control",) * 4 + ("independent",) * 2
+    with pytest.raises(termsel.TermselError, match="4 control and check points are too few"):
+        termsel.run("rfm-terms", features=FeatureSet(replace(points, roles=roles)))
+
+
+def test_the_result_is_whole_in_its_folder(tmp_path) -> None:
+    found = termsel.run("rfm-terms", out=tmp_path)
+    again = read_result(tmp_path)
+    assert again.strategy == json.loads((tmp_path / "result.json").read_text())["strategy"]
+    assert again.to_dict() == found.to_dict()
+    np.testing.assert_allclose(again.project(found.features.points.ground),
+                               found.project(found.features.points.ground))
+    used = {r.role for r in found.residuals if r.used}
+    assert used == {"control", "check"} == {r.role for r in again.residuals if r.used}
+    text = (tmp_path / "summary.txt").read_text()
+    assert "strategy auto" in text
+    assert "predicted accuracy" in text
+
+
+def test_every_result_has_the_baselines(result: termsel.Result) -> None:
+    searched = termsel.run("owdis-lines", generations=1)
+    for found in (result, searched):
+        rows = {b.name: b for b in found.baselines}
+        assert {"affine", "dlt", "quadratic", "cubic", "rfm-2", "rfm-3", "ridge"} <= set(rows)
+        assert all(b.rmse["independent"] or not b.determined for b in found.baselines)
+        text = found.to_dict()["baselines"]
+        assert [one["name"] for one in text] == list(rows)
