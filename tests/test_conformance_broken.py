@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import random
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -142,9 +143,10 @@ class WrongProjection(Affine):
 class WrongLines(RationalFunctions):
     """The offset of image lines with the wrong sign."""
 
-    def _line_rows(self, features: FeatureSet) -> tuple[FloatArray, FloatArray]:
-        A, b = super()._line_rows(features)
-        return A, -b
+    def equations(self, features: FeatureSet) -> Equations:
+        equations = super().equations(features)
+        of_lines = equations.feature >= len(features.points)
+        return replace(equations, b=np.where(of_lines, -equations.b, equations.b))
 
 
 class NoConstant(Dlt):

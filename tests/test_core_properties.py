@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from termsel.adjustment.equations import Equations
+from termsel.adjustment.lines import row_weights
 from termsel.adjustment.solve import solve
 from termsel.criteria import CheckRmse
 from termsel.errors import TermselError
@@ -309,7 +310,8 @@ def test_line_residual_is_the_distance_from_the_image_line(model: SensorModel, s
     equations = model.equations(features.with_(lines=moved))
     below = model.denominators(truth, features.lines.ground.reshape(-1, 3))
     # Rows are multiplied by the denominator, which both axes share.
-    scale = 1.0 if below is None else below[:, 0]
+    scale = row_weights(features.with_(lines=moved), heights=model.uses_height) * (
+        1.0 if below is None else below[:, 0])
     np.testing.assert_allclose((equations.b - equations.A @ truth) / scale, shift, atol=1e-11)
 
 

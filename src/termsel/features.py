@@ -55,6 +55,14 @@ def _check_heights(z: FloatArray, ids: Sequence[str], kind: str) -> None:
         raise TermselError(f"{kind} {name!r} has an infinite height", ids=[name])
 
 
+def _check_deviations(sigma: FloatArray, ids: Sequence[str], kind: str) -> None:
+    bad = ~(np.isfinite(sigma) & (sigma > 0)).reshape(len(ids), -1).all(axis=1)
+    if bad.any():
+        name = ids[int(np.argmax(bad))]
+        raise TermselError(f"{kind} {name!r} has a standard deviation that is not positive",
+                           ids=[name])
+
+
 @dataclass(frozen=True, eq=False)
 class Points:
     """Conjugate points.
@@ -102,11 +110,7 @@ class Points:
         _check_heights(self.ground[:, 2], ids, "point")
         if self.sigma is not None:
             object.__setattr__(self, "sigma", _frozen(self.sigma, (n, 2), "sigma of points"))
-            bad = ~(np.isfinite(self.sigma) & (self.sigma > 0)).all(axis=1)
-            if bad.any():
-                name = ids[int(np.argmax(bad))]
-                raise TermselError(f"point {name!r} has a standard deviation that is not positive",
-                                   ids=[name])
+            _check_deviations(self.sigma, ids, "point")
         if len(roles) != n:
             raise TermselError(f"{len(roles)} roles for {n} points")
         for name, role in zip(ids, roles, strict=True):
@@ -156,6 +160,8 @@ class Lines:
         Two measured image points a line, each as line and sample [pixel].
     ground : array_like, shape (n, 2, 3)
         Two ground vertices a line, X, Y, Z; NaN for heights that are not known.
+    sigma : array_like, shape (n,), optional
+        Standard deviation of the measured image points across the line [pixel].
 
     Raises
     ------
@@ -167,6 +173,7 @@ class Lines:
     ids: tuple[str, ...]
     image: FloatArray
     ground: FloatArray
+    sigma: FloatArray | None = None
 
     def __post_init__(self) -> None:
         ids = tuple(str(name) for name in self.ids)
@@ -180,6 +187,9 @@ class Lines:
         _check_finite(self.image, ids, "line", "image coordinates")
         _check_finite(self.ground[..., :2], ids, "line", "ground coordinates")
         _check_heights(self.ground[..., 2], ids, "line")
+        if self.sigma is not None:
+            object.__setattr__(self, "sigma", _frozen(self.sigma, (n,), "sigma of lines"))
+            _check_deviations(self.sigma, ids, "line")
         for values, where in ((self.image, "image"), (self.ground[..., :2], "ground")):
             short = (values[:, 0] == values[:, 1]).all(axis=1)
             if short.any():
@@ -240,7 +250,8 @@ class Lines:
     def take(self, index: ArrayLike) -> Lines:
         """Return the lines at `index` (integers or a mask)."""
         chosen = np.arange(len(self))[np.asarray(index)]
-        return Lines(tuple(self.ids[i] for i in chosen), self.image[chosen], self.ground[chosen])
+        return Lines(tuple(self.ids[i] for i in chosen), self.image[chosen], self.ground[chosen],
+                     None if self.sigma is None else self.sigma[chosen])
 
 
 def no_points() -> Points:

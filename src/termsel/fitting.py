@@ -14,9 +14,11 @@ from termsel.inverse import Surface, locate
 from termsel.models.base import SensorModel
 from termsel.scaling import Scaling
 
-
 ITERATIONS = 20
 """Most Gauss-Newton steps of a fit; two or three are usual."""
+
+HALVINGS = tuple(0.5**i for i in range(8))
+"""Shares of a Gauss-Newton step that are tried in turn."""
 
 
 @dataclass(frozen=True)
@@ -160,17 +162,29 @@ def _converged(model: SensorModel, features: FeatureSet, terms: BoolArray, used:
                adjustment: Adjustment) -> Adjustment:
     """Go on from a first solution to the least squares of distances (Gauss-Newton).
 
-    A step that does not lessen the sum of squared distances ends it.
+    A step that does not lessen the sum of squared distances is halved, and where that does not
+    help the search ends.
     """
-    best, least = adjustment, np.inf
+    rows = used[np.repeat(features.feature, 2)]
+    equations = (model.linearised(features, adjustment.coefficients)
+                 if adjustment.feasible else None)
     for _ in range(ITERATIONS):
-        equations = (model.linearised(features, adjustment.coefficients)
-                     if adjustment.feasible else None)
         if equations is None:
             break
-        v = (equations.b - equations.A @ adjustment.coefficients)[used[equations.feature]]
-        if not v @ v < least * (1 - 1e-10):
+        v = equations.b - equations.A @ adjustment.coefficients
+        step = solve(equations, terms, used).coefficients - adjustment.coefficients
+        for share in HALVINGS:
+            coefficients = adjustment.coefficients + share * step
+            nearer = model.linearised(features, coefficients)
+            assert nearer is not None
+            left = nearer.b - nearer.A @ coefficients
+            if left[rows] @ left[rows] < (1 - 1e-10) * (v[rows] @ v[rows]):
+                break
+        else:
             break
-        best, least = adjustment, v @ v
-        adjustment = solve(equations, terms, used)
-    return best
+        equations = nearer
+        adjustment = replace(solve(equations, terms, used), coefficients=coefficients,
+                             residuals=left)
+    return adjustment
+
+

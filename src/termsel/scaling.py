@@ -55,7 +55,8 @@ class Scaling:
 
     def lines(self, lines: Lines) -> Lines:
         """Return the lines in scaled coordinates."""
-        return Lines(lines.ids, self.image(lines.image), self.ground(lines.ground))
+        return Lines(lines.ids, self.image(lines.image), self.ground(lines.ground),
+                     None if lines.sigma is None else lines.sigma / self.image_scale)
 
     def features(self, features: FeatureSet) -> FeatureSet:
         """Return the features in scaled coordinates."""

@@ -10,6 +10,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from termsel.adjustment.equations import Equations, line_normals
+from termsel.adjustment.lines import approximate_image, row_weights
 from termsel.errors import TermselError
 from termsel.features import FeatureSet, FloatArray, IntArray
 from termsel.options import Configurable
@@ -51,6 +52,26 @@ class SensorModel(Configurable, ABC):
         Equations
             Rows of the points first, then of the lines; all k columns.
         """
+
+    def linearised(self, features: FeatureSet, coefficients: FloatArray) -> Equations | None:
+        """Return the equations about a solution, where `equations` hold to first order only.
+
+        A fit goes on from them to the least squares of pixel distances (Gauss-Newton).
+
+        Parameters
+        ----------
+        features : FeatureSet
+            In scaled coordinates.
+        coefficients : ndarray, shape (k,)
+            The solution: A x = b holds for the coefficients themselves, not for their changes,
+            and b - A x there are the distances.
+
+        Returns
+        -------
+        Equations or None
+            None where `equations` are exact, which is the default.
+        """
+        return None
 
     @abstractmethod
     def project(self, coefficients: FloatArray, ground: FloatArray) -> FloatArray:
@@ -256,47 +277,73 @@ class RationalModel(SensorModel):
         nl l(G) + ns s(G) = rho, with unit normal (nl, ns) and offset rho of the image line
         in Hesse form. This is linear for polynomials; with a shared denominator it becomes
         linear when multiplied by it. With separate denominators the products of image
-        coordinate and denominator need the image position of the vertex: across the image
-        line it is measured, along it the one of `approximate_image` is taken, so that the
-        equations hold to first order. Rows of points are weighted by their standard deviations
-        relative to the median one.
+        coordinate and denominator need the image position of the vertex, which is taken from
+        `approximate_image`: this is a Gauss-Newton step from that polynomial to the least
+        squares of distances in the image. A fit goes on from there by `linearised`.
+        (With the measured offset across the image line the coefficients would be biased, as
+        rows and right-hand side then share its error.)
+
+        Rows are weighted by standard deviations relative to the median one. Those of a line
+        are those of its position at the vertex: with two end points measured to s, a distance
+        of L apart, it is s sqrt(1/2 + 2 t^2 / L^2) at t from their middle, so that long lines
+        weigh more outside their measured piece. That both vertices of a line share these end
+        points is neglected.
 
         The vector form follows from the requirement that conjugate lines coincide; the
         published line equations of line-based RFMs (Teo 2013; Yavari et al. 2018) could
         not be consulted, so this is termsel's own formulation.
         """
         points, lines = features.points, features.lines
-        parts = []
-        if len(points):
-            A = self._axis_rows(points.ground, points.image)
-            b = points.image.copy()
-            if points.sigma is not None:
-                weight = np.median(points.sigma) / points.sigma
-                A, b = A * weight[..., None], b * weight
-            parts.append((A.reshape(2 * len(points), -1), b.ravel()))
-        if len(lines):
-            parts.append(self._line_rows(features))
-        if not parts:
-            return Equations(np.zeros((0, len(self.terms))), np.zeros(0),
-                             np.zeros(0, dtype=np.intp))
-        return Equations(np.concatenate([A for A, _ in parts]),
-                         np.concatenate([b for _, b in parts]),
-                         np.repeat(features.feature, 2))
+        if self._exact_for_lines or not len(lines):
+            # The place along the image line cancels.
+            normal, rho = line_normals(lines)
+            image = np.repeat(normal * rho[:, None], 2, axis=0)
+        else:
+            image = approximate_image(features, heights=self.uses_height)
+        return self._system(features, self._axis_rows(points.ground, points.image),
+                            self._axis_rows(lines.ground.reshape(-1, 3), image))
 
-    def _line_rows(self, features: FeatureSet) -> tuple[FloatArray, FloatArray]:
-        lines = features.lines
-        normal, rho = line_normals(lines)
-        vertices = lines.ground.reshape(-1, 3)
-        normal, rho = np.repeat(normal, 2, axis=0), np.repeat(rho, 2)
-        present = {block for block, *_ in self._layout}
-        image = normal * rho[:, None]
-        if present & {"line_denominator", "sample_denominator"}:
-            # Across the image line a vertex is measured, along it only the approximate
-            # position is known. With a shared denominator the place along it cancels.
-            along = np.stack([-normal[:, 1], normal[:, 0]], axis=1)
-            image += along * np.einsum("na,na->n", along, approximate_image(features))[:, None]
-        rows = self._axis_rows(vertices, image)
-        return np.einsum("na,nak->nk", normal, rows), rho
+    def linearised(self, features: FeatureSet, coefficients: FloatArray) -> Equations | None:
+        """Return the equations of points and lines about a solution (Gauss-Newton).
+
+        Only for lines under separate denominators; points alone, and lines under polynomials or a
+        shared denominator, keep the linear equations that the literature solves.
+        """
+        if self._exact_for_lines or not len(features.lines):
+            return None
+        parts = []
+        for ground in (features.points.ground, features.lines.ground.reshape(-1, 3)):
+            image = self.project(coefficients, ground)
+            below = self.denominators(coefficients, ground)
+            assert below is not None
+            # With f = n a / (1 + d c): df = (n da - f d dc) / (1 + d c), and J x = f / (1 + d c).
+            with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+                parts += [self._axis_rows(ground, image) / below[..., None],
+                          image - image / below]
+        return self._system(features, *parts[::2], *parts[1::2])
+
+    @property
+    def _exact_for_lines(self) -> bool:
+        """True where the equations of lines are linear."""
+        return not {block for block, *_ in self._layout} & {"line_denominator",
+                                                            "sample_denominator"}
+
+    def _system(self, features: FeatureSet, of_points: FloatArray, of_vertices: FloatArray,
+                point_shift: FloatArray | float = 0.0,
+                vertex_shift: FloatArray | float = 0.0) -> Equations:
+        """Return weighted equations from rows of image coordinates, shapes (n, 2, k).
+
+        A row times the coefficients, plus the shift, is an image coordinate.
+        """
+        points, lines = features.points, features.lines
+        normal, rho = (np.repeat(one, 2, axis=0) for one in line_normals(lines))
+        A = np.concatenate([of_points.reshape(2 * len(points), len(self.terms)),
+                            np.einsum("na,nak->nk", normal, of_vertices)])
+        shift = np.broadcast_to(vertex_shift, (len(rho), 2))
+        b = np.concatenate([(points.image - point_shift).ravel(),
+                            rho - np.einsum("na,na->n", normal, shift)])
+        weight = row_weights(features, heights=self.uses_height)
+        return Equations(A * weight[:, None], b * weight, np.repeat(features.feature, 2))
 
     def project(self, coefficients: FloatArray, ground: FloatArray) -> FloatArray:
         """Return image positions of ground points (see `SensorModel.project`)."""
@@ -332,43 +379,6 @@ class RationalModel(SensorModel):
                 where, block = columns[name]
                 forms[..., axis] = coefficients[..., where] @ block.T
         return forms
-
-
-def approximate_image(features: FeatureSet) -> FloatArray:
-    """Return approximate image positions of the ground vertices of control lines.
-
-    A polynomial without denominators (quadratic where the features determine it twice over,
-    else affine) is fitted to all control features and evaluated at the vertices.
-
-    Parameters
-    ----------
-    features : FeatureSet
-        In scaled coordinates.
-
-    Returns
-    -------
-    ndarray, shape (2 n_lines, 2)
-    """
-    def columns(ground: FloatArray, degree: int) -> FloatArray:
-        x, y, z = ground.T
-        linear = [np.ones_like(x), x, y, z]
-        return np.stack(linear if degree == 1 else
-                        [*linear, x * y, x * z, y * z, x * x, y * y, z * z], axis=1)
-
-    points, lines = features.points, features.lines
-    degree = 2 if 2 * len(features) >= 2 * 20 else 1
-    vertices = lines.ground.reshape(-1, 3)
-    normal, rho = line_normals(lines)
-    normal, rho = np.repeat(normal, 2, axis=0), np.repeat(rho, 2)
-    on_lines, on_points = columns(vertices, degree), columns(points.ground, degree)
-    nothing = np.zeros_like(on_points)
-    A = np.concatenate([
-        np.concatenate([normal[:, :1] * on_lines, normal[:, 1:] * on_lines], axis=1),
-        np.concatenate([on_points, nothing], axis=1),
-        np.concatenate([nothing, on_points], axis=1)])
-    b = np.concatenate([rho, points.image[:, 0], points.image[:, 1]])
-    x = np.linalg.lstsq(A, b, rcond=1e-6)[0].reshape(2, -1)
-    return np.asarray(on_lines @ x.T)
 
 
 def require_heights(model: SensorModel, features: FeatureSet) -> None:

@@ -1,0 +1,77 @@
+"""Control lines in an adjustment: where their vertices lie, and what they weigh."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from termsel.adjustment.equations import line_normals
+from termsel.features import FeatureSet, FloatArray
+
+
+def approximate_image(features: FeatureSet, *, heights: bool = True) -> FloatArray:
+    """Return approximate image positions of the ground vertices of control lines.
+
+    A polynomial without denominators (quadratic where the features determine it twice over,
+    else affine) is fitted to all control features and evaluated at the vertices.
+
+    Parameters
+    ----------
+    features : FeatureSet
+        In scaled coordinates.
+
+    Returns
+    -------
+    ndarray, shape (2 n_lines, 2)
+    """
+    def columns(ground: FloatArray, degree: int) -> FloatArray:
+        x, y, z = ground.T if heights else (*ground.T[:2], np.zeros(len(ground)))
+        linear = [np.ones_like(x), x, y, z]
+        return np.stack(linear if degree == 1 else
+                        [*linear, x * y, x * z, y * z, x * x, y * y, z * z], axis=1)
+
+    points, lines = features.points, features.lines
+    degree = 2 if 2 * len(features) >= 2 * 20 else 1
+    vertices = lines.ground.reshape(-1, 3)
+    normal, rho = line_normals(lines)
+    normal, rho = np.repeat(normal, 2, axis=0), np.repeat(rho, 2)
+    on_lines, on_points = columns(vertices, degree), columns(points.ground, degree)
+    nothing = np.zeros_like(on_points)
+    A = np.concatenate([
+        np.concatenate([normal[:, :1] * on_lines, normal[:, 1:] * on_lines], axis=1),
+        np.concatenate([on_points, nothing], axis=1),
+        np.concatenate([nothing, on_points], axis=1)])
+    b = np.concatenate([rho, points.image[:, 0], points.image[:, 1]])
+    x = np.linalg.lstsq(A, b, rcond=1e-6)[0].reshape(2, -1)
+    return np.asarray(on_lines @ x.T)
+
+
+def row_weights(features: FeatureSet, *, heights: bool = True) -> FloatArray:
+    """Return weights of the rows of points, then of lines, two each.
+
+    Parameters
+    ----------
+    features : FeatureSet
+        In scaled coordinates.
+
+    Returns
+    -------
+    ndarray, shape (2 n_points + 2 n_lines,)
+        The median standard deviation, or 1 where none is given, over that of the row; see
+        `termsel.models.base.RationalModel.equations`.
+    """
+    points, lines = features.points, features.lines
+    given = [sigma.ravel() for sigma in (points.sigma, lines.sigma) if sigma is not None]
+    unit = float(np.median(np.concatenate(given))) if given else 1.0
+    deviation = np.full((len(points) + len(lines), 2), unit)
+    if points.sigma is not None:
+        deviation[:len(points)] = points.sigma
+    if len(lines):
+        if lines.sigma is not None:
+            deviation[len(points):] = lines.sigma[:, None]
+        along = lines.image[:, 1] - lines.image[:, 0]
+        length = np.linalg.norm(along, axis=1)[:, None]
+        vertices = approximate_image(features, heights=heights).reshape(-1, 2, 2)
+        place = np.einsum("ia,iva->iv", along / length,
+                          vertices - lines.image.mean(axis=1)[:, None])
+        deviation[len(points):] *= np.sqrt(0.5 + 2.0 * (place / length) ** 2)
+    return np.asarray(unit / deviation.ravel())

@@ -1,0 +1,73 @@
+"""Control lines in an adjustment: weights, and the least squares of distances."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.optimize import least_squares
+
+from termsel import prepare
+from termsel.adjustment.equations import line_normals
+from termsel.adjustment.lines import row_weights
+from termsel.features import FeatureSet, Lines, Points
+from termsel.fitting import fit
+from termsel.models.rational import RationalFunctions
+from termsel.scaling import scaling_of
+
+
+def lines_of_a_scene(n: int) -> FeatureSet:
+    """The first lines of the embedded scene that are not wrong by a quadratic, in [-1, 1]."""
+    task = prepare("owdis-lines")
+    whole = fit(task.model, task.observations.control, task.scaling)
+    good = np.abs(whole.line_errors()).sum(axis=2).max(axis=1) < 3.0
+    features = task.observations.control.take(good)
+    return task.scaling.features(features.take(np.arange(len(features)) < n))
+
+
+def test_weights_by_hand() -> None:
+    # An image that is the ground: vertices at the ends and in the middle of their lines.
+    rng = np.random.default_rng(0)
+    ground = rng.uniform(-1, 1, (30, 3)) * (1, 1, 0)
+    points = Points(tuple(f"p{i}" for i in range(30)), ground[:, :2], ground,
+                    np.full((30, 2), 2.0))
+    lines = Lines(("a", "b"), [[[0, 0], [0.2, 0]], [[0, 0.4], [0.3, 0]]],
+                  [[[0, 0, 0], [0.1, 0, 0]], [[-0.15, 0.6, 0], [0.45, -0.2, 0]]], (1.0, 4.0))
+    weights = row_weights(FeatureSet(points, lines))
+    # Given are 60 times 2.0, 1.0 and 4.0; their median is 2.0.
+    assert weights[:60] == pytest.approx(1.0)
+    # Line a: an end weighs like a coordinate, the middle root 2 of it; sigma is half the median.
+    assert weights[60:62] == pytest.approx([2.0, 2.0 * np.sqrt(2.0)])
+    # Line b: both vertices a whole length from the middle.
+    assert weights[62:] == pytest.approx(0.5 / np.sqrt(0.5 + 2.0))
+
+
+def test_without_deviations_a_point_weighs_one() -> None:
+    features = FeatureSet(Points(("p", "q", "r"), [[0, 0], [0, 1], [1, 0]],
+                                 [[0, 0, 0], [0, 1, 0], [1, 0, 0]]))
+    assert (row_weights(features) == 1.0).all()
+
+
+@pytest.mark.parametrize("order", [1, 2])
+def test_a_fit_to_lines_is_the_least_squares_of_distances(order: int) -> None:
+    features = lines_of_a_scene(100)
+    model = RationalFunctions(order=order)
+    terms = np.array([not name.endswith(("XY", "XZ", "YZ", "X2", "Z2")) or ".num" in name
+                      for name in model.terms])
+    found = fit(model, features, scaling_of(features), terms)
+    scaled = found.scaling.features(features)
+    normal, rho = (np.repeat(one, 2, axis=0) for one in line_normals(scaled.lines))
+    weight = row_weights(scaled)
+
+    def distances(x: np.ndarray) -> np.ndarray:
+        coefficients = np.zeros(len(terms))
+        coefficients[terms] = x
+        image = model.project(coefficients, scaled.lines.ground.reshape(-1, 3))
+        return weight * (rho - np.einsum("na,na->n", normal, image))
+
+    x = found.adjustment.coefficients[terms]
+    best = least_squares(distances, x, xtol=1e-15, ftol=1e-15, gtol=1e-15, x_scale="jac")
+    # Nothing is left to gain, and the search of another algorithm ends at the same place.
+    assert (distances(x) ** 2).sum() == pytest.approx(2 * best.cost, rel=1e-6)
+    first = model.equations(scaled)
+    start = np.linalg.lstsq(first.A[:, terms], first.b, rcond=None)[0]
+    assert (distances(x) ** 2).sum() <= (distances(start) ** 2).sum()
