@@ -307,6 +307,23 @@ def test_residuals_for_a_map(selected: Result, of_lines: Result, tmp_path: Path)
     assert pyogrio.read_info(path, layer="residuals")["features"] == 2 * 120 + 24 + 26
 
 
+def test_readers_take_what_is_written(selected: Result, tmp_path: Path) -> None:
+    points, chosen = selected.features.points, set(selected.selection.features)
+    which = [name in chosen for name in points.ids]
+    for writer in (QgisPoints(), GcpVrt(), OrthorityGeojson()):
+        path = tmp_path / f"scene{writer.suffix}"
+        writer.write(selected, path)
+        read = termsel.read(path)
+        on = np.array([role != "off" for role in read.points.roles])
+        assert np.allclose(read.points.image[on], points.image[which], rtol=0, atol=1e-9)
+        if writer.name == "orthority-geojson":
+            assert read.crs in ("EPSG:4326", "EPSG:4979")
+            assert read.points.ids == selected.selection.features
+        else:
+            assert read.crs == "EPSG:32640"
+            assert np.array_equal(read.points.ground[on, :2], points.ground[which, :2])
+
+
 # Grids
 
 

@@ -33,11 +33,14 @@ def _require_accepted(writer: Writer, result: Result, path: Path, hint: str) -> 
         raise TermselError(f"this result cannot be written as {writer.name}", file=path, hint=hint)
 
 
+def _used(result: Result) -> set[str]:
+    """Return the features in the adjustment, check points too where a strategy adds them."""
+    return {residual.id for residual in result.residuals if residual.used}
+
+
 def _chosen(result: Result) -> BoolArray:
-    """Return which of all points were selected as control."""
-    chosen = set(result.selection.features)
-    return np.array([role == "control" and name in chosen for name, role in zip(
-        result.features.points.ids, result.features.points.roles, strict=True)], dtype=bool)
+    """Return which of all points are in the adjustment."""
+    return np.isin(result.features.points.ids, list(_used(result)))
 
 
 def _errors(result: Result) -> FloatArray:
@@ -109,7 +112,7 @@ class OrthorityGeojson(SelectionWriter):
                 "type": "Feature",
                 "properties": {
                     "filename": Path(image).name if image is not None else "",
-                    "id": name, "ji": [sample, line], "info": "", "role": "control",
+                    "id": name, "ji": [sample, line], "info": "", "role": points.roles[i],
                     "residual": errors[i, ::-1].tolist()},
                 "geometry": {"type": "Point", "coordinates": ground[i].tolist()}})
         collection = {"type": "FeatureCollection", "features": features}
@@ -173,7 +176,7 @@ class LinesTable(Writer):
     def write(self, result: Result, path: Path) -> None:
         """Write a table; lines that were not selected have 0 in the column enabled."""
         _require_accepted(self, result, path, "It has no control lines; points-csv takes points.")
-        lines, chosen = result.fit.control.lines, set(result.selection.features)
+        lines, chosen = result.fit.control.lines, _used(result)
         header = ["id", "role", "enabled", "line1", "sample1", "line2", "sample2", "x1", "y1", "z1",
                   "x2", "y2", "z2", "residual1", "residual2"]
         distances = np.linalg.norm(result.fit.line_errors(), axis=-1)

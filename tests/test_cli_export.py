@@ -1,0 +1,192 @@
+"""The commands export and project, and --export of run."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+import termsel
+from termsel.cli.main import cli
+from termsel.io.result_files import read_result, write_result
+from termsel.testing import example_results
+
+
+def _termsel(*arguments: object) -> tuple[int, str, str]:
+    done = CliRunner().invoke(cli, [str(argument) for argument in arguments])
+    return done.exit_code, done.stdout, done.stderr
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """A result in WGS84, of a plain model that is an RPC as it is."""
+    path = tmp_path / "result"
+    path.mkdir()
+    write_result(termsel.run("rfm-terms", model="poly3d", solver="all-terms",
+                             dataset="irs1c-mashad"), path)
+    return path
+
+
+@pytest.fixture
+def plane(tmp_path: Path) -> Path:
+    path = tmp_path / "plane"
+    path.mkdir()
+    write_result(example_results()[1], path)
+    return path
+
+
+def test_export_writes_what_is_asked_for(folder: Path, tmp_path: Path) -> None:
+    target = tmp_path / "scene_RPC.TXT"
+    code, out, err = _termsel("export", folder, "--to", "rpc-txt", "--output", target)
+    assert (code, out) == (0, "")
+    assert err.endswith(f"Written: {target}\n")
+    assert termsel.read_rpc(target) == read_result(folder).to_rpc()
+
+
+def test_export_in_python(folder: Path, tmp_path: Path) -> None:
+    result = termsel.read_result(folder)
+    result.export("gcp-grid-vrt", tmp_path / "grid.vrt", height=1000.0, across=4)
+    assert (tmp_path / "grid.vrt").read_text().count("<GCP ") == 25
+
+
+def test_export_replaces_nothing_unasked(folder: Path, tmp_path: Path) -> None:
+    vendor = tmp_path / "scene.RPB"
+    vendor.write_text("what the vendor delivered")
+    code, _, err = _termsel("export", folder, "--to", "rpb", "--output", vendor)
+    assert code == 2
+    assert "scene.RPB: this file exists already. Choose another name, or give --overwrite" in err
+    assert vendor.read_text() == "what the vendor delivered"
+    assert _termsel("export", folder, "--to", "rpb", "--output", vendor, "--overwrite")[0] == 0
+    assert vendor.read_text().startswith("satId")
+
+
+@pytest.mark.parametrize(("arguments", "message"), [
+    (["--to", "rpb"], "the format rpb does not hold this result. termsel describe rpb says what "
+                      "it needs. Formats that do: gcp-grid-vrt"),
+    (["--to", "rbp"], "unknown writer 'rbp'. Did you mean 'rpb'?"),
+    (["--to", "qgis-points", "--dem", "x.tif"], "unknown option 'dem'"),
+    (["--to", "gcp-grid-vrt", "--set", "across=many"], "option 'across' does not take 'many'"),
+    (["--to", "gcp-vrt", "--image", "none.tif"], "none.tif: GDAL cannot read this raster"),
+    (["--to", "gcp-vrt", "--image", "a", "--set", "image=b"], "image is given twice"),
+    (["--to", "gcp-grid-vrt", "--dem", "none.tif"], "without a CRS")])
+def test_export_refuses(arguments: list[str], message: str, plane: Path, tmp_path: Path) -> None:
+    target = tmp_path / "target"
+    code, _, err = _termsel("export", plane, *arguments, "--output", target)
+    assert code == 2
+    assert message in err
+    assert "Traceback" not in err
+    assert not target.exists()
+
+
+def test_export_without_a_result(tmp_path: Path) -> None:
+    code, _, err = _termsel("export", tmp_path, "--to", "rpb", "--output", tmp_path / "x.RPB")
+    assert code == 2
+    assert "result.json: there is no result here. Give the folder of a run" in err
+
+
+def test_run_exports_into_its_folder(tmp_path: Path) -> None:
+    run = ("run", "--problem", "rfm-terms", "--dataset", "irs1c-mashad", "--model", "poly3d",
+           "--solver", "all-terms", "--export", "rpc-vrt", "--export", "qgis-points")
+    code, _, err = _termsel(*run, "--out", tmp_path / "out")
+    assert code == 0, err
+    assert {"result_rpc.vrt", "result.points"} < {p.name for p in (tmp_path / "out").iterdir()}
+    assert "Written" in err
+    code, _, err = _termsel(*run)
+    assert code == 2
+    assert "--export needs a folder to write to. Give --out DIR" in err
+    code, _, err = _termsel(*run, "--export", "rcp", "--out", tmp_path / "late")
+    assert code == 2
+    assert "unknown writer 'rcp'" in err
+    assert not (tmp_path / "late").exists()
+
+
+def _table(text: str) -> np.ndarray:
+    rows = [line.split(",") for line in text.splitlines() if not line.startswith("#")]
+    assert rows[0] == ["id", "line", "sample", "x", "y", "z"]
+    return np.array([[float(cell or "nan") for cell in row[1:]] for row in rows[1:]])
+
+
+def test_project_there_and_back(folder: Path, tmp_path: Path) -> None:
+    result = read_result(folder)
+    code, out, _ = _termsel("project", folder, "--points", folder / "points.csv")
+    assert code == 0
+    assert out.startswith("# crs: EPSG:4979\nid,line,sample,x,y,z\nP001,")
+    there = _table(out)
+    assert np.array_equal(there[:, :2], result.project(result.features.points.ground))
+    pixels, back = tmp_path / "pixels.csv", tmp_path / "ground.csv"
+    pixels.write_text(out)
+    code, out, err = _termsel("project", folder, "--points", pixels, "--inverse", "--height",
+                              "1000", "-o", back)
+    assert (code, out) == (0, "")
+    assert f"Written: {back}" in err
+    ground = _table(back.read_text())[:, 2:]
+    assert (ground[:, 2] == 1000.0).all()
+    assert np.abs(result.project(ground) - there[:, :2]).max() < 1e-6
+
+
+def test_project_says_which_rays_meet_no_ground(folder: Path, tmp_path: Path) -> None:
+    rasterio = pytest.importorskip("rasterio")
+    from affine import Affine
+
+    dem = tmp_path / "dem.tif"
+    with rasterio.open(dem, "w", driver="GTiff", width=20, height=20, count=1, dtype="float32",
+                       crs="EPSG:4326", nodata=-999, transform=Affine(
+                           0.001, 0.0, 59.59, 0.0, -0.001, 36.31)) as raster:
+        raster.write(np.full((1, 20, 20), 1100.0, dtype=np.float32))
+    (tmp_path / "pixels.csv").write_text("id,line,sample\nmiddle,2000,2000\ncorner,10,10\n")
+    code, out, err = _termsel("project", folder, "--points", tmp_path / "pixels.csv", "--inverse",
+                              "--dem", dem)
+    assert code == 0
+    found = _table(out)
+    assert found[0, 4] == pytest.approx(1100.0, abs=1e-3)
+    assert np.isnan(found[1, 2:]).all()
+    assert "Warning: no place was found for 1 points: corner" in err
+
+
+@pytest.mark.parametrize(("text", "arguments", "message"), [
+    ("id,line,sample\na,1,2\n", [], "x, lon"),
+    ("id,x,y,z\na,59,36,\n", [], "line 2, column 'z': the height is blank"),
+    ("id,x,y,z\na,59,36,1\n", ["--dem", "d.tif"], "are for the way from image to ground"),
+    ("id,line,sample\na,1,2\n", ["--inverse"], "Give --dem FILE or --height H"),
+    ("# crs: EPSG:32640\nid,x,y,z\na,1,2,3\n", [], "declares the CRS EPSG:32640"),
+    ("id,x,y,z\na,1,x,3\n", [], "line 2, column 'y': 'x' is not a number"),
+    ("", [], "holds no table")])
+def test_project_refuses(text: str, arguments: list[str], message: str, folder: Path,
+                         tmp_path: Path) -> None:
+    table = tmp_path / "table.csv"
+    table.write_text(text)
+    code, out, err = _termsel("project", folder, "--points", table, *arguments)
+    assert (code, out) == (2, "")
+    assert message in err
+
+
+def test_text_formats_need_no_packages_for_rasters(folder: Path, tmp_path: Path) -> None:
+    """RPC text, .points and CSV are written without the extra `gis`; others name it."""
+    code = (
+        "import sys\n"
+        "for name in ('rasterio', 'pyproj', 'pyogrio', 'shapely'): sys.modules[name] = None\n"
+        "from termsel.__main__ import main\n"
+        "main()\n")
+
+    def without(*arguments: object) -> subprocess.CompletedProcess[str]:
+        return subprocess.run([sys.executable, "-c", code, *map(str, arguments)],
+                              capture_output=True, text=True, check=False)
+
+    for to in ("rpb", "rpc-txt", "rpc-vrt", "qgis-points", "orthority-geojson", "gcp-vrt",
+               "points-csv", "gcp-grid-vrt"):
+        done = without("export", folder, "--to", to, "--output", tmp_path / f"x-{to}")
+        assert done.returncode == 0, done.stderr
+        if to == "rpb":
+            assert "without rasterio GDAL was not asked" in done.stderr
+    for arguments in (
+            ("export", folder, "--to", "residuals-gpkg", "--output", tmp_path / "r.gpkg"),
+            ("export", folder, "--to", "geolocation-vrt", "--output", tmp_path / "g.vrt"),
+            ("rectify", folder, "scene.tif", "--height", 1, "--output", tmp_path / "m.tif")):
+        done = without(*arguments)
+        assert done.returncode == 2
+        assert 'pip install "termsel[gis]"' in done.stderr
+        assert "Traceback" not in done.stderr
