@@ -6,6 +6,7 @@ import json
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 import pytest
@@ -280,6 +281,27 @@ def test_an_image_without_rpc_and_one_that_is_none(tmp_path: Path) -> None:
         read_rpc(tmp_path / "b.tif")
 
 
+WHOLE = [rpb_text(_simple()).encode(), rpc_txt_text(_simple()).encode(),
+         vrt_text(Picture((8, 8)), Path(), domains={"RPC": rpc_items(_simple())}).encode(),
+         DIMAP_3.format(wrong="", right="").encode()]
+
+
+@given(st.sampled_from(WHOLE), st.integers(0, 3000), st.integers(0, 40),
+       st.binary(max_size=20) | st.text("0123456789.,;:=()<>/eE-+_ \n\tLINE_OFF", max_size=20).map(
+           str.encode))
+def test_whatever_is_cut_out_and_put_in_the_message_is_one(
+        whole: bytes, place: int, gone: int, put: bytes) -> None:
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "rpc"
+        path.write_bytes(whole[:place] + put + whole[place + gone:])
+        try:
+            rpc = read_rpc(path)
+        except TermselError as error:
+            assert str(path) in str(error)  # noqa: PT017
+        else:
+            assert np.isfinite(rpc.line_numerator).all()
+
+
 numbers = st.floats(-1e6, 1e6, allow_nan=False)
 twenty = st.tuples(*[numbers] * 20)
 
@@ -290,8 +312,6 @@ twenty = st.tuples(*[numbers] * 20)
     twenty, twenty.filter(any), twenty, twenty.filter(any), st.none() | st.floats(0, 1e3),
     st.none() | st.floats(0, 1e3)))
 def test_text_keeps_every_digit(rpc: Rpc) -> None:
-    from tempfile import TemporaryDirectory
-
     with TemporaryDirectory() as folder:
         for write in (rpb_text, rpc_txt_text):
             path = Path(folder) / "rpc"

@@ -119,7 +119,7 @@ def from_items(items: Mapping[str, str]) -> Rpc:
 
 def _number(text: str, name: str, line: int | None = None) -> float:
     try:
-        return float(text)
+        return float(text.replace("_", "?"))  # Python reads 1_000, no other program does
     except ValueError:
         hint = "Write a decimal point." if "," in text else None
         raise TermselError(f"{name} is {text!r}, which is not a number", line=line,
