@@ -8,7 +8,7 @@ import sys
 import numpy as np
 import pytest
 
-from termsel.criteria import CheckRmse
+from termsel.criteria import CheckRmse, Huber, Median
 from termsel.errors import TermselError
 from termsel.features import FeatureSet, FloatArray, Points
 from termsel.models.base import Blocks, RationalModel
@@ -87,7 +87,9 @@ SUITES: dict[str, tuple[Check, ...]] = {
        for solver in (Stepwise, TTest, NestedRegression, Lasso, Ridge)},
     "random": solver_checks(RandomSearch, expected_failures=NO_SEARCH),
     "all-terms": solver_checks(AllTerms, expected_failures=NO_SEARCH),
-    "check-rmse": criterion_checks(CheckRmse())}
+    "check-rmse": criterion_checks(CheckRmse()),
+    "median": criterion_checks(Median()),
+    "huber": criterion_checks(Huber())}
 
 
 @pytest.mark.parametrize("check", [

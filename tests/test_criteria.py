@@ -7,6 +7,7 @@ import json
 import math
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,17 @@ import pytest
 import termsel
 from termsel.adjustment.equations import Equations, line_normals
 from termsel.adjustment.leave_out import leave_one_out
-from termsel.criteria import POLE_MARGIN, CheckRmse, Criterion, Ebic, Fits, KFold, Press
+from termsel.criteria import (
+    POLE_MARGIN,
+    CheckRmse,
+    Criterion,
+    Ebic,
+    Fits,
+    Huber,
+    KFold,
+    Median,
+    Press,
+)
 from termsel.features import FeatureSet, Points, no_lines, no_points
 from termsel.io.csv_tables import write_points_csv
 from termsel.models.base import RationalModel, SensorModel
@@ -457,3 +468,30 @@ def test_fits_without_the_optional_parts_serve_the_check_rmse() -> None:
     fits = Fits(inputs.model, inputs.control.points, inputs.check, inputs.pixels, terms, x)
     assert CheckRmse().score(fits)[0] == pytest.approx(
         problem.evaluate(np.ones((1, problem.genome.size), dtype=bool)).objectives[0, 0])
+
+
+# Wrong check points
+
+
+@pytest.mark.parametrize("criterion", ["median", "huber"])
+def test_robust_criteria_bear_wrong_check_points(criterion: str) -> None:
+    scene = simulate_scene("ikonos-hamedan", n_lines=0)
+    roles = np.array(scene.points.roles)
+    image = scene.points.image.copy()
+    wrong = np.flatnonzero(roles == "check")[:5]
+    image[wrong] += np.random.default_rng(1).uniform(-300, 300, (5, 2))
+    spoilt = scene.with_(points=replace(scene.points, image=image))
+    given = {"model": "poly3d", "options": {"degree": 2, "population": 60}, "generations": 15}
+    found = {name: termsel.run("rfm-terms", features=spoilt, criterion=name, **given)
+             .rmse["independent"].total for name in (criterion, "check-rmse")}
+    assert found[criterion] < found["check-rmse"]
+    assert found[criterion] < 1.5
+
+
+def test_robust_criteria_are_rmse_for_normal_errors() -> None:
+    class Errors:
+        check_errors = np.random.default_rng(0).normal(0, 0.5, (2, 200_000, 2))
+
+    rmse = np.sqrt((Errors.check_errors**2).sum(axis=2).mean(axis=1))
+    np.testing.assert_allclose(Median().score(Errors), rmse, rtol=0.01)
+    np.testing.assert_allclose(Huber().score(Errors), rmse, rtol=0.06)

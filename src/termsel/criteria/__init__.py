@@ -3,5 +3,7 @@
 from termsel.criteria.base import POLE_MARGIN, CheckRmse, Criterion, Fits
 from termsel.criteria.cross_validation import KFold, Press
 from termsel.criteria.information import Ebic
+from termsel.criteria.robust import Huber, Median
 
-__all__ = ["POLE_MARGIN", "CheckRmse", "Criterion", "Ebic", "Fits", "KFold", "Press"]
+__all__ = ["POLE_MARGIN", "CheckRmse", "Criterion", "Ebic", "Fits", "Huber", "KFold", "Median",
+           "Press"]

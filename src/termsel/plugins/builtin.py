@@ -40,9 +40,9 @@ def termsel_problems() -> Iterable[Recipe]:
 @hookimpl
 def termsel_criteria() -> Iterable[Criterion]:
     """Return the built-in criteria."""
-    from termsel.criteria import CheckRmse, Ebic, KFold, Press
+    from termsel.criteria import CheckRmse, Ebic, Huber, KFold, Median, Press
 
-    return [CheckRmse(), Press(), KFold(), Ebic()]
+    return [CheckRmse(), Press(), KFold(), Ebic(), Median(), Huber()]
 
 
 @hookimpl
