@@ -9,6 +9,7 @@ from typing import Any
 from termsel.options import Option
 from termsel.problems.base import Problem
 from termsel.problems.selection import Inputs, SelectionProblem
+from termsel.problems.wishes import WISHES
 
 
 @dataclass(frozen=True)
@@ -74,7 +75,7 @@ RECOMMEND = Option(
     "the least second objective within one standard error of the best criterion; the knee; or "
     "the best criterion.", choices=("one-standard-error", "knee", "best"))
 
-OF_TERMS = (MASK, MIXED, OBJECTIVES, RECOMMEND)
+OF_TERMS = (MASK, MIXED, *WISHES, OBJECTIVES, RECOMMEND)
 OF_FEATURES = (MIXED, *COUNTS, OBJECTIVES, RECOMMEND)
 
 

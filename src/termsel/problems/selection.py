@@ -24,6 +24,7 @@ from termsel.problems.base import (
 from termsel.problems.enumeration import enumerable_parts
 from termsel.problems.objectives import OBJECTIVES, Chosen, centres
 from termsel.problems.spread import uncovered_share
+from termsel.problems.wishes import capped, forced, orphans, parents
 from termsel.roles import spatial_order
 
 GUARDED = 100
@@ -89,7 +90,7 @@ class SelectionProblem(Problem):
         self._gene_of_term: IntArray | None = None
         if terms:
             term_segments, self._gene_of_term = _term_segments(names, model.axis, mask)
-            segments += term_segments
+            segments += capped(term_segments, self._parts, inputs.options)
         self._n_term_genes = sum(len(s.labels) for s in segments)
         self._selects_features = features
         if features:
@@ -99,7 +100,11 @@ class SelectionProblem(Problem):
                     "predictions by all control features",
                     hint="Choose a model without such a step, such as --model poly3d.")
             segments.append(Segment("features", control.ids, *_feature_counts(inputs)))
-        self.genome = Genome(segments)
+        labels = tuple(label for segment in segments for label in segment.labels
+                       if segment.name != "features")
+        self.genome = Genome(segments, on=forced(inputs.options.get("force_on"), labels),
+                             off=forced(inputs.options.get("force_off"), labels))
+        self._pairs = parents(names) if inputs.options.get("hierarchy") else None
         self._refuse_hopeless(terms)
 
     def _refuse_hopeless(self, selects_terms: bool) -> None:
@@ -132,6 +137,8 @@ class SelectionProblem(Problem):
         violation += self._empty_axes(terms)
         violation += pole_violation(inputs.model, coefficients, self._guard)
         violation += self._lacking_spread(features)
+        if self._pairs is not None:
+            violation += orphans(terms, self._pairs)
         good = violation == 0
         score = np.full(len(genes), WORST)
         if good.any():
@@ -177,7 +184,7 @@ class SelectionProblem(Problem):
 
     def parts(self) -> tuple[EnumerablePart, ...]:
         """Return line and sample as parts that can be walked (see `Problem.parts`)."""
-        if self._gene_of_term is None or self._selects_features:
+        if self._gene_of_term is None or self._selects_features or self._pairs is not None:
             return super().parts()
         return enumerable_parts(self.inputs, self.equations, self.genome, self._gene_of_term,
                                 self._guard, POLE_MARGIN)

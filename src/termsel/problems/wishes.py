@@ -1,0 +1,110 @@
+"""What a user wants of any selection of terms: some always or never, few, with their parents."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from termsel.adjustment.parts import Part
+from termsel.errors import unknown_name
+from termsel.features import BoolArray, FloatArray, IntArray
+from termsel.models.polynomial import monomial_name
+from termsel.options import Option
+from termsel.problems.base import Segment
+
+WISHES = (
+    Option("force_on", None, "Terms that every selection has, with commas between: `line.num:X`, "
+           "`num:X` for both axes, or `X` wherever it stands."),
+    Option("force_off", None, "Terms that no selection has, in the same way."),
+    Option("hierarchy", False, "A monomial only together with those it contains, of one power "
+           "less, such as X2Y with XY and X2.", bool),
+    Option("max_share", None, "Most terms of line and of sample, as a share of their equations, "
+           "0 to 1; both together where they are coupled. By default as many as are "
+           "determined.", float, 0.0, 1.0),
+)
+"""Options of problems that select terms."""
+
+_MONOMIAL = re.compile(r"(?:([XYZ])(\d?))(?:([XYZ])(\d?))?(?:([XYZ])(\d?))?")
+
+
+def forced(wish: str | None, labels: tuple[str, ...]) -> list[str]:
+    """Return the labels of the genes that an option names.
+
+    Parameters
+    ----------
+    wish : str or None
+        Value of the option.
+    labels : tuple of str
+        Of all genes of terms, such as "line.num:X", or "num:X" for both axes.
+
+    Raises
+    ------
+    TermselError
+        For a name that no term has.
+    """
+    found: list[str] = []
+    for name in (part.strip() for part in (wish or "").split(",")):
+        if not name:
+            continue
+        named = [label for label in labels
+                 if label == name or label.endswith((f".{name}", f":{name}"))]
+        if not named:
+            raise unknown_name("term", name, labels)
+        found += named
+    return found
+
+
+def capped(segments: Iterable[Segment], parts: tuple[Part, ...], options: Mapping[str, Any],
+           ) -> list[Segment]:
+    """Return the segments of terms with a limit to how many are on.
+
+    Parameters
+    ----------
+    segments : iterable of Segment
+    parts : tuple of Part
+        Systems of equations of the terms.
+    options : mapping
+        With "max_share".
+    """
+    share = options.get("max_share")
+    if share is None:
+        return list(segments)
+    most = int(share * min(len(part.equations.b) for part in parts))
+    return [replace(segment, maximum=min(most, len(segment.labels))) for segment in segments]
+
+
+def parents(terms: tuple[str, ...]) -> tuple[IntArray, IntArray]:
+    """Return pairs of terms, the second a monomial of one power less in the first's block.
+
+    Parameters
+    ----------
+    terms : tuple of str
+        Such as "line.num:X2Y"; others have no parents.
+    """
+    index = {name: i for i, name in enumerate(terms)}
+    child, parent = [], []
+    for name, i in index.items():
+        prefix, colon, monomial = name.rpartition(":")
+        match = _MONOMIAL.fullmatch(monomial)
+        if not match:
+            continue
+        powers = {letter: int(power or 1) for letter, power in
+                  zip(match.groups()[::2], match.groups()[1::2], strict=True) if letter}
+        for letter in powers:
+            less = {**powers, letter: powers[letter] - 1}
+            x, y, z = (less.get(variable, 0) for variable in "XYZ")
+            above = index.get(f"{prefix}{colon}{monomial_name((x, y, z))}")
+            if above is not None:
+                child.append(i)
+                parent.append(above)
+    return np.array(child, dtype=np.intp), np.array(parent, dtype=np.intp)
+
+
+def orphans(terms: BoolArray, pairs: tuple[IntArray, IntArray]) -> FloatArray:
+    """Return how many terms in use lack a parent, each counted for every one, shape (p,)."""
+    child, parent = pairs
+    return np.asarray((terms[:, child] & ~terms[:, parent]).sum(axis=1), dtype=np.float64)
