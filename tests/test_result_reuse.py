@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -44,6 +45,26 @@ def test_read_again_with_lines(of_lines: Result, tmp_path: Path) -> None:
     assert again.residuals == of_lines.residuals
     assert len(again.features.lines) == 120
     assert len(again.residuals) == 2 * 120 + 24 + 26
+
+
+@pytest.mark.parametrize("how", [
+    {"strategy": "auto"}, {"solver": "ridge"}, {"solver": "stepwise"},
+    {"solver": "nsga2", "generations": 3}], ids=str)
+def test_read_again_whatever_found_it(how: dict[str, Any], tmp_path: Path) -> None:
+    result = termsel.run("rfm-terms", dataset="irs1c-mashad", **how)
+    again = _written(result, tmp_path)
+    assert again.to_json() == result.to_json()
+    assert again.residuals == result.residuals
+    assert np.array_equal(again.project(result.features.points.ground),
+                          result.project(result.features.points.ground))
+
+
+def test_lines_under_rational_functions(tmp_path: Path) -> None:
+    result = termsel.run("owdis-lines", model="rfm", generations=1,
+                         options={"order": 1, "population": 20, "polish": False})
+    again = _written(result, tmp_path)
+    assert again.to_json() == result.to_json()
+    assert again.residuals == result.residuals
 
 
 def test_blank_heights_and_roles_survive(tmp_path: Path) -> None:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from termsel.adjustment.solve import Adjustment
 from termsel.features import FeatureSet
-from termsel.fitting import Fit, Rmse
+from termsel.fitting import Fit, Rmse, fit
 from termsel.models.base import SensorModel
 from termsel.plugins.manager import registry
 from termsel.problems.base import Selection
@@ -36,8 +36,8 @@ def result_from(record: Mapping[str, Any], features: FeatureSet) -> Result:
     KeyError, TypeError, ValueError
         If the record is not one that `Result.to_dict` has made.
     """
-    fit = _fit(record, features)
-    chosen = record["selection"]
+    fitted, chosen = _fit(record, features), record["selection"]
+    residuals = residuals_of(fitted, by_roles(features), check_used=record["strategy"] is not None)
     return Result(
         **{name: record[name] for name in (
             "problem", "model", "solver", "criterion", "seed", "options", "data", "feasible",
@@ -47,9 +47,8 @@ def result_from(record: Mapping[str, Any], features: FeatureSet) -> Result:
         rmse=_rmse(record["rmse"]),
         baselines=tuple(Baseline(b["name"], b["n_terms"], tuple(b["fitted_to"]), b["determined"],
                                  _rmse(b["rmse"]), b["predicted"]) for b in record["baselines"]),
-        notes=tuple(record["notes"]), fit=fit,
-        residuals=residuals_of(fit, by_roles(features), check_used=record["strategy"] is not None),
-        features=features, front=tuple(record["front"]))
+        notes=tuple(record["notes"]), fit=fitted, residuals=residuals, features=features,
+        front=tuple(record["front"]))
 
 
 def _fit(record: Mapping[str, Any], features: FeatureSet) -> Fit:
@@ -62,16 +61,17 @@ def _fit(record: Mapping[str, Any], features: FeatureSet) -> Fit:
         coefficients[term] = value
         deviations[term] = _float(record["standard_deviations"][name])
     control = by_roles(features).control
-    equations = model.equations(scaling.features(control))
-    said = record["adjustment"]
-    adjustment = Adjustment(
-        coefficients, equations.b - equations.A @ coefficients, deviations, said["terms"],
-        said["equations"], said["rank"],
-        float("inf") if said["condition"] is None else said["condition"],
-        _float(said["sigma0"]) / scaling.image_scale)
     terms = np.array([name in record["coefficients"] for name in model.terms])
     used = np.isin(control.ids, record["selection"]["features"])
-    return Fit(model, scaling, control, terms, used, adjustment)
+    fitted, said = fit(model, control, scaling, terms, used), record["adjustment"]
+    if not np.allclose(fitted.adjustment.coefficients, coefficients):
+        fitted = fitted.with_coefficients(coefficients)  # a solver's own, such as those of ridge
+    # The figures of the record, whatever the rounding of this machine.
+    return replace(fitted, adjustment=replace(
+        fitted.adjustment, coefficients=coefficients, deviations=deviations,
+        n_terms=said["terms"], n_equations=said["equations"], rank=said["rank"],
+        condition=float("inf") if said["condition"] is None else said["condition"],
+        sigma0=_float(said["sigma0"]) / scaling.image_scale))
 
 
 def _rmse(plain: Mapping[str, Any]) -> dict[str, Rmse | None]:
