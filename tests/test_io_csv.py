@@ -122,6 +122,18 @@ def test_sigma(tmp_path: Path) -> None:
     assert none.points.sigma is None
 
 
+def test_sigma_of_lines(tmp_path: Path) -> None:
+    header, row = LINES.strip() + ",sigma\n", L.strip()
+    lines = read(tmp_path, f"{header}{row},0.25\n").lines
+    np.testing.assert_array_equal(lines.sigma, [0.25])
+    assert read(tmp_path, f"{header}{row},\n").lines.sigma is None
+    for cell, column, words in ((",", "sigma", "blank here but not everywhere"),
+                                (",-1", None, "not positive")):
+        error = refusal(tmp_path, f"{header}{row},1\nm,1,2,3,5,5,44,10,5.1,44.2,20{cell}\n")
+        assert (error.line, error.column) == (3, column)
+        assert words in str(error)
+
+
 def test_disabled_points_are_off(tmp_path: Path) -> None:
     text = "id,line,sample,x,y,z,enabled\na,1,2,3,4,5,0\nb,1,2,3,5,5,\nc,1,2,3,6,5,TRUE\n"
     assert read(tmp_path, text).points.roles == ("off", "", "")
@@ -287,7 +299,8 @@ def lines(draw: st.DrawFn) -> Lines:
     xy = draw(arrays(float, (n, 2, 2), elements=numbers, unique=True))
     z = draw(arrays(float, (n, 2, 1), elements=st.one_of(numbers, st.just(np.nan))))
     image = draw(arrays(float, (n, 2, 2), elements=numbers, unique=True))
-    return Lines(tuple(ids), image, np.concatenate([xy, z], axis=2))
+    sigma = draw(st.none() | arrays(float, n, elements=st.floats(1e-9, 1e9)))
+    return Lines(tuple(ids), image, np.concatenate([xy, z], axis=2), sigma)
 
 
 @settings(max_examples=60, deadline=None)
@@ -317,6 +330,10 @@ def test_lines_round_trip(tmp_path_factory: pytest.TempPathFactory, written: Lin
     assert features.lines.ids == written.ids
     np.testing.assert_array_equal(features.lines.image, written.image)
     np.testing.assert_array_equal(features.lines.ground, written.ground)
+    if written.sigma is None:
+        assert features.lines.sigma is None
+    else:
+        np.testing.assert_array_equal(features.lines.sigma, written.sigma)
 
 
 @settings(max_examples=200, deadline=None)

@@ -168,8 +168,9 @@ def _checksum(features: FeatureSet) -> str:
     """Return a checksum of all that was read, whatever file it came in."""
     digest = hashlib.sha256(features.crs.encode())
     digest.update("\n".join(features.points.roles).encode())
-    if features.points.sigma is not None:
-        digest.update(features.points.sigma.tobytes())
+    for sigma in (features.points.sigma, features.lines.sigma):
+        if sigma is not None:
+            digest.update(sigma.tobytes())
     for part in (features.points, features.lines):
         digest.update("\n".join(part.ids).encode())
         digest.update(part.image.tobytes())

@@ -73,7 +73,7 @@ class AspGcp(Reader):
         table = Table(path, "", _READ, {key: cells_of[name] for key, name in _READ.items()},
                       lines, decimal_comma=False)
         return FeatureSet(table.points(table.stack("line", "sample"), table.stack("x", "y", "z"),
-                                       table.sigma(), ()), crs="")
+                                       table.sigma("sigma_line", "sigma_sample"), ()), crs="")
 
 
 def _idle(line: str) -> bool:

@@ -27,7 +27,7 @@ COORDINATES = {
 }
 _POINTS = USE | COORDINATES | {
     "sigma_line": ("sigma_line", "sigma_px"), "sigma_sample": ("sigma_sample", "sigma_px")}
-LINES = USE | {
+LINES = USE | {"sigma": ("sigma", "sigma_px")} | {
     f"{meaning}{end}": tuple(f"{alias}{end}" for alias in aliases)
     for end in "12" for meaning, aliases in COORDINATES.items()}
 
@@ -50,7 +50,8 @@ class PointsCsv(Reader):
         """Return the points of a table; errors name file, line and column."""
         table = read_table(path, self._aliases())
         image, ground = table.stack("line", "sample"), table.stack("x", "y", "z")
-        return FeatureSet(table.points(image, ground, table.sigma(), table.roles()),
+        return FeatureSet(table.points(image, ground, table.sigma("sigma_line", "sigma_sample"),
+                                       table.roles()),
                           crs=table.crs)
 
 
@@ -58,7 +59,7 @@ class LinesCsv(Reader):
     """Lines by two image points and two ground vertices, which are not conjugate."""
 
     name = "lines-csv"
-    summary = "lines as a table headed id,line1,sample1,line2,sample2,x1,y1,z1,x2,y2,z2"
+    summary = "lines as a table headed id,line1,sample1,line2,sample2,x1,y1,z1,x2,y2,z2[,sigma]"
     declared_options = (COLUMNS,)
 
     def sniff(self, path: Path, head: bytes) -> bool:
@@ -79,8 +80,9 @@ class LinesCsv(Reader):
         ids = table.ids()
         image = table.stack("line1", "sample1", "line2", "sample2").reshape(-1, 2, 2)
         ground = table.stack("x1", "y1", "z1", "x2", "y2", "z2").reshape(-1, 2, 3)
+        sigma = table.sigma("sigma")
         try:
-            lines = Lines(tuple(ids), image, ground)
+            lines = Lines(tuple(ids), image, ground, None if sigma is None else sigma[:, 0])
         except TermselError as error:
             raise table.placed(error) from error
         if "off" in roles:
@@ -127,9 +129,18 @@ def write_lines_csv(lines: Lines, path: Path | str, crs: str = "") -> None:
     TermselError
         If the file cannot be written.
     """
-    header = ["id", "line1", "sample1", "line2", "sample2", "x1", "y1", "z1", "x2", "y2", "z2"]
-    values = np.concatenate([lines.image.reshape(-1, 4), lines.ground.reshape(-1, 6)], axis=1)
-    write_table(path, crs, header, [[name] for name in lines.ids], values)
+    header, values = line_columns(lines)
+    write_table(path, crs, ["id", *header], [[name] for name in lines.ids], values)
+
+
+def line_columns(lines: Lines) -> tuple[list[str], FloatArray]:
+    """Return the columns of numbers that hold lines in a table, headings and values."""
+    header = ["line1", "sample1", "line2", "sample2", "x1", "y1", "z1", "x2", "y2", "z2"]
+    columns = [lines.image.reshape(-1, 4), lines.ground.reshape(-1, 6)]
+    if lines.sigma is not None:
+        header.append("sigma")
+        columns.append(lines.sigma[:, None])
+    return header, np.concatenate(columns, axis=1)
 
 
 def write_table(path: Path | str, crs: str, header: list[str], texts: list[list[str]],

@@ -14,7 +14,7 @@ from termsel.errors import TermselError
 from termsel.features import BoolArray, FloatArray
 from termsel.io.atomic import write_text
 from termsel.io.base import Writer
-from termsel.io.csv_tables import write_table
+from termsel.io.csv_tables import line_columns, write_table
 from termsel.io.vrt import IMAGE, Gcp, picture_for, vrt_text
 from termsel.options import Option
 from termsel.result import Result
@@ -177,13 +177,12 @@ class LinesTable(Writer):
         """Write a table; lines that were not selected have 0 in the column enabled."""
         _require_accepted(self, result, path, "It has no control lines; points-csv takes points.")
         lines, chosen = result.fit.control.lines, _used(result)
-        header = ["id", "role", "enabled", "line1", "sample1", "line2", "sample2", "x1", "y1", "z1",
-                  "x2", "y2", "z2", "residual1", "residual2"]
+        header, values = line_columns(lines)
         distances = np.linalg.norm(result.fit.line_errors(), axis=-1)
-        values = np.concatenate([lines.image.reshape(-1, 4), lines.ground.reshape(-1, 6),
-                                 distances], axis=1)
         texts = [[name, "control", str(int(name in chosen))] for name in lines.ids]
-        write_table(path, result.features.crs, header, texts, values)
+        write_table(path, result.features.crs,
+                    ["id", "role", "enabled", *header, "residual1", "residual2"], texts,
+                    np.concatenate([values, distances], axis=1))
 
 
 def wkt(crs: str) -> str:

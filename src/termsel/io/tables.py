@@ -32,7 +32,7 @@ COLUMNS = Option("columns", "", "Columns by other names, as meaning:name, such a
                  "x:Rechtswert,y:Hochwert.")
 """The option of readers of tables that `declared` takes."""
 
-_OPTIONAL = frozenset({"role", "enabled", "sigma_line", "sigma_sample"})
+_OPTIONAL = frozenset({"role", "enabled", "sigma_line", "sigma_sample", "sigma"})
 _ENABLED = {"": True, "1": True, "true": True, "yes": True, "on": True,
             "0": False, "false": False, "no": False, "off": False}
 _DECLARATION = re.compile(r"#\s*(crs|units?)\s*[:=]\s*(.*\S)", re.IGNORECASE)
@@ -112,18 +112,18 @@ class Table:
                 roles[row] = "off"
         return roles
 
-    def sigma(self) -> FloatArray | None:
-        """Return standard deviations of line and sample, None where there are none at all."""
-        if "sigma_line" not in self.columns:
+    def sigma(self, *meanings: str) -> FloatArray | None:
+        """Return columns of standard deviations, None where there are none at all."""
+        if meanings[0] not in self.columns:
             return None
-        sigma = self.stack("sigma_line", "sigma_sample", may_be_blank=True)
+        sigma = self.stack(*meanings, may_be_blank=True)
         blank = np.isnan(sigma)
         if blank.all():
             return None
         if blank.any():
             row, axis = (int(i) for i in np.argwhere(blank)[0])
             raise self.error("the standard deviation is blank here but not everywhere", row,
-                             ("sigma_line", "sigma_sample")[axis],
+                             meanings[axis],
                              "Fill it in every row, or leave the columns out.")
         return sigma
 

@@ -271,7 +271,8 @@ def _require_same(found: FeatureSet, expected: FeatureSet, what: str) -> None:
         ("ground coordinates of points", found.points.ground, expected.points.ground),
         ("standard deviations", found.points.sigma, expected.points.sigma),
         ("image coordinates of lines", found.lines.image, expected.lines.image),
-        ("ground coordinates of lines", found.lines.ground, expected.lines.ground))
+        ("ground coordinates of lines", found.lines.ground, expected.lines.ground),
+        ("standard deviations of lines", found.lines.sigma, expected.lines.sigma))
     for name, mine, other in pairs:
         if isinstance(mine, np.ndarray) and isinstance(other, np.ndarray):
             same = mine.shape == other.shape and np.allclose(mine, other, rtol=1e-12, atol=1e-9,
