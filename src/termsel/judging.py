@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from termsel.criteria import Criterion
+from termsel.extrapolation import warnings_of
 from termsel.fitting import Fit, Rmse
 from termsel.problems.base import Genome
 from termsel.roles import Observations
@@ -179,5 +180,6 @@ def notes_on(observations: Observations, criterion: Criterion, found: Search,
             and independent.total > 1.5 * check.total):
         yield (f"The independent RMSE is {independent.total / check.total:.1f} times the check "
                "RMSE: the selection is fitted to the check points.")
+    yield from warnings_of(observations.control, chosen.used, observations.check)
     if chosen.adjustment.redundancy == 0:
         yield "The adjustment has no redundancy: its residuals say nothing."

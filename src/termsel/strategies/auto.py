@@ -11,7 +11,8 @@ import numpy as np
 from termsel.assessing import data_of, versions
 from termsel.baselines import compare, figures, has_heights, in_role, together
 from termsel.errors import TermselError
-from termsel.features import select
+from termsel.extrapolation import warnings_of
+from termsel.features import FeatureSet, no_points, select
 from termsel.judging import PLAIN, judge_choice
 from termsel.problems.base import Selection
 from termsel.problems.recipes import Recipe
@@ -104,7 +105,7 @@ def choose_for(task: Task, seed: int) -> Result:
         selection=Selection(select(model.terms, fitted.terms), observations.control.ids),
         feasible=True, rmse=rmse, baselines=baselines,
         judgement=judge_choice(chosen.name, predicted, rmse, baselines, task.features.noise),
-        notes=tuple(_notes(task, predicted)), objectives={"press": chosen.predicted},
+        notes=tuple(_notes(task, both, predicted)), objectives={"press": chosen.predicted},
         evaluations=len(portfolio(heights)) * (1 + folds), lookups=0, generations=0,
         seconds=time.perf_counter() - start, interrupted=False, polish=None, fit=fitted,
         residuals=residuals_of(fitted, observations, check_used=True),
@@ -118,8 +119,8 @@ def choose_for(task: Task, seed: int) -> Result:
                  "predicted": one.predicted} for one in candidates]})
 
 
-def _notes(task: Task, predicted: float | None) -> list[str]:
-    notes = []
+def _notes(task: Task, both: FeatureSet, predicted: float | None) -> list[str]:
+    notes = [*warnings_of(both, np.ones(len(both), dtype=bool), no_points())]
     if predicted is None:
         notes.append("The points are too few to repeat the choice without some of them, so it "
                      "predicts no accuracy.")

@@ -1,0 +1,39 @@
+"""Warnings of places far outside the control."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+import termsel
+from termsel.extrapolation import beyond
+from termsel.features import FeatureSet
+from termsel.simulate import simulate_scene
+
+SQUARE = np.array([(0.0, 0.0), (0.0, 10.0), (10.0, 0.0), (10.0, 10.0), (5.0, 5.0)])
+
+
+def test_distances_from_a_square() -> None:
+    places = np.array([(5.0, 5.0), (10.0, 3.0), (15.0, 5.0), (-2.0, 20.0)])
+    np.testing.assert_allclose(beyond(SQUARE, places), [0, 0, 0.5, 1.0], atol=1e-12)
+
+
+def test_control_without_a_hull_reaches_nothing() -> None:
+    assert np.isinf(beyond(np.arange(6.0).reshape(3, 2), SQUARE)).all()
+    assert np.isinf(beyond(SQUARE[:2], SQUARE)).all()
+
+
+def test_control_in_one_corner_is_warned_of() -> None:
+    scene = simulate_scene("ikonos-hamedan", n_points=90, n_lines=0)
+    near = (scene.points.image < 3000).all(axis=1)
+    roles = np.where(near, "control", "check").astype(object)
+    roles[::3] = "independent"
+    corner = FeatureSet(replace(scene.points, roles=tuple(roles)), image_size=scene.image_size)
+    found = termsel.run("rfm-terms", model="affine", solver="all-terms", features=corner)
+    assert any("check points and 3 of 4 corners of the image lie far outside" in note
+               for note in found.notes)
+
+
+def test_control_over_the_scene_is_not() -> None:
+    assert not any("Extrapolation" in note for note in termsel.run("rfm-terms").notes)

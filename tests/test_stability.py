@@ -1,0 +1,80 @@
+"""Frequencies of terms over points shared out anew."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+import termsel
+from termsel.cli.main import cli
+from termsel.features import FeatureSet, Points
+from termsel.models.polynomial import Polynomial3D
+from termsel.stability import stability
+
+QUICK = {"model": "poly3d", "solver": "exact", "criterion": "press", "repeats": 4,
+         "options": {"degree": 2}}
+
+
+def few_terms(n: int = 90) -> tuple[FeatureSet, set[str]]:
+    """Points of a model with one quadratic term an axis."""
+    rng = np.random.default_rng(0)
+    ground = rng.uniform(-1, 1, (n, 3))
+    model = Polynomial3D(degree=2)
+    affine = {name for name in model.terms if name.split(":")[1] in {"1", "X", "Y", "Z"}}
+    wanted = affine | {"line.num:XY", "sample.num:Z2"}
+    truth = np.array([rng.uniform(20, 50) if name in wanted else 0.0 for name in model.terms])
+    image = model.project(truth, ground) + rng.normal(0, 0.1, (n, 2))
+    roles = ("control", "check", "independent") * (n // 3)
+    return FeatureSet(Points(tuple(f"P{i}" for i in range(n)), image, ground, None, roles)), wanted
+
+
+def test_terms_that_are_there_are_always_selected() -> None:
+    features, wanted = few_terms()
+    found = stability("rfm-terms", features=features, **QUICK)
+    always = {name for name, share in zip(found.terms, found.frequency, strict=True) if share == 1}
+    assert wanted <= always
+    assert found.frequency.mean() < 1
+    assert wanted <= set(found.stable)
+    assert found.determined
+    assert found.rmse["independent"].total < 0.2
+
+
+def test_repetitions_differ_and_repeat_themselves() -> None:
+    features, _ = few_terms()
+    first, second = (stability("rfm-terms", features=features, seed=3, **QUICK) for _ in range(2))
+    np.testing.assert_array_equal(first.selections, second.selections)
+    assert len(np.unique(first.selections, axis=0)) > 1
+
+
+def test_independent_points_take_no_part() -> None:
+    features, _ = few_terms()
+    independent = np.array(features.points.roles) == "independent"
+    moved = replace(features.points, image=features.points.image + 9.0 * independent[:, None])
+    one, other = (stability("rfm-terms", features=each, **QUICK)
+                  for each in (features, FeatureSet(moved)))
+    np.testing.assert_array_equal(one.selections, other.selections)
+    assert one.rmse["check"] == other.rmse["check"]
+
+
+@pytest.mark.parametrize(("problem", "more", "message"), [
+    ("owdis-points", {}, "selects features"), ("owdis-lines-terms", {}, "selects features"),
+    ("poly-terms", {"repeats": 1}, "say nothing"), ("poly-terms", {"threshold": 0}, "say nothing")])
+def test_what_it_is_not_for(problem: str, more: dict, message: str) -> None:
+    with pytest.raises(termsel.TermselError, match=message):
+        stability(problem, evaluations=50, **more)
+
+
+def test_command() -> None:
+    words = ["stability", "--problem", "rfm-terms", "--model", "poly3d", "--set", "degree=2",
+             "--repeats", "3", "--evaluations", "200"]
+    done = CliRunner().invoke(cli, words)
+    assert done.exit_code == 0, done.output
+    assert "line.num:X" in done.output
+    assert "3 selections of" in done.output
+    record = json.loads(CliRunner().invoke(cli, [*words, "--json"]).stdout)
+    assert record["repeats"] == 3
+    assert set(record["frequency"]) == set(Polynomial3D(degree=2).terms)
