@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 
@@ -73,3 +75,25 @@ def test_no_more_terms_than_the_share(solver: str) -> None:
     counts = [sum(term.startswith(axis) for term in found.selection.terms)
               for axis in ("line", "sample")]
     assert max(counts) <= 24 // 4
+
+
+def test_coefficients_are_shrunk_after_the_selection() -> None:
+    given = {"model": "poly3d", "solver": "all-terms"}
+    plain, shrunk = (termsel.run("rfm-terms", options={"degree": 3, "shrink": shrink}, **given)
+                     for shrink in (False, True))
+    assert plain.selection == shrunk.selection
+    order = np.array([sum(int(power or 1) for power in re.findall(r"[XYZ](\d?)", name))
+                      for name in plain.fit.model.terms])
+    one, other = (found.fit.adjustment.coefficients for found in (plain, shrunk))
+    assert np.linalg.norm(other[order == 3]) < np.linalg.norm(one[order == 3])
+    np.testing.assert_allclose(other[order == 1], one[order == 1], rtol=0.02, atol=5e-3)
+    assert shrunk.rmse["independent"].total < plain.rmse["independent"].total
+    assert not shrunk.objectives
+
+
+def test_with_nothing_to_shrink_it_is_least_squares() -> None:
+    given = {"model": "affine", "solver": "all-terms"}
+    plain, shrunk = (termsel.run("rfm-terms", options={"shrink": shrink}, **given)
+                     for shrink in (False, True))
+    np.testing.assert_allclose(shrunk.fit.adjustment.coefficients,
+                               plain.fit.adjustment.coefficients, atol=1e-10)

@@ -21,6 +21,7 @@ from termsel.residuals import residuals_of
 from termsel.result import LEAVE_ONE_OUT, Result, plain_rmse
 from termsel.roles import with_roles
 from termsel.searching import Search
+from termsel.shrinking import shrunken_coefficients
 from termsel.solvers.exact import gap
 
 if TYPE_CHECKING:
@@ -41,6 +42,9 @@ def assess(task: Task, found: Search) -> Result:
     selection = task.problem.decode(found.genes)
     chosen = fit_of(task, selection)
     objectives, feasible = found.objectives.tolist(), found.violation == 0
+    if task.options["problem"].get("shrink"):
+        found = replace(found, coefficients=shrunken_coefficients(
+            task.model, task.scaling.features(observations.control), chosen.terms, chosen.used))
     if found.coefficients is not None:
         chosen = chosen.with_coefficients(found.coefficients)
         guard = guard_points(task.scaling.features(observations.control),

@@ -25,6 +25,8 @@ WISHES = (
     Option("max_share", None, "Most terms of line and of sample, as a share of their equations, "
            "0 to 1; both together where they are coupled. By default as many as are "
            "determined.", float, 0.0, 1.0),
+    Option("shrink", False, "Shrink the coefficients of the selection by ridge regression, the "
+           "more the higher the order of a term.", bool),
 )
 """Options of problems that select terms."""
 
