@@ -68,7 +68,8 @@ def point_rows(result: Result, task: running.Task) -> list[dict[str, Any]]:
 
 def bar_rows(result: Result) -> list[dict[str, Any]]:
     """Return the RMSE of independent points for each fit."""
-    plain = {b.name: b.rmse["independent"].total for b in result.baselines}
+    plain = {b.name: b.rmse["independent"].total for b in result.baselines
+             if b.rmse["independent"]}
     bars = [
         (f"all {len(result.fit.control)} lines", plain["all-terms"], UNUSED),
         ("quadratic, plain", plain["quadratic"], UNUSED),

@@ -7,16 +7,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from termsel.criteria import Press
-from termsel.features import FeatureSet, Points, no_points
+from termsel.features import FeatureSet, Points
 from termsel.fitting import Fit, Rmse, fit
 from termsel.models.rational import RationalFunctions
-from termsel.problems.selection import Inputs, SelectionProblem
 from termsel.result import LEAVE_ONE_OUT, Baseline
 from termsel.roles import Observations
 from termsel.scaling import scaling_of
-from termsel.solvers.regression import regressions
-from termsel.solvers.shrinkage import shrink
+from termsel.shrinking import shrunken_coefficients
 from termsel.strategies.portfolio import SELECTED, SHRUNK, Choice, choose
 
 BOTH = ("control", "check")
@@ -89,7 +86,7 @@ def _join(first: Points, second: Points) -> Points:
 
 
 def _rational(both: FeatureSet) -> Iterator[tuple[str, Fit]]:
-    """Yield the full RFM and, for points, its ridge estimate.
+    """Yield the full RFM and its ridge estimate (see `shrunken_coefficients`).
 
     The second-order one is among the candidates; one with a pole, which is not, is fitted here
     as well, as its figures are worth seeing.
@@ -99,16 +96,10 @@ def _rational(both: FeatureSet) -> Iterator[tuple[str, Fit]]:
         fitted = fit(RationalFunctions(order=order), both, scaling)
         if fitted.adjustment.feasible and fitted.adjustment.redundancy > 0:
             yield name, fitted
-    if len(both.lines):
-        return
     model = RationalFunctions()
-    problem = SelectionProblem(
-        Inputs(model, scaling.features(both), no_points(), scaling.image_scale, Press()),
-        terms=True, features=False)
-    coefficients = np.zeros(len(model.terms))
-    for part in regressions(problem):
-        coefficients[part.genes] = shrink(part, part.free | part.kept, "gcv")[0][0]
-    yield "ridge", fit(model, both, scaling).with_coefficients(coefficients)
+    everything = fit(model, both, scaling)
+    yield "ridge", everything.with_coefficients(shrunken_coefficients(
+        model, scaling.features(both), everything.terms, everything.used))
 
 
 def baseline(name: str, fitted: Fit, predicted: float | None, observations: Observations,

@@ -9,9 +9,9 @@ import numpy as np
 from termsel.features import BoolArray, FeatureSet, FloatArray, Points
 from termsel.problems.objectives import centres
 
-FAR = 0.25
+FAR = 0.5
 """Distance from the hull of the control, by the hull's longer side, from which on a place counts
-as far outside: a quadratic term is then 2.25 times what it is at the hull's edge."""
+as far outside: a quadratic term is then 4 times what it is at the hull's edge."""
 
 
 def beyond(control: FloatArray, places: FloatArray) -> FloatArray:

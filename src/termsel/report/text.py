@@ -103,6 +103,8 @@ def _table(result: Result) -> Iterator[str]:
                "corrects by control")
     if any("check" in b.fitted_to for b in result.baselines):
         yield "* fitted to control and check together; its check figure is a fit"
+    if any(not any(b.rmse.values()) for b in result.baselines):
+        yield "- not determined with redundancy"
     if result.strategy:
         yield "independent = the accuracy"
     elif result.criterion == "check-rmse":
