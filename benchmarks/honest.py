@@ -166,15 +166,18 @@ def rows(wanted: list[str], counts: list[int], splits: int, processes: int) -> I
 
 def table(found: list[Row]) -> str:
     """Return the figures of every set and number of points."""
-    lines = ["| set | points | best plain | px | auto px | ratio | worst split | "
-             "independent / predicted | seconds |", "|---|---:|---|---:|---:|---:|---:|---:|---:|"]
-    for row in found:
-        name, value = row.best
-        lines.append(
-            f"| {row.name} | {row.count} | {name} | {value:.2f} | "
+    return "\n".join([
+        "| set | points | best plain | px | auto px | ratio | worst split | "
+        "independent / predicted | seconds |", "|---|---:|---|---:|---:|---:|---:|---:|---:|",
+        *map(line, found)])
+
+
+def line(row: Row) -> str:
+    """Return a row of the table."""
+    name, value = row.best
+    return (f"| {row.name} | {row.count} | {name} | {value:.2f} | "
             f"{median(s.auto for s in row.splits):.2f} | {row.ratio:.2f} | {row.worst:.2f} | "
             f"{row.honesty:.2f} | {median(s.seconds for s in row.splits):.1f} |")
-    return "\n".join(lines)
 
 
 def verdict(found: list[Row]) -> str:
@@ -267,7 +270,12 @@ def main() -> None:
     parser.add_argument("--write", action="store_true", help="write docs/honest-accuracy.md")
     asked = parser.parse_args()
     wanted = asked.names or names()
-    found = list(rows(wanted, asked.counts, asked.splits, asked.processes))
+    papers_table = against_papers(wanted, asked.processes)
+    constants = sensitivity(wanted, min(asked.splits, 4))
+    found = []
+    for row in rows(wanted, asked.counts, asked.splits, asked.processes):
+        found.append(row)
+        sys.stderr.write(line(row) + "\n")
     text = f"""# Honest accuracy
 
 Made by `python -m benchmarks.honest --write`: {asked.splits} splits of each set and number of
@@ -286,7 +294,7 @@ machine.
 `rfm-terms` with `--solver ga` on check RMSE (`poly-terms` where there are no heights), half of the
 points as check, {GA_SPLITS} splits of {', '.join(map(str, GA_COUNTS))} points.
 
-{against_papers(wanted, asked.processes)}
+{papers_table}
 
 ## Constants
 
@@ -294,7 +302,7 @@ The median over splits of auto's independent RMSE by that of the best plain stru
 split, at 12, 20 and 40 points, with each constant of `termsel.strategies.averaging` halved and
 doubled.
 
-{sensitivity(wanted, min(asked.splits, 4))}
+{constants}
 
 ## All sets
 
