@@ -22,6 +22,7 @@ TOLERANCE = 1e-6
 _STEPS, _KEPT = 24, 3
 _SECANTS, _HALVINGS = 20, 40
 _AT_SURFACE, _CLOSE = 1e-6, 1e-3  # in the unit of height; both far less than a pixel
+_FAR = 5.0  # half-ranges
 _DIFFERENCE = 1e-4  # of the half-range: central differences leave about 1e-8 of a derivative
 
 
@@ -73,7 +74,11 @@ def locate(
         ground[:, 2] = height
     inverse = _inverse(project, ground, unit)
     ground = _newton(project, image, ground, unit, inverse)
-    return _meet(project, image, height, ground, unit, inverse) if callable(height) else ground
+    if callable(height):
+        ground = _meet(project, image, height, ground, unit, inverse)
+    # Higher polynomials have other places, far away, that would be seen there too.
+    ground[(np.abs(ground[:, :2] - middle[:2]) > _FAR * unit[:2]).any(axis=1)] = np.nan
+    return ground
 
 
 def _newton(project: Projection, image: FloatArray, ground: FloatArray, unit: FloatArray,
