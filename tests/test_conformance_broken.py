@@ -19,6 +19,7 @@ from termsel.models.polynomial import Affine, Polynomial2D
 from termsel.models.rational import RationalFunctions
 from termsel.options import Option
 from termsel.problems.base import Evaluation, Problem
+from termsel.scaling import Scaling
 from termsel.searching import Ledger
 from termsel.solvers.base import Generation, Solver
 from termsel.solvers.baselines import RandomSearch
@@ -180,6 +181,14 @@ class Dice(Affine):
         return found
 
 
+class Settles(Affine):
+    """Moves to the place it is prepared for."""
+
+    def prepared(self, scaling: Scaling, crs: str) -> Settles:
+        self.scaling, self.crs = scaling, crs
+        return self
+
+
 class Lambda(Affine):
     """Keeps a function."""
 
@@ -234,6 +243,7 @@ BROKEN_MODELS = [
     (OneAtATime, "project_shapes", r"must have shape \(1, 0, 2\), not \(0, 2\)"),
     (Relative, "batch_project", "alone than among others"),
     (Dice, "deterministic", "differ from one call"),
+    (Settles, "prepared", "changes the model itself"),
     (Lambda, "picklable", "another process"),
     (NeedsTerms, "masks_stay_finite", "ValueError was raised: too few terms"),
     (NotFlat, "height", "uses_height is False, but"),

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 __version__ = "0.1.0"
 
 if TYPE_CHECKING:
-    from termsel.adjustment import Equations, line_normals
+    from termsel.adjustment import Equations, image_equations, line_normals
     from termsel.criteria import Criterion, Fits
     from termsel.datasets import DatasetSpec
     from termsel.errors import TermselError
@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from termsel.result import Result
     from termsel.rpc import Rpc
     from termsel.running import Task, prepare, run
+    from termsel.scaling import Scaling
     from termsel.searching import Search, search
     from termsel.simulate import simulate_scene
     from termsel.solvers import Generation, Solver
@@ -56,6 +57,7 @@ _HOME = {
     "Recipe": "termsel.problems.recipes",
     "Result": "termsel.result",
     "Rpc": "termsel.rpc",
+    "Scaling": "termsel.scaling",
     "Search": "termsel.searching",
     "Segment": "termsel.problems.base",
     "Selection": "termsel.problems.base",
@@ -66,6 +68,7 @@ _HOME = {
     "TermselError": "termsel.errors",
     "Writer": "termsel.io.base",
     "hookimpl": "termsel.plugins",
+    "image_equations": "termsel.adjustment",
     "line_normals": "termsel.adjustment",
     "prepare": "termsel.running",
     "read": "termsel.io.reading",
@@ -98,6 +101,7 @@ __all__ = [
     "Recipe",
     "Result",
     "Rpc",
+    "Scaling",
     "Search",
     "Segment",
     "Selection",
@@ -109,6 +113,7 @@ __all__ = [
     "Writer",
     "__version__",
     "hookimpl",
+    "image_equations",
     "line_normals",
     "prepare",
     "read",

@@ -152,19 +152,28 @@ def fit(model: SensorModel, control: FeatureSet, scaling: Scaling,
     """
     terms = np.ones(len(model.terms), dtype=bool) if terms is None else terms
     used = np.ones(len(control), dtype=bool) if used is None else used
-    scaled = scaling.features(control)
-    first = solve(model.equations(scaled), terms, used)
+    model = model.prepared(scaling, control.crs)
     return Fit(model, scaling, control, terms, used,
-               _converged(model, scaled, terms, used, first))
+               adjust(model, scaling.features(control), terms, used))
 
 
-def _converged(model: SensorModel, features: FeatureSet, terms: BoolArray, used: BoolArray,
-               adjustment: Adjustment) -> Adjustment:
-    """Go on from a first solution to the least squares of distances (Gauss-Newton).
+def adjust(model: SensorModel, features: FeatureSet, terms: BoolArray,
+           used: BoolArray) -> Adjustment:
+    """Return the least squares of distances, by Gauss-Newton where equations are not exact.
 
     A step that does not lessen the sum of squared distances is halved, and where that does not
     help the search ends.
+
+    Parameters
+    ----------
+    model : SensorModel
+        Prepared for the features.
+    features : FeatureSet
+        In scaled coordinates.
+    terms, used : ndarray of bool
+        As for `fit`.
     """
+    adjustment = solve(model.equations(features), terms, used)
     rows = used[np.repeat(features.feature, 2)]
     equations = (model.linearised(features, adjustment.coefficients)
                  if adjustment.feasible else None)

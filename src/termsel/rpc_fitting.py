@@ -66,18 +66,21 @@ def rpc_of(fitted: Fit) -> RpcFit:
     Notes
     -----
     A rational function of scaled WGS84 coordinates has the coefficients of an RPC: they are
-    taken over. Otherwise an RPC is fitted to a grid of image places and heights, as RPCs are
-    made from rigorous models (terrain-independent; Tao and Hu, "A comprehensive study of the
-    rational function model for photogrammetric processing", PE&RS 67 (2001) 1347-1357): with
-    the selected terms, and with all of them where that loses more than 0.05 pixel.
+    taken over. Another model may know its RPC itself (`SensorModel.as_rpc`). Otherwise an RPC
+    is fitted to a grid of image places and heights, as RPCs are made from rigorous models
+    (terrain-independent; Tao and Hu, "A comprehensive study of the rational function model for
+    photogrammetric processing", PE&RS 67 (2001) 1347-1357): with the selected terms, and with
+    all of them where that loses more than 0.05 pixel.
     """
-    if normalise(fitted.control.crs) in WGS84:
-        rpc = taken_over(fitted)
-        if rpc is not None:
-            worst, rms = _loss(rpc, *_seen(fitted))
-            if worst <= EXACT:
-                return RpcFit(rpc, "exact", worst, rms)
     convert = to_wgs84(fitted.control.crs)
+    rpc = fitted.model.as_rpc(fitted.adjustment.coefficients)
+    if rpc is None and normalise(fitted.control.crs) in WGS84:
+        rpc = taken_over(fitted)
+    if rpc is not None:
+        places, seen = _seen(fitted)
+        worst, rms = _loss(rpc, convert(places), seen)
+        if worst <= EXACT:
+            return RpcFit(rpc, "exact", worst, rms)
     image, ground = _grid(fitted, convert, _GRID, _LEVELS)
     between, ground_between = _grid(fitted, convert, _GRID - 1, _LEVELS - 1)
     candidates = []

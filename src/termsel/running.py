@@ -149,6 +149,7 @@ def prepare(
     require_heights(the_model, _taking_part(observations))
     _require_enough(observations, recipe, the_criterion)
     scaling = scaling_of(observations.control)
+    the_model = the_model.prepared(scaling, features.crs)
     inputs = Inputs(the_model, scaling.features(observations.control),
                     scaling.points(observations.check), scaling.image_scale, the_criterion,
                     of_problem)

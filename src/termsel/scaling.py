@@ -39,6 +39,10 @@ class Scaling:
         scaled = (np.asarray(ground) - self.ground_offset) / self.ground_scale
         return np.nan_to_num(scaled, nan=0.0)
 
+    def unscaled(self, ground: ArrayLike) -> FloatArray:
+        """Return ground coordinates from scaled ones."""
+        return np.asarray(np.asarray(ground) * self.ground_scale + self.ground_offset)
+
     def image(self, image: ArrayLike) -> FloatArray:
         """Return scaled image coordinates."""
         return np.asarray((np.asarray(image) - self.image_offset) / self.image_scale)

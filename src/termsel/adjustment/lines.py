@@ -1,10 +1,10 @@
-"""Control lines in an adjustment: where their vertices lie, and what they weigh."""
+"""Points and lines in an adjustment: their rows, where vertices lie, and what they weigh."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from termsel.adjustment.equations import line_normals
+from termsel.adjustment.equations import Equations, line_normals
 from termsel.features import FeatureSet, FloatArray
 
 
@@ -75,3 +75,39 @@ def row_weights(features: FeatureSet, *, heights: bool = True) -> FloatArray:
                           vertices - lines.image.mean(axis=1)[:, None])
         deviation[len(points):] *= np.sqrt(0.5 + 2.0 * (place / length) ** 2)
     return np.asarray(unit / deviation.ravel())
+
+
+def image_equations(features: FeatureSet, of_points: FloatArray, of_vertices: FloatArray,
+                    at_points: FloatArray | float = 0.0, at_vertices: FloatArray | float = 0.0, *,
+                    heights: bool = True) -> Equations:
+    """Return weighted equations from image coordinates that are linear in the terms.
+
+    The image position of a ground point is a constant plus rows times coefficients. That of a
+    control point is measured; those of a line's vertices lie on the image line.
+
+    Parameters
+    ----------
+    features : FeatureSet
+        In scaled coordinates.
+    of_points, of_vertices : ndarray, shape (n, 2, k)
+        Rows of line and sample of the control points, and of both vertices of each line.
+    at_points, at_vertices : ndarray, shape (n, 2), or 0
+        The constants.
+    heights : bool
+        Whether the model uses heights.
+
+    Returns
+    -------
+    Equations
+        Two rows a point, then two a line; weights are those of
+        `termsel.models.base.RationalModel.equations`.
+    """
+    points, lines = features.points, features.lines
+    normal, rho = (np.repeat(one, 2, axis=0) for one in line_normals(lines))
+    A = np.concatenate([of_points.reshape(2 * len(points), of_points.shape[2]),
+                        np.einsum("na,nak->nk", normal, of_vertices)])
+    constant = np.broadcast_to(at_vertices, (len(rho), 2))
+    b = np.concatenate([(points.image - at_points).ravel(),
+                        rho - np.einsum("na,na->n", normal, constant)])
+    weight = row_weights(features, heights=heights)
+    return Equations(A * weight[:, None], b * weight, np.repeat(features.feature, 2))

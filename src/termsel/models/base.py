@@ -3,17 +3,23 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
 
 from termsel.adjustment.equations import Equations, line_normals
-from termsel.adjustment.lines import approximate_image, row_weights
+from termsel.adjustment.lines import approximate_image, image_equations
+from termsel.crs import to_wgs84
 from termsel.errors import TermselError
 from termsel.features import FeatureSet, FloatArray, IntArray
 from termsel.options import Configurable
+from termsel.scaling import Scaling
+
+if TYPE_CHECKING:
+    from termsel.rpc import Rpc
 
 LINE, SAMPLE, BOTH = 0, 1, 2
 """Image axis a term acts on."""
@@ -23,10 +29,66 @@ class SensorModel(Configurable, ABC):
     """A mapping from ground to image whose terms can be switched on and off.
 
     A model works in scaled coordinates: image and ground within about [-1, 1] (see
-    `termsel.scaling`).
+    `termsel.scaling`). One that must know where on Earth it is finds that in `scaling` and
+    `crs`, or asks `geographic`.
     """
 
     uses_height: ClassVar[bool] = True
+
+    scaling: Scaling | None = None
+    """How coordinates are scaled; None before the model is `prepared`."""
+
+    crs: str = ""
+    """Of the ground coordinates; empty before the model is `prepared`."""
+
+    def prepared(self, scaling: Scaling, crs: str) -> Self:
+        """Return the model for features that are scaled like this, as each fit asks for it.
+
+        Parameters
+        ----------
+        scaling : Scaling
+        crs : str
+            Of the ground coordinates.
+
+        Raises
+        ------
+        TermselError
+            By a model that is not for features there.
+        """
+        if (self.scaling, self.crs) == (scaling, crs):
+            return self
+        ready = copy(self)
+        ready.scaling, ready.crs = scaling, crs
+        return ready
+
+    def geographic(self, ground: FloatArray) -> FloatArray:
+        """Return WGS84 longitude, latitude [deg] and ellipsoidal height [m], shape (n, 3).
+
+        Parameters
+        ----------
+        ground : ndarray, shape (n, 3)
+            Scaled.
+
+        Raises
+        ------
+        TermselError
+            If the model is not prepared, or its CRS cannot be turned into WGS84.
+        """
+        if self.scaling is None:
+            raise TermselError(f"model {self.name!r} does not know where its features are",
+                               hint="Give it to a fit, or call its method prepared first.")
+        return to_wgs84(self.crs)(self.scaling.unscaled(ground))
+
+    def as_rpc(self, coefficients: FloatArray) -> Rpc | None:
+        """Return the RPC that projects as the model does, or None, by default, for none known.
+
+        Rational functions and polynomials need not say; their terms tell.
+
+        Parameters
+        ----------
+        coefficients : ndarray, shape (k,)
+        """
+        return None
 
     @property
     @abstractmethod
@@ -300,8 +362,9 @@ class RationalModel(SensorModel):
             image = np.repeat(normal * rho[:, None], 2, axis=0)
         else:
             image = approximate_image(features, heights=self.uses_height)
-        return self._system(features, self._axis_rows(points.ground, points.image),
-                            self._axis_rows(lines.ground.reshape(-1, 3), image))
+        return image_equations(features, self._axis_rows(points.ground, points.image),
+                               self._axis_rows(lines.ground.reshape(-1, 3), image),
+                               heights=self.uses_height)
 
     def linearised(self, features: FeatureSet, coefficients: FloatArray) -> Equations | None:
         """Return the equations of points and lines about a solution (Gauss-Newton).
@@ -320,30 +383,13 @@ class RationalModel(SensorModel):
             with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
                 parts += [self._axis_rows(ground, image) / below[..., None],
                           image - image / below]
-        return self._system(features, *parts[::2], *parts[1::2])
+        return image_equations(features, *parts[::2], *parts[1::2], heights=self.uses_height)
 
     @property
     def _exact_for_lines(self) -> bool:
         """True where the equations of lines are linear."""
         return not {block for block, *_ in self._layout} & {"line_denominator",
                                                             "sample_denominator"}
-
-    def _system(self, features: FeatureSet, of_points: FloatArray, of_vertices: FloatArray,
-                point_shift: FloatArray | float = 0.0,
-                vertex_shift: FloatArray | float = 0.0) -> Equations:
-        """Return weighted equations from rows of image coordinates, shapes (n, 2, k).
-
-        A row times the coefficients, plus the shift, is an image coordinate.
-        """
-        points, lines = features.points, features.lines
-        normal, rho = (np.repeat(one, 2, axis=0) for one in line_normals(lines))
-        A = np.concatenate([of_points.reshape(2 * len(points), len(self.terms)),
-                            np.einsum("na,nak->nk", normal, of_vertices)])
-        shift = np.broadcast_to(vertex_shift, (len(rho), 2))
-        b = np.concatenate([(points.image - point_shift).ravel(),
-                            rho - np.einsum("na,na->n", normal, shift)])
-        weight = row_weights(features, heights=self.uses_height)
-        return Equations(A * weight[:, None], b * weight, np.repeat(features.feature, 2))
 
     def project(self, coefficients: FloatArray, ground: FloatArray) -> FloatArray:
         """Return image positions of ground points (see `SensorModel.project`)."""

@@ -15,6 +15,7 @@ from termsel.errors import TermselError
 from termsel.features import FeatureSet, FloatArray, Points
 from termsel.models.base import RationalModel, SensorModel
 from termsel.problems.selection import Inputs, SelectionProblem
+from termsel.scaling import Scaling
 from termsel.testing.checks import (
     Case,
     Check,
@@ -43,6 +44,10 @@ EXACT = 1e-6
 FIRST_ORDER = 0.01
 """Median error allowed where line equations hold to first order, as a share of the image."""
 
+PLACE = Scaling((48.5, 34.8, 1850.0), (0.05, 0.04, 150.0), (3500.0, 4000.0), 4000.0), "EPSG:4979"
+"""Scaling and CRS that models are prepared for."""
+
+
 def declaration(model: SensorModel) -> None:
     """It has a name and a docstring, and its options are documented and take their defaults."""
     check_declaration("models", type(model))
@@ -56,7 +61,7 @@ def term_names(model: SensorModel) -> None:
     twice = sorted({name for name in terms if terms.count(name) > 1})
     require(not twice, f"terms must have a name each; more than one is called {', '.join(twice)}")
     model.equations(accepted_scenes(model)[-1])
-    again = type(model)(**model.options)
+    again = _anew(model)
     require(model.terms == terms and again.terms == terms,
             "terms must be the same names in the same order whenever they are asked for; results "
             "name them")
@@ -226,12 +231,27 @@ def deterministic(model: SensorModel) -> None:
     features, ground = accepted_scenes(model)[-1], random_ground(seeded(), 50)
     coefficients = random_coefficients(model, seeded())
     first, image = model.equations(features), model.project(coefficients, ground)
-    for other in (model, type(model)(**model.options)):
+    for other in (model, _anew(model)):
         again = other.equations(features)
         require(np.array_equal(first.A, again.A) and np.array_equal(first.b, again.b),
                 "equations() of the same features differ from one call to the next")
         require(np.array_equal(other.project(coefficients, ground), image),
                 "project() of the same points differs from one call to the next")
+
+
+def prepared(model: SensorModel) -> None:
+    """Prepared for features, it knows where they are, and is else the model it was."""
+    before = model.scaling, model.crs
+    assert model.scaling is not None
+    scaling = replace(model.scaling, image_scale=2 * model.scaling.image_scale)
+    ready = model.prepared(scaling, model.crs)
+    require((ready.scaling, ready.crs) == (scaling, model.crs),
+            "prepared() must return a model with the scaling and crs it is given; begin with "
+            "super().prepared(scaling, crs)")
+    require((ready.options, ready.terms) == (model.options, model.terms),
+            "prepared() gives a model with other options or terms")
+    require((model.scaling, model.crs) == before,
+            "prepared() changes the model itself; change a copy, as super().prepared() does")
 
 
 def picklable(model: SensorModel) -> None:
@@ -288,8 +308,8 @@ def residual_weights(model: SensorModel) -> None:
 
 MODEL_CHECKS = (
     declaration, term_names, axis, control_kinds, equations, inputs_unchanged, exact_recovery,
-    recovery_from_lines, translation, project_shapes, batch_project, deterministic, picklable,
-    masks_stay_finite, height, residual_weights)
+    recovery_from_lines, translation, project_shapes, batch_project, deterministic, prepared,
+    picklable, masks_stay_finite, height, residual_weights)
 
 
 def model_checks(
@@ -297,6 +317,7 @@ def model_checks(
     *,
     options: Iterable[Mapping[str, Any]] | None = None,
     expected_failures: Mapping[str, str] | None = None,
+    place: tuple[Scaling, str] = PLACE,
 ) -> tuple[Check, ...]:
     """Return the checks of a sensor model, for ``pytest.mark.parametrize``.
 
@@ -309,6 +330,9 @@ def model_checks(
         each option that has choices.
     expected_failures : mapping, optional
         Checks it is known to fail, by name, with the reason.
+    place : tuple of Scaling and str, optional
+        Scaling and CRS to prepare it for, where it depends on the place: so that with small
+        coefficients it images scaled ground within [-1, 1] within [-1, 1].
 
     Returns
     -------
@@ -326,8 +350,8 @@ def model_checks(
     'declaration'
     """
     chosen = _choices(model) if options is None else options
-    return assemble(MODEL_CHECKS, [Case(label(model, o), partial(model, **o)) for o in chosen],
-                    expected_failures)
+    return assemble(MODEL_CHECKS, [Case(label(model, o), partial(_made, model, o, place))
+                                   for o in chosen], expected_failures)
 
 
 def check_model(
@@ -335,12 +359,13 @@ def check_model(
     *,
     options: Iterable[Mapping[str, Any]] | None = None,
     expected_failures: Mapping[str, str] | None = None,
+    place: tuple[Scaling, str] = PLACE,
 ) -> None:
     """Run all checks of a sensor model.
 
     Parameters
     ----------
-    model, options, expected_failures
+    model, options, expected_failures, place
         As `model_checks`.
 
     Raises
@@ -353,7 +378,19 @@ def check_model(
     >>> from termsel.models.polynomial import Affine
     >>> check_model(Affine)
     """
-    run_all(model_checks(model, options=options, expected_failures=expected_failures))
+    run_all(model_checks(model, options=options, expected_failures=expected_failures,
+                         place=place))
+
+
+def _made(model: type[SensorModel], options: Mapping[str, Any],
+          place: tuple[Scaling, str]) -> SensorModel:
+    return model(**options).prepared(*place)
+
+
+def _anew(model: SensorModel) -> SensorModel:
+    """Return another model with the same options, for the same features."""
+    assert model.scaling is not None
+    return _made(type(model), model.options, (model.scaling, model.crs))
 
 
 def _choices(model: type[SensorModel]) -> list[dict[str, Any]]:

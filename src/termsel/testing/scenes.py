@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from termsel.adjustment.solve import solve
 from termsel.errors import TermselError
 from termsel.features import FeatureSet, FloatArray, Lines, Points, no_lines, no_points
+from termsel.fitting import adjust
 from termsel.models.base import SensorModel
 
 LEAST_DENOMINATOR = 0.5
@@ -133,7 +133,8 @@ def accepted_scenes(model: SensorModel) -> list[FeatureSet]:
 
 def fitted(model: SensorModel, features: FeatureSet, ground: FloatArray) -> FloatArray:
     """Return image positions, shape (n, 2), after fitting all terms to the features."""
-    coefficients = solve(model.equations(features)).coefficients
+    terms, used = (np.ones(n, dtype=bool) for n in (len(model.terms), len(features)))
+    coefficients = adjust(model, features, terms, used).coefficients
     return model.predict(coefficients, features, ground)
 
 
