@@ -283,3 +283,12 @@ def test_every_result_has_the_baselines(result: termsel.Result) -> None:
         assert all(b.rmse["independent"] or not b.determined for b in found.baselines)
         text = found.to_dict()["baselines"]
         assert [one["name"] for one in text] == list(rows)
+
+
+def test_heights_on_a_plane_are_no_heights() -> None:
+    points = simulate_scene("ikonos-hamedan").points
+    tilted = points.ground.copy()
+    tilted[:, 2] = 1800 + 500 * (tilted[:, 0] - 48.5) - 300 * (tilted[:, 1] - 34.8)
+    found = termsel.run("rfm-terms", features=FeatureSet(replace(points, ground=tilted)))
+    assert found.strategy is not None
+    assert not found.fit.model.uses_height

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from termsel.adjustment.solve import TOLERANCE
 from termsel.features import FeatureSet, Points
 from termsel.fitting import Fit, Rmse, fit
 from termsel.models.rational import RationalFunctions
@@ -139,11 +140,14 @@ def figures(fitted: Fit, observations: Observations) -> dict[str, Rmse | None]:
 
 
 def has_heights(observations: Observations) -> bool:
-    """Return whether all features have heights and those of the control differ.
+    """Return whether all features have heights, and they are not those of a plane.
 
     Of independent points only whether they have heights is looked at.
     """
-    control, others = observations.control, (observations.check, observations.independent)
-    unknown = bool(control.without_height()) or any(
-        np.isnan(points.ground[:, 2]).any() for points in others)
-    return not unknown and bool(np.ptp(control.ground_vertices()[:, 2]) > 0)
+    both = together(observations)
+    if both.without_height() or np.isnan(observations.independent.ground[:, 2]).any():
+        return False
+    scaled = scaling_of(both).ground(both.ground_vertices())
+    plane = np.column_stack([np.ones(len(scaled)), scaled[:, :2]])
+    rest = scaled[:, 2] - plane @ np.linalg.lstsq(plane, scaled[:, 2])[0]
+    return bool(np.abs(rest).max() > TOLERANCE)

@@ -209,10 +209,10 @@ def portfolio(heights: bool) -> tuple[Candidate, ...]:
 def choose(control: FeatureSet, heights: bool) -> Choice | None:
     """Fit the portfolio to features and choose by leave-one-out.
 
-    The shrunken polynomial contains the plain ones as limits, so it is the choice unless
-    another candidate's squared errors are smaller by more than one standard error of the mean
-    difference; of those, the one with the smallest. With lines, for which there is no shrunken
-    polynomial, it is the one with the smallest.
+    The shrunken polynomial contains the plain ones as limits, so it is the choice unless the
+    candidate with the smallest squared errors beats it by more than one standard error of the
+    mean difference. With lines, for which there is no shrunken polynomial, it is the one with
+    the smallest.
 
     Parameters
     ----------
