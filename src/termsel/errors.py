@@ -50,6 +50,10 @@ class TermselError(Exception):
         return f"{text}. {self.hint}" if self.hint else text
 
 
+MOST_NAMED = 40
+"""Names a message lists before it stops."""
+
+
 def unknown_name(kind: str, name: str, known: Iterable[str], hint: str = "") -> TermselError:
     """Return the error for a name that is not known, with the nearest known ones.
 
@@ -67,5 +71,7 @@ def unknown_name(kind: str, name: str, known: Iterable[str], hint: str = "") -> 
     names = sorted(known)
     near = get_close_matches(name, names, n=1, cutoff=0.6)
     guess = f"Did you mean {near[0]!r}? " if near else ""
-    listed = f"Known: {', '.join(names)}." if names else f"No {kind} is known here."
+    more = f" and {len(names) - MOST_NAMED} more" if len(names) > MOST_NAMED else ""
+    listed = (f"Known: {', '.join(names[:MOST_NAMED])}{more}." if names
+              else f"No {kind} is known here.")
     return TermselError(f"unknown {kind} {name!r}", hint=f"{guess}{listed} {hint}".strip())

@@ -64,7 +64,8 @@ class Fit:
         unknown = np.full(len(coefficients), np.nan)
         return replace(self, adjustment=replace(
             self.adjustment, coefficients=coefficients, deviations=unknown,
-            residuals=equations.b - equations.A @ coefficients, sigma0=float("nan")))
+            residuals=equations.b - equations.A @ coefficients, sigma0=float("nan"),
+            correlations=None))
 
     def project(self, ground: FloatArray) -> FloatArray:
         """Return line and sample [pixel] of ground points, shape (n, 2)."""

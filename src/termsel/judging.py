@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from termsel.criteria import Criterion
+from termsel.diagnosis import PARALLEL, orientation_spread
 from termsel.extrapolation import warnings_of
 from termsel.fitting import Fit, Rmse
 from termsel.problems.base import Genome
@@ -168,11 +169,18 @@ def _compare(start: str, mine: float, other: Baseline, title: str) -> str:
 def notes_on(observations: Observations, criterion: Criterion, found: Search,
              chosen: Fit) -> Iterator[str]:
     """Yield what else the reader of a result must know."""
+    yield from found.notes
     if len(observations.control.lines) and not len(observations.control.points):
         idle = len(observations.off)
         if idle:
             yield (f"{idle} control points of the file stay out, as lines are the control here; "
                    "--set mixed=true uses both.")
+    lines = chosen.control.take(chosen.used).lines
+    if len(lines) and not len(observations.control.points):
+        spread = orientation_spread(lines)
+        if spread < PARALLEL:
+            yield (f"The lines in use run nearly alike (orientation spread {spread:.2g} of 1): "
+                   "along them the model is hardly fixed.")
     if found.interrupted:
         yield "The search was interrupted; this is the best it had found."
     check, independent = chosen.rmse(observations.check), chosen.rmse(observations.independent)

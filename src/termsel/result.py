@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from termsel.diagnosis import correlations, doubts, orientation_spread, significance
 from termsel.features import FeatureSet, FloatArray
 from termsel.fitting import Fit, Rmse
 from termsel.inverse import Surface
@@ -142,6 +143,7 @@ class Result:
         """Return the content of result.json."""
         adjustment = self.fit.adjustment
         terms = self.fit.model.terms
+        used = self.fit.control.take(self.fit.used)
         chosen = [i for i, on in enumerate(self.fit.terms) if on]
         return {
             "schema": SCHEMA,
@@ -171,7 +173,12 @@ class Result:
                 "equations": adjustment.n_equations, "terms": adjustment.n_terms,
                 "redundancy": adjustment.redundancy, "rank": adjustment.rank,
                 "condition": _number(adjustment.condition),
-                "sigma0": _number(adjustment.sigma0 * self.fit.scaling.image_scale)},
+                "sigma0": _number(adjustment.sigma0 * self.fit.scaling.image_scale),
+                "orientation_spread": orientation_spread(used.lines) if len(used.lines) else None},
+            "significance": {name: asdict(one) for name, one in significance(self.fit).items()},
+            "correlations": [{"terms": [one, other], "correlation": value}
+                             for one, other, value in correlations(self.fit)],
+            "doubts": asdict(found) if (found := doubts(self.fit)) else None,
             "scaling": self.fit.scaling.to_dict(),
             "versions": dict(self.versions)}
 

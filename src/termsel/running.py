@@ -13,6 +13,7 @@ import numpy as np
 from termsel.adjustment.kernels import needs_compilation
 from termsel.assessing import assess, recommended
 from termsel.criteria import Criterion
+from termsel.diagnosis import orientation_spread
 from termsel.errors import TermselError, unknown_name
 from termsel.features import FeatureSet, Points
 from termsel.models.base import SensorModel, require_heights
@@ -24,8 +25,9 @@ from termsel.problems.selection import Inputs
 from termsel.result import Result
 from termsel.roles import Observations, observe
 from termsel.scaling import Scaling, scaling_of
-from termsel.searching import Observer, require_able, search
+from termsel.searching import Observer, require_able
 from termsel.solvers.base import Solver
+from termsel.stepping import search_in_steps
 from termsel.strategies.auto import choose_for, wanted
 
 log = logging.getLogger(__name__)
@@ -40,6 +42,9 @@ DATA_OPTIONS = (
 )
 
 MIN_CONTROL, MIN_CHECK = 3, 2
+
+ALL_PARALLEL = 1e-4
+"""Orientation spread below which control lines are taken for parallel: within half a degree."""
 AUTO: Mapping[str, Any] = {"criterion": "press", "solver": "all-terms"}
 """What a task is prepared with where the strategy "auto" takes its observations alone."""
 
@@ -212,6 +217,10 @@ def _require_enough(observations: Observations, recipe: Recipe, criterion: Crite
     if not flat.any() or spread[1] < 1e-6 * spread[0]:
         raise TermselError("all control features lie on one straight line on the ground",
                            hint="Control must spread over an area to fix a model.")
+    if not len(control.points) and orientation_spread(control.lines) < ALL_PARALLEL:
+        raise TermselError(
+            "all control lines are parallel in the image: along them nothing is measured",
+            hint="Add lines of another direction, or control points with --set mixed=true.")
 
 
 def run(
@@ -288,8 +297,8 @@ def run(
     if auto:
         result = choose_for(task, seed)
     else:
-        found = search(task.problem, task.solver, seed=seed, generations=generations,
-                       evaluations=evaluations, seconds=seconds, observers=observers)
+        found = search_in_steps(task, seed=seed, generations=generations,
+                                evaluations=evaluations, seconds=seconds, observers=observers)
         result = assess(task, recommended(task, found))
     if out is not None:
         write_result(result, Path(out))

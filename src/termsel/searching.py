@@ -98,6 +98,8 @@ class Search:
         With several objectives all feasible individuals evaluated that no other dominates,
         each point of the front once, by the first objective; with one, what the solver
         yields of the kind.
+    notes : tuple of str
+        What the reader of the result must know of the search.
     """
 
     genes: BoolArray
@@ -113,6 +115,7 @@ class Search:
     certificate: Mapping[str, Any] | None = None
     front: tuple[BoolArray, ...] = ()
     coefficients: FloatArray | None = None
+    notes: tuple[str, ...] = ()
 
 
 class _BudgetSpent(Exception):

@@ -35,6 +35,9 @@ class Adjustment:
         to unit length.
     sigma0 : float
         Standard deviation of unit weight; NaN without redundancy.
+    correlations : ndarray, shape (n_terms, n_terms), optional
+        Correlations of the coefficients of the selected terms; None where they are not
+        determined, or not known.
     """
 
     coefficients: FloatArray
@@ -45,6 +48,7 @@ class Adjustment:
     rank: int
     condition: float
     sigma0: float
+    correlations: FloatArray | None = None
 
     @property
     def redundancy(self) -> int:
@@ -92,6 +96,7 @@ def solve(
     rank = _rank(A)
     coefficients, deviations = np.zeros(k), np.zeros(k)
     condition, sigma0 = float("inf"), float("nan")
+    correlations = None
     if n_terms and n_equations:
         # Columns of one length: the solution is the same and the condition is that of the
         # question, not of the units.
@@ -105,13 +110,15 @@ def solve(
             if n_equations > n_terms:
                 v = b - A @ (x / lengths)
                 sigma0 = float(np.sqrt(v @ v / (n_equations - n_terms)))
-            deviations[columns] = sigma0 * np.sqrt((inverse**2).sum(axis=1)) / lengths
+            norms = np.sqrt((inverse**2).sum(axis=1))
+            correlations = inverse @ inverse.T / np.outer(norms, norms)
+            deviations[columns] = sigma0 * norms / lengths
         else:
             x = linalg.lstsq(A / lengths, b, cond=TOLERANCE)[0]
             deviations[columns] = np.nan
         coefficients[columns] = x / lengths
     return Adjustment(coefficients, equations.b - equations.A @ coefficients, deviations,
-                      n_terms, n_equations, rank, condition, sigma0)
+                      n_terms, n_equations, rank, condition, sigma0, correlations)
 
 
 def _rank(A: FloatArray) -> int:

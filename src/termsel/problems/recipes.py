@@ -9,7 +9,7 @@ from typing import Any
 from termsel.options import Option
 from termsel.problems.base import Problem
 from termsel.problems.selection import Inputs, SelectionProblem
-from termsel.problems.wishes import WISHES
+from termsel.problems.wishes import FORCED, WISHES
 
 
 @dataclass(frozen=True)
@@ -66,6 +66,11 @@ COUNTS = (
            "features may leave out, 0 to 1; by default free.", float, 0.0, 1.0),
 )
 
+TERMS = Option("terms", None, "Terms of the model in use, with commas between; by default all.")
+STEPS = Option("steps", "joint", "Whether terms and features are selected together; or terms "
+               "first, with all features, then features under these terms; or the reverse.",
+               choices=("joint", "terms-first", "features-first"))
+
 OBJECTIVES = Option(
     "objectives", None, "Objectives beside the criterion, with commas between: n_terms, "
     "n_features, max_correlation, log_condition, uncovered, unevenness. By default none, or, "
@@ -76,7 +81,8 @@ RECOMMEND = Option(
     "the best criterion.", choices=("one-standard-error", "knee", "best"))
 
 OF_TERMS = (MASK, MIXED, *WISHES, OBJECTIVES, RECOMMEND)
-OF_FEATURES = (MIXED, *COUNTS, OBJECTIVES, RECOMMEND)
+OF_FEATURES = (TERMS, MIXED, *COUNTS, *FORCED, OBJECTIVES, RECOMMEND)
+OF_BOTH = (*OF_TERMS, *COUNTS, STEPS)
 
 
 def _terms(inputs: Inputs) -> Problem:
@@ -108,8 +114,8 @@ RECIPES = (
            options=OF_FEATURES, second="n_features", source=YAVARI),
     Recipe("owdis-points-terms", "Which control points and which model terms to use.", _both,
            model="rfm", model_options={"order": 2}, dataset="ikonos-hamedan",
-           options=(*OF_TERMS, *COUNTS), source=YAVARI),
+           options=OF_BOTH, source=YAVARI),
     Recipe("owdis-lines-terms", "Which control lines and which model terms to use.", _both,
            model="rfm", model_options={"order": 2}, dataset="ikonos-hamedan", control="lines",
-           options=(*OF_TERMS, *COUNTS), source=YAVARI),
+           options=OF_BOTH, source=YAVARI),
 )

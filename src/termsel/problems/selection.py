@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from copy import copy
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -24,7 +25,7 @@ from termsel.problems.base import (
 from termsel.problems.enumeration import enumerable_parts
 from termsel.problems.objectives import OBJECTIVES, Chosen, centres
 from termsel.problems.spread import uncovered_share
-from termsel.problems.wishes import capped, forced, orphans, parents
+from termsel.problems.wishes import capped, forced, listed, orphans, parents
 from termsel.roles import spatial_order
 
 GUARDED = 100
@@ -100,18 +101,40 @@ class SelectionProblem(Problem):
                     "predictions by all control features",
                     hint="Choose a model without such a step, such as --model poly3d.")
             segments.append(Segment("features", control.ids, *_feature_counts(inputs)))
+        self._terms_in_use = _terms_in_use(inputs)
         labels = tuple(label for segment in segments for label in segment.labels
                        if segment.name != "features")
-        self.genome = Genome(segments, on=forced(inputs.options.get("force_on"), labels),
-                             off=forced(inputs.options.get("force_off"), labels))
+        ids = control.ids if features else ()
+        self.genome = Genome(segments, on=forced(inputs.options.get("force_on"), labels, ids),
+                             off=forced(inputs.options.get("force_off"), labels, ids))
         self._pairs = parents(names) if inputs.options.get("hierarchy") else None
         self._refuse_hopeless(terms)
+
+    def frozen(self, genes: BoolArray, which: BoolArray) -> SelectionProblem:
+        """Return the problem with some genes no longer free.
+
+        Parameters
+        ----------
+        genes : ndarray of bool, shape (genome.size,)
+            What the frozen genes are.
+        which : ndarray of bool, shape (genome.size,)
+            Which genes are frozen. A segment that is frozen whole need no longer keep its
+            minimum and maximum.
+        """
+        old = self.genome
+        segments = [
+            replace(segment, minimum=0, maximum=None) if which[where].all() else segment
+            for segment, where in zip(old.segments, old.slices().values(), strict=True)]
+        problem = copy(self)
+        problem.genome = Genome(segments, on=select(old.labels, np.where(which, genes, old.on)),
+                                off=select(old.labels, np.where(which, ~genes, old.off)))
+        return problem
 
     def _refuse_hopeless(self, selects_terms: bool) -> None:
         """Refuse before any search what no selection could solve."""
         most = self.genome.segments[-1].maximum if self._selects_features else None
         for part in self._parts:
-            columns = part.equations.A.shape[1]
+            columns = int(self._terms_in_use[part.columns].sum())
             each = np.sort(np.bincount(part.equations.feature))[::-1]  # rows of a feature
             rows = each[:most].sum()
             if not selects_terms and rows < columns:
@@ -171,7 +194,7 @@ class SelectionProblem(Problem):
 
     def masks(self, genes: BoolArray) -> tuple[BoolArray, BoolArray | None]:
         """Return masks of terms, shape (p, k), and of features, shape (p, f) or None for all."""
-        terms = (np.ones((len(genes), len(self.inputs.model.terms)), dtype=bool)
+        terms = (np.repeat(self._terms_in_use[None], len(genes), axis=0)
                  if self._gene_of_term is None else genes[:, self._gene_of_term])
         return terms, genes[:, self._n_term_genes:] if self._selects_features else None
 
@@ -218,12 +241,21 @@ class SelectionProblem(Problem):
 
 def _objectives(inputs: Inputs) -> tuple[str, ...]:
     """Return the criterion's name and those of the option "objectives"."""
-    asked = [name.strip() for name in str(inputs.options.get("objectives") or "").split(",")]
-    others = [name for name in asked if name and name != inputs.criterion.name]
+    others = [name for name in listed(inputs.options.get("objectives"))
+              if name != inputs.criterion.name]
     for name in others:
         if name not in OBJECTIVES:
             raise unknown_name("objective", name, [*OBJECTIVES, inputs.criterion.name])
     return (inputs.criterion.name, *dict.fromkeys(others))
+
+
+def _terms_in_use(inputs: Inputs) -> BoolArray:
+    """Return which terms are in use where they are not selected, shape (k,)."""
+    names, chosen = inputs.model.terms, listed(inputs.options.get("terms"))
+    for name in chosen:
+        if name not in names:
+            raise unknown_name("term", name, names)
+    return np.array([not chosen or name in chosen for name in names])
 
 
 def _feature_counts(inputs: Inputs) -> tuple[int, int | None]:

@@ -1,4 +1,4 @@
-"""What a user wants of any selection of terms: some always or never, few, with their parents."""
+"""What a user wants of any selection: some always or never, few terms, with their parents."""
 
 from __future__ import annotations
 
@@ -16,10 +16,15 @@ from termsel.models.polynomial import monomial_name
 from termsel.options import Option
 from termsel.problems.base import Segment
 
+FORCED = (
+    Option("force_on", None, "Terms and features that every selection has, with commas between: "
+           "ids of features; `line.num:X`, `num:X` for both axes, or `X` wherever it stands."),
+    Option("force_off", None, "Terms and features that no selection has, in the same way."),
+)
+"""Options of problems that select anything."""
+
 WISHES = (
-    Option("force_on", None, "Terms that every selection has, with commas between: `line.num:X`, "
-           "`num:X` for both axes, or `X` wherever it stands."),
-    Option("force_off", None, "Terms that no selection has, in the same way."),
+    *FORCED,
     Option("hierarchy", False, "A monomial only together with those it contains, of one power "
            "less, such as X2Y with XY and X2.", bool),
     Option("max_share", None, "Most terms of line and of sample, as a share of their equations, "
@@ -33,7 +38,12 @@ WISHES = (
 _MONOMIAL = re.compile(r"(?:([XYZ])(\d?))(?:([XYZ])(\d?))?(?:([XYZ])(\d?))?")
 
 
-def forced(wish: str | None, labels: tuple[str, ...]) -> list[str]:
+def listed(wish: str | None) -> list[str]:
+    """Return the names that an option lists with commas between."""
+    return [name for name in (part.strip() for part in (wish or "").split(",")) if name]
+
+
+def forced(wish: str | None, labels: tuple[str, ...], ids: tuple[str, ...]) -> list[str]:
     """Return the labels of the genes that an option names.
 
     Parameters
@@ -42,20 +52,22 @@ def forced(wish: str | None, labels: tuple[str, ...]) -> list[str]:
         Value of the option.
     labels : tuple of str
         Of all genes of terms, such as "line.num:X", or "num:X" for both axes.
+    ids : tuple of str
+        Of all features that are selected.
 
     Raises
     ------
     TermselError
-        For a name that no term has.
+        For a name that no term or feature has.
     """
     found: list[str] = []
-    for name in (part.strip() for part in (wish or "").split(",")):
-        if not name:
-            continue
+    for name in listed(wish):
         named = [label for label in labels
                  if label == name or label.endswith((f".{name}", f":{name}"))]
+        named += [one for one in ids if one == name]
         if not named:
-            raise unknown_name("term", name, labels)
+            what = " or ".join(["term"] * bool(labels) + ["feature"] * bool(ids))
+            raise unknown_name(what, name, (*labels, *ids))
         found += named
     return found
 

@@ -6,7 +6,8 @@ import textwrap
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from termsel.fitting import Rmse
+from termsel.diagnosis import BEYOND, CORRELATED, correlations, doubts, significance
+from termsel.fitting import Fit, Rmse
 from termsel.result import LEAVE_ONE_OUT, ROLES, Result, Rmses
 
 _WIDTH = 88
@@ -145,10 +146,41 @@ def _foot(result: Result) -> Iterator[str]:
     yield from textwrap.wrap(result.judgement, _WIDTH)
     for note in result.notes:
         yield from textwrap.wrap(note, _WIDTH, initial_indent="Note: ", subsequent_indent="      ")
+    yield from _doubts(result.fit)
+    yield from _coefficients(result.fit)
     if len(result.selection.features) < len(result.fit.control):
         yield from _names("Features", result.selection.features)
     if len(result.selection.terms) < len(result.fit.model.terms):
         yield from _names("Terms", result.selection.terms)
+
+
+def _doubts(fit: Fit) -> Iterator[str]:
+    """Yield which features are probably wrong."""
+    found = doubts(fit)
+    if found is None:
+        return
+    if found.wrong:
+        title = f"Probably wrong (beyond {BEYOND:g} sigma, {BEYOND * found.sigma:.2g} px)"
+        yield from _names(title, tuple(
+            f"{name} ({found.wrong[name]:.1f} px{', in use' * (name in found.in_use)})"
+            for name in sorted(found.wrong, key=lambda name: -found.wrong[name])))
+    if found.in_use:
+        yield (f"  leave out those in use by --set force_off={','.join(found.in_use)} and run "
+               "again")
+    if found.spare:
+        yield f"Left out though they fit: {len(found.spare)}; they were not needed"
+
+
+def _coefficients(fit: Fit) -> Iterator[str]:
+    """Yield which terms are not significant, and how coefficients correlate."""
+    weak = tuple(name for name, one in significance(fit).items() if one.p > 0.05)
+    if weak:
+        yield from _names("Not significant (5 %)", weak)
+    pairs = list(correlations(fit))
+    if pairs:
+        one, other, value = pairs[0]
+        yield (f"Correlations of coefficients of {CORRELATED} or more: {len(pairs)}, highest "
+               f"{value:.4f} ({one}, {other})")
 
 
 def _names(title: str, names: tuple[str, ...]) -> Iterator[str]:

@@ -1,0 +1,178 @@
+"""Selection of features in full: doubts, forced features, given terms, steps, directions."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy import stats
+
+import termsel
+from termsel.adjustment.equations import line_normals
+from termsel.diagnosis import correlations, doubts, orientation_spread, significance
+from termsel.features import Lines
+from termsel.rpc import Rpc
+
+QUICK = {"population": 40, "polish": False}
+
+
+def run(problem: str = "owdis-lines", **options: object) -> termsel.Result:
+    return termsel.run(problem, generations=8, options={**QUICK, **options})
+
+
+def test_wrong_lines_are_told_from_those_not_needed() -> None:
+    result = termsel.run("owdis-lines", options={"population": 100})
+    found = doubts(result.fit)
+    assert found is not None
+    errors = np.linalg.norm(result.fit.line_errors(), axis=2).max(axis=1)
+    for name, error in zip(result.fit.control.ids, errors, strict=True):
+        assert (name in found.wrong) == (error > 3 * found.sigma)
+        assert (name in found.spare) == (error <= 3 * found.sigma
+                                         and name not in result.selection.features)
+    # Eight lines of the scene are matched wrongly, by several pixels.
+    assert {"L005", "L006", "L027", "L049", "L050", "L086", "L098", "L099"} <= set(found.wrong)
+    assert 0.5 * 0.7 < found.sigma < 2.0 * 0.7
+    assert result.to_dict()["doubts"]["wrong"] == dict(found.wrong)
+
+
+def test_nothing_is_doubted_where_all_is_in_use() -> None:
+    assert doubts(termsel.run("poly-terms", generations=1, options=QUICK).fit) is None
+
+
+def test_forced_features_and_given_terms() -> None:
+    names = ("line.num:1", "line.num:X", "line.num:Y", "sample.num:1", "sample.num:X",
+             "sample.num:Y", "line.num:Z", "sample.num:Z")
+    result = run(force_on="L006,L001", force_off="L002", terms=",".join(names))
+    assert {"L001", "L006"} <= set(result.selection.features)
+    assert "L002" not in result.selection.features
+    assert set(result.selection.terms) == set(names)
+    both = run("owdis-lines-terms", force_on="L006,line.den:X", force_off="L002,XY")
+    assert "L006" in both.selection.features
+    assert "L002" not in both.selection.features
+    assert "line.den:X" in both.selection.terms
+    assert not [term for term in both.selection.terms if term.endswith(":XY")]
+
+
+@pytest.mark.parametrize(("options", "message"), [
+    ({"force_on": "L9999"}, "unknown feature 'L9999'"), ({"terms": "num"}, "unknown term 'num'"),
+    ({"force_on": "L001", "force_off": "L001"}, "always on and always off")])
+def test_names_that_are_not_there(options: dict[str, str], message: str) -> None:
+    with pytest.raises(termsel.TermselError, match=message):
+        run(**options)
+
+
+def test_terms_first_then_features() -> None:
+    result = run("owdis-lines-terms", steps="terms-first")
+    assert result.notes[0].startswith("In two steps: terms first, check-rmse ")
+    assert result.generations == 16
+    # The first step by itself, of the same seed, finds the same terms.
+    task = termsel.prepare("owdis-lines-terms", options={**QUICK, "steps": "terms-first"})
+    genome = task.problem.genome
+    is_feature = np.arange(genome.size) >= genome.slices()["features"].start
+    alone = termsel.search(task.problem.frozen(np.ones(genome.size, dtype=bool), is_feature),
+                           task.solver, generations=8)
+    assert task.problem.decode(alone.genes).terms == result.selection.terms
+    assert task.problem.decode(alone.genes).features == task.observations.control.ids
+
+
+def test_features_first_then_terms() -> None:
+    result = termsel.run("owdis-lines-terms", model="poly3d", generations=8,
+                         options={**QUICK, "steps": "features-first"})
+    assert result.notes[0].startswith("In two steps: features first")
+    assert len(result.selection.features) < 120
+    assert len(result.selection.terms) < 20
+
+
+def test_two_steps_are_for_one_objective() -> None:
+    with pytest.raises(termsel.TermselError, match="is for one objective, and there are 2"):
+        termsel.run("owdis-lines-terms", solver="nsga2", options={"steps": "terms-first"})
+
+
+def test_orientation_spread_by_hand() -> None:
+    def spread(*degrees: float) -> float:
+        angle = np.radians(degrees)
+        ends = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        n = len(degrees)
+        ground = np.arange(6.0 * n).reshape(n, 2, 3)
+        return orientation_spread(Lines(tuple("abcd"[:n]), np.stack([0 * ends, ends], axis=1),
+                                        ground))
+
+    assert spread(20, 20, 200) == pytest.approx(0, abs=1e-12)
+    assert spread(0, 90) == pytest.approx(1)
+    assert spread(0, 60, 120) == pytest.approx(1)
+    assert spread(0, 45) == pytest.approx(1 - np.sqrt(0.5))
+
+
+def test_parallel_lines_are_refused(tmp_path: Path) -> None:
+    rows = ["id,line1,sample1,line2,sample2,x1,y1,z1,x2,y2,z2"]
+    rng = np.random.default_rng(0)
+    for i, (x, y) in enumerate(rng.uniform(0, 1000, (40, 2))):
+        rows.append(f"L{i},{y},{x},{y + 50},{x},{x},{y},0,{x},{y + 50},0")
+    points = ["id,role,line,sample,x,y,z"] + [
+        f"P{i},{role},{y},{x},{x},{y},0" for i, (role, (x, y)) in enumerate(zip(
+            ["check", "independent"] * 10, rng.uniform(0, 1000, (20, 2)), strict=True))]
+    (tmp_path / "l.csv").write_text("\n".join(rows))
+    (tmp_path / "p.csv").write_text("\n".join(points))
+    done = subprocess.run(
+        [sys.executable, "-m", "termsel", "run", "--problem", "owdis-lines", "--model", "affine",
+         "--lines", str(tmp_path / "l.csv"), "--points", str(tmp_path / "p.csv"), "--crs",
+         "local"], capture_output=True, text=True, check=False)
+    assert done.returncode == 2, done.stderr
+    assert "parallel" in done.stderr
+    assert "another direction" in " ".join(done.stderr.split())
+
+
+def test_significance_is_that_of_a_textbook_regression() -> None:
+    result = termsel.run("poly-terms", generations=2, options={**QUICK, "degree": 2})
+    fit = result.fit
+    equations = fit.model.equations(fit.scaling.features(fit.control))
+    line = np.flatnonzero(fit.terms & (fit.model.axis == 0))
+    rows = (equations.A[:, line] != 0).any(axis=1)
+    A, b = equations.A[np.ix_(rows, line)], equations.b[rows]
+    inverse = np.linalg.inv(A.T @ A)
+    x = inverse @ A.T @ b
+    # The adjustment has one sigma for both axes.
+    t = np.abs(x) / np.sqrt(np.diag(inverse)) / fit.adjustment.sigma0
+    expected = 2 * stats.t.sf(t, fit.adjustment.redundancy)
+    found = significance(fit)
+    for i, value, p in zip(line, t, expected, strict=True):
+        one = found[fit.model.terms[i]]
+        assert one.t == pytest.approx(value, rel=1e-6)
+        assert one.p == pytest.approx(p, rel=1e-6, abs=1e-300)
+    deviation = np.sqrt(np.diag(inverse))
+    matrix = inverse / np.outer(deviation, deviation)
+    assert fit.adjustment.correlations is not None
+    place = {int(j): i for i, j in enumerate(np.flatnonzero(fit.terms))}
+    index = [place[int(j)] for j in line]
+    assert fit.adjustment.correlations[np.ix_(index, index)] == pytest.approx(matrix, abs=1e-6)
+    assert all(abs(value) >= 0.95 for *_, value in correlations(fit))
+
+
+@pytest.mark.parametrize(("scene", "name"), [("ventoux_lines", "pleiades_ventoux_left"),
+                                             ("ikonos_lines", "ikonos_montevideo")])
+def test_wrong_lines_of_real_geometry_are_found(data_folder: Path, scene: str,
+                                                name: str) -> None:
+    records = json.loads((data_folder / "rpc" / "all_rpc.json").read_text())
+    values = next(one["rpc"] for one in records if one["name"] == name)
+    rpc = Rpc((values["LINE_OFF"], values["SAMP_OFF"]),
+              (values["LINE_SCALE"], values["SAMP_SCALE"]),
+              (values["LONG_OFF"], values["LAT_OFF"], values["HEIGHT_OFF"]),
+              (values["LONG_SCALE"], values["LAT_SCALE"], values["HEIGHT_SCALE"]),
+              *(tuple(values[key]) for key in ("LINE_NUM", "LINE_DEN", "SAMP_NUM", "SAMP_DEN")))
+    features = termsel.read(points=data_folder / scene / "points.csv",
+                            lines=data_folder / scene / "lines.csv", crs="EPSG:4979")
+    normal, rho = line_normals(features.lines)
+    image = rpc.project(features.lines.ground.reshape(-1, 3)).reshape(-1, 2, 2)
+    error = np.abs(np.einsum("ia,iva->iv", normal, image) - rho[:, None]).max(axis=1)
+    displaced = {name for name, one in zip(features.lines.ids, error, strict=True) if one > 3}
+    result = termsel.run("owdis-lines-terms", features=features)
+    found = doubts(result.fit)
+    assert found is not None
+    assert len(displaced & set(found.wrong)) >= 0.9 * len(displaced) > 10
+    assert len(set(found.wrong) - displaced) <= 3
+    assert result.rmse["independent"].total < 1.1 * {"ventoux_lines": 1.33,
+                                                     "ikonos_lines": 0.96}[scene]
