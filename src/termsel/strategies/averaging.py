@@ -31,7 +31,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from termsel.adjustment.solve import TOLERANCE
-from termsel.features import BoolArray, FloatArray
+from termsel.features import BoolArray, FloatArray, IntArray
 from termsel.models.polynomial import Exponents, monomials
 
 SIZES = 10.0 ** np.arange(-0.5, 5.5, 0.5)
@@ -50,6 +50,9 @@ natural logarithms."""
 
 NO_NOISE = 1e-11
 """Noise that counts as none, as a part of the image's half-range."""
+
+NEVER = 40.0
+"""Solutions less likely than the likeliest by this, in natural logarithms, are left out."""
 
 TINY = 1e-14
 """What is left of 1 by rounding error."""
@@ -77,10 +80,11 @@ class Average:
 
 @dataclass(frozen=True, eq=False)
 class _Side:
-    """All solutions of one axis: g groups of scales, s sizes, n points, j free columns.
+    """All solutions of one axis, groups of scales by sizes.
 
-    `evidence` and `square` make up the marginal likelihood, square^-nu/2 exp(evidence);
-    `left` is 1 minus the leverage of each point, `errors` are fitted residuals.
+    `evidence` and `square`, shape (g s,), make up the marginal likelihood, square^-nu/2
+    exp(evidence); `left` is 1 minus the leverage of each point, `errors` are what the fit leaves,
+    shape (g s, n); `coefficients` are the shrunken ones, shape (g s, j).
     """
 
     evidence: FloatArray
@@ -123,18 +127,17 @@ def average(ground: FloatArray, image: FloatArray, exponents: Exponents,
              for axis, design in enumerate(designs) if design is not None]
     if len(sides) < 2 or freedom < 4:
         return None
-    probability = _probability(sides, freedom, noise)
-    line, sample = probability.sum(axis=2), probability.sum(axis=1)
+    cells = _cells(sides, freedom, noise)
     coefficients = np.empty((len(exponents), 2))
     effective = 0.0
-    for axis, (side, share) in enumerate(zip(sides, (line, sample), strict=True)):
-        shrunk = np.einsum("gs,gsk->k", share, side.coefficients)
+    for axis, (side, which) in enumerate(zip(sides, cells.which, strict=True)):
+        shrunk = cells.share @ side.coefficients[which]
         affine = columns[:, order < 2] * weights[:, axis, None]
         rest = weights[:, axis] * (image[:, axis] - columns[:, order > 1] @ shrunk)
         coefficients[order > 1, axis] = shrunk
         coefficients[order < 2, axis] = np.linalg.lstsq(affine, rest)[0]
-        effective += float((share * (1.0 - side.left).sum(axis=2)).sum())
-    errors = _left_out(sides, freedom, noise) / weights
+        effective += float(cells.share @ (1.0 - side.left[which]).sum(axis=1))
+    errors = _left_out(sides, cells, freedom, noise) / weights
     return Average(coefficients, errors, effective)
 
 
@@ -195,42 +198,53 @@ def _solutions(design: _Design, target: FloatArray, scales: FloatArray) -> _Side
     ratio = SIZES[:, None] * design.values[:, None, :]                        # (g, s, j)
     keep = 1.0 / (1.0 + ratio**2)
     part = keep * along[:, None, :]
+    n, k = len(u[0]), scales.shape[1]
     return _Side(
-        0.5 * np.log(keep).sum(axis=2),
-        (beyond**2).sum(axis=1)[:, None] + (part * along[:, None, :]).sum(axis=2),
-        np.maximum(room[:, None, :] + keep @ (u**2).transpose(0, 2, 1), TINY),
-        beyond[:, None, :] + part @ u.transpose(0, 2, 1),
-        scales[:, None, :] * ((SIZES[:, None] * ratio * part) @ design.vt))
+        0.5 * np.log(keep).sum(axis=2).ravel(),
+        ((beyond**2).sum(axis=1)[:, None] + (part * along[:, None, :]).sum(axis=2)).ravel(),
+        np.maximum(room[:, None, :] + keep @ (u**2).transpose(0, 2, 1), TINY).reshape(-1, n),
+        (beyond[:, None, :] + part @ u.transpose(0, 2, 1)).reshape(-1, n),
+        (scales[:, None, :] * ((SIZES[:, None] * ratio * part) @ design.vt)).reshape(-1, k))
 
 
-def _probability(sides: list[_Side], freedom: int, noise: float) -> FloatArray:
-    """Return posterior probabilities of group, size of line and size of sample."""
-    line, sample = sides
-    square = line.square[:, :, None] + sample.square[:, None, :]
-    return _shares(line.evidence[:, :, None] + sample.evidence[:, None, :]
-                   - freedom / 2 * np.log(square + noise))
+@dataclass(frozen=True, eq=False)
+class _Cells:
+    """The points of the grid that matter: which solutions of line and of sample, and how likely."""
+
+    which: tuple[IntArray, IntArray]
+    share: FloatArray
+
+
+def _cells(sides: list[_Side], freedom: int, noise: float) -> _Cells:
+    """Return what is on the grid of group, size of line and size of sample, and not NEVER."""
+    line, sample = (np.arange(len(side.square)).reshape(-1, len(SIZES)) for side in sides)
+    shape = (*line.shape, len(SIZES))
+    first = np.broadcast_to(line[:, :, None], shape).ravel()
+    second = np.broadcast_to(sample[:, None, :], shape).ravel()
+    logarithm = (sides[0].evidence[first] + sides[1].evidence[second] - freedom / 2 * np.log(
+        sides[0].square[first] + sides[1].square[second] + noise))
+    kept = logarithm > logarithm.max() - NEVER
+    return _Cells((first[kept], second[kept]), _shares(logarithm[kept]))
 
 
 def _shares(logarithm: FloatArray) -> FloatArray:
-    share = np.exp(logarithm - logarithm.max())
-    return np.asarray(share / share.sum())
+    """Return probabilities, adding up to 1 along the first axis."""
+    share = np.exp(logarithm - logarithm.max(axis=0))
+    return np.asarray(share / share.sum(axis=0))
 
 
-def _left_out(sides: list[_Side], freedom: int, noise: float) -> FloatArray:
+def _left_out(sides: list[_Side], cells: _Cells, freedom: int, noise: float) -> FloatArray:
     """Return the averages' errors at each point, errors and probabilities without it, (n, 2)."""
-    line, sample = sides
-    square = line.square[:, :, None] + sample.square[:, None, :] + noise
-    evidence = line.evidence[:, :, None] + sample.evidence[:, None, :]
-    found = np.empty((line.left.shape[2], 2))
+    pairs = list(zip(sides, cells.which, strict=True))
+    square = sides[0].square[cells.which[0]] + sides[1].square[cells.which[1]] + noise
+    evidence = sides[0].evidence[cells.which[0]] + sides[1].evidence[cells.which[1]]
+    found = np.empty((sides[0].left.shape[1], 2))
     for i in range(len(found)):
+        left = [side.left[which, i] for side, which in pairs]
+        errors = [side.errors[which, i] for side, which in pairs]
         # The determinant loses the factor `left`, the sum of squares errors^2 / left.
-        lost = [side.errors[..., i] ** 2 / side.left[..., i] for side in sides]
-        rest = square - lost[0][:, :, None] - lost[1][:, None, :]
-        share = _shares(
-            evidence - 0.5 * (np.log(line.left[..., i])[:, :, None]
-                              + np.log(sample.left[..., i])[:, None, :])
-            - (freedom - 2) / 2 * np.log(np.maximum(rest, noise + TINY * square)))
-        for axis, (side, ours) in enumerate(zip(sides, (share.sum(axis=2), share.sum(axis=1)),
-                                                strict=True)):
-            found[i, axis] = (ours * side.errors[..., i] / side.left[..., i]).sum()
+        rest = square - errors[0] ** 2 / left[0] - errors[1] ** 2 / left[1]
+        share = _shares(evidence - 0.5 * np.log(left[0] * left[1]) - (freedom - 2) / 2 * np.log(
+            np.maximum(rest, noise + TINY * square)))
+        found[i] = [share @ (errors[axis] / left[axis]) for axis in (0, 1)]
     return found

@@ -2,8 +2,8 @@
 
 Affine terms are always in; the term enters that explains most of what is left, and the number
 of terms is that of the least extended Bayesian information criterion (see
-`termsel.criteria.Ebic`). All is done once with all points and once without each of them, as one
-batch.
+`termsel.criteria.Ebic`). All is done once with all points and once without each of them (of many,
+without each of some folds), as one batch.
 """
 
 from __future__ import annotations
@@ -16,6 +16,8 @@ import numpy as np
 from termsel.adjustment.solve import TOLERANCE
 from termsel.features import BoolArray, FloatArray
 
+MAX_FOLDS = 100
+
 
 @dataclass(frozen=True, eq=False)
 class Selected:
@@ -25,7 +27,8 @@ class Selected:
     ----------
     terms : ndarray of bool, shape (k,)
     errors : ndarray, shape (n,)
-        Measured minus predicted by a selection that was made without that point.
+        Measured minus predicted by a selection that was made without that point, or without its
+        fold where there are more than MAX_FOLDS points.
     """
 
     terms: BoolArray
@@ -52,26 +55,29 @@ def select_forward(columns: FloatArray, target: FloatArray, forced: BoolArray) -
     most = (2 * (n - 1)) // 3 - int(forced.sum())
     if most < 0:
         return None
-    # The last system of the batch has all points, the others are without one each.
-    present = np.ones((n + 1, n))
-    present[np.arange(n), np.arange(n)] = 0.0
+    # The last system of the batch has all points, the others are without one fold each.
+    folds = min(n, MAX_FOLDS)
+    fold = np.arange(n) % folds
+    present = np.ones((folds + 1, n))
+    present[fold, np.arange(n)] = 0.0
     rest = present[:, :, None] * columns
     left = present * target
     lengths = np.linalg.norm(rest, axis=1)
-    chosen = np.zeros((n + 1, k), dtype=bool)
-    best, least = chosen.copy(), np.full(n + 1, np.inf)
-    rows = np.arange(n + 1)
+    chosen = np.zeros((folds + 1, k), dtype=bool)
+    best, least = chosen.copy(), np.full(folds + 1, np.inf)
+    rows = np.arange(folds + 1)
     free = int((~forced).sum())
     for step in range(k):
         norms = np.linalg.norm(rest, axis=1)
         usable = ~chosen & (norms > TOLERANCE * lengths)
         if step < forced.sum():
-            entering = np.full(n + 1, np.flatnonzero(forced)[step])
+            entering = np.full(folds + 1, np.flatnonzero(forced)[step])
             if not usable[rows, entering].all():
                 return None
         else:
             count = step - int(forced.sum())
-            least, best = _keep_best(left, count, free, step, chosen, least, best)
+            least, best = _keep_best(left, present.sum(axis=1), count, free, step, chosen, least,
+                                     best)
             if count == min(most, free) or not usable.any(axis=1).all():
                 break
             gain = np.einsum("bnk,bn->bk", rest, left) ** 2
@@ -81,15 +87,18 @@ def select_forward(columns: FloatArray, target: FloatArray, forced: BoolArray) -
         rest = rest - q[:, :, None] * np.einsum("bn,bnk->bk", q, rest)[:, None, :]
         left = left - q * np.einsum("bn,bn->b", q, left)[:, None]
         chosen[rows, entering] = True
-    errors = np.array([target[i] - columns[i, best[i]] @ np.linalg.lstsq(
-        np.delete(columns[:, best[i]], i, axis=0), np.delete(target, i))[0] for i in range(n)])
-    return Selected(best[n], errors)
+    errors = np.empty(n)
+    for out in range(folds):
+        others, mask = fold != out, best[out]
+        x = np.linalg.lstsq(columns[others][:, mask], target[others])[0]
+        errors[~others] = target[~others] - columns[~others][:, mask] @ x
+    return Selected(best[folds], errors)
 
 
-def _keep_best(left: FloatArray, count: int, free: int, used: int, chosen: BoolArray,
-               least: FloatArray, best: BoolArray) -> tuple[FloatArray, BoolArray]:
-    """Return the least criteria so far and the selections they are of."""
-    n = left.shape[1]
+def _keep_best(left: FloatArray, n: FloatArray, count: int, free: int, used: int,
+               chosen: BoolArray, least: FloatArray, best: BoolArray,
+               ) -> tuple[FloatArray, BoolArray]:
+    """Return the least criteria so far and the selections they are of; n equations each."""
     rss = np.maximum((left**2).sum(axis=1), np.finfo(float).tiny)
     value = n * np.log(rss / n) + used * np.log(n) + 2 * np.log(comb(free, count))
     better = value < least
