@@ -20,17 +20,17 @@ k common rows, and masks seldom agree in so many.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar, cast
+from typing import Any, cast
 from weakref import WeakKeyDictionary
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from termsel.adjustment.compiled import compiled
+from termsel.adjustment.distinct import distinct
 from termsel.adjustment.equations import Equations
 from termsel.adjustment.reflections import LANES, apply_one, apply_two
 from termsel.adjustment.solve import TOLERANCE
@@ -43,15 +43,8 @@ UintArray = NDArray[np.uintp]
 Work = tuple[FloatArray, FloatArray, FloatArray, IntArray]
 """Of the reflections: vectors, factors, products of neighbours, and the rows they reach."""
 
-_Function = TypeVar("_Function", bound=Callable[..., Any])
 
-
-def _compiled(function: _Function) -> _Function:
-    """Compile on first call and keep the machine code on disk."""
-    return cast(_Function, numba.njit(cache=True, nogil=True, error_model="numpy")(function))
-
-
-@_compiled
+@compiled
 def _take(column: FloatArray, v: FloatArray) -> float:
     """Copy a column and return the sum of its squares.
 
@@ -74,7 +67,7 @@ def _take(column: FloatArray, v: FloatArray) -> float:
     return (a + b) + (c + d)
 
 
-@_compiled
+@compiled
 def _dot(u: FloatArray, v: FloatArray) -> float:
     a = b = c = d = 0.0
     quarter = len(v) // 4
@@ -88,7 +81,7 @@ def _dot(u: FloatArray, v: FloatArray) -> float:
     return (a + b) + (c + d)
 
 
-@_compiled
+@compiled
 def _eliminate(
     panels: FloatArray, work: Work, heights: IntArray, n: int, tolerance: float, longest: float,
 ) -> int:
@@ -142,7 +135,7 @@ def _eliminate(
     return rank
 
 
-@_compiled
+@compiled
 def _gather(
     panels: FloatArray, source: FloatArray, rows: UintArray, columns: UintArray,
     heights: IntArray, n: int,
@@ -157,7 +150,7 @@ def _gather(
                 target[lane] = line[some[lane]]
 
 
-@_compiled
+@compiled
 def _lower(panels: FloatArray, n: int, shift: int) -> None:
     """Move the triangle of n columns down, and clear what elimination left below it."""
     for c in range(n // LANES + 1):
@@ -167,7 +160,7 @@ def _lower(panels: FloatArray, n: int, shift: int) -> None:
                 panels[c, i + shift, lane] = panels[c, i, lane] if inside else 0.0
 
 
-@_compiled
+@compiled
 def _factor(
     panels: FloatArray, work: Work, source: FloatArray, triangular: bool, rows: UintArray,
     columns: UintArray, heights: IntArray, n: int, tolerance: float, longest: float,
@@ -195,7 +188,7 @@ def _factor(
         kept = n
 
 
-@_compiled
+@compiled
 def _substitute(
     panels: FloatArray, right: FloatArray, columns: UintArray, n: int, coefficients: FloatArray,
 ) -> None:
@@ -210,7 +203,7 @@ def _substitute(
         coefficients[columns[s]] = x
 
 
-@_compiled
+@compiled
 def _solve(
     panels: FloatArray, work: Work, source: FloatArray, triangular: bool, feature: IntArray,
     rows: UintArray, columns: UintArray, heights: IntArray, terms: BoolArray,
@@ -351,7 +344,7 @@ def solve_many(
                          f"and {equations.n_features} features")
     # One memory layout for all, or each would be compiled for.
     columns, rows = (np.require(mask, requirements=("C", "W")) for mask in (columns, rows))
-    first, copies = _distinct(columns, rows)
+    first, copies = distinct(columns, rows)
     if len(first) < p:
         columns, rows = columns[first], rows[first]
     coefficients, violation = np.zeros(columns.shape), np.zeros(len(first), dtype=np.intp)
@@ -370,44 +363,6 @@ def solve_many(
             list(pool.map(solve, map(slice, edges[:-1], edges[1:])))
     return (coefficients, violation) if len(first) == p else (coefficients[copies],
                                                               violation[copies])
-
-
-@_compiled
-def _distinct(columns: BoolArray, rows: BoolArray) -> tuple[IntArray, IntArray]:
-    """Return the first occurrence of every distinct mask, and which of these each mask is.
-
-    Some hundredths of a solution's time, and a population that converges is full of twins.
-    """
-    p, k, f = len(columns), columns.shape[1], rows.shape[1]
-    words = np.zeros((p, k // 64 + f // 64 + 2), dtype=np.uint64)
-    one = np.uint64(1)
-    size = 4
-    while size < 2 * p:
-        size *= 2
-    table = np.full(size, -1, dtype=np.intp)
-    first, copies = np.empty(p, dtype=np.intp), np.empty(p, dtype=np.intp)
-    n = 0
-    for i in range(p):
-        word = words[i]
-        for j in range(k):
-            word[j >> 6] = (word[j >> 6] << one) | np.uint64(columns[i, j])
-        for j in range(f):
-            w = k // 64 + 1 + (j >> 6)
-            word[w] = (word[w] << one) | np.uint64(rows[i, j])
-        # Fibonacci hashing: the upper bits of a product with 2^64 / golden ratio.
-        key = np.uint64(0)
-        for w in range(len(word)):
-            key = (key ^ word[w]) * np.uint64(0x9E3779B97F4A7C15)
-            key ^= key >> np.uint64(29)
-        place = np.intp(key & np.uint64(size - 1))
-        while table[place] >= 0 and not (words[first[table[place]]] == word).all():
-            place = (place + 1) & (size - 1)
-        if table[place] < 0:
-            table[place] = n
-            first[n] = i
-            n += 1
-        copies[i] = table[place]
-    return first[:n], copies
 
 
 def needs_compilation() -> bool:

@@ -2,22 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any, TypeVar, cast
-
-import numba
 import numpy as np
 
+from termsel.adjustment.compiled import compiled
 from termsel.features import BoolArray, FloatArray
 
-_Function = TypeVar("_Function", bound=Callable[..., Any])
 
-
-def _compiled(function: _Function) -> _Function:
-    return cast(_Function, numba.njit(cache=True, nogil=True, error_model="numpy")(function))
-
-
-@_compiled
+@compiled
 def _areas(x: FloatArray, y: FloatArray, masks: BoolArray, areas: FloatArray) -> None:
     """Write the area of the hull of each selection of points in ascending order of x, then y."""
     hull = np.empty(2 * len(x) + 1, dtype=np.intp)
