@@ -20,8 +20,8 @@ procedure repeated without each point.
 References
 ----------
 Hoerl and Kennard 1970 for ridge regression; Lindley and Smith 1972, J. R. Stat. Soc. B 34(1), for
-its prior; Hoeting et al. 1999, Statistical Science 14(4), for averaging. The prior's form is
-termsel's own.
+its prior; Gelman 2006, Bayesian Analysis 1(3), for that of its size; Hoeting et al. 1999,
+Statistical Science 14(4), for averaging. The prior's form is termsel's own.
 """
 
 from __future__ import annotations
@@ -37,6 +37,11 @@ from termsel.models.polynomial import Exponents, monomials
 SIZES = 10.0 ** np.arange(-0.5, 5.5, 0.5)
 """Standard deviations of quadratic coefficients by that of the noise. From where they cannot be
 told from 0 to where they are as good as free."""
+
+TYPICAL = 10.0
+"""Size beyond which larger ones are ever less likely, in proportion: the tail of a half-Cauchy
+prior. Where few points leave hardly any redundancy, the data do not exclude that there is no noise
+and all sizes are huge; this does."""
 
 FALLS = (0.01, 0.03, 0.1, 0.3)
 """Cubic coefficients by quadratic ones."""
@@ -82,7 +87,7 @@ class Average:
 class _Side:
     """All solutions of one axis, groups of scales by sizes.
 
-    `evidence` and `square`, shape (g s,), make up the marginal likelihood, square^-nu/2
+    `evidence` and `square`, shape (g s,), make up prior and marginal likelihood, square^-nu/2
     exp(evidence); `left` is 1 minus the leverage of each point, `errors` are what the fit leaves,
     shape (g s, n); `coefficients` are the shrunken ones, shape (g s, j).
     """
@@ -200,7 +205,7 @@ def _solutions(design: _Design, target: FloatArray, scales: FloatArray) -> _Side
     part = keep * along[:, None, :]
     n, k = len(u[0]), scales.shape[1]
     return _Side(
-        0.5 * np.log(keep).sum(axis=2).ravel(),
+        (0.5 * np.log(keep).sum(axis=2) - 0.5 * np.log1p((SIZES / TYPICAL) ** 2)).ravel(),
         ((beyond**2).sum(axis=1)[:, None] + (part * along[:, None, :]).sum(axis=2)).ravel(),
         np.maximum(room[:, None, :] + keep @ (u**2).transpose(0, 2, 1), TINY).reshape(-1, n),
         (beyond[:, None, :] + part @ u.transpose(0, 2, 1)).reshape(-1, n),
