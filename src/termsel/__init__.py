@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from termsel.options import Option
     from termsel.plugins import hookimpl
     from termsel.problems.base import Evaluation, Genome, Problem, Segment, Selection
-    from termsel.problems.recipes import Recipe
+    from termsel.problems.recipes import OF_FEATURES, Recipe
     from termsel.problems.selection import Inputs, SelectionProblem
     from termsel.result import Result
     from termsel.rpc import Rpc
@@ -48,6 +48,7 @@ _HOME = {
     "Genome": "termsel.problems.base",
     "Inputs": "termsel.problems.selection",
     "Lines": "termsel.features",
+    "OF_FEATURES": "termsel.problems.recipes",
     "Option": "termsel.options",
     "Points": "termsel.features",
     "Polynomial2D": "termsel.models",
@@ -81,6 +82,7 @@ _HOME = {
 }
 
 __all__ = [
+    "OF_FEATURES",
     "Blocks",
     "Criterion",
     "DatasetSpec",

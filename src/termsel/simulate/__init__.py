@@ -1,5 +1,6 @@
 """Simulated scenes: a rigorous pushbroom scanner over analytic terrain."""
 
+from termsel.simulate.geometry_files import read_geometry, write_geometry
 from termsel.simulate.pushbroom import Angle, Pushbroom, pushbroom_at
 from termsel.simulate.scenes import (
     DATASETS,
@@ -18,6 +19,8 @@ __all__ = [
     "SceneTruth",
     "Terrain",
     "pushbroom_at",
+    "read_geometry",
     "scene_truth",
     "simulate_scene",
+    "write_geometry",
 ]

@@ -84,6 +84,8 @@ class Pushbroom:
         Attitude over time.
     refraction : bool
         Whether rays are bent by the atmosphere.
+    offset : array_like, shape (3,), or (n, 3) for one at each of n times
+        How far the satellite is from that circle: ahead, to starboard and down [m].
 
     Raises
     ------
@@ -117,6 +119,7 @@ class Pushbroom:
     pitch: Angle = Angle()
     yaw: Angle = Angle()
     refraction: bool = True
+    offset: tuple[float, float, float] | FloatArray = (0.0, 0.0, 0.0)
 
     def __post_init__(self) -> None:
         for name in ("altitude", "n_lines", "n_samples", "ifov", "line_period"):
@@ -160,7 +163,8 @@ class Pushbroom:
         normal = np.stack([sn * si, -cn * si, np.full_like(cn, ci)], axis=-1)
         orbital = np.stack([forward, -normal, -outward], axis=-1)
         attitude = _attitude(self.roll(time), self.pitch(time), self.yaw(time))
-        return radius * outward, orbital @ attitude
+        away = (orbital @ np.asarray(self.offset)[..., None])[..., 0]
+        return radius * outward + away, orbital @ attitude
 
     def project(self, ground: ArrayLike) -> FloatArray:
         """Return where ground points are seen.

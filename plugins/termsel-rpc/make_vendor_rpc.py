@@ -1,0 +1,37 @@
+"""Make the RPC of the embedded data set from its nominal sensor, as vendors make theirs.
+
+    python plugins/termsel-rpc/make_vendor_rpc.py
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from termsel import FeatureSet, Points
+from termsel.fitting import fit
+from termsel.io.rpc_text import rpb_text
+from termsel.models.rational import RationalFunctions
+from termsel.rpc_fitting import rpc_of
+from termsel.scaling import scaling_of
+from termsel_rpc.simulated import RPC_FILE, nominal_sensor
+
+LOWEST, HIGHEST = 1650.0, 2050.0
+
+
+def main() -> None:
+    """Fit all 78 terms to a grid of the image at seven heights, and write RPC_FILE."""
+    sensor = nominal_sensor()
+    grid = np.stack(np.meshgrid(np.linspace(0, sensor.n_lines - 1, 21),
+                                np.linspace(0, sensor.n_samples - 1, 21),
+                                np.linspace(LOWEST, HIGHEST, 7)), axis=-1).reshape(-1, 3)
+    ground = np.column_stack([sensor.locate(grid[:, :2], grid[:, 2]), grid[:, 2]])
+    control = FeatureSet(Points(tuple(map(str, range(len(grid)))), grid[:, :2], ground),
+                         crs="EPSG:4979", image_size=(sensor.n_lines, sensor.n_samples))
+    found = rpc_of(fit(RationalFunctions(), control, scaling_of(control)))
+    RPC_FILE.write_text(rpb_text(found.rpc))
+    away = found.rpc.project(ground) - grid[:, :2]
+    print(f"{found.how}: at most {np.abs(away).max():.2g} px from the sensor")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,50 @@
+"""Refinement of a vendor's RPC or rigorous model by chosen control points, as a plugin of termsel.
+
+References
+----------
+Konugurthi, Kune, Nooka, Sarma 2016: Autonomous ortho-rectification of very high resolution
+imagery using SIFT and genetic algorithm. PE&RS 82(5), 377-388.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import TYPE_CHECKING
+
+from termsel import DatasetSpec, hookimpl
+from termsel_rpc.image_space import RpcAffine, RpcDrift, RpcShift
+from termsel_rpc.problem import RECIPE, Ce90
+from termsel_rpc.rigorous import PushbroomRefine
+from termsel_rpc.simulated import CANDIDATES, candidates
+
+if TYPE_CHECKING:
+    from termsel import Criterion, Recipe, SensorModel
+
+__all__ = ["Ce90", "PushbroomRefine", "RpcAffine", "RpcDrift", "RpcShift", "candidates"]
+
+
+@hookimpl
+def termsel_models() -> Iterable[type[SensorModel]]:
+    """Return the models of this package."""
+    return [RpcShift, RpcDrift, RpcAffine, PushbroomRefine]
+
+
+@hookimpl
+def termsel_criteria() -> Iterable[Criterion]:
+    """Return the circular error."""
+    return [Ce90()]
+
+
+@hookimpl
+def termsel_problems() -> Iterable[Recipe]:
+    """Return the choice of m of n control points."""
+    return [RECIPE]
+
+
+@hookimpl
+def termsel_datasets() -> Iterable[DatasetSpec]:
+    """Return candidates of mixed quality."""
+    return [DatasetSpec(
+        CANDIDATES, "simulated IKONOS scene of Hamedan, 1 m: 240 points, of the 160 for control "
+        "and check 40 inexact and 24 wrong (after Konugurthi et al. 2016)", candidates,
+        simulated=True)]

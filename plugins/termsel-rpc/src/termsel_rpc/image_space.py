@@ -1,0 +1,148 @@
+"""Bias correction of an RPC in image space."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from termsel import Option, Rpc, TermselError, read_rpc
+from termsel_rpc.refinement import FloatArray, Refinement
+from termsel_rpc.simulated import CANDIDATES, RPC_FILE
+
+RPC = Option("rpc", None, "The RPC to refine: a file in any form that termsel reads, or "
+             f"{CANDIDATES} for that of the embedded data set; to be given.")
+
+_AXES = ("line", "sample")
+
+
+class RpcShift(Refinement):
+    """Vendor's RPC, shifted in the image: 2 terms.
+
+    With (l, s) where the RPC sees a ground point, image = (l + a0, s + b0). Every refinement of
+    an RPC adds a polynomial of that position to it, so that the terms enter linearly:
+
+        rpc-shift     1            2 terms
+        rpc-drift     1, l         4 terms
+        rpc-affine    1, l, s      6 terms
+
+    for line and for sample each. Terms are called line.bias:1, sample.bias:line and so on. As
+    all coefficients they are in scaled units: constants times the image scale are pixels, at the
+    middle of the control; the others are pixels for a pixel.
+
+    References
+    ----------
+    Grodecki, Dial 2003: Block adjustment of high-resolution satellite images described by
+    rational polynomials. PE&RS 69(1), 59-68: image offsets as a polynomial of line and sample.
+    Fraser, Dial, Grodecki 2004: IKONOS and QuickBird bias compensation. ISPRS Archives XXXV-B1:
+    shift, shift and drift, and affine as the sets to choose from. Both take the polynomial of
+    measured positions; here it is that of the RPC's, so that points can be projected.
+    """
+
+    name = "rpc-shift"
+    declared_options = (RPC,)
+    columns: ClassVar[tuple[str, ...]] = ("1",)
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(**options)
+        given = self.options["rpc"]
+        if given is None:
+            raise TermselError(f"model {self.name!r} needs the RPC that it is to refine",
+                               hint=f"Give its file: --set rpc=FILE. --set rpc={CANDIDATES} is "
+                                    "that of the embedded data set.")
+        if given != CANDIDATES:
+            # A result must be readable from another folder.
+            self.options["rpc"] = str(Path(given).resolve())
+        self.rpc = read_rpc(RPC_FILE if given == CANDIDATES else given)
+
+    @property
+    def terms(self) -> tuple[str, ...]:
+        """Names of the terms: image axis and column, such as "line.bias:sample"."""
+        return tuple(f"{axis}.bias:{column}" for axis in _AXES for column in self.columns)
+
+    @property
+    def axis(self) -> NDArray[np.intp]:
+        """Image axis of each term: 0 line, 1 sample."""
+        return np.repeat(np.arange(2), len(self.columns))
+
+    @property
+    def source(self) -> str:
+        """The RPC and its file."""
+        return f"the RPC {Path(self.options['rpc']).name}"
+
+    def footprint(self) -> FloatArray:
+        """Return least and greatest longitude and latitude [deg] seen, shape (2, 2)."""
+        middle, half = self.rpc.ground_offset[:2], np.abs(self.rpc.ground_scale[:2])
+        return np.stack([middle - half, middle + half])
+
+    def first_order(self, ground: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return where the RPC sees ground points, and the polynomial's columns there."""
+        places = self.geographic(ground)
+        assert self.scaling is not None  # geographic asks for it
+        image = self.scaling.image(self.rpc.project(places))
+        values = {"1": np.ones(len(image)), "line": image[:, 0], "sample": image[:, 1]}
+        columns = np.stack([values[name] for name in self.columns], axis=1)
+        of_both = np.einsum("ab,nc->nabc", np.eye(2), columns)
+        return image, of_both.reshape(len(image), 2, len(self.terms))
+
+    def project(self, coefficients: FloatArray, ground: FloatArray) -> FloatArray:
+        """Return image positions, shape (..., n, 2): those of the RPC, corrected."""
+        image, columns = self.known(ground)
+        return np.asarray(image + np.einsum("nak,...k->...na", columns, coefficients))
+
+    def as_rpc(self, coefficients: FloatArray) -> Rpc | None:
+        """Return the refined RPC, or None where it is none exactly.
+
+        Offsets and scales take up a shift and what an axis does to itself. What the other axis
+        adds can only be taken up if both have the same denominator.
+        """
+        assert self.scaling is not None
+        values = dict(zip(self.terms, coefficients.tolist(), strict=True))
+        constant = np.array([values[f"{axis}.bias:1"] for axis in _AXES])
+        linear = np.eye(2) + [[values.get(f"{axis}.bias:{column}", 0.0) for column in _AXES]
+                              for axis in _AXES]
+        rpc, middle = self.rpc, np.array(self.scaling.image_offset)
+        offset = (middle + self.scaling.image_scale * constant
+                  + linear @ (np.array(rpc.image_offset) - middle))
+        refined = replace(rpc, image_offset=tuple(offset), error_bias=None)
+        scale = linear * rpc.image_scale  # pixels for the quotients of line and sample
+        if not (linear * (1 - np.eye(2))).any():
+            return replace(refined, image_scale=tuple(np.diag(scale)))
+        if rpc.line_denominator != rpc.sample_denominator:
+            return None
+        above = np.array([rpc.line_numerator, rpc.sample_numerator])
+        line, sample = scale / np.array(rpc.image_scale)[:, None] @ above
+        return replace(refined, line_numerator=tuple(line), sample_numerator=tuple(sample))
+
+
+class RpcDrift(RpcShift):
+    """Vendor's RPC with a shift and a drift along the lines: 4 terms.
+
+    With (l, s) where the RPC sees a ground point, image = (l + a0 + a1 l, s + b0 + b1 l): lines
+    are imaged one after the other, so that a drift of attitude over time acts by the line.
+
+    References
+    ----------
+    As `rpc-shift`.
+    """
+
+    name = "rpc-drift"
+    columns = ("1", "line")
+
+
+class RpcAffine(RpcShift):
+    """Vendor's RPC with an affine correction in the image: 6 terms.
+
+    With (l, s) where the RPC sees a ground point, image = (l + a0 + a1 l + a2 s, s + b0 + b1 l +
+    b2 s).
+
+    References
+    ----------
+    As `rpc-shift`.
+    """
+
+    name = "rpc-affine"
+    columns = ("1", "line", "sample")

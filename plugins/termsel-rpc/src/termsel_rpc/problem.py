@@ -1,0 +1,63 @@
+"""The choice of m of n control points for a refinement."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from termsel import (
+    OF_FEATURES,
+    Criterion,
+    Fits,
+    Inputs,
+    Option,
+    Points,
+    Problem,
+    Recipe,
+    SelectionProblem,
+)
+from termsel_rpc.refinement import FloatArray
+from termsel_rpc.simulated import CANDIDATES
+
+_DEFAULTS = {"min_features": 6, "max_features": 6, "max_uncovered": 0.5}
+
+JUDGED_BY = Option(
+    "judged_by", "all", "Points the criterion looks at: all control candidates together with the "
+    "check points, as in Konugurthi et al. 2016; or the check points alone.",
+    choices=("all", "check"))
+
+
+class Ce90(Criterion):
+    """Circular error of nine in ten check points [pixel]: the 90 % quantile of the distances.
+
+    Up to a tenth of the points may be wrong without effect. The quantile is interpolated
+    linearly between the distances; no distribution is assumed.
+    """
+
+    name = "ce90"
+    is_rmse = False
+
+    def score(self, fits: Fits) -> FloatArray:
+        """Return the quantile [pixel]."""
+        with np.errstate(over="ignore", invalid="ignore"):
+            distance = np.linalg.norm(fits.check_errors, axis=2)
+            return np.asarray(np.quantile(distance, 0.9, axis=1))
+
+
+def _gcps(inputs: Inputs) -> Problem:
+    if inputs.options["judged_by"] == "all":
+        control, check = inputs.control.points, inputs.check
+        inputs = replace(inputs, check=Points(
+            control.ids + check.ids, np.concatenate([control.image, check.image]),
+            np.concatenate([control.ground, check.ground])))
+    return SelectionProblem(inputs, terms=False, features=True)
+
+
+RECIPE = Recipe(
+    "rpc-gcps", "Which m of n control points to refine a vendor's RPC or a rigorous model with.",
+    _gcps, model="rpc-drift", model_options={"rpc": CANDIDATES}, dataset=CANDIDATES,
+    criterion="check-rmse", solver="ga-steady", second="uncovered",
+    options=(JUDGED_BY, *(replace(option, default=_DEFAULTS.get(option.name, option.default))
+                          for option in OF_FEATURES)),
+    source="Konugurthi et al. 2016")

@@ -1,0 +1,100 @@
+"""What refinements have in common: a known geometry, and terms that correct it."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from itertools import product
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from termsel import Equations, FeatureSet, Scaling, SensorModel, TermselError, image_equations
+
+FloatArray = NDArray[np.float64]
+
+_KEPT = 8
+
+
+class Refinement(SensorModel):
+    """A known geometry with terms that correct it, in first order at least.
+
+    The terms are 0 where the geometry is right.
+    """
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(**options)
+        self._known: dict[bytes, tuple[FloatArray, FloatArray]] = {}
+
+    @property
+    @abstractmethod
+    def source(self) -> str:
+        """What the geometry is and where it comes from, in words."""
+
+    @abstractmethod
+    def footprint(self) -> FloatArray:
+        """Return least and greatest longitude and latitude [deg] seen, shape (2, 2)."""
+
+    @abstractmethod
+    def first_order(self, ground: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return image positions and what the terms add to them for a coefficient of 1.
+
+        Parameters
+        ----------
+        ground : ndarray, shape (n, 3)
+            Scaled.
+
+        Returns
+        -------
+        image : ndarray, shape (n, 2)
+            Scaled.
+        columns : ndarray, shape (n, 2, k)
+        """
+
+    def prepared(self, scaling: Scaling, crs: str) -> Self:
+        """Return the model for features there, which must be where the image is.
+
+        Raises
+        ------
+        TermselError
+            If they are not, or their coordinates cannot be turned into WGS84.
+        """
+        ready = super().prepared(scaling, crs)
+        if ready is not self:
+            ready._known = {}
+            ready._require_seen()
+        return ready
+
+    def _require_seen(self) -> None:
+        corners = np.array(list(product((-1.0, 1.0), repeat=3)))
+        places = self.geographic(corners)[:, :2]
+        low, high = self.footprint()
+        # Longitudes go round.
+        places[:, 0] += 360 * np.round(((low + high)[0] / 2 - places[:, 0].mean()) / 360)
+        margin = (high - low) / 2
+        least, greatest = places.min(axis=0), places.max(axis=0)
+        if ((greatest < low - margin) | (least > high + margin)).any():
+            raise TermselError(
+                f"{self.source} sees the ground of {_range(low, high)}, and the control "
+                f"lies in {_range(least, greatest)}",
+                hint="Give that of this image; x must be longitude or easting.")
+
+    def known(self, ground: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return `first_order`; a search asks for the same places again and again."""
+        key = ground.tobytes()
+        if key not in self._known:
+            if len(self._known) >= _KEPT:
+                self._known.clear()
+            self._known[key] = self.first_order(ground)
+        return self._known[key]
+
+    def equations(self, features: FeatureSet) -> Equations:
+        """Return the equations of points and lines, linear about the known geometry."""
+        image, columns = self.known(features.points.ground)
+        at_vertices, of_vertices = self.known(features.lines.ground.reshape(-1, 3))
+        return image_equations(features, columns, of_vertices, image, at_vertices)
+
+
+def _range(low: FloatArray, high: FloatArray) -> str:
+    return (f"longitude {low[0]:.4g} to {high[0]:.4g} and latitude {low[1]:.4g} to "
+            f"{high[1]:.4g}")

@@ -1,0 +1,136 @@
+"""Refinement of a rigorous pushbroom model by biases of position and attitude."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from termsel import Equations, FeatureSet, Option, TermselError, image_equations
+from termsel.simulate import SCENES, Angle, Pushbroom, read_geometry, scene_truth
+from termsel_rpc.refinement import FloatArray, Refinement
+from termsel_rpc.simulated import CANDIDATES, nominal_sensor
+
+POSITION, ATTITUDE = ("ahead", "starboard", "down"), ("roll", "pitch", "yaw")
+
+_STEP = 1e-3  # of the scaled image unit: some pixels
+
+
+class PushbroomRefine(Refinement):
+    """Rigorous pushbroom model with biases of position and attitude: 3 or 6 terms.
+
+    Biases are constant over the scene: of roll, pitch and yaw, and of the position ahead, to
+    starboard and down. Equations are linear about the nominal geometry, by central
+    differences; a fit goes on from there to the least squares of distances, and image
+    positions are always those of the rigorous model. From orbit a bias of position looks almost
+    like one of attitude, so that few points hardly tell them apart; by default there are those
+    of attitude alone.
+
+    As all coefficients, those of the terms are in scaled units: times the image scale, they are
+    detectors by which roll, pitch or position move the image, with the distance of the ground
+    taken as the altitude; yaw is in radians.
+
+    Notes
+    -----
+    Constant biases after P.V. Radhadevi, R. Ramachandran and A.S.R.K.V. Murali Mohan,
+    "Restitution of IRS-1C PAN data using an orbit attitude model and minimum control", ISPRS J.
+    53 (1998) 262-271. The geometry is that of `termsel.simulate.Pushbroom`.
+    """
+
+    name = "pushbroom-refine"
+    declared_options = (
+        Option("geometry", None, "The nominal geometry: a JSON file as "
+               "termsel.simulate.write_geometry makes it, or the name of an embedded data set; "
+               "to be given."),
+        Option("biases", "attitude", "Whose biases are terms.",
+               choices=("attitude", "position", "both")))
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(**options)
+        given = self.options["geometry"]
+        embedded = (CANDIDATES, *SCENES)
+        if given is None:
+            raise TermselError(f"model {self.name!r} needs the geometry that it is to refine",
+                               hint="Give it: --set geometry=FILE, or the name of an embedded "
+                                    f"data set: {', '.join(embedded)}.")
+        if given in embedded:
+            self.sensor = nominal_sensor() if given == CANDIDATES else scene_truth(given).sensor
+        else:
+            self.sensor = read_geometry(given)
+            # A result must be readable from another folder.
+            self.options["geometry"] = str(Path(given).resolve())
+
+    @property
+    def terms(self) -> tuple[str, ...]:
+        """Names of the biases."""
+        return {"attitude": ATTITUDE, "position": POSITION,
+                "both": ATTITUDE + POSITION}[self.options["biases"]]
+
+    @property
+    def source(self) -> str:
+        """The geometry and its file."""
+        return f"the geometry {Path(self.options['geometry']).name}"
+
+    def footprint(self) -> FloatArray:
+        """Return least and greatest longitude and latitude [deg] seen, shape (2, 2)."""
+        last = self.sensor.n_lines - 1, self.sensor.n_samples - 1
+        corners = self.sensor.locate(np.array(list(product((0, 1), repeat=2))) * last, 0.0)
+        return np.stack([corners.min(axis=0), corners.max(axis=0)])
+
+    def first_order(self, ground: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the nominal image positions, and their derivatives by the biases."""
+        nominal = np.zeros(len(self.terms))
+        return self.project(nominal, ground), self._derivatives(nominal, ground)
+
+    def linearised(self, features: FeatureSet, coefficients: FloatArray) -> Equations:
+        """Return the equations about a solution (see `SensorModel.linearised`)."""
+        parts = []
+        for ground in (features.points.ground, features.lines.ground.reshape(-1, 3)):
+            columns = self._derivatives(coefficients, ground)
+            parts += [columns, self.project(coefficients, ground) - columns @ coefficients]
+        return image_equations(features, *parts[::2], *parts[1::2])
+
+    def project(self, coefficients: FloatArray, ground: FloatArray) -> FloatArray:
+        """Return image positions, shape (..., n, 2), by the rigorous model with these biases."""
+        places = self.geographic(ground)
+        assert self.scaling is not None  # geographic asks for it
+        sets = coefficients.reshape(-1, len(self.terms))
+        if not len(places):
+            return np.zeros((*coefficients.shape[:-1], 0, 2))
+        # All sets at once: a point for every set and place.
+        image = self._biased(np.repeat(sets, len(places), axis=0)).project(
+            np.tile(places, (len(sets), 1)))
+        return self.scaling.image(image).reshape(*coefficients.shape[:-1], len(places), 2)
+
+    def _derivatives(self, coefficients: FloatArray, ground: FloatArray) -> FloatArray:
+        """Return the derivatives of image positions by the coefficients, shape (n, 2, k)."""
+        steps = _STEP * np.eye(len(coefficients))
+        ahead, back = (self.project(coefficients + sign * steps, ground) for sign in (1, -1))
+        return np.asarray(np.moveaxis(ahead - back, 0, -1) / (2 * _STEP))
+
+    def _biased(self, coefficients: FloatArray) -> Pushbroom:
+        """Return the scanner with biases of its own for each point, shape (n, k)."""
+        assert self.scaling is not None
+        sensor, angle = self.sensor, self.scaling.image_scale * self.sensor.ifov
+        bias = dict.fromkeys((*ATTITUDE, *POSITION), np.zeros(len(coefficients)))
+        bias |= dict(zip(self.terms, coefficients.T, strict=True))
+        away = np.stack([bias[name] for name in POSITION], axis=1)
+        return replace(
+            sensor, roll=_Turned(nominal=sensor.roll, bias=angle * bias["roll"]),
+            pitch=_Turned(nominal=sensor.pitch, bias=angle * bias["pitch"]),
+            yaw=_Turned(nominal=sensor.yaw, bias=bias["yaw"]),
+            offset=np.asarray(sensor.offset) + angle * sensor.altitude * away)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class _Turned(Angle):
+    """An attitude angle with a bias of its own for each point."""
+
+    nominal: Angle
+    bias: FloatArray
+
+    def __call__(self, time: FloatArray) -> FloatArray:
+        return self.nominal(time) + self.bias

@@ -1,0 +1,79 @@
+"""The embedded data set: candidates for control of mixed quality, and what a vendor delivers."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from termsel import FeatureSet, simulate_scene
+from termsel.simulate import Angle, Pushbroom, scene_truth
+
+CANDIDATES = "hamedan-candidates"
+SCENE = "ikonos-hamedan"
+
+RPC_FILE = Path(__file__).with_name("hamedan_vendor.RPB")
+"""RPC that `nominal_sensor` was replaced by, as vendors do (`make_vendor_rpc.py`)."""
+
+ROLL, PITCH, YAW, ROLL_DRIFT = 9.0, -6.0, 0.4, 1.5
+"""What is wrong with the nominal attitude, as movement in the image [pixel]: everywhere by roll and
+pitch, of the ends of the array by yaw, at the end of the scene by the drift of roll."""
+
+_POINTS, _SEED = 240, 0
+_INEXACT, _WRONG = 0.25, 0.15
+_GOOD_NOISE, _INEXACT_NOISE = 0.5, 2.0
+_NEAREST, _FARTHEST = 5.0, 40.0
+
+
+def nominal_sensor() -> Pushbroom:
+    """Return the scanner as its vendor knows it: with a wrong attitude, and without jitter."""
+    true = scene_truth(SCENE).sensor
+    end = true.centre[0] * true.line_period
+    roll = -ROLL * true.ifov, -ROLL_DRIFT * true.ifov / end
+    return replace(true, roll=_changed(true.roll, roll),
+                   pitch=_changed(true.pitch, (-PITCH * true.ifov,)),
+                   yaw=_changed(true.yaw, (-YAW / true.centre[1],)))
+
+
+def _changed(angle: Angle, by: tuple[float, ...]) -> Angle:
+    drift = np.array(angle.drift)
+    drift[:len(by)] += by
+    return Angle(tuple(drift.tolist()))
+
+
+def candidates() -> FeatureSet:
+    """Return points such as image matching gives: most good, some inexact, some wrong.
+
+    80 control, 80 check and 80 independent points of the simulated scene "ikonos-hamedan". Of
+    control and check points 60 % are measured to 0.5 pixel in line and in sample, 25 % to 2
+    pixels, and 15 % are mismatched: 5 to 40 pixels from where they belong. Independent points
+    are all good.
+
+    Returns
+    -------
+    FeatureSet
+        WGS84 longitude, latitude [deg], ellipsoidal height [m].
+    """
+    scene = simulate_scene(SCENE, n_points=_POINTS, n_lines=0, noise=0.0)
+    points, rng = scene.points, np.random.default_rng(_SEED)
+    kind = quality()
+    noise = rng.standard_normal((_POINTS, 2)) * np.where(
+        kind == "inexact", _INEXACT_NOISE, _GOOD_NOISE)[:, None]
+    turn, far = rng.uniform(0, 2 * np.pi, _POINTS), rng.uniform(_NEAREST, _FARTHEST, _POINTS)
+    astray = np.column_stack([np.sin(turn), np.cos(turn)]) * far[:, None]
+    image = points.image + noise + np.where(kind == "wrong", 1.0, 0.0)[:, None] * astray
+    return replace(scene, points=replace(points, image=image), noise=_GOOD_NOISE)
+
+
+def quality() -> np.ndarray[tuple[int], np.dtype[np.str_]]:
+    """Return for each of the points of `candidates` whether it is good, inexact or wrong."""
+    scene = simulate_scene(SCENE, n_points=_POINTS, n_lines=0, noise=0.0)
+    kind = np.full(_POINTS, "good", dtype="<U7")
+    rng = np.random.default_rng([_SEED, 1])
+    for role in ("control", "check"):
+        order = rng.permutation(np.flatnonzero(np.array(scene.points.roles) == role))
+        inexact, wrong = (round(share * len(order)) for share in (_INEXACT, _WRONG))
+        kind[order[:inexact]] = "inexact"
+        kind[order[inexact:inexact + wrong]] = "wrong"
+    return kind
