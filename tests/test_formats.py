@@ -527,9 +527,10 @@ def test_examples_of_the_pages_are_read(page: Path, tmp_path: Path) -> None:
         options = {"join": "name", "image_lines": put(tmp_path, blocks[1], "image.csv")}
     features = read_file(put(tmp_path, example), readers(), None, options)
     expected = {"asp-gcp": "", "geojson-points": "EPSG:4979", "envi-pts": "EPSG:32612",
-                "points-csv": "EPSG:4979", "lines-csv": "EPSG:4979", "geojson-lines": "EPSG:4326"}
+                "points-csv": "EPSG:4979", "lines-csv": "EPSG:4979", "geojson-lines": "EPSG:4326",
+                "areas-csv": "EPSG:4979"}
     assert features.crs == expected.get(name[1], "EPSG:32631")
-    assert len(features) == (1 if name[1] == "lines-csv" else 2)
+    assert len(features) == (1 if name[1] in ("lines-csv", "areas-csv") else 2)
 
 
 def test_many_points_of_each_format(tmp_path: Path) -> None:

@@ -254,6 +254,30 @@ class Lines:
                      None if self.sigma is None else self.sigma[chosen])
 
 
+def join_points(first: Points, second: Points) -> Points:
+    """Return the points of both; unknown standard deviations are the median of the known."""
+    return Points(first.ids + second.ids, np.concatenate([first.image, second.image]),
+                  np.concatenate([first.ground, second.ground]),
+                  _join_sigma(first, second), first.roles + second.roles)
+
+
+def join_lines(first: Lines, second: Lines) -> Lines:
+    """Return the lines of both; unknown standard deviations are the median of the known."""
+    return Lines(first.ids + second.ids, np.concatenate([first.image, second.image]),
+                 np.concatenate([first.ground, second.ground]), _join_sigma(first, second))
+
+
+def _join_sigma(first: Points | Lines, second: Points | Lines) -> FloatArray | None:
+    given = [part.sigma for part in (first, second) if part.sigma is not None]
+    if not given:
+        return None
+    # That is what features without any weigh in an adjustment.
+    shape = given[0].shape[1:]
+    return np.concatenate([
+        np.full((len(part), *shape), np.median(given[0])) if part.sigma is None else part.sigma
+        for part in (first, second)])
+
+
 def no_points() -> Points:
     """Return an empty set of points."""
     return Points((), np.empty((0, 2)), np.empty((0, 3)))

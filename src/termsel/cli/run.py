@@ -30,10 +30,13 @@ INTERRUPTED = 130
               help="Points, in any format of `termsel list readers`.")
 @click.option("--lines", metavar="FILE", type=click.Path(path_type=Path),
               help="Control lines, likewise.")
+@click.option("--areas", metavar="FILE", type=click.Path(path_type=Path),
+              help="Areas, by their corners: as lines along their edges, or as centroids where "
+                   "the problem is one of points; --set areas_as=boundary or centroid chooses.")
 @click.option("--format", "formats", metavar="NAME", multiple=True,
               shell_complete=complete("readers"),
-              help="Read the file in this format whatever it looks like; with --points and "
-                   "--lines give it for either, in this order.")
+              help="Read the file in this format whatever it looks like; with several files "
+                   "give it for each, in the order points, lines, areas.")
 @click.option("--dem", metavar="FILE", type=click.Path(path_type=Path),
               help="Raster of heights, for points and lines that have none.")
 @click.option("--raster", metavar="FILE",
@@ -73,7 +76,8 @@ INTERRUPTED = 130
 @click.option("--quiet", is_flag=True, help="No progress bar.")
 def run(
     problem: str, dataset: str | None, points: Path | None, lines: Path | None,
-    formats: tuple[str, ...], dem: Path | None, raster: str | None, image_lines: str | None,
+    areas: Path | None, formats: tuple[str, ...], dem: Path | None, raster: str | None,
+    image_lines: str | None,
     crs: str | None, model: str | None, solver: str | None, criterion: str | None,
     strategy: str | None, settings: tuple[str, ...], seed: int, generations: int | None,
     evaluations: int | None, seconds: float | None, out: Path | None,
@@ -94,13 +98,14 @@ def run(
           --crs EPSG:32639 --model poly3d --seed 7 --json > result.json
     """
     options = parse_settings(settings)
-    if dataset is not None and (points is not None or lines is not None):
+    files = [path for path in (points, lines, areas) if path is not None]
+    if dataset is not None and files:
         raise TermselError("--dataset and files of your own exclude each other",
                            hint="Give --dataset NAME, or --points FILE and --lines FILE.")
     of_files = {"--crs": crs, "--format": formats, "--dem": dem, "--raster": raster,
                 "--image-lines": image_lines}
     for name, value in of_files.items():
-        if value and points is None and lines is None:
+        if value and not files:
             raise TermselError(f"{name} speaks of a file of points or lines, and none is given",
                                hint=f"Give --points FILE, or leave {name} out.")
 
@@ -110,15 +115,18 @@ def run(
 
     from termsel import running
     from termsel.io.exporting import export, writer_of
+    from termsel.plugins.manager import registry
     from termsel.report.text import summary
 
     # A name that is not known is said before a long search.
-    files = {to: f"result{writer_of(to).suffix or f'.{to}'}" for to in exports}
+    exported = {to: f"result{writer_of(to).suffix or f'.{to}'}" for to in exports}
     features = None
-    if points is not None or lines is not None:
-        features = _read(points, lines, options, crs=crs, format=formats, dem=dem, raster=raster,
-                         image_lines=image_lines)
-    source = ", ".join(str(path) for path in (points, lines, image_lines) if path is not None)
+    if areas is not None and registry().get("problems", problem).control == "points":
+        options.setdefault("areas_as", "centroid")
+    if files:
+        features = _read(points, lines, options, areas=areas, crs=crs, format=formats, dem=dem,
+                         raster=raster, image_lines=image_lines)
+    source = ", ".join(str(path) for path in (*files, image_lines) if path is not None)
     with _progress(problem, quiet) as observe:
         result = running.run(
             problem, strategy=strategy, features=features, dataset=dataset, source=source or None,
@@ -128,7 +136,7 @@ def run(
     click.echo(result.to_json() if as_json else summary(result), nl=False)
     if out is not None:
         click.echo(f"Written: {out}/result.json, residuals.csv, summary.txt", err=True)
-        for to, name in files.items():
+        for to, name in exported.items():
             export(result, to, out / name, overwrite=True)
             click.echo(f"Written: {out}/{name}", err=True)
     if result.interrupted:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from termsel.crs import EXAMPLES, check_ground, normalise
 from termsel.errors import TermselError, unknown_name
-from termsel.features import FeatureSet, no_lines, no_points
+from termsel.features import FeatureSet, join_lines, join_points, no_lines, no_points
 from termsel.options import Configurable
 
 if TYPE_CHECKING:
@@ -31,10 +31,14 @@ class Reader(Configurable, ABC):
         As in ``termsel list readers``.
     summary : str
         One line that says what a file of this format holds and how it begins.
+    areas : bool
+        Whether what it returns as points or lines are areas, which ``--areas`` takes. Such a
+        reader has the option `areas_as`: "boundary" for lines, "centroid" for points.
     """
 
     name: ClassVar[str]
     summary: ClassVar[str]
+    areas: ClassVar[bool] = False
 
     @abstractmethod
     def sniff(self, path: Path, head: bytes) -> bool:
@@ -231,15 +235,16 @@ def _with_options(reader: Reader, given: Mapping[str, Any]) -> Reader:
     return type(reader)(**{**reader.options, **own}) if own else reader
 
 
-def read_features(points: Path | None, lines: Path | None, *, crs: str | None,
-                  readers: Iterable[Reader], formats: Sequence[str] = (),
+def read_features(points: Path | None, lines: Path | None, *, areas: Path | None = None,
+                  crs: str | None, readers: Iterable[Reader], formats: Sequence[str] = (),
                   options: Mapping[str, Any] | None = None) -> FeatureSet:
-    """Return the points of one file and the lines of another, in one CRS.
+    """Return the points, lines and areas of a file each, in one CRS.
 
     Parameters
     ----------
-    points, lines : pathlib.Path, optional
-        At least one of them. A file that holds both is given as both.
+    points, lines, areas : pathlib.Path, optional
+        At least one of them. A file that holds points and lines is given as both. Areas become
+        points or lines.
     crs : str, optional
         What the user states; needed where no file declares one.
     readers : iterable of Reader
@@ -253,14 +258,14 @@ def read_features(points: Path | None, lines: Path | None, *, crs: str | None,
     TermselError
         As `read_file`; if no file's reader has such an option; if a file holds no features of
         its kind, or others that were not asked for; if the CRS is not known or stated twice
-        and differently; if coordinates cannot be in it; if a point and a line have the same id.
+        and differently; if coordinates cannot be in it; if features of two kinds have one id.
     """
-    if points is None and lines is None:
+    if points is None and lines is None and areas is None:
         raise TermselError("no file of features is given",
-                           hint="Give --points FILE, --lines FILE or both.")
+                           hint="Give --points FILE, --lines FILE or --areas FILE.")
     known = list(readers)
     stated = None if crs is None else normalise(crs)
-    paths = list(dict.fromkeys(path for path in (points, lines) if path is not None))
+    paths = list(dict.fromkeys(path for path in (points, lines, areas) if path is not None))
     if len(formats) > len(paths):
         raise TermselError(f"{len(formats)} formats are given for {len(paths)} files",
                            hint="Give --format once for each file, that of the points first.")
@@ -269,6 +274,9 @@ def read_features(points: Path | None, lines: Path | None, *, crs: str | None,
     _refuse_idle(options or {}, chosen)
     sets = {path: reader.read(path) for path, reader in chosen.items()}
     for path, features in sets.items():
+        if chosen[path].areas or path == areas:
+            _check_areas(path, chosen[path], path == areas and path not in (points, lines))
+            continue
         counts = {"points": len(features.points), "lines": len(features.lines)}
         _check_kinds(path, counts, {"points": path == points, "lines": path == lines})
     measured = FeatureSet(
@@ -276,12 +284,35 @@ def read_features(points: Path | None, lines: Path | None, *, crs: str | None,
         no_lines() if lines is None else sets[lines].lines,
         _agreed_crs(sets, stated),
         next((one.image_size for one in sets.values() if one.image_size), None))
+    if areas is not None:
+        measured = _with_areas(measured, sets[areas], areas)
     try:
         check_ground(measured)
     except TermselError as error:
-        place = points if error.ids[0] in measured.points.ids else lines
-        raise (located(error, place) if place else error) from error
+        place = next(path for path, one in sets.items() if error.ids[0] in one.ids)
+        raise located(error, place) from error
     return measured
+
+
+def _check_areas(path: Path, reader: Reader, asked: bool) -> None:
+    if not reader.areas:
+        raise TermselError(f"the file holds no areas: it is read as {reader.name}", file=path,
+                           hint="Give points with --points and lines with --lines.")
+    if not asked:
+        raise TermselError("the file holds areas", file=path, hint="Give it with --areas alone.")
+
+
+def _with_areas(features: FeatureSet, areas: FeatureSet, path: Path) -> FeatureSet:
+    """Return the features with areas among them, each as what it was read as."""
+    both = set(features.ids) & set(areas.ids)
+    if both:
+        raise TermselError(f"{min(both)!r} is the id of an area and of a point or line",
+                           file=path, hint="Give every feature an id of its own.", ids=both)
+    try:
+        return features.with_(points=join_points(features.points, areas.points),
+                              lines=join_lines(features.lines, areas.lines))
+    except TermselError as error:
+        raise located(error, path) from error
 
 
 def _refuse_idle(options: Mapping[str, Any], chosen: Mapping[Path, Reader]) -> None:

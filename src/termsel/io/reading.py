@@ -15,17 +15,18 @@ def read(
     points: Path | str | None = None,
     lines: Path | str | None = None,
     *,
+    areas: Path | str | None = None,
     crs: str | None = None,
     format: str | Sequence[str] = (),
     dem: Path | str | None = None,
     **options: Any,
 ) -> FeatureSet:
-    """Return the control features of one file, or of one of points and one of lines.
+    """Return the control features of files of points, of lines and of areas.
 
     Parameters
     ----------
-    points, lines : path-like, optional
-        At least one of them.
+    points, lines, areas : path-like, optional
+        At least one of them. Areas become lines or, with ``areas_as="centroid"``, points.
     crs : str, optional
         CRS of the ground coordinates, where no file declares it: "EPSG:n", WKT, or "local".
     format : str or sequence of str, optional
@@ -45,9 +46,10 @@ def read(
     TermselError
         Naming file, line and column, for anything the user can mend.
     """
-    paths = [None if path is None else Path(path) for path in (points, lines)]
+    paths = [None if path is None else Path(path) for path in (points, lines, areas)]
     features = read_features(
-        *paths, crs=crs, readers=[entry.object for entry in registry().entries("readers")],
+        *paths[:2], areas=paths[2], crs=crs,
+        readers=[entry.object for entry in registry().entries("readers")],
         formats=[format] if isinstance(format, str) else format,
         options={key: value for key, value in options.items() if value is not None})
     if dem is None:

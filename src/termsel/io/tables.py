@@ -200,15 +200,16 @@ def _matches(header: Sequence[str],
             for meaning, names in aliases.items()}
 
 
-def sniff_table(head: bytes, aliases: Aliases) -> bool:
-    """Return True if a header names at least three columns of numbers."""
+def sniff_table(head: bytes, aliases: Aliases, needed: Sequence[str] = ()) -> bool:
+    """Return True if a header names at least three columns of numbers, and all `needed`."""
     # Another encoding is recognised too, so that read() can say what is wrong with it.
     text = head.decode("utf-8-sig", errors="replace")
     if "\0" in text:
         return False
     line, delimiter = _header(_split(text)[0])
     matches = _matches(next(csv.reader([line], delimiter=delimiter), []), aliases)
-    return sum(bool(columns) for meaning, columns in matches.items() if meaning not in USE) >= 3
+    return all(matches[meaning] for meaning in needed) and sum(
+        bool(columns) for meaning, columns in matches.items() if meaning not in USE) >= 3
 
 
 def _columns(path: Path, line: int, header: Sequence[str],

@@ -80,6 +80,7 @@ def termsel_datasets() -> Iterable[DatasetSpec]:
 @hookimpl
 def termsel_readers() -> Iterable[Reader]:
     """Return the built-in readers."""
+    from termsel.io.areas_table import AreasCsv
     from termsel.io.asp_gcp import AspGcp
     from termsel.io.csv_tables import LinesCsv, PointsCsv
     from termsel.io.envi_points import EnviPoints
@@ -88,8 +89,9 @@ def termsel_readers() -> Iterable[Reader]:
     from termsel.io.ground_lines import GeoJsonLines, VectorLines
     from termsel.io.qgis_points import QgisPoints
 
-    return [PointsCsv(), LinesCsv(), QgisPoints(), GeoJsonPoints(), GeoJsonLines(), VectorLines(),
-            GdalGcps(), EnviPoints(), AspGcp()]
+    # A table of corners has all columns of points, so it is asked for first.
+    return [AreasCsv(), PointsCsv(), LinesCsv(), QgisPoints(), GeoJsonPoints(), GeoJsonLines(),
+            VectorLines(), GdalGcps(), EnviPoints(), AspGcp()]
 
 
 @hookimpl
