@@ -1,0 +1,205 @@
+"""The choice of m of n control points for a refinement."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("termsel_rpc", reason="termsel-rpc is not installed: "
+                    "pip install -e plugins/termsel-rpc")
+
+import termsel
+from termsel import FeatureSet, Fits, Points, TermselError, read_result, read_rpc
+from termsel.problems.spread import uncovered_share
+from termsel.simulate import scene_truth
+from termsel_rpc import Ce90, RpcShift, candidates
+from termsel_rpc.simulated import CANDIDATES, RPC_FILE, SCENE, quality
+
+pytestmark = pytest.mark.filterwarnings("ignore:Dataset has no geotransform")
+
+
+def termsel_says(*arguments: object) -> tuple[int, str, str]:
+    done = subprocess.run([sys.executable, "-m", "termsel", *map(str, arguments)],
+                          capture_output=True, text=True, check=False)
+    return done.returncode, done.stdout, done.stderr
+
+
+@pytest.fixture(scope="module")
+def run_by_name(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("run")
+    code, _, error = termsel_says("run", "--problem", "rpc-gcps", "--out", folder)
+    assert code == 0, error
+    return folder
+
+
+def kinds(ids: tuple[str, ...]) -> list[str]:
+    of = dict(zip(candidates().points.ids, quality().tolist(), strict=True))
+    return [of[name] for name in ids]
+
+
+def test_runs_by_its_name_and_leaves_the_wrong_points_out(run_by_name: Path) -> None:
+    record = json.loads((run_by_name / "result.json").read_text())
+    assert (record["model"], record["solver"]) == ("rpc-drift", "ga-steady")
+    chosen = tuple(record["selection"]["features"])
+    assert len(chosen) == 6
+    assert "wrong" not in kinds(chosen)
+    assert len(kinds(tuple(record["data"]["roles"]["control"]))) == 80
+    # All candidates together, the wrong ones among them, are twice as far off.
+    everything = next(b for b in record["baselines"] if b["name"] == "all-terms")
+    assert record["rmse"]["independent"]["total"] < 1.1
+    assert everything["rmse"]["independent"]["total"] > 1.9
+
+
+def test_refined_rpc_serves_gdal(run_by_name: Path, tmp_path: Path) -> None:
+    pytest.importorskip("rasterio")
+    code, _, error = termsel_says("export", run_by_name, "--to", "rpb", "--output",
+                                  tmp_path / "scene.RPB")
+    assert code == 0, error
+    refined, vendor = read_rpc(tmp_path / "scene.RPB"), read_rpc(RPC_FILE)
+    ground = candidates().points.ground
+    true = scene_truth(SCENE).sensor.project(ground)
+    before, after = (np.linalg.norm(rpc.project(ground) - true, axis=1).mean()
+                     for rpc in (vendor, refined))
+    assert before > 10
+    assert after < 0.8
+    np.testing.assert_allclose(refined.project(ground), read_result(run_by_name).project(ground),
+                               atol=1e-4)
+
+
+def test_chosen_points_cover_the_area_asked_for(run_by_name: Path) -> None:
+    result = read_result(run_by_name)
+    control = result.fit.control.points
+    chosen = np.isin(control.ids, result.selection.features)
+    assert uncovered_share(control.image, chosen[None])[0] <= 0.5
+    wider = termsel.run("rpc-gcps", generations=30, options={"max_uncovered": 0.2})
+    chosen = np.isin(control.ids, wider.selection.features)
+    assert wider.feasible
+    assert uncovered_share(control.image, chosen[None])[0] <= 0.2
+
+
+@pytest.mark.parametrize("judged_by", ["all", "check"])
+def test_the_figure_is_over_the_points_asked_for(judged_by: str) -> None:
+    task = termsel.prepare("rpc-gcps", criterion="ce90",
+                           options={"judged_by": judged_by, "max_uncovered": 1})
+    genes = task.problem.genome.random(np.random.default_rng(0), 5)
+    found = task.problem.evaluate(genes).objectives[:, 0]
+    control, check = task.observations.control.points, task.observations.check
+    for one, figure in zip(genes, found, strict=True):
+        chosen = control.take(one)
+        seen = read_rpc(RPC_FILE).project(chosen.ground)
+        columns = np.column_stack([np.ones(len(seen)), seen[:, 0]])
+        correction = np.linalg.lstsq(columns, chosen.image - seen, rcond=None)[0]
+        distances = []
+        for points in (control, check) if judged_by == "all" else (check,):
+            there = read_rpc(RPC_FILE).project(points.ground)
+            away = there + np.column_stack([np.ones(len(there)), there[:, 0]]) @ correction
+            distances.extend(np.linalg.norm(away - points.image, axis=1))
+        assert figure == pytest.approx(np.quantile(distances, 0.9), rel=1e-9)
+
+
+def test_ce90_of_known_distances() -> None:
+    """Distances 0, 1, ... 10 pixels: nine of ten are within 9."""
+    ground = np.arange(33.0).reshape(11, 3)
+    shift = np.arange(11.0)[:, None] * [0.006, 0.008]
+    check = Points(tuple("abcdefghijk"), shift, ground)
+    model = termsel.Polynomial2D(degree=1)
+    k = len(model.terms)
+    fits = Fits(model, check, check, 100.0, np.ones((1, k), dtype=bool), np.zeros((1, k)))
+    assert Ce90().score(fits)[0] == pytest.approx(9.0)
+
+
+@pytest.mark.parametrize("m", [3, 10])
+def test_any_number_of_points(m: int) -> None:
+    result = termsel.run("rpc-gcps", generations=20,
+                         options={"min_features": m, "max_features": m, "max_uncovered": 1})
+    assert len(result.selection.features) == m
+
+
+def test_a_range_of_numbers_by_another_solver() -> None:
+    result = termsel.run("rpc-gcps", solver="ga", generations=20,
+                         options={"min_features": 6, "max_features": 12})
+    assert 6 <= len(result.selection.features) <= 12
+
+
+def test_covered_area_as_an_objective() -> None:
+    result = termsel.run("rpc-gcps", solver="nsga2", generations=10, options={"population": 24})
+    assert list(result.objectives) == ["check-rmse", "uncovered"]
+    assert len(result.front) > 1
+
+
+@pytest.mark.parametrize("biases", ["attitude", "both"])
+def test_points_for_a_rigorous_model(biases: str) -> None:
+    result = termsel.run("rpc-gcps", model="pushbroom-refine", generations=15, options={
+        "geometry": CANDIDATES, "biases": biases, "polish": False})
+    assert result.feasible
+    rmse = result.rmse["independent"]
+    assert rmse is not None
+    assert rmse.total < 2.5
+    assert len(result.selection.features) == 6
+
+
+def test_terms_of_a_refinement_are_selected() -> None:
+    """A shift, and a drift of the samples; the other terms only follow the noise."""
+    rpc, rng = read_rpc(RPC_FILE), np.random.default_rng(0)
+    ground = rng.uniform(-0.8, 0.8, (60, 3)) * rpc.ground_scale + rpc.ground_offset
+    seen = rpc.project(ground)
+    image = seen + rng.normal(0, 0.5, (60, 2)) + np.array([8.0, -5.0])
+    image[:, 1] += 1e-3 * seen[:, 0]
+    features = FeatureSet(Points(tuple(f"p{i}" for i in range(60)), image, ground),
+                          crs="EPSG:4979")
+    result = termsel.run("poly-terms", features=features, model="rpc-affine", criterion="ebic",
+                         solver="swap", options={"rpc": CANDIDATES})
+    assert {"line.bias:1", "sample.bias:1", "sample.bias:line"} <= set(result.selection.terms)
+    assert len(result.selection.terms) < 6
+
+
+@pytest.mark.parametrize(("arguments", "said"), [
+    (["--model", "rpc-affine"], "'rpc-affine' needs the RPC that it is to refine"),
+    (["--set", "rpc=no-such-file.RPB"], "there is no such file"),
+    (["--dataset", "spot-isfahan"], "sees the ground of longitude"),
+    (["--model", "pushbroom-refine"], "needs the geometry that it is to refine"),
+    (["--set", "min_features=5"], "the number of features is not fixed"),
+])
+def test_bad_input_gives_one_message(arguments: list[str], said: str) -> None:
+    code, out, error = termsel_says("run", "--problem", "rpc-gcps", *arguments)
+    assert code == 2
+    assert said in " ".join(error.split())
+    assert "Traceback" not in error
+    assert not out
+
+
+def test_a_result_is_read_from_anywhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "scene.RPB").write_text(RPC_FILE.read_text())
+    monkeypatch.chdir(tmp_path)
+    result = termsel.run("rpc-gcps", generations=2, out=tmp_path / "out",
+                         options={"rpc": "scene.RPB", "polish": False})
+    monkeypatch.chdir(tmp_path.parent)
+    ground = candidates().points.ground
+    np.testing.assert_allclose(read_result(tmp_path / "out").project(ground),
+                               result.project(ground), atol=1e-9)
+    (tmp_path / "scene.RPB").unlink()
+    with pytest.raises(TermselError, match=r"scene\.RPB"):
+        read_result(tmp_path / "out")
+
+
+def test_embedded_points_are_as_stated() -> None:
+    points, kind = candidates().points, quality()
+    away = np.linalg.norm(points.image - scene_truth(SCENE).sensor.project(points.ground), axis=1)
+    roles = np.array(points.roles)
+    for role, counts in {"control": (48, 20, 12), "check": (48, 20, 12),
+                         "independent": (80, 0, 0)}.items():
+        found = [int(((roles == role) & (kind == one)).sum()) for one in ("good", "inexact",
+                                                                         "wrong")]
+        assert tuple(found) == counts
+    assert away[kind == "good"].max() < 2.5
+    assert away[kind == "wrong"].min() > 3
+    assert np.sqrt((away[kind == "inexact"]**2).mean() / 2) == pytest.approx(2.0, rel=0.25)
+
+
+def test_rpc_shift_has_a_term_for_each_axis() -> None:
+    assert RpcShift(rpc=CANDIDATES).terms == ("line.bias:1", "sample.bias:1")
