@@ -37,9 +37,10 @@ class RpcShift(Refinement):
     ----------
     Grodecki, Dial 2003: Block adjustment of high-resolution satellite images described by
     rational polynomials. PE&RS 69(1), 59-68: image offsets as a polynomial of line and sample.
-    Fraser, Dial, Grodecki 2004: IKONOS and QuickBird bias compensation. ISPRS Archives XXXV-B1:
-    shift, shift and drift, and affine as the sets to choose from. Both take the polynomial of
-    measured positions; here it is that of the RPC's, so that points can be projected.
+    Hanley, Fraser 2004: Sensor orientation for high-resolution satellite imagery: further
+    insights into bias-compensated RPCs. ISPRS Archives XXXV-B1: shift, shift and drift, and
+    affine as the sets to choose from. Both take the polynomial of measured positions; here it
+    is that of the RPC's, so that points can be projected.
     """
 
     name = "rpc-shift"
