@@ -319,8 +319,10 @@ def test_vendor_rpc_is_that_of_the_nominal_sensor() -> None:
     (RpcShift, "rpc"), (RpcDrift, "rpc"), (RpcAffine, "rpc"), (PushbroomRefine, "geometry")])
 def test_without_a_geometry_it_says_how_to_give_one(model: type[SensorModel],
                                                     option: str) -> None:
+    made = model()
+    assert made.terms == model(**{option: CANDIDATES}).terms  # as termsel describe shows them
     with pytest.raises(TermselError, match=f"{model.name!r} needs .* --set {option}=FILE"):
-        model()
+        made.prepared(*AROUND_RPC)
 
 
 @pytest.mark.parametrize(("model", "option"), [(RpcShift, "rpc"), (PushbroomRefine, "geometry")])

@@ -13,7 +13,7 @@ from termsel import Option, Rpc, TermselError, read_rpc
 from termsel_rpc.refinement import FloatArray, Refinement
 from termsel_rpc.simulated import CANDIDATES, RPC_FILE
 
-RPC = Option("rpc", None, "The RPC to refine: a file in any form that termsel reads, or "
+RPC = Option("rpc", "", "The RPC to refine: a file in any form that termsel reads, or "
              f"{CANDIDATES} for that of the embedded data set; to be given.")
 
 _AXES = ("line", "sample")
@@ -50,14 +50,27 @@ class RpcShift(Refinement):
     def __init__(self, **options: Any) -> None:
         super().__init__(**options)
         given = self.options["rpc"]
-        if given is None:
+        self._rpc = None
+        if given:
+            self._rpc = read_rpc(RPC_FILE if given == CANDIDATES else given)
+        if given and given != CANDIDATES:
+            # A result must be readable from another folder.
+            self.options["rpc"] = str(Path(given).resolve())
+
+    @property
+    def rpc(self) -> Rpc:
+        """The RPC as delivered.
+
+        Raises
+        ------
+        TermselError
+            If none was given.
+        """
+        if self._rpc is None:
             raise TermselError(f"model {self.name!r} needs the RPC that it is to refine",
                                hint=f"Give its file: --set rpc=FILE. --set rpc={CANDIDATES} is "
                                     "that of the embedded data set.")
-        if given != CANDIDATES:
-            # A result must be readable from another folder.
-            self.options["rpc"] = str(Path(given).resolve())
-        self.rpc = read_rpc(RPC_FILE if given == CANDIDATES else given)
+        return self._rpc
 
     @property
     def terms(self) -> tuple[str, ...]:

@@ -54,10 +54,16 @@ def _gcps(inputs: Inputs) -> Problem:
     return SelectionProblem(inputs, terms=False, features=True)
 
 
+def _with_default(option: Option) -> Option:
+    if option.name not in _DEFAULTS:
+        return option
+    return replace(option, default=_DEFAULTS[option.name],
+                   doc=option.doc.replace("; by default free", ""))
+
+
 RECIPE = Recipe(
     "rpc-gcps", "Which m of n control points to refine a vendor's RPC or a rigorous model with.",
     _gcps, model="rpc-drift", model_options={"rpc": CANDIDATES}, dataset=CANDIDATES,
     criterion="check-rmse", solver="ga-steady", second="uncovered",
-    options=(JUDGED_BY, *(replace(option, default=_DEFAULTS.get(option.name, option.default))
-                          for option in OF_FEATURES)),
+    options=(JUDGED_BY, *map(_with_default, OF_FEATURES)),
     source="Konugurthi et al. 2016")

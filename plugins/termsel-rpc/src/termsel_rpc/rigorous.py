@@ -14,6 +14,8 @@ from termsel.simulate import SCENES, Angle, Pushbroom, read_geometry, scene_trut
 from termsel_rpc.refinement import FloatArray, Refinement
 from termsel_rpc.simulated import CANDIDATES, nominal_sensor
 
+EMBEDDED = (CANDIDATES, *SCENES)
+
 POSITION, ATTITUDE = ("ahead", "starboard", "down"), ("roll", "pitch", "yaw")
 
 _STEP = 1e-3  # of the scaled image unit: some pixels
@@ -42,7 +44,7 @@ class PushbroomRefine(Refinement):
 
     name = "pushbroom-refine"
     declared_options = (
-        Option("geometry", None, "The nominal geometry: a JSON file as "
+        Option("geometry", "", "The nominal geometry: a JSON file as "
                "termsel.simulate.write_geometry makes it, or the name of an embedded data set; "
                "to be given."),
         Option("biases", "attitude", "Whose biases are terms.",
@@ -51,17 +53,28 @@ class PushbroomRefine(Refinement):
     def __init__(self, **options: Any) -> None:
         super().__init__(**options)
         given = self.options["geometry"]
-        embedded = (CANDIDATES, *SCENES)
-        if given is None:
-            raise TermselError(f"model {self.name!r} needs the geometry that it is to refine",
-                               hint="Give it: --set geometry=FILE, or the name of an embedded "
-                                    f"data set: {', '.join(embedded)}.")
-        if given in embedded:
-            self.sensor = nominal_sensor() if given == CANDIDATES else scene_truth(given).sensor
-        else:
-            self.sensor = read_geometry(given)
+        self._sensor = None
+        if given in EMBEDDED:
+            self._sensor = nominal_sensor() if given == CANDIDATES else scene_truth(given).sensor
+        elif given:
+            self._sensor = read_geometry(given)
             # A result must be readable from another folder.
             self.options["geometry"] = str(Path(given).resolve())
+
+    @property
+    def sensor(self) -> Pushbroom:
+        """The nominal geometry.
+
+        Raises
+        ------
+        TermselError
+            If none was given.
+        """
+        if self._sensor is None:
+            raise TermselError(f"model {self.name!r} needs the geometry that it is to refine",
+                               hint="Give it: --set geometry=FILE, or the name of an embedded "
+                                    f"data set: {', '.join(EMBEDDED)}.")
+        return self._sensor
 
     @property
     def terms(self) -> tuple[str, ...]:
