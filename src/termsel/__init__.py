@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from termsel.options import Option
     from termsel.plugins import hookimpl
     from termsel.problems.base import Evaluation, Genome, Problem, Segment, Selection
-    from termsel.problems.recipes import OF_FEATURES, Recipe
+    from termsel.problems.recipes import Recipe, feature_options
     from termsel.problems.selection import Inputs, SelectionProblem
     from termsel.result import Result
     from termsel.rpc import Rpc
@@ -48,7 +48,6 @@ _HOME = {
     "Genome": "termsel.problems.base",
     "Inputs": "termsel.problems.selection",
     "Lines": "termsel.features",
-    "OF_FEATURES": "termsel.problems.recipes",
     "Option": "termsel.options",
     "Points": "termsel.features",
     "Polynomial2D": "termsel.models",
@@ -68,6 +67,7 @@ _HOME = {
     "Task": "termsel.running",
     "TermselError": "termsel.errors",
     "Writer": "termsel.io.base",
+    "feature_options": "termsel.problems.recipes",
     "hookimpl": "termsel.plugins",
     "image_equations": "termsel.adjustment",
     "line_normals": "termsel.adjustment",
@@ -82,7 +82,6 @@ _HOME = {
 }
 
 __all__ = [
-    "OF_FEATURES",
     "Blocks",
     "Criterion",
     "DatasetSpec",
@@ -114,6 +113,7 @@ __all__ = [
     "TermselError",
     "Writer",
     "__version__",
+    "feature_options",
     "hookimpl",
     "image_equations",
     "line_normals",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from termsel.options import Option
@@ -83,6 +83,21 @@ RECOMMEND = Option(
 OF_TERMS = (MASK, MIXED, *WISHES, OBJECTIVES, RECOMMEND)
 OF_FEATURES = (TERMS, MIXED, *COUNTS, *FORCED, OBJECTIVES, RECOMMEND)
 OF_BOTH = (*OF_TERMS, *COUNTS, STEPS)
+
+
+def feature_options(**defaults: Any) -> tuple[Option, ...]:
+    """Return the options of problems that select features, for the recipe of another one.
+
+    Parameters
+    ----------
+    **defaults
+        Of options that have others there, such as ``max_features=6``.
+    """
+    options = {option.name: option for option in OF_FEATURES}
+    for name, default in defaults.items():
+        options[name] = replace(options[name], default=default,
+                                doc=options[name].doc.replace("; by default free", ""))
+    return tuple(options.values())
 
 
 def _terms(inputs: Inputs) -> Problem:

@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 
 from termsel import (
-    OF_FEATURES,
     Criterion,
     Fits,
     Inputs,
@@ -16,11 +15,10 @@ from termsel import (
     Problem,
     Recipe,
     SelectionProblem,
+    feature_options,
 )
 from termsel_rpc.refinement import FloatArray
 from termsel_rpc.simulated import CANDIDATES
-
-_DEFAULTS = {"min_features": 6, "max_features": 6, "max_uncovered": 0.5}
 
 JUDGED_BY = Option(
     "judged_by", "all", "Points the criterion looks at: all control candidates together with the "
@@ -54,16 +52,9 @@ def _gcps(inputs: Inputs) -> Problem:
     return SelectionProblem(inputs, terms=False, features=True)
 
 
-def _with_default(option: Option) -> Option:
-    if option.name not in _DEFAULTS:
-        return option
-    return replace(option, default=_DEFAULTS[option.name],
-                   doc=option.doc.replace("; by default free", ""))
-
-
 RECIPE = Recipe(
     "rpc-gcps", "Which m of n control points to refine a vendor's RPC or a rigorous model with.",
     _gcps, model="rpc-drift", model_options={"rpc": CANDIDATES}, dataset=CANDIDATES,
     criterion="check-rmse", solver="ga-steady", second="uncovered",
-    options=(JUDGED_BY, *map(_with_default, OF_FEATURES)),
+    options=(JUDGED_BY, *feature_options(min_features=6, max_features=6, max_uncovered=0.5)),
     source="Konugurthi et al. 2016")
