@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from termsel.baselines import baseline, compare, figures
+from termsel.crs import height_reference
 from termsel.features import BoolArray, FeatureSet
 from termsel.fitting import Fit, fit
 from termsel.judging import judge, name_conventional, notes_on
@@ -158,7 +159,9 @@ def data_of(task: Task) -> dict[str, Any]:
     observations = task.observations
     return {
         "source": task.source, "sha256": _checksum(task.features), "crs": task.features.crs,
-        "noise": task.features.noise, "heights": task.features.heights or None,
+        "fit_crs": task.features.fit_crs or task.features.crs,
+        "heights": task.features.heights or height_reference(task.features.crs) or None,
+        "noise": task.features.noise,
         "image_size": task.features.image_size and list(task.features.image_size),
         "counts": {"control": len(observations.control.points), "check": len(observations.check),
                    "independent": len(observations.independent),

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Sequence
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -25,6 +26,9 @@ EXAMPLES = ("EPSG:4979 (longitude, latitude, ellipsoidal height), EPSG:32631 (UT
 
 WGS84 = frozenset({"EPSG:4326", "EPSG:4979"})
 """WGS84 longitude and latitude; the second also says that heights are ellipsoidal."""
+
+Transformation = Callable[[FloatArray], FloatArray]
+"""From ground coordinates to others, shapes (n, 3)."""
 
 _CODE = re.compile(r"(?:urn:ogc:def:crs:)?(EPSG|OGC):(?:[\d.]*:)?(\w+)", re.IGNORECASE)
 # x is longitude in termsel, so the OGC names say nothing more than the EPSG codes.
@@ -108,19 +112,38 @@ def is_geographic(crs: str) -> bool:
     return _kind(normalise(crs)) == "geographic"
 
 
-def to_wgs84(crs: str) -> Callable[[FloatArray], FloatArray]:
+def to_wgs84(crs: str) -> Transformation:
     """Return what turns ground coordinates into WGS84 longitude, latitude, ellipsoidal height.
 
     Parameters
     ----------
     crs : str
-        Of the ground coordinates; where it does not say what heights are, they are taken as
+        Of the ground coordinates.
+
+    Raises
+    ------
+    TermselError
+        As `transformation`.
+    """
+    return transformation(crs, "EPSG:4979")
+
+
+@lru_cache
+def transformation(source: str, target: str, *, strict: bool = True) -> Transformation:
+    """Return what turns ground coordinates of one CRS into those of another.
+
+    Parameters
+    ----------
+    source, target : str
+        As for `normalise`; where a CRS does not say what heights are, they are taken as
         ellipsoidal.
+    strict : bool
+        Whether coordinates that cannot be transformed are an error; else they become infinite.
 
     Returns
     -------
     callable
-        From (n, 3) to (n, 3).
+        From (n, 3) to (n, 3). Unknown heights are taken as 0.
 
     Raises
     ------
@@ -128,33 +151,84 @@ def to_wgs84(crs: str) -> Callable[[FloatArray], FloatArray]:
         For "local"; if pyproj, which is needed for all but WGS84 itself, is not installed or
         cannot transform the CRS.
     """
-    name = normalise(crs)
-    if name in WGS84:
+    source, target = normalise(source), normalise(target)
+    if source == target or WGS84.issuperset((source, target)):
         return np.asarray
-    if name == LOCAL:
-        raise TermselError("plane coordinates without a CRS cannot be turned into longitude and "
-                           "latitude", hint="State the CRS the ground coordinates are in.")
+    into = "longitude and latitude" if target in WGS84 else _short(target)
+    if LOCAL in (source, target):
+        raise TermselError(f"plane coordinates without a CRS cannot be turned into {into}",
+                           hint="State the CRS the ground coordinates are in.")
     try:
         from pyproj import Transformer
         from pyproj.exceptions import ProjError
     except ImportError:
-        raise TermselError(f"coordinates in {_short(name)} need the package pyproj, which is not "
-                           "installed", hint='Install it: pip install "termsel[gis]".') from None
-    known = _with_pyproj(name)
-    assert known is not None  # pyproj is there
-    source = known if len(known.axis_info) > 2 else known.to_3d()
+        raise TermselError(f"turning {_short(source)} into {into} needs the package pyproj, which "
+                           "is not installed",
+                           hint='Install it: pip install "termsel[gis]".') from None
+    failure = f"coordinates in {_short(source)} cannot be turned into {into}"
+    known = [_with_pyproj(name) for name in (source, target)]
+    ends = [one if len(one.axis_info) > 2 else one.to_3d() for one in known if one is not None]
+    try:
+        turn = Transformer.from_crs(*ends, always_xy=True, allow_ballpark=False)
+    except ProjError as error:
+        raise TermselError(f"{failure}: {error}") from error
 
     def convert(ground: FloatArray) -> FloatArray:
         known_heights = np.nan_to_num(ground, nan=0.0)
         try:
-            turned = Transformer.from_crs(source, "EPSG:4979", always_xy=True, allow_ballpark=False
-                                          ).transform(*known_heights.T, errcheck=True)
+            turned = turn.transform(*known_heights.T, errcheck=strict)
         except ProjError as error:
-            raise TermselError(f"coordinates in {_short(name)} cannot be turned into longitude and "
-                               f"latitude: {error}") from error
+            raise TermselError(f"{failure}: {error}") from error
         return np.stack(turned, axis=1)
 
     return convert
+
+
+def is_geocentric(crs: str) -> bool:
+    """Return True where coordinates are counted from the centre of the Earth.
+
+    Parameters
+    ----------
+    crs : str
+        As for `normalise`.
+    """
+    name = normalise(crs)
+    known = None if name == LOCAL or name in WGS84 or _UTM.fullmatch(name) else _with_pyproj(name)
+    return known is not None and bool(known.is_geocentric)
+
+
+def height_reference(crs: str) -> str:
+    """Return what the heights of a CRS refer to, in words; "" for "local".
+
+    Parameters
+    ----------
+    crs : str
+        As for `normalise`.
+    """
+    name = normalise(crs)
+    if name == LOCAL:
+        return ""
+    if name == "EPSG:4979":
+        return "ellipsoidal (WGS 84)"
+    plane = name in WGS84 or _UTM.fullmatch(name)
+    known = None if plane else _with_pyproj(name)
+    stated = "" if known is None else vertical_datum(known)
+    return stated or f"not stated by {_short(name)}; taken as ellipsoidal"
+
+
+def vertical_datum(crs: CRS) -> str:
+    """Return what the heights of a CRS refer to, "" where it does not say.
+
+    Parameters
+    ----------
+    crs : pyproj.CRS
+    """
+    if len(crs.axis_info) < 3:
+        return ""
+    vertical = [part for part in crs.sub_crs_list if part.is_vertical]
+    if vertical:
+        return str(vertical[0].name)
+    return f"ellipsoidal ({crs.name if crs.geodetic_crs is None else crs.geodetic_crs.name})"
 
 
 def horizontal(crs: str) -> str:

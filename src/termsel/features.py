@@ -306,6 +306,8 @@ class FeatureSet:
         for simulated data.
     heights : str
         Where heights were taken from and what they refer to, where a raster gave them.
+    fit_crs : str, optional
+        CRS that models are fitted in, where it is another than `crs`.
 
     Raises
     ------
@@ -319,6 +321,7 @@ class FeatureSet:
     image_size: tuple[int, int] | None = None
     noise: float | None = None
     heights: str = ""
+    fit_crs: str = ""
 
     def __post_init__(self) -> None:
         both = set(self.points.ids) & set(self.lines.ids)

@@ -12,7 +12,7 @@ from termsel.adjustment.solve import Adjustment, solve
 from termsel.features import BoolArray, FeatureSet, FloatArray, Points
 from termsel.inverse import Surface, locate
 from termsel.models.base import SensorModel
-from termsel.scaling import Scaling
+from termsel.scaling import Scaling, scaling_of
 
 ITERATIONS = 20
 """Most Gauss-Newton steps of a fit; two or three are usual."""
@@ -76,8 +76,15 @@ class Fit:
 
     def locate(self, image: ArrayLike, height: ArrayLike | Surface) -> FloatArray:
         """Return the ground points seen at image points (see `termsel.inverse.locate`)."""
-        return locate(self.project, image, height, centre=self.scaling.ground_offset,
-                      scale=self.scaling.ground_scale)
+        centre, scale = self.ground_box()
+        return locate(self.project, image, height, centre=centre, scale=scale)
+
+    def ground_box(self) -> tuple[FloatArray, FloatArray]:
+        """Return middle and half-range of the control, shapes (3,), in its own CRS."""
+        box = self.scaling
+        if box.fit_crs:
+            box = scaling_of(replace(self.control, fit_crs=""))
+        return np.array(box.ground_offset), np.array(box.ground_scale)
 
     def image_box(self) -> tuple[tuple[float, float], tuple[float, float]]:
         """Return first and last line and sample [pixel]: of the image, or of the control."""

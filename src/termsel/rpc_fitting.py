@@ -74,7 +74,7 @@ def rpc_of(fitted: Fit) -> RpcFit:
     """
     convert = to_wgs84(fitted.control.crs)
     rpc = fitted.model.as_rpc(fitted.adjustment.coefficients)
-    if rpc is None and normalise(fitted.control.crs) in WGS84:
+    if rpc is None and normalise(fitted.control.fit_crs or fitted.control.crs) in WGS84:
         rpc = taken_over(fitted)
     if rpc is not None:
         places, seen = _seen(fitted)
@@ -106,7 +106,7 @@ def taken_over(fitted: Fit) -> Rpc | None:
     Parameters
     ----------
     fitted : Fit
-        Whose ground coordinates are longitude, latitude and height.
+        In longitude, latitude and height.
     """
     above, below = np.zeros((2, N_COEFFICIENTS)), np.zeros((2, N_COEFFICIENTS))
     below[:, 0] = 1.0
@@ -155,7 +155,8 @@ def _term_sets(fitted: Fit) -> Iterator[tuple[str, BoolArray]]:
 def _seen(fitted: Fit) -> tuple[FloatArray, FloatArray]:
     """Return places all over the ground of the control that lie in the image, and where."""
     share = np.random.default_rng(0).uniform(-1.0, 1.0, (1000, 3))
-    ground = share * fitted.scaling.ground_scale + fitted.scaling.ground_offset
+    middle, half = fitted.ground_box()
+    ground = middle + share * half
     image = fitted.project(ground)
     low, high = fitted.image_box()
     inside = ((image >= low) & (image <= high)).all(axis=1)

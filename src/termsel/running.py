@@ -12,6 +12,7 @@ import numpy as np
 
 from termsel.adjustment.kernels import needs_compilation
 from termsel.assessing import assess, recommended
+from termsel.coordinates import FIT_CRS, with_fit_crs
 from termsel.criteria import Criterion
 from termsel.diagnosis import orientation_spread
 from termsel.errors import TermselError, unknown_name
@@ -39,6 +40,7 @@ DATA_OPTIONS = (
     Option("fractions", "1:1:1", "Shares of control, check and independent points among those "
            "shared out."),
     Option("split", 0, "Seed of the sharing out of roles.", int, 0),
+    FIT_CRS,
 )
 
 MIN_CONTROL, MIN_CHECK = 3, 2
@@ -153,6 +155,9 @@ def prepare(
         rng=np.random.default_rng(of_data["split"]))
     require_heights(the_model, _taking_part(observations))
     _require_enough(observations, recipe, the_criterion)
+    if of_data["fit_crs"] is not None:
+        features, observations = with_fit_crs(of_data["fit_crs"], features, observations,
+                                              the_model)
     scaling = scaling_of(observations.control)
     the_model = the_model.prepared(scaling, features.crs)
     inputs = Inputs(the_model, scaling.features(observations.control),

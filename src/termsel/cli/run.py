@@ -46,6 +46,9 @@ INTERRUPTED = 130
 @click.option("--crs", metavar="CRS",
               help="CRS of the ground coordinates: EPSG:4979 for longitude, latitude and "
                    "ellipsoidal height; `local` for plane coordinates without a CRS.")
+@click.option("--fit-crs", metavar="CRS",
+              help="Fit the model in geodetic, projected (UTM) or geocentric coordinates, in "
+                   "EPSG:n, or in what predicts best of the first three: auto.")
 @click.option("--model", metavar="NAME", shell_complete=complete("models"),
               help="Sensor model; see `termsel list models`.")
 @click.option("--solver", metavar="NAME", shell_complete=complete("solvers"),
@@ -77,11 +80,10 @@ INTERRUPTED = 130
 def run(
     problem: str, dataset: str | None, points: Path | None, lines: Path | None,
     areas: Path | None, formats: tuple[str, ...], dem: Path | None, raster: str | None,
-    image_lines: str | None,
-    crs: str | None, model: str | None, solver: str | None, criterion: str | None,
-    strategy: str | None, settings: tuple[str, ...], seed: int, generations: int | None,
-    evaluations: int | None, seconds: float | None, out: Path | None,
-    exports: tuple[str, ...], as_json: bool, quiet: bool,
+    image_lines: str | None, crs: str | None, fit_crs: str | None, model: str | None,
+    solver: str | None, criterion: str | None, strategy: str | None,
+    settings: tuple[str, ...], seed: int, generations: int | None, evaluations: int | None,
+    seconds: float | None, out: Path | None, exports: tuple[str, ...], as_json: bool, quiet: bool,
 ) -> None:
     """Search for the terms or control features that serve best.
 
@@ -98,6 +100,8 @@ def run(
           --crs EPSG:32639 --model poly3d --seed 7 --json > result.json
     """
     options = parse_settings(settings)
+    if fit_crs is not None and options.setdefault("fit_crs", fit_crs) != fit_crs:
+        raise TermselError("fit_crs is given twice", hint="Give it once.")
     files = [path for path in (points, lines, areas) if path is not None]
     if dataset is not None and files:
         raise TermselError("--dataset and files of your own exclude each other",

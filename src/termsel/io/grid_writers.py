@@ -39,7 +39,7 @@ class GridWriter(Writer):
         """Return the ground seen at a grid of image places, shape (lines, samples, 3)."""
         fitted, height = result.fit, self.options["height"]
         if height is None:
-            height = fitted.scaling.ground_offset[2]
+            height = float(fitted.ground_box()[0][2])
             if fitted.model.uses_height and self.options["dem"] is None:
                 log.warning("Warning: without a raster of heights (--dem) the ground is taken as "
                             "level, at the height %.6g.", height)

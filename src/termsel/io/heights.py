@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from termsel.crs import LOCAL
+from termsel.crs import LOCAL, vertical_datum
 from termsel.errors import TermselError
 from termsel.features import FeatureSet, FloatArray
 from termsel.io.rasters import open_raster, positions
@@ -147,19 +147,6 @@ def surface_of(dem: Path | str | None, crs: str, height: float) -> Iterator[Dem 
         return
     with open_dem(Path(dem), crs) as surface:
         yield surface
-
-
-def vertical_datum(crs: Any) -> str:
-    """Return what the heights of a CRS refer to, "" where it does not say.
-
-    Parameters
-    ----------
-    crs : pyproj.CRS
-    """
-    if len(crs.axis_info) < 3:
-        return ""
-    vertical = [part for part in crs.sub_crs_list if part.is_vertical]
-    return vertical[0].name if vertical else f"ellipsoidal ({crs.geodetic_crs.name})"
 
 
 def with_heights(features: FeatureSet, dem: Path) -> FeatureSet:

@@ -104,7 +104,7 @@ def rectify(
         raise TermselError("a map needs a CRS", hint="Give --crs, such as EPSG:32631.")
     picture = picture_for(result, image)
     result = result.of_image(picture.size)
-    level = result.fit.scaling.ground_offset[2] if height is None else height
+    level = float(result.fit.ground_box()[0][2]) if height is None else height
     with TemporaryDirectory() as folder:
         source, options = _source(result, picture, Path(folder) / "scene.vrt", dem, level)
         shape, transform = _map(result, dem, level, target, resolution)

@@ -109,7 +109,8 @@ def _read_features(folder: Path, record: Mapping[str, Any]) -> FeatureSet:
     data = record.get("data", {})
     size = data.get("image_size")
     features = FeatureSet(points, lines, data.get("crs", ""), size and tuple(size),
-                          data.get("noise"), data.get("heights") or "")
+                          data.get("noise"), data.get("heights") or "",
+                          record.get("scaling", {}).get("fit_crs", ""))
     observations = by_roles(features)
     roles = {"control": observations.control.ids, "check": observations.check.ids,
              "independent": observations.independent.ids, "off": observations.off}

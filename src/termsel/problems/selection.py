@@ -10,6 +10,7 @@ import numpy as np
 
 from termsel.adjustment.parts import independent_parts, solve_parts
 from termsel.criteria import POLE_MARGIN, Criterion, Fits
+from termsel.crs import is_geocentric
 from termsel.errors import TermselError, unknown_name
 from termsel.features import BoolArray, FeatureSet, FloatArray, IntArray, Points, select
 from termsel.models.base import LINE, SAMPLE, SensorModel
@@ -277,14 +278,19 @@ def guard_points(control: FeatureSet, check: Points) -> FloatArray:
     """Return scaled ground points at which denominators must stay positive.
 
     A grid over the box of X, Y, Z of control and check features, and features themselves:
-    all of them up to GUARDED, of more an even choice over the scene.
+    all of them up to GUARDED, of more an even choice over the scene. In geocentric coordinates,
+    where X, Y, Z are not along and across the ground, the box is turned to the features.
     """
     vertices = np.concatenate([control.ground_vertices(), check.ground])
-    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    axes = np.eye(3)
+    if control.fit_crs and is_geocentric(control.fit_crs):
+        axes = np.linalg.svd(vertices - vertices.mean(axis=0), full_matrices=False)[2].T
+    low, high = (vertices @ axes).min(axis=0), (vertices @ axes).max(axis=0)
     if len(vertices) > GUARDED:
         even = np.linspace(0, len(vertices) - 1, GUARDED).astype(int)
         vertices = vertices[spatial_order(vertices[:, :2])[even]]
-    return np.concatenate([vertices, (low + high) / 2 + _GRID * (high - low) / 2])
+    grid = (low + high) / 2 + _GRID * (high - low) / 2
+    return np.concatenate([vertices, grid @ axes.T])
 
 
 def pole_violation(model: SensorModel, coefficients: FloatArray,

@@ -34,6 +34,9 @@ def _head(result: Result) -> Iterator[str]:
            + (f"strategy {result.strategy['name']}" if result.strategy else
               f"solver {result.solver}, criterion {result.criterion}, seed {result.seed}"))
     yield f"Data: {result.data['source']}"
+    if result.features.fit_crs:
+        yield (f"Fitted in {result.features.fit_crs}; coordinates are given in "
+               f"{result.features.crs}, heights {result.data['heights']}")
     control = [f"{counts[key]} {word}" for key, word in (("control", "points"), ("lines", "lines"))
                if counts[key]]
     yield (f"Control: {' and '.join(control)}; {counts['check']} check points; "
