@@ -48,10 +48,10 @@ def assess(task: Task, found: Search) -> Result:
             task.model, task.scaling.features(observations.control), chosen.terms, chosen.used))
     if found.coefficients is not None:
         chosen = chosen.with_coefficients(found.coefficients)
-        guard = guard_points(task.scaling.features(observations.control),
-                             task.scaling.points(observations.check))
-        feasible = not pole_violation(task.model, found.coefficients[None], guard).any()
+        feasible = True  # whatever least squares leave undetermined
         objectives = []  # those of least squares are not those of these coefficients
+    # The coefficients may be others than those the search saw, so poles are looked for again.
+    feasible = feasible and not _has_pole(task, chosen)
     rmse = figures(chosen, observations)
     if found.coefficients is not None:
         rmse.pop(LEAVE_ONE_OUT, None)  # that would be of least squares too
@@ -143,10 +143,23 @@ def _front(task: Task, found: Search) -> Iterable[Mapping[str, Any]]:
 
 
 def fit_of(task: Task, selection: Selection) -> Fit:
-    """Return the model fitted with the terms and features of a selection."""
+    """Return the model fitted with the terms and features of a selection.
+
+    Where the iteration for lines under separate denominators ends with a pole in the scene,
+    the solution it began with, which the search judged, is taken.
+    """
     control = task.observations.control
-    return fit(task.model, control, task.scaling, _mask(task.model.terms, selection.terms),
-               _mask(control.ids, selection.features))
+    terms, used = _mask(task.model.terms, selection.terms), _mask(control.ids, selection.features)
+    chosen = fit(task.model, control, task.scaling, terms, used)
+    return fit(task.model, control, task.scaling, terms, used, iterated=False) \
+        if _has_pole(task, chosen) else chosen
+
+
+def _has_pole(task: Task, chosen: Fit) -> bool:
+    """Return whether a denominator falls short somewhere in the scene."""
+    guard = guard_points(task.scaling.features(task.observations.control),
+                         task.scaling.points(task.observations.check))
+    return bool(pole_violation(task.model, chosen.adjustment.coefficients[None], guard).any())
 
 
 def _mask(names: tuple[str, ...], chosen: Iterable[str]) -> BoolArray:

@@ -189,5 +189,9 @@ def notes_on(observations: Observations, criterion: Criterion, found: Search,
         yield (f"The independent RMSE is {independent.total / check.total:.1f} times the check "
                "RMSE: the selection is fitted to the check points.")
     yield from warnings_of(observations.control, chosen.used, observations.check)
+    if (criterion.name == "check-rmse" and check and found.coefficients is None
+            and abs(check.total - found.objectives[0]) > 0.005 * check.total):
+        yield (f"The search saw a check RMSE of {found.objectives[0]:.4g} px, with lines under "
+               "separate denominators to first order; the fit was then iterated.")
     if chosen.adjustment.redundancy == 0:
         yield "The adjustment has no redundancy: its residuals say nothing."

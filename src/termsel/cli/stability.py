@@ -38,7 +38,7 @@ def stability(
     solver: str | None, criterion: str | None, settings: tuple[str, ...], repeats: int,
     threshold: float, seed: int, evaluations: int | None, as_json: bool,
 ) -> None:
-    """Show how often each term is selected when the points are shared out anew.
+    """Show how often each term is selected when points are shared out anew.
 
     Terms selected often are fitted to control and check points together, and judged by the
     independent ones.
