@@ -144,7 +144,8 @@ def _rmse(errors: FloatArray, n: int) -> Rmse | None:
 
 
 def fit(model: SensorModel, control: FeatureSet, scaling: Scaling,
-        terms: BoolArray | None = None, used: BoolArray | None = None) -> Fit:
+        terms: BoolArray | None = None, used: BoolArray | None = None, *,
+        iterated: bool = True) -> Fit:
     """Fit a model to control features.
 
     Parameters
@@ -157,12 +158,17 @@ def fit(model: SensorModel, control: FeatureSet, scaling: Scaling,
         Terms in use; all by default.
     used : ndarray of bool, shape (len(control),), optional
         Features in use; all by default.
+    iterated : bool
+        Whether to go on from equations that hold to first order to the least squares of
+        distances; else the fit is the one a search judges.
     """
     terms = np.ones(len(model.terms), dtype=bool) if terms is None else terms
     used = np.ones(len(control), dtype=bool) if used is None else used
     model = model.prepared(scaling, control.crs)
-    return Fit(model, scaling, control, terms, used,
-               adjust(model, scaling.features(control), terms, used))
+    features = scaling.features(control)
+    adjustment = (adjust(model, features, terms, used) if iterated
+                  else solve(model.equations(features), terms, used))
+    return Fit(model, scaling, control, terms, used, adjustment)
 
 
 def adjust(model: SensorModel, features: FeatureSet, terms: BoolArray,
