@@ -63,7 +63,9 @@ solver has it (its evaluations are counted in the column). Fitness is the check 
 it; evaluations, seconds and the independent RMSE [pixel] are medians. Solvers without chance
 run once. Seconds are of one of two processes at work and good for comparison only.
 
-A lower fitness is not a better model: compare the last column.
+A lower fitness is not a better model: compare the last column. Solvers for several objectives
+spend their evaluations on a whole front, of which the member of least fitness is shown; their
+polish looks around the front and does not start anew.
 """
 
 
