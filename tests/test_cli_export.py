@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -64,13 +66,70 @@ def test_export_replaces_nothing_unasked(folder: Path, tmp_path: Path) -> None:
     assert vendor.read_text().startswith("satId")
 
 
+def test_export_replaces_no_array_beside_a_vrt_unasked(folder: Path, tmp_path: Path) -> None:
+    pytest.importorskip("rasterio")
+    array, options = tmp_path / "scene_xy.tif", ("--set", "step=2000", "--set", "height=1100")
+    array.write_text("another array")
+    export = ("export", folder, "--to", "geolocation-vrt", "-o", tmp_path / "scene.vrt", *options)
+    code, _, err = _termsel(*export)
+    assert code == 2
+    assert "scene_xy.tif: this file exists already" in err
+    assert array.read_text() == "another array"
+    assert not (tmp_path / "scene.vrt").exists()
+    assert _termsel(*export, "--overwrite")[0] == 0
+
+
+def test_grids_say_what_they_lack(folder: Path, tmp_path: Path,
+                                  caplog: pytest.LogCaptureFixture) -> None:
+    rasterio = pytest.importorskip("rasterio")
+    from affine import Affine
+
+    def dem(west: float) -> Path:
+        path = tmp_path / "dem.tif"
+        with rasterio.open(path, "w", driver="GTiff", width=20, height=20, count=1,
+                           dtype="float32", crs="EPSG:4326",
+                           transform=Affine(0.001, 0.0, west, 0.0, -0.001, 36.31)) as raster:
+            raster.write(np.full((1, 20, 20), 1100.0, dtype=np.float32))
+        return path
+
+    target = tmp_path / "scene.vrt"
+    export = ("export", folder, "--to", "geolocation-vrt", "-o", target, "--set", "step=100")
+    code, _, err = _termsel(*export, "--dem", dem(10.0))
+    assert code == 2
+    # Nothing is said of how good a grid is that does not exist.
+    assert err.startswith(f"Error: {tmp_path / 'dem.tif'}: the fitted model says nowhere")
+    assert not target.exists()
+    assert _termsel(*export, "--dem", dem(59.59))[0] == 0
+    assert "places of the grid no ground is found" in caplog.text
+    assert "Warning: Between" not in caplog.text
+    assert _termsel("export", folder, "--to", "gcp-grid-vrt", "-o", tmp_path / "g.vrt", "--set",
+                    "across=1", "--set", "height=1100")[0] == 0
+    assert "Warning: Between the places of the grid GDAL interpolates" in caplog.text
+
+
+@pytest.mark.filterwarnings("ignore:Dataset has no geotransform")
+def test_image_the_points_were_not_measured_in(folder: Path, tmp_path: Path) -> None:
+    rasterio = pytest.importorskip("rasterio")
+    record = folder / "result.json"
+    record.write_text(re.sub(r'"image_size": \[[^]]*\]', '"image_size": null', record.read_text()))
+    image = tmp_path / "small.tif"
+    with rasterio.open(image, "w", driver="GTiff", width=20, height=10, count=1,
+                       dtype="uint8") as raster:
+        raster.write(np.ones((1, 10, 20), dtype=np.uint8))
+    code, _, err = _termsel("export", folder, "--to", "gcp-vrt", "-o", tmp_path / "x.vrt",
+                            "--image", image)
+    assert code == 2
+    assert "small.tif: the image has 10 lines and 20 samples, and features were measured up" in err
+    assert not (tmp_path / "x.vrt").exists()
+
+
 @pytest.mark.parametrize(("arguments", "message"), [
     (["--to", "rpb"], "the format rpb does not hold this result. termsel describe rpb says what "
                       "it needs. Formats that do: gcp-grid-vrt"),
     (["--to", "rbp"], "unknown writer 'rbp'. Did you mean 'rpb'?"),
     (["--to", "qgis-points", "--dem", "x.tif"], "unknown option 'dem'"),
     (["--to", "gcp-grid-vrt", "--set", "across=many"], "option 'across' does not take 'many'"),
-    (["--to", "gcp-vrt", "--image", "none.tif"], "none.tif: GDAL cannot read this raster"),
+    (["--to", "gcp-vrt", "--image", "none.tif"], "none.tif: there is no such file"),
     (["--to", "gcp-vrt", "--image", "a", "--set", "image=b"], "image is given twice"),
     (["--to", "gcp-grid-vrt", "--dem", "none.tif"], "without a CRS")])
 def test_export_refuses(arguments: list[str], message: str, plane: Path, tmp_path: Path) -> None:
@@ -119,6 +178,11 @@ def test_project_there_and_back(folder: Path, tmp_path: Path) -> None:
     assert np.array_equal(there[:, :2], result.project(result.features.points.ground))
     pixels, back = tmp_path / "pixels.csv", tmp_path / "ground.csv"
     pixels.write_text(out)
+    code, _, err = _termsel("project", folder, "--points", pixels, "--inverse", "--height", "0",
+                            "-o", pixels)
+    assert code == 2
+    assert "this file exists already" in err
+    assert pixels.read_text() == out
     code, out, err = _termsel("project", folder, "--points", pixels, "--inverse", "--height",
                               "1000", "-o", back)
     assert (code, out) == (0, "")
@@ -152,6 +216,9 @@ def test_project_says_which_rays_meet_no_ground(folder: Path, tmp_path: Path) ->
     ("id,x,y,z\na,59,36,\n", [], "line 2, column 'z': the height is blank"),
     ("id,x,y,z\na,59,36,1\n", ["--dem", "d.tif"], "are for the way from image to ground"),
     ("id,line,sample\na,1,2\n", ["--inverse"], "Give --dem FILE or --height H"),
+    ("id,line,sample\na,1,2\n", ["--inverse", "--height", "nan"], "cannot be nan"),
+    ("id,line,sample\na,1,2\n", ["--inverse", "--height", "1", "--dem", "d.tif"], "exclude"),
+    ("id,line,sample\na,1,2\n", ["--inverse", "--dem", "no.tif"], "no.tif: there is no such file"),
     ("# crs: EPSG:32640\nid,x,y,z\na,1,2,3\n", [], "declares the CRS EPSG:32640"),
     ("id,x,y,z\na,1,x,3\n", [], "line 2, column 'y': 'x' is not a number"),
     ("", [], "holds no table")])
@@ -167,26 +234,24 @@ def test_project_refuses(text: str, arguments: list[str], message: str, folder: 
 def test_text_formats_need_no_packages_for_rasters(folder: Path, tmp_path: Path) -> None:
     """RPC text, .points and CSV are written without the extra `gis`; others name it."""
     code = (
-        "import sys\n"
+        "import json, sys\n"
         "for name in ('rasterio', 'pyproj', 'pyogrio', 'shapely'): sys.modules[name] = None\n"
-        "from termsel.__main__ import main\n"
-        "main()\n")
-
-    def without(*arguments: object) -> subprocess.CompletedProcess[str]:
-        return subprocess.run([sys.executable, "-c", code, *map(str, arguments)],
-                              capture_output=True, text=True, check=False)
-
-    for to in ("rpb", "rpc-txt", "rpc-vrt", "qgis-points", "orthority-geojson", "gcp-vrt",
-               "points-csv", "gcp-grid-vrt"):
-        done = without("export", folder, "--to", to, "--output", tmp_path / f"x-{to}")
-        assert done.returncode == 0, done.stderr
-        if to == "rpb":
-            assert "without rasterio GDAL was not asked" in done.stderr
-    for arguments in (
-            ("export", folder, "--to", "residuals-gpkg", "--output", tmp_path / "r.gpkg"),
-            ("export", folder, "--to", "geolocation-vrt", "--output", tmp_path / "g.vrt"),
-            ("rectify", folder, "scene.tif", "--height", 1, "--output", tmp_path / "m.tif")):
-        done = without(*arguments)
-        assert done.returncode == 2
-        assert 'pip install "termsel[gis]"' in done.stderr
-        assert "Traceback" not in done.stderr
+        "from click.testing import CliRunner\n"
+        "from termsel.cli.main import cli\n"
+        "runs = [CliRunner().invoke(cli, c) for c in json.loads(sys.argv[1])]\n"
+        "print(json.dumps([(done.exit_code, done.stderr) for done in runs]))\n")
+    written = ("rpb", "rpc-txt", "rpc-vrt", "qgis-points", "orthority-geojson", "gcp-vrt",
+               "points-csv", "gcp-grid-vrt")
+    commands = [("export", folder, "--to", to, "-o", tmp_path / f"x-{to}") for to in written]
+    commands += [
+        ("export", folder, "--to", "residuals-gpkg", "-o", tmp_path / "r.gpkg"),
+        ("export", folder, "--to", "geolocation-vrt", "-o", tmp_path / "g.vrt"),
+        ("rectify", folder, "scene.tif", "--height", 1, "-o", tmp_path / "m.tif")]
+    texts = json.dumps([[str(argument) for argument in command] for command in commands])
+    done = subprocess.run([sys.executable, "-c", code, texts], capture_output=True, text=True,
+                          check=True)
+    found = json.loads(done.stdout)
+    assert [code for code, _ in found] == [0] * len(written) + [2] * 3, found
+    assert "without rasterio GDAL was not asked" in found[0][1]
+    for _, err in found[len(written):]:
+        assert 'pip install "termsel[gis]"' in err

@@ -28,6 +28,7 @@ from termsel.io.geojson_points import GeoJsonPoints
 from termsel.io.ground_lines import GeoJsonLines
 from termsel.io.qgis_points import QgisPoints
 from termsel.plugins.manager import registry
+from termsel.residuals import Residual, Residuals
 from termsel.testing import Check, check_reader, reader_checks
 
 UTM = ('PROJCRS["WGS 84 / UTM zone 31N",BASEGEOGCRS["WGS 84",DATUM["World Geodetic System 1984",'
@@ -450,8 +451,9 @@ def test_points_of_qgis_come_back(tmp_path_factory: pytest.TempPathFactory, resu
                                max_size=len(ids)))
     points = Points(ids, values[:, :2], np.column_stack([values[:, 2:], np.zeros(len(ids))]),
                     roles=tuple(roles))
-    chosen = replace(result, features=FeatureSet(points, crs="EPSG:4979"),
-                     selection=replace(result.selection, features=ids))
+    used = Residuals(Residual(name, "point", role, role == "control", 0.0, 0.0, *ground)
+                     for name, role, ground in zip(ids, roles, points.ground.tolist(), strict=True))
+    chosen = replace(result, features=FeatureSet(points, crs="EPSG:4979"), residuals=used)
     path = tmp_path_factory.mktemp("qgis") / "image.points"
     write(chosen, "qgis-points", path)
     found = termsel.read(path)

@@ -123,7 +123,13 @@ def _damaged(folder: Path, **change: object) -> None:
     ({"schema": "termsel-result-0"}, "not a result of the form termsel-result-1"),
     ({"model": "rfn"}, "unknown model 'rfn'"),
     ({"scaling": {}}, "this result is damaged"),
-    ({"coefficients": {"line.num:W": 1.0}}, "this result is damaged")])
+    ({"coefficients": {"line.num:W": 1.0}}, "this result is damaged"),
+    ({"coefficients": {"line.num:1": None}}, "this result is damaged"),
+    ({"model": 5}, "this result is damaged"),
+    ({"rmse": []}, "this result is damaged"),
+    ({"data": None}, "this result is damaged"),
+    ({"data": {"crs": "EPSG:1"}}, r"result\.json: CRS 'EPSG:1' does not exist"),
+    ({"data": {"crs": "local", "image_size": "ab"}}, "this result is damaged")])
 def test_damaged_records_are_refused(change: dict[str, object], message: str, tmp_path: Path,
                                      ) -> None:
     write_result(example_results()[0], tmp_path)
@@ -139,6 +145,9 @@ def test_folders_that_lack_something_are_refused(tmp_path: Path) -> None:
     whole = (tmp_path / "result.json").read_text()
     (tmp_path / "result.json").write_text(whole[:500])
     with pytest.raises(TermselError, match=r"result\.json, line \d+: this is not JSON"):
+        read_result(tmp_path)
+    (tmp_path / "result.json").write_text("[" * 100_000)
+    with pytest.raises(TermselError, match="this is not a result"):
         read_result(tmp_path)
     (tmp_path / "result.json").write_text(whole)
     (tmp_path / "points.csv").unlink()

@@ -60,6 +60,10 @@ def _fit(record: Mapping[str, Any], features: FeatureSet) -> Fit:
         term = model.terms.index(name)
         coefficients[term] = value
         deviations[term] = _float(record["standard_deviations"][name])
+    sizes = (*scaling.ground_offset, *scaling.ground_scale, *scaling.image_offset,
+             scaling.image_scale)
+    if not np.isfinite([*sizes, *coefficients]).all():
+        raise ValueError("a coefficient or the scaling is not a finite number")
     control = by_roles(features).control
     terms = np.array([name in record["coefficients"] for name in model.terms])
     used = np.isin(control.ids, record["selection"]["features"])

@@ -20,8 +20,9 @@ from termsel.cli.messages import show_messages
 @click.option("--height", type=float, help="With --inverse: height of the ground.")
 @click.option("--output", "-o", metavar="FILE", type=click.Path(path_type=Path),
               help="Table to write; stdout by default.")
+@click.option("--overwrite", is_flag=True, help="Replace a file that is there.")
 def project(folder: Path, points: Path, inverse: bool, dem: Path | None, height: float | None,
-            output: Path | None) -> None:
+            output: Path | None, overwrite: bool) -> None:
     """Compute image positions of ground points, or ground positions of image points.
 
     DIR is the folder a run has written with --out. The table that is written is headed
@@ -34,16 +35,17 @@ def project(folder: Path, points: Path, inverse: bool, dem: Path | None, height:
     """
     show_messages()
 
+    from termsel.io.atomic import require_new, write_text
     from termsel.io.projecting import project_table
     from termsel.io.result_files import read_result
 
+    if output is not None and not overwrite:
+        require_new(output)
     text, missed = project_table(read_result(folder), points, inverse=inverse, dem=dem,
                                  height=height)
     if output is None:
         click.echo(text, nl=False)
     else:
-        from termsel.io.atomic import write_text
-
         write_text(output, text)
         click.echo(f"Written: {output}", err=True)
     if missed:

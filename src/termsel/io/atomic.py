@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import secrets
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -35,6 +36,9 @@ def atomic_path(path: Path | str) -> Iterator[Path]:
     if target.exists() and not target.is_file():
         raise TermselError("this is not an ordinary file and cannot be replaced", file=path,
                            hint="Give the name of a file to write.")
+    if not os.access(target.parent, os.W_OK | os.X_OK):  # said before long work, by its own name
+        why = "no permission" if target.parent.is_dir() else "there is no such folder"
+        raise _cannot_write(path, why)
     # Not tempfile: its files are private to the user, those of open() follow the umask. The
     # suffix stays because some libraries choose the format by it.
     temporary = target.with_name(f".{target.stem}-{secrets.token_hex(6)}{target.suffix}")
@@ -42,12 +46,28 @@ def atomic_path(path: Path | str) -> Iterator[Path]:
         yield temporary
         temporary.replace(target)
     except OSError as error:
-        raise TermselError(f"cannot write this file: {error.strerror or error}", file=path,
-                           hint="Check that the folder exists, may be written to and has room."
-                           ) from error
+        raise _cannot_write(path, error.strerror or str(error)) from error
     finally:
         with suppress(OSError):  # gone after success; never hide the first error
             temporary.unlink()
+
+
+def require_new(path: Path) -> None:
+    """Refuse to replace a file that nobody has said may be replaced.
+
+    Raises
+    ------
+    TermselError
+        If there is such a file.
+    """
+    if path.exists():
+        raise TermselError("this file exists already", file=path,
+                           hint="Choose another name, or give --overwrite.")
+
+
+def _cannot_write(path: Path | str, why: str) -> TermselError:
+    return TermselError(f"cannot write this file: {why}", file=path,
+                        hint="Check that the folder exists, may be written to and has room.")
 
 
 def write_bytes(path: Path | str, data: bytes) -> None:

@@ -95,6 +95,10 @@ class Writer(Configurable, ABC):
     def accepts(self, result: Result) -> bool:
         """Return True if this format can hold `result`."""
 
+    def files(self, path: Path) -> tuple[Path, ...]:
+        """Return all files that are written for `path`, none of which is replaced unasked."""
+        return (path,)
+
     @abstractmethod
     def write(self, result: Result, path: Path) -> None:
         """Write `result` to `path`, whole or not at all (`termsel.io.atomic`).

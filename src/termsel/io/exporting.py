@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from termsel.errors import TermselError
+from termsel.io.atomic import require_new
 from termsel.plugins.manager import registry
 
 if TYPE_CHECKING:
@@ -61,7 +62,7 @@ def export(result: Result, to: str, path: Path | str, *, overwrite: bool = False
         raise TermselError(f"the format {to} does not hold this result",
                            hint=f"termsel describe {to} says what it needs. Formats that do: "
                                 f"{others}.")
-    if path.exists() and not overwrite:
-        raise TermselError("this file exists already", file=path,
-                           hint="Choose another name, or give --overwrite.")
+    if not overwrite:
+        for file in writer.files(path):
+            require_new(file)
     writer.write(result, path)

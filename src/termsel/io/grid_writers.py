@@ -22,6 +22,8 @@ from termsel.result import Result
 
 log = logging.getLogger(__name__)
 
+_CLOSE = 1.0  # pixels by which interpolation may miss the model without a warning
+
 _GROUND = (
     Option("dem", None, "Raster of heights the rays of the grid are followed to."),
     Option("height", None, "Height of the ground where no raster is given; that of the middle of "
@@ -46,6 +48,15 @@ class GridWriter(Writer):
         image = np.stack(np.meshgrid(lines, samples, indexing="ij"), axis=-1)
         with surface_of(self.options["dem"], fitted.control.crs, height) as surface:
             ground = fitted.locate(image.reshape(-1, 2), surface).reshape(*image.shape[:2], 3)
+        unseen = int(np.isnan(ground).any(axis=-1).sum())
+        if unseen == image[..., 0].size:
+            raise TermselError(
+                "the fitted model says nowhere in the image what ground is seen",
+                file=self.options["dem"],
+                hint="Give a raster of heights that covers the image, or choose a plainer model.")
+        if unseen:
+            log.warning("Warning: for %d of %d places of the grid no ground is found; what lies "
+                        "around them stays empty.", unseen, image[..., 0].size)
         self._say_loss(fitted, image, ground)
         return ground
 
@@ -53,12 +64,14 @@ class GridWriter(Writer):
         """Say how far the middles of the grid's meshes are from where the model has them."""
         middle = (ground[1:, 1:] + ground[:-1, 1:] + ground[1:, :-1] + ground[:-1, :-1]) / 4
         place = (image[1:, 1:] + image[:-1, :-1]) / 2
-        apart = np.linalg.norm(fitted.project(middle.reshape(-1, 3)) - place.reshape(-1, 2), axis=1)
-        apart = apart[np.isfinite(apart)]
+        seen = np.isfinite(middle).all(axis=-1)
+        apart = np.linalg.norm(fitted.project(middle[seen]) - place[seen], axis=1)
         if apart.size:
-            log.info("Between the places of the grid GDAL interpolates: by at most %.2g px from "
-                     "the model (95 %% within %.2g px), but for relief.", apart.max(),
-                     np.quantile(apart, 0.95))
+            worst = apart.max()
+            log.log(logging.INFO if worst <= _CLOSE else logging.WARNING,
+                    "%sBetween the places of the grid GDAL interpolates: by at most %.2g px from "
+                    "the model (95 %% within %.2g px), but for relief.",
+                    "" if worst <= _CLOSE else "Warning: ", worst, np.quantile(apart, 0.95))
 
 
 class GcpGridVrt(GridWriter):
@@ -87,7 +100,9 @@ class GcpGridVrt(GridWriter):
                 for i, line in enumerate(lines) for j, sample in enumerate(samples)
                 if np.isfinite(ground[i, j]).all()]
         if len(gcps) < 3:
-            raise _unseen(path)
+            raise TermselError("less than three places of the grid see ground", file=path,
+                               hint="Give a raster of heights that covers the image, or more "
+                                    "meshes: --set across=40.")
         write_text(path, vrt_text(picture, path.parent, gcps=gcps,
                                   crs=horizontal(result.fit.control.crs)))
 
@@ -102,6 +117,10 @@ class GeolocationVrt(GridWriter):
         IMAGE, *_GROUND,
         Option("step", None, "Pixels from one place of the array to the next; by default so that "
                "there are about 500 along the longer side.", int, 1))
+
+    def files(self, path: Path) -> tuple[Path, ...]:
+        """Return the VRT and the array beside it."""
+        return path, path.with_name(f"{path.stem}_xy.tif")
 
     def write(self, result: Result, path: Path) -> None:
         """Write a VRT and, beside it, FILE_xy.tif with longitudes or eastings and so on.
@@ -119,10 +138,8 @@ class GeolocationVrt(GridWriter):
         lines, samples = (np.arange(-step, size + 2 * step, step, dtype=np.float64)
                           for size in picture.size)
         ground = self.ground(result, lines, samples)
-        if not np.isfinite(ground).all(axis=-1).any():
-            raise _unseen(path)
         crs = horizontal(result.fit.control.crs)
-        array = path.with_name(f"{path.stem}_xy.tif")
+        array = self.files(path)[1]
         domain = {
             "X_DATASET": relative(array, path.parent), "X_BAND": "1",
             "X_DATASET_RELATIVE_TO_SOURCE": "YES",
@@ -142,9 +159,3 @@ class GeolocationVrt(GridWriter):
 
 
 _NODATA = -1e10
-
-
-def _unseen(path: Path) -> TermselError:
-    return TermselError("the fitted model says nowhere in the image what ground is seen",
-                        file=path, hint="Give a raster of heights that covers the image, or choose "
-                                        "a plainer model.")

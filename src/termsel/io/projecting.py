@@ -58,6 +58,11 @@ def project_table(
     if inverse:
         table = _table(path, "line", "sample")
         image = table.stack("line", "sample")
+        if dem is not None and height is not None:
+            raise TermselError("--dem and --height exclude each other", hint="Give one of them.")
+        if height is not None and not np.isfinite(height):
+            raise TermselError(f"the height of the ground cannot be {height}",
+                               hint="Give a number.")
         if dem is None and height is None and model.uses_height:
             raise TermselError("where a ray meets the ground depends on its height",
                                hint="Give --dem FILE or --height H.")

@@ -79,7 +79,12 @@ def open_raster(path: Path | str) -> Iterator[Any]:
         with raster:
             yield raster
     except (rasterio.errors.RasterioError, rasterio.errors.RasterioIOError) as error:
-        raise TermselError(f"GDAL cannot read this raster: {error}", file=path,
+        if not Path(path).exists():
+            raise TermselError("there is no such file", file=path,
+                               hint="Check the name and the folder it is given from.") from error
+        # What rasterio says of a failed read is only that its cause says more.
+        reason = str(error.__cause__ or error).rstrip(".")
+        raise TermselError(f"GDAL cannot read this raster: {reason}", file=path,
                            hint="Is it whole, and an image?") from error
 
 

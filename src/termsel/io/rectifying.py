@@ -15,7 +15,7 @@ import numpy as np
 from termsel.crs import LOCAL, horizontal, normalise
 from termsel.errors import TermselError
 from termsel.features import FloatArray
-from termsel.io.atomic import atomic_path, write_text
+from termsel.io.atomic import atomic_path, require_new, write_text
 from termsel.io.grid_writers import GeolocationVrt
 from termsel.io.heights import surface_of
 from termsel.io.rasters import open_raster, require_rasterio
@@ -90,15 +90,17 @@ def rectify(
     """
     require_rasterio()
     image, output = Path(image), Path(output)
-    if output.exists() and not overwrite:
-        raise TermselError("this file exists already", file=output,
-                           hint="Choose another name, or give --overwrite.")
+    if not overwrite:
+        require_new(output)
     if normalise(result.features.crs) == LOCAL:
         raise TermselError("plane coordinates without a CRS give no map",
                            hint="State the CRS of the ground coordinates when you run termsel.")
     if resampling not in RESAMPLING:
         raise TermselError(f"unknown resampling {resampling!r}",
                            hint=f"Known: {', '.join(RESAMPLING)}.")
+    for name, value in (("height", height), ("resolution", resolution)):
+        if value is not None and not np.isfinite(value):
+            raise TermselError(f"the {name} of a map cannot be {value}", hint="Give a number.")
     target = horizontal(crs if crs is not None else result.features.crs)
     if not target:
         raise TermselError("a map needs a CRS", hint="Give --crs, such as EPSG:32631.")
@@ -109,7 +111,7 @@ def rectify(
         source, options = _source(result, picture, Path(folder) / "scene.vrt", dem, level)
         shape, transform = _map(result, dem, level, target, resolution)
         with open_raster(source) as raster, atomic_path(output) as temporary:
-            empty = nodata if nodata is not None else _nodata(raster)
+            empty = _nodata(raster) if nodata is None else _held(nodata, raster.dtypes[0])
             _warp(raster, temporary, shape, transform, target, empty, progress,
                   resampling=resampling, **options)
 
@@ -186,6 +188,17 @@ def _ground(result: Result, dem: Path | str | None, height: float, target: str,
     places = np.stack([x, y], axis=-1)
     places[~np.isfinite(places).all(axis=1)] = np.nan
     return np.asarray(places.reshape(_OUTLINE, _OUTLINE, 2))
+
+
+def _held(nodata: float, dtype: str) -> float:
+    """Return a value for empty pixels, refusing what pixels of this type cannot hold."""
+    from rasterio.dtypes import in_dtype_range
+
+    if not in_dtype_range(nodata, dtype) or (np.dtype(dtype).kind in "iu"
+                                             and nodata != int(nodata)):
+        raise TermselError(f"pixels of the type {dtype} cannot hold the value {nodata:g}",
+                           hint="Give another --nodata.")
+    return nodata
 
 
 def _nodata(raster: Any) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, ClassVar
@@ -65,8 +66,9 @@ class ResidualsGeopackage(Writer):
         columns["exaggeration"] = np.full(len(residuals), exaggeration)
         fields = [np.asarray(column, dtype=object) if column.dtype.kind == "U" else column
                   for column in columns.values()]
-        with TemporaryDirectory() as folder:
+        with TemporaryDirectory() as folder, warnings.catch_warnings():
             whole = Path(folder) / "residuals.gpkg"
+            warnings.filterwarnings("ignore", "'crs' was not provided")  # plane coordinates
             try:
                 for layer, shapes in layers.items():
                     write(str(whole), shapely.to_wkb(shapes), fields, list(columns), layer=layer,

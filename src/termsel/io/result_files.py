@@ -10,10 +10,11 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from termsel.crs import normalise
 from termsel.errors import TermselError
 from termsel.features import FeatureSet, no_lines, no_points
 from termsel.io.atomic import write_text
-from termsel.io.base import read_text
+from termsel.io.base import located, read_text
 from termsel.io.csv_tables import LinesCsv, PointsCsv, write_lines_csv, write_points_csv
 from termsel.reloading import result_from
 from termsel.report.text import summary
@@ -91,13 +92,17 @@ def read_result(folder: Path | str) -> Result:
     except json.JSONDecodeError as error:
         raise TermselError(f"this is not JSON: {error.msg}", file=path, line=error.lineno,
                            hint="Run the search again.") from error
+    except (RecursionError, ValueError) as error:  # lists too deep, numbers too long
+        raise TermselError(f"this is not a result: {error}", file=path,
+                           hint="Run the search again.") from error
     if not isinstance(record, dict) or record.get("schema") != SCHEMA:
         raise TermselError(f"this is not a result of the form {SCHEMA}", file=path,
                            hint="Run the search again with this version of termsel.")
-    features = _read_features(Path(folder), record)
     try:
-        return result_from(record, features)
-    except (KeyError, TypeError, ValueError) as error:
+        return result_from(record, _read_features(Path(folder), record))
+    except TermselError as error:
+        raise (error if error.file is not None else located(error, path)) from error
+    except (AttributeError, KeyError, TypeError, ValueError) as error:  # edited by hand
         raise TermselError(f"this result is damaged: {type(error).__name__}: {error}", file=path,
                            hint="Run the search again.") from error
 
@@ -108,7 +113,8 @@ def _read_features(folder: Path, record: Mapping[str, Any]) -> FeatureSet:
     lines = LinesCsv().read(folder / LINES).lines if (folder / LINES).exists() else no_lines()
     data = record.get("data", {})
     size = data.get("image_size")
-    features = FeatureSet(points, lines, data.get("crs", ""), size and tuple(size),
+    normalise(data["crs"])
+    features = FeatureSet(points, lines, data["crs"], size and (int(size[0]), int(size[1])),
                           data.get("noise"), data.get("heights") or "",
                           record.get("scaling", {}).get("fit_crs", ""))
     observations = by_roles(features)

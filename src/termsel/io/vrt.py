@@ -87,6 +87,12 @@ def picture_for(result: Result, image: Path | str | None) -> Picture:
         bottom, right = result.fit.image_box()[1]
         return Picture(known or (max(1, int(bottom) + 1), max(1, int(right) + 1)))
     picture = picture_of(Path(image))
+    bottom, right = result.features.image_vertices().max(axis=0)
+    if known is None and (bottom > picture.size[0] or right > picture.size[1]):
+        raise TermselError(f"the image has {picture.size[0]} lines and {picture.size[1]} samples, "
+                           f"and features were measured up to line {bottom:g} and sample "
+                           f"{right:g}", file=image,
+                           hint="Give the image the features were measured in.")
     if known is not None and picture.size != known:
         raise TermselError(f"the image has {picture.size[0]} lines and {picture.size[1]} samples, "
                            f"that of the result has {known[0]} and {known[1]}", file=image,
