@@ -97,7 +97,7 @@ def test_grids_say_what_they_lack(folder: Path, tmp_path: Path,
     code, _, err = _termsel(*export, "--dem", dem(10.0))
     assert code == 2
     # Nothing is said of how good a grid is that does not exist.
-    assert err.startswith(f"Error: {tmp_path / 'dem.tif'}: the fitted model says nowhere")
+    assert err.startswith(f"Error: {tmp_path / 'dem.tif'}: less than three places")
     assert not target.exists()
     assert _termsel(*export, "--dem", dem(59.59))[0] == 0
     assert "places of the grid no ground is found" in caplog.text

@@ -11,7 +11,7 @@ COMMANDS = {
     "export": ("termsel.cli.export:export",
                "Write a result for GDAL, QGIS, OTB, Orthority and others."),
     "project": ("termsel.cli.project:project",
-                "Compute image positions of ground points, or the other way round."),
+                "Compute image positions of ground points, or ground positions of image points."),
     "rectify": ("termsel.cli.rectify:rectify", "Resample an image to a map."),
     "list": ("termsel.cli.list:list_", "List what can be asked for by name."),
     "describe": ("termsel.cli.describe:describe",

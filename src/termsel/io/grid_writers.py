@@ -49,11 +49,10 @@ class GridWriter(Writer):
         with surface_of(self.options["dem"], fitted.control.crs, height) as surface:
             ground = fitted.locate(image.reshape(-1, 2), surface).reshape(*image.shape[:2], 3)
         unseen = int(np.isnan(ground).any(axis=-1).sum())
-        if unseen == image[..., 0].size:
+        if unseen > image[..., 0].size - 3:
             raise TermselError(
-                "the fitted model says nowhere in the image what ground is seen",
-                file=self.options["dem"],
-                hint="Give a raster of heights that covers the image, or choose a plainer model.")
+                "less than three places of the grid see ground", file=self.options["dem"],
+                hint="Give the image, a raster of heights that covers it, or a plainer model.")
         if unseen:
             log.warning("Warning: for %d of %d places of the grid no ground is found; what lies "
                         "around them stays empty.", unseen, image[..., 0].size)
@@ -89,8 +88,8 @@ class GcpGridVrt(GridWriter):
         Raises
         ------
         TermselError
-            If the model says for less than three places of the grid what ground is seen
-            there; as `open_dem`; if the file cannot be written.
+            If less than three places of the grid see ground; as `open_dem`; if the file
+            cannot be written.
         """
         picture = picture_for(result, self.options["image"])
         lines, samples = (np.linspace(0.0, size - 1.0, self.options["across"] + 1)
@@ -99,10 +98,6 @@ class GcpGridVrt(GridWriter):
         gcps = [Gcp(f"{i}-{j}", float(line), float(sample), *ground[i, j].tolist())
                 for i, line in enumerate(lines) for j, sample in enumerate(samples)
                 if np.isfinite(ground[i, j]).all()]
-        if len(gcps) < 3:
-            raise TermselError("less than three places of the grid see ground", file=path,
-                               hint="Give a raster of heights that covers the image, or more "
-                                    "meshes: --set across=40.")
         write_text(path, vrt_text(picture, path.parent, gcps=gcps,
                                   crs=horizontal(result.fit.control.crs)))
 
@@ -128,8 +123,8 @@ class GeolocationVrt(GridWriter):
         Raises
         ------
         TermselError
-            If rasterio is not installed; if the model says nowhere what ground is seen; as
-            `open_dem`; if a file cannot be written.
+            If rasterio is not installed; if less than three places of the array see ground;
+            as `open_dem`; if a file cannot be written.
         """
         rasterio = require_rasterio()
         picture = picture_for(result, self.options["image"])
