@@ -66,7 +66,7 @@ def test_without_a_terminal_no_bar_is_drawn() -> None:
 
 
 def interrupted(process: subprocess.Popen[str]) -> tuple[str, str]:
-    """Press Ctrl-C, and again where it is lost: what is compiling calls Python back and drops it."""
+    """Press Ctrl-C, and again where it is lost, as compilation may drop it."""
     for _ in range(5):
         process.send_signal(signal.SIGINT)
         try:
