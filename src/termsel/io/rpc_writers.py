@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from abc import abstractmethod
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import ClassVar
@@ -56,9 +57,9 @@ class RpcWriter(Writer):
             require_read_back(rpc, text, self.suffix)
         self.written(rpc, path)
 
+    @abstractmethod
     def text(self, rpc: Rpc, result: Result, path: Path) -> str:
         """Return the content of the file."""
-        raise NotImplementedError
 
     def written(self, rpc: Rpc, path: Path) -> None:
         """Say where GDAL does not take the file that was written."""
