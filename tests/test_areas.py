@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from itertools import combinations
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ import pytest
 from click.testing import CliRunner
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.spatial import Delaunay
 
 import termsel
 from termsel.areas import Area, boundary, centroid, centroids
@@ -72,6 +74,48 @@ def test_edges_by_hand() -> None:
     np.testing.assert_array_equal(lines.image[5], [[0, 2], [0, 0]])
     np.testing.assert_array_equal(lines.ground[5], [[0, 2, 5], [0, 0, 0]])
     np.testing.assert_array_equal(lines.ground[8], [[12, 11, 12], [10, 10, 10]])
+
+
+def squares(rows: int, columns: int) -> list[Area]:
+    """Neighbouring unit squares; every second one is given the other way round."""
+    ring = np.array([[0, 0], [1, 0], [1, 1], [0, 1.0]])
+    areas = []
+    for i, (x, y) in enumerate(np.ndindex(columns, rows)):
+        own = (ring + np.array([x, y]))[::-1 if i % 2 else 1]
+        areas.append(Area(f"{x}{y}", own, np.column_stack([own, np.full(4, 10.0 * i)])))
+    return areas
+
+
+def test_edges_of_neighbours_are_taken_once() -> None:
+    # By hand: of 3 by 3 squares with 36 edges, 12 are shared. The middle one has none of its own.
+    lines = boundary(squares(3, 3))
+    assert len(lines) == 24
+    ends = {frozenset(map(tuple, edge)) for edge in lines.ground[..., :2].tolist()}
+    assert len(ends) == 24
+    of_middle = lines.ground[np.array(lines.ids) == "11", :, :2].tolist()
+    assert {frozenset(map(tuple, edge)) for edge in of_middle} == {
+        frozenset({(1.0, 1.0), (2.0, 1.0)}), frozenset({(2.0, 1.0), (2.0, 2.0)})}
+    assert set(lines.features) == {area.id for area in squares(3, 3)}
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.integers(3, 9), st.integers(0, 2**32 - 1))
+def test_every_area_of_a_map_keeps_an_edge(n: int, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    corners = rng.uniform(0, 100, (n, 2))
+    triangles = Delaunay(corners).simplices
+    areas = [Area(str(i), corners[one], np.column_stack([corners[one], one]))
+             for i, one in enumerate(triangles)]
+    lines = boundary(areas)
+    assert set(lines.features) == {area.id for area in areas}
+    edges = {frozenset(pair) for one in triangles.tolist() for pair in combinations(one, 2)}
+    assert len(lines) == len(edges)
+
+
+def test_an_area_twice_is_refused() -> None:
+    one, = squares(1, 1)
+    with pytest.raises(TermselError, match=r"all edges of area 'b' .*Leave one of them out"):
+        boundary([one, replace(one, id="b")])
 
 
 def test_roles() -> None:

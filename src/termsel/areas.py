@@ -90,12 +90,15 @@ def boundary(areas: Sequence[Area]) -> Lines:
     Returns
     -------
     Lines
-        As many lines for each area as it has corners: they are pieces of one feature.
+        Those of one area are pieces of one feature. An edge that areas share, with the same X and
+        Y at its ends, is taken once: of neighbours by the one that it bounds below, or on the
+        right where it runs along Y, so that each keeps some wherever it lies among others.
 
     Raises
     ------
     TermselError
-        For an area in the role check or independent, which lines cannot have, and as `Lines`.
+        For an area in the role check or independent, which lines cannot have; for one whose
+        edges others have all taken; and as `Lines`.
 
     Notes
     -----
@@ -109,9 +112,16 @@ def boundary(areas: Sequence[Area]) -> Lines:
                 hint="Lines are control features: control, off or blank. Centroids take all "
                      "roles (--set areas_as=centroid).", ids=[area.id])
     on = [area for area in areas if area.role != "off"]
-    return Lines(tuple(area.id for area in on for _ in area.image),
-                 np.concatenate([np.empty((0, 2, 2)), *(_edges(area.image) for area in on)]),
-                 np.concatenate([np.empty((0, 2, 3)), *(_edges(area.ground) for area in on)]))
+    own = _own_edges(on)
+    for area, edges in zip(on, own, strict=True):
+        if not edges:
+            raise TermselError(f"all edges of area {area.id!r} are edges of other areas that lie "
+                               "on the same side", ids=[area.id], hint="Leave one of them out.")
+    return Lines(tuple(area.id for area, edges in zip(on, own, strict=True) for _ in edges),
+                 np.concatenate([np.empty((0, 2, 2)), *(
+                     _edges(area.image)[edges] for area, edges in zip(on, own, strict=True))]),
+                 np.concatenate([np.empty((0, 2, 3)), *(
+                     _edges(area.ground)[edges] for area, edges in zip(on, own, strict=True))]))
 
 
 def centroids(areas: Sequence[Area]) -> Points:
@@ -158,6 +168,24 @@ def centroid(ring: ArrayLike) -> FloatArray:
     edges = _edges(corners - middle)
     twice = _cross(edges[:, 0], edges[:, 1])
     return np.asarray(middle + twice @ edges.sum(axis=1) / (3 * twice.sum()))
+
+
+def _own_edges(areas: Sequence[Area]) -> list[list[int]]:
+    """Return the numbers of each area's edges, without those that another area takes."""
+    rings = [_edges(area.ground[:, :2]) for area in areas]
+    taken: dict[frozenset[tuple[float, ...]], tuple[int, int]] = {}
+    # Neighbours go around themselves in the same sense, so that they pass their common edge in
+    # opposite directions. Every ring has edges in either direction.
+    for rising in (True, False):
+        for i, ring in enumerate(rings):
+            around = _cross(*np.moveaxis(ring - ring.mean(axis=(0, 1)), 1, 0)).sum() > 0
+            for j, (one, other) in enumerate(ring.tolist()):
+                if ((one < other) == around) == rising:
+                    taken.setdefault(frozenset((tuple(one), tuple(other))), (i, j))
+    own: list[list[int]] = [[] for _ in areas]
+    for i, j in sorted(taken.values()):
+        own[i].append(j)
+    return own
 
 
 def _edges(ring: FloatArray) -> FloatArray:
