@@ -140,7 +140,7 @@ def methods(table: Table, seed: int) -> dict[str, Figures]:
     task = prepare("hybrid-2", features=features)
     selection = run(task).selection
     found["hybrid-2"] = figures(task, fit_of(task, selection))
-    task = prepare("poly-terms", features=features, model="hybrid-3")
+    task = prepare("poly-terms", features=features, model="hybrid-3", solver="ga")
     found[FIRST_HYBRID_3] = figures(task, fit_of(task, selection))
     found["hybrid-3"] = figures(task, fit_of(task, run(task).selection))
     return found
@@ -206,7 +206,7 @@ def owdis_rows(scenes: int) -> Iterator[str]:
 def owdis(problem: str, settings: dict[str, Any], seed: int) -> tuple[float, ...]:
     """Return features, terms, share of wrong lines left out, RMSE, and feasibility, of a run."""
     scene = simulate_scene("ikonos-hamedan", seed=seed)
-    result = run(problem, features=scene, **settings)
+    result = run(problem, features=scene, solver="ga", **settings)
     selection = result.selection
     wrong = (set(scene_truth("ikonos-hamedan", seed=seed).wrong_lines)
              if result.fit.control.lines.ids else set())

@@ -18,12 +18,14 @@ from termsel.plugins.manager import registry
 from termsel.solvers.exact import count, prove
 from termsel.study import Standing, standings, trials
 
+ALIKE = {"max_share": 1}
+"""The same selections for all: solvers of papers have no cap by default, others have one."""
 PROBLEMS: dict[str, tuple[str, dict[str, Any]]] = {
-    "rfm-terms": ("rfm-terms", {}),
-    "poly-terms, 15 terms, per axis": ("poly-terms", {"degree": 4}),
-    "poly-terms, 15 terms, shared": ("poly-terms", {"degree": 4, "mask": "shared"}),
-    "poly-terms, 21 terms, per axis": ("poly-terms", {"degree": 5}),
-    "poly-terms, 21 terms, shared": ("poly-terms", {"degree": 5, "mask": "shared"}),
+    "rfm-terms": ("rfm-terms", ALIKE),
+    "poly-terms, 15 terms, per axis": ("poly-terms", {"degree": 4, **ALIKE}),
+    "poly-terms, 15 terms, shared": ("poly-terms", {"degree": 4, "mask": "shared", **ALIKE}),
+    "poly-terms, 21 terms, per axis": ("poly-terms", {"degree": 5, **ALIKE}),
+    "poly-terms, 21 terms, shared": ("poly-terms", {"degree": 5, "mask": "shared", **ALIKE}),
     "owdis-points": ("owdis-points", {}),
     "owdis-lines": ("owdis-lines", {}),
 }

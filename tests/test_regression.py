@@ -565,7 +565,7 @@ def test_a_bilinear_image_is_found_among_polynomials(solver: type[TermRegression
     ("rfm-terms", {}), ("poly-terms", {"degree": 5}),
     ("poly-terms", {"degree": 5, "mask": "shared"})])
 def test_embedded_scenes_run(solver: type[termsel.Solver], name: str, options: dict) -> None:
-    task = termsel.prepare(name, options=options)
+    task = termsel.prepare(name, solver=solver.name, options=options)
     if name == "rfm-terms":
         assert [part.columns.shape for part in regressions(task.problem)] == [(24, 39)] * 2
     before = np.random.get_state()[1].tobytes()

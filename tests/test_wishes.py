@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 
 import numpy as np
 import pytest
 
 import termsel
+from termsel.features import FeatureSet
 from termsel.models.polynomial import Polynomial3D
+from termsel.problems.redundancy import excess
+from termsel.problems.selection import SelectionProblem
 from termsel.problems.wishes import parents
+from termsel.report.text import summary
 
 
 def run(problem: str = "poly-terms", **options: object) -> termsel.Result:
@@ -97,3 +102,93 @@ def test_with_nothing_to_shrink_it_is_least_squares() -> None:
                      for shrink in (False, True))
     np.testing.assert_allclose(shrunk.fit.adjustment.coefficients,
                                plain.fit.adjustment.coefficients, atol=1e-10)
+
+
+# Redundancy
+
+
+def capped(problem: str = "poly-terms", **options: object) -> SelectionProblem:
+    task = termsel.prepare(problem, options=options)
+    assert isinstance(task.problem, SelectionProblem)
+    return task.problem
+
+
+@pytest.mark.parametrize(("solver", "share"), [
+    (None, 2 / 3), ("exact", 2 / 3), ("nsga2", 2 / 3), ("ga", 1.0), ("ica", 1.0), ("lasso", 1.0),
+    ("all-terms", 1.0)])
+def test_methods_of_papers_have_no_cap_and_others_do(solver: str | None, share: float) -> None:
+    task = termsel.prepare("poly-terms", solver=solver)
+    assert task.options["problem"]["max_share"] == pytest.approx(share)
+    assert task.options["problem"] == termsel.run(
+        task, evaluations=5).to_dict()["options"]["problem"]
+
+
+@pytest.mark.parametrize("mask", ["per-axis", "shared"])
+@pytest.mark.parametrize("share", [0.2, None, 1])
+def test_the_cap_of_the_optimum_is_that_of_the_evaluation(mask: str, share: float | None) -> None:
+    # 9 control points give each axis 9 equations: at most 1, 6, and 8 terms of 10.
+    scene = termsel.simulate_scene("ikonos-hamedan").points
+    few = scene.take(np.r_[np.flatnonzero(np.array(scene.roles) == "control")[:9],
+                           np.flatnonzero(np.array(scene.roles) != "control")])
+    given = {} if share is None else {"max_share": share}
+    task = termsel.prepare("poly-terms", features=FeatureSet(few), solver="exact",
+                           options={"degree": 3, "mask": mask, **given})
+    problem, found = task.problem, termsel.search(task.problem, task.solver)
+    genes = np.array(list(itertools.product([False, True], repeat=10)))
+    if mask == "per-axis":  # axis by axis, the other one with its constant
+        constant = np.zeros_like(genes)
+        constant[:, 0] = True
+        genes = np.concatenate([np.column_stack([genes, constant]),
+                                np.column_stack([constant, genes])])
+    evaluation = problem.evaluate(genes)
+    most = {0.2: 1, None: 6, 1: 8}[share]
+    counts = np.array([genes[:, where].sum(axis=1) for where in problem.genome.slices().values()])
+    assert (evaluation.violation[counts.max(axis=0) > most] > 0).all()
+    assert counts[:, evaluation.violation == 0].max() == most
+    feasible = evaluation.violation == 0
+    if mask == "shared":
+        assert found.objectives[0] == pytest.approx(evaluation.objectives[feasible, 0].min())
+    else:
+        best = [np.inf, np.inf]
+        for side in (0, 1):
+            some = feasible & (counts[1 - side] == 1) & genes[:, 10 * (1 - side)]
+            squares = evaluation.objectives[:, 0] ** 2
+            best[side] = squares[some].min()
+        alone = genes[:, [0, 10]].all(axis=1) & (genes.sum(axis=1) == 2)
+        assert found.objectives[0] ** 2 == pytest.approx(
+            sum(best) - evaluation.objectives[alone, 0][0] ** 2)
+    assert max(found.genes[where].sum() for where in problem.genome.slices().values()) <= most
+
+
+def test_coupled_axes_share_a_cap() -> None:
+    problem = capped("owdis-lines-terms", max_share=0.25, mask="shared")
+    genes = np.zeros((3, problem.genome.size), dtype=bool)
+    slices = problem.genome.slices()
+    genes[:, slices["features"]] = np.arange(120) < 20  # 40 equations: 10 terms
+    for row, n in zip(genes, (5, 6, 10), strict=True):
+        row[slices["terms"]][:n] = True  # each gene switches a line term and a sample term
+    counted = excess(problem._parts, *problem.masks(genes), 0.25)
+    assert counted.tolist() == [0, 2, 10]
+    assert (problem.evaluate(genes).violation[1:] >= [2, 10]).all()
+    assert slices["terms"].stop == 19
+    assert problem.genome.segments[0].maximum == 19  # of 240 equations 60 terms
+    few = capped("owdis-lines-terms", max_share=0.1, mask="shared")
+    assert few.genome.segments[0].maximum == 12
+
+
+def test_features_leave_a_degree_of_freedom_to_given_terms() -> None:
+    problem = capped("owdis-points", terms="line.num:1,line.num:X,sample.num:1,sample.num:Y")
+    genes = np.zeros((2, problem.genome.size), dtype=bool)
+    genes[0, :2] = genes[1, :3] = True
+    assert (problem.evaluate(genes).violation > 0).tolist() == [True, False]
+    # Asked for two points of two terms an axis, one gets them.
+    exact = capped("owdis-points", max_features=2,
+                   terms="line.num:1,line.num:X,sample.num:1,sample.num:Y")
+    assert exact.evaluate(genes[:1]).violation[0] == 0
+
+
+def test_the_summary_states_the_cap() -> None:
+    assert "Terms are 67 % of their equations at most" in summary(
+        termsel.run("poly-terms", strategy="as-asked", evaluations=50))
+    assert "equations at most" not in summary(termsel.run("poly-terms", solver="ga",
+                                                          evaluations=50))

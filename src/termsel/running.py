@@ -22,6 +22,7 @@ from termsel.options import Option, resolve
 from termsel.plugins.manager import registry
 from termsel.problems.base import Problem
 from termsel.problems.recipes import Recipe
+from termsel.problems.redundancy import MAX_SHARE
 from termsel.problems.selection import Inputs
 from termsel.result import Result
 from termsel.roles import Observations, observe
@@ -139,6 +140,8 @@ def prepare(
     of_data = resolve(DATA_OPTIONS, chosen["data"])
     if solver_type.max_objectives > 1 and "objectives" in of_problem:
         of_problem["objectives"] = of_problem["objectives"] or recipe.second
+    if "max_share" in of_problem and of_problem["max_share"] is None:
+        of_problem["max_share"] = 1.0 if solver and solver_type.as_published else MAX_SHARE
     if not the_criterion.is_rmse and of_problem.get("recommend") == "one-standard-error":
         of_problem["recommend"] = "best"  # only an RMSE has the standard error meant here
     the_model = model_type(**{**own, **chosen["model"]})

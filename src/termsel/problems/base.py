@@ -77,7 +77,8 @@ class Genome:
                 raise TermselError(
                     f"of the {len(segment.labels)} genes {segment.name!r}, {segment.minimum} to "
                     f"{most} are to be on, which forced genes or their number do not allow",
-                    hint="Lower the minimum, raise the maximum or force fewer.")
+                    hint="Lower the minimum, raise the maximum (of terms: max_share) or force "
+                         "fewer.")
 
     def _mark(self, labels: Iterable[str]) -> BoolArray:
         marked = np.zeros(self.size, dtype=bool)

@@ -25,8 +25,9 @@ from termsel.problems.base import (
 )
 from termsel.problems.enumeration import enumerable_parts
 from termsel.problems.objectives import OBJECTIVES, Chosen, centres
+from termsel.problems.redundancy import capped, excess
 from termsel.problems.spread import uncovered_share
-from termsel.problems.wishes import capped, forced, listed, orphans, parents
+from termsel.problems.wishes import forced, listed, orphans, parents
 from termsel.roles import spatial_order
 
 GUARDED = 100
@@ -90,9 +91,12 @@ class SelectionProblem(Problem):
         names = model.terms
         segments = []
         self._gene_of_term: IntArray | None = None
+        share = inputs.options.get("max_share")
+        self._share = 1.0 if share is None else float(share)
         if terms:
             term_segments, self._gene_of_term = _term_segments(names, model.axis, mask)
-            segments += capped(term_segments, self._parts, inputs.options)
+            segments += (capped(term_segments, self._gene_of_term, self._parts, self._share)
+                         if self._share < 1 else term_segments)
         self._n_term_genes = sum(len(s.labels) for s in segments)
         self._selects_features = features
         if features:
@@ -120,7 +124,7 @@ class SelectionProblem(Problem):
             What the frozen genes are.
         which : ndarray of bool, shape (genome.size,)
             Which genes are frozen. A segment that is frozen whole need no longer keep its
-            minimum and maximum.
+            minimum and maximum, and terms that are frozen beyond max_share are free of it.
         """
         old = self.genome
         segments = [
@@ -129,19 +133,25 @@ class SelectionProblem(Problem):
         problem = copy(self)
         problem.genome = Genome(segments, on=select(old.labels, np.where(which, genes, old.on)),
                                 off=select(old.labels, np.where(which, ~genes, old.off)))
+        if which[:self._n_term_genes].all() and excess(
+                self._parts, self.masks(genes[None])[0], None, self._share).any():
+            problem._share = 1.0
         return problem
 
     def _refuse_hopeless(self, selects_terms: bool) -> None:
         """Refuse before any search what no selection could solve."""
         most = self.genome.segments[-1].maximum if self._selects_features else None
+        # Who asks for so few features that the model is just determined gets it.
+        self._least_freedom = 1 if most is None or selects_terms else 0
         for part in self._parts:
             columns = int(self._terms_in_use[part.columns].sum())
             each = np.sort(np.bincount(part.equations.feature))[::-1]  # rows of a feature
             rows = each[:most].sum()
-            if not selects_terms and rows < columns:
+            if not selects_terms and rows < columns + self._least_freedom:
                 raise TermselError(
                     f"model {self.inputs.model.name!r} has {columns} terms to be determined "
                     f"together and the control gives {rows} equations"
+                    + (", which leaves no redundancy" if rows == columns else "")
                     + ("" if most is None else f" with {most} features at most"),
                     hint=("Give more control" if most is None else "Raise max_features")
                     + ", lower the order or degree of the model (--set order=1, "
@@ -150,7 +160,8 @@ class SelectionProblem(Problem):
     def evaluate(self, genes: BoolArray) -> Evaluation:
         """Return the criterion and the violation of a population (see `Problem.evaluate`).
 
-        The violation counts terms that are not determined, axes without a numerator term,
+        The violation counts terms that are not determined, those beyond what the equations bear
+        (option "max_share", and one degree of freedom), axes without a numerator term,
         by how much a denominator falls short of POLE_MARGIN somewhere in the scene, and by how
         much the share of the image left out exceeds the option "max_uncovered"; it is 1 where
         nothing of this is wrong and yet the criterion has no figure.
@@ -158,6 +169,7 @@ class SelectionProblem(Problem):
         inputs = self.inputs
         terms, features = self.masks(genes)
         coefficients, violation = solve_parts(self._parts, terms, features)
+        violation += excess(self._parts, terms, features, self._share, self._least_freedom)
         violation += self._empty_axes(terms)
         violation += pole_violation(inputs.model, coefficients, self._guard)
         violation += self._lacking_spread(features)

@@ -3,18 +3,13 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
-from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
-from termsel.adjustment.parts import Part
 from termsel.errors import unknown_name
 from termsel.features import BoolArray, FloatArray, IntArray
 from termsel.models.polynomial import monomial_name
 from termsel.options import Option
-from termsel.problems.base import Segment
 
 FORCED = (
     Option("force_on", None, "Terms and features that every selection has, with commas between: "
@@ -28,8 +23,9 @@ WISHES = (
     Option("hierarchy", False, "A monomial only together with those it contains, of one power "
            "less, such as X2Y with XY and X2.", bool),
     Option("max_share", None, "Most terms of line and of sample, as a share of their equations, "
-           "0 to 1; both together where they are coupled. By default as many as are "
-           "determined.", float, 0.0, 1.0),
+           "0 to 1; both together where lines or a denominator couple them. One degree of freedom "
+           "is left in any case. By default two thirds; 1, which is no cap, for methods of papers "
+           "and yardsticks where the solver is asked for by name.", float, 0.0, 1.0),
     Option("shrink", False, "Shrink the coefficients of the selection by ridge regression, the "
            "more the higher the order of a term.", bool),
 )
@@ -70,25 +66,6 @@ def forced(wish: str | None, labels: tuple[str, ...], ids: tuple[str, ...]) -> l
             raise unknown_name(what, name, (*labels, *ids))
         found += named
     return found
-
-
-def capped(segments: Iterable[Segment], parts: tuple[Part, ...], options: Mapping[str, Any],
-           ) -> list[Segment]:
-    """Return the segments of terms with a limit to how many are on.
-
-    Parameters
-    ----------
-    segments : iterable of Segment
-    parts : tuple of Part
-        Systems of equations of the terms.
-    options : mapping
-        With "max_share".
-    """
-    share = options.get("max_share")
-    if share is None:
-        return list(segments)
-    most = int(share * min(len(part.equations.b) for part in parts))
-    return [replace(segment, maximum=min(most, len(segment.labels))) for segment in segments]
 
 
 def parents(terms: tuple[str, ...]) -> tuple[IntArray, IntArray]:

@@ -47,6 +47,10 @@ def _head(result: Result) -> Iterator[str]:
     yield (f"Selected: {_share(len(result.selection.features), len(result.fit.control))} control "
            f"features, {_share(len(result.selection.terms), len(result.fit.model.terms))} terms; "
            f"redundancy {result.fit.adjustment.redundancy}")
+    share = result.options["problem"].get("max_share") or 1.0
+    if share < 1:
+        yield (f"Terms are {100 * share:.0f} % of their equations at most; --set max_share=1 lifts "
+               "this")
     yield (f"Search: {result.evaluations} evaluations ({result.lookups} looked up), "
            f"{result.generations} generations, {result.seconds:.1f} s")
     if result.polish:
@@ -54,7 +58,8 @@ def _head(result: Result) -> Iterator[str]:
                f"it, {result.polish['polished']:.4g} after {result.polish['evaluations']} "
                "evaluations more")
     if result.certificate:
-        yield _certificate(result.certificate)
+        yield _certificate(result.certificate, "--solver exact"
+                           + " --set max_share=1" * (share == 1.0))
 
 
 def _strategy(strategy: Mapping[str, Any], seconds: float) -> Iterator[str]:
@@ -74,16 +79,16 @@ def _strategy(strategy: Mapping[str, Any], seconds: float) -> Iterator[str]:
            "folds")
 
 
-def _certificate(certificate: Mapping[str, Any]) -> str:
+def _certificate(certificate: Mapping[str, Any], exact: str) -> str:
     proven = f"{certificate['subsets']:,} subsets decided, {certificate['space']}"
     if certificate["optimal"]:
         return f"Proven: no selection has a better criterion ({proven})"
     if certificate.get("gap") is not None:
         return (f"Gap: {100 * certificate['gap']:.2f} % above the proven optimum "
-                f"{certificate['optimum']:.4g} ({proven}); --solver exact finds it")
+                f"{certificate['optimum']:.4g} ({proven}); {exact} finds it")
     if "optimum" in certificate:
         return (f"The proven optimum is {certificate['optimum']:.4g}, below this ({proven}); "
-                "--solver exact finds it")
+                f"{exact} finds it")
     return f"Not proven: {certificate['subsets']:,} of {certificate['of']:,} subsets decided"
 
 

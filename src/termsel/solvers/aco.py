@@ -106,6 +106,7 @@ class AntColony(Solver):
     """
 
     name = "aco"
+    as_published = True
     default_generations = 200
     declared_options = (
         Option("population", 50, "Number of ants.", int, 2, 1_000_000),

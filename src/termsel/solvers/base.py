@@ -48,6 +48,10 @@ class Solver(Configurable, ABC):
     default_generations: ClassVar[int | None] = 100
     """Generations of a run without a budget; None for a solver that ends by itself."""
 
+    as_published: ClassVar[bool] = False
+    """Whether it is the method of a paper, or a yardstick: asked for by name, it selects from as
+    many terms as are determined, where others keep to a share of the equations."""
+
     @abstractmethod
     def generations(self, problem: Problem, rng: np.random.Generator) -> Iterator[Generation]:
         """Yield one generation after another, the initial population first.

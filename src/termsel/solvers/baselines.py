@@ -32,6 +32,7 @@ class AllTerms(Solver):
     """The conventional approach: every term and every feature in use, no search."""
 
     name = "all-terms"
+    as_published = True
     default_generations = None
 
     def generations(self, problem: Problem, rng: np.random.Generator) -> Iterator[Generation]:

@@ -149,11 +149,12 @@ def prove(problem: Problem, max_terms: int | None = None,
 
 
 def _limits(problem: Problem, part: EnumerablePart, max_terms: int | None) -> tuple[int, int]:
-    """Return the fewest and the most genes of a part."""
+    """Return the fewest and the most genes of a part, which leave a degree of freedom."""
     slices = problem.genome.slices()
     segment = next(s for s in problem.genome.segments
                    if slices[s.name].start <= part.genes[0] < slices[s.name].stop)
-    most = [n for n in (segment.maximum, max_terms, len(part.genes)) if n is not None]
+    most = [n for n in (segment.maximum, max_terms, len(part.genes),
+                        len(part.system.design) - 1) if n is not None]
     return segment.minimum, min(most)
 
 

@@ -65,6 +65,7 @@ class GeneticAlgorithm(Solver):
     """
 
     name = "ga"
+    as_published = True
     default_generations = 80
     declared_options: ClassVar[tuple[Option, ...]] = (
         Option("population", 200, "Number of chromosomes.", int, 2, 1_000_000),

@@ -273,6 +273,7 @@ class ImperialistCompetition(Solver):
     """
 
     name = "ica"
+    as_published = True
     default_generations = 100
     declared_options = (
         Option("population", 100, "Number of countries, N_pop.", int, 4, 1_000_000),

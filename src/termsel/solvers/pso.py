@@ -73,6 +73,7 @@ class BinarySwarm(Solver):
     """
 
     name = "pso"
+    as_published = True
     default_generations = 200
     declared_options = (
         Option("population", 50, "Number of particles.", int, 2, 1_000_000),

@@ -151,6 +151,7 @@ class TermRegression(Solver):
     """Base of solvers that choose the columns of each part from its control rows alone."""
 
     default_generations: ClassVar[int | None] = None
+    as_published = True
 
     @abstractmethod
     def choose(self, part: Regression) -> BoolArray:

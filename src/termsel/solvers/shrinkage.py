@@ -316,6 +316,7 @@ class Ridge(Solver):
     """
 
     name = "ridge"
+    as_published = True
     default_generations: ClassVar[int | None] = None
     declared_options = (
         Option("choice", "gcv", "How the penalty is chosen: generalised cross-validation or the "
