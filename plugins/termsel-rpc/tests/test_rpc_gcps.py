@@ -15,10 +15,11 @@ pytest.importorskip("termsel_rpc", reason="termsel-rpc is not installed: "
 
 import termsel
 from termsel import FeatureSet, Fits, Points, TermselError, read_result, read_rpc
+from termsel.io.result_files import write_result
 from termsel.problems.spread import uncovered_share
-from termsel.simulate import scene_truth
+from termsel.simulate import scene_truth, write_geometry
 from termsel_rpc import Ce90, RpcShift, candidates
-from termsel_rpc.simulated import CANDIDATES, RPC_FILE, SCENE, quality
+from termsel_rpc.simulated import CANDIDATES, RPC_FILE, SCENE, nominal_sensor, quality
 
 pytestmark = pytest.mark.filterwarnings("ignore:Dataset has no geotransform")
 
@@ -173,18 +174,38 @@ def test_bad_input_gives_one_message(arguments: list[str], said: str) -> None:
     assert not out
 
 
-def test_a_result_is_read_from_anywhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (tmp_path / "scene.RPB").write_text(RPC_FILE.read_text())
+@pytest.mark.parametrize(("model", "option"), [("rpc-drift", "rpc"),
+                                               ("pushbroom-refine", "geometry")])
+def test_a_result_is_whole_without_the_vendors_file(
+        model: str, option: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    file, ground = tmp_path / "vendor.scene", candidates().points.ground
+    if option == "rpc":
+        file.write_text(RPC_FILE.read_text())
+    else:
+        write_geometry(nominal_sensor(), file)
     monkeypatch.chdir(tmp_path)
-    result = termsel.run("rpc-gcps", generations=2, out=tmp_path / "out",
-                         options={"rpc": "scene.RPB", "polish": False})
+    result = termsel.run("rpc-gcps", model=model, generations=2, out=tmp_path / "out",
+                         options={option: file.name, "polish": False})
+    file.unlink()
+    (tmp_path / "out").rename(tmp_path / "elsewhere")
     monkeypatch.chdir(tmp_path.parent)
-    ground = candidates().points.ground
-    np.testing.assert_allclose(read_result(tmp_path / "out").project(ground),
+    again = read_result(tmp_path / "elsewhere")
+    np.testing.assert_allclose(again.project(ground), result.project(ground), atol=1e-9)
+    assert str(tmp_path) not in result.to_json()
+    again.export("rpc-txt", tmp_path / "scene_RPC.TXT")
+    np.testing.assert_allclose(read_rpc(tmp_path / "scene_RPC.TXT").project(ground),
+                               result.project(ground), atol=0.01)
+    write_result(again, tmp_path / "elsewhere")  # and once more
+    np.testing.assert_allclose(read_result(tmp_path / "elsewhere").project(ground),
                                result.project(ground), atol=1e-9)
-    (tmp_path / "scene.RPB").unlink()
-    with pytest.raises(TermselError, match=r"scene\.RPB"):
-        read_result(tmp_path / "out")
+
+
+@pytest.mark.parametrize(("model", "option"), [("rpc-shift", "rpc"),
+                                               ("pushbroom-refine", "geometry")])
+@pytest.mark.parametrize("text", ["{", "{}", '{"file": "a", "image_offset": [1, 2]}'])
+def test_damaged_record_of_a_geometry(model: str, option: str, text: str) -> None:
+    with pytest.raises(TermselError, match=r"Give the file|Expected JSON"):
+        termsel.prepare("rpc-gcps", model=model, options={option: text})
 
 
 def test_embedded_points_are_as_stated() -> None:

@@ -1,6 +1,11 @@
 """Simulated scenes: a rigorous pushbroom scanner over analytic terrain."""
 
-from termsel.simulate.geometry_files import read_geometry, write_geometry
+from termsel.simulate.geometry_files import (
+    geometry_from,
+    geometry_text,
+    read_geometry,
+    write_geometry,
+)
 from termsel.simulate.pushbroom import Angle, Pushbroom, pushbroom_at
 from termsel.simulate.scenes import (
     DATASETS,
@@ -18,6 +23,8 @@ __all__ = [
     "Pushbroom",
     "SceneTruth",
     "Terrain",
+    "geometry_from",
+    "geometry_text",
     "pushbroom_at",
     "read_geometry",
     "scene_truth",

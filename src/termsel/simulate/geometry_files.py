@@ -9,23 +9,63 @@ from typing import Any
 
 from termsel.errors import TermselError
 from termsel.io.atomic import write_text
-from termsel.io.base import read_head, read_text
+from termsel.io.base import located, read_head, read_text
 from termsel.simulate.pushbroom import Angle, Pushbroom
 
 SCHEMA = "termsel-pushbroom-1"
+_EXPECTED = f"Expected JSON of the form {SCHEMA}, as termsel.simulate.write_geometry makes it."
 _ANGLES = ("roll", "pitch", "yaw")
 
 
+def geometry_text(sensor: Pushbroom) -> str:
+    """Return the geometry of a scanner as JSON: the fields of `Pushbroom`, in its units.
+
+    Parameters
+    ----------
+    sensor : Pushbroom
+    """
+    return json.dumps({"schema": SCHEMA, **asdict(sensor)}, indent=1) + "\n"
+
+
+def geometry_from(text: str) -> Pushbroom:
+    """Return the scanner of what `geometry_text` returned.
+
+    Parameters
+    ----------
+    text : str
+
+    Raises
+    ------
+    TermselError
+        If the text is none, or lacks a field or has one amiss.
+    """
+    try:
+        content = json.loads(text)
+    except json.JSONDecodeError as error:
+        raise TermselError(f"this is not JSON: {error.msg}", line=error.lineno,
+                           hint=_EXPECTED) from error
+    if not isinstance(content, dict) or content.get("schema") != SCHEMA:
+        raise TermselError("this is no geometry of a pushbroom scanner", hint=_EXPECTED)
+    names = [field.name for field in fields(Pushbroom)]
+    for name in names:
+        if name not in content:
+            raise TermselError("the geometry lacks a field", column=name, hint=_EXPECTED)
+    try:
+        return Pushbroom(**{name: _value(name, content[name]) for name in names})
+    except (TypeError, ValueError, KeyError, OverflowError) as error:
+        raise TermselError(f"a field of the geometry is amiss: {error}",
+                           hint=_EXPECTED) from error
+
+
 def write_geometry(sensor: Pushbroom, path: Path | str) -> None:
-    """Write the geometry of a scanner as JSON: the fields of `Pushbroom`, in its units.
+    """Write the geometry of a scanner as JSON (see `geometry_text`).
 
     Parameters
     ----------
     sensor : Pushbroom
     path : path-like
     """
-    content = {"schema": SCHEMA, **asdict(sensor)}
-    write_text(Path(path), json.dumps(content, indent=1) + "\n")
+    write_text(Path(path), geometry_text(sensor))
 
 
 def read_geometry(path: Path | str) -> Pushbroom:
@@ -38,29 +78,15 @@ def read_geometry(path: Path | str) -> Pushbroom:
     Raises
     ------
     TermselError
-        If the file cannot be read, is no such file, or lacks a field or has one amiss.
+        If the file cannot be read, and as `geometry_from`.
     """
     path = Path(path)
-    expected = f"Expected JSON of the form {SCHEMA}, as termsel.simulate.write_geometry makes it."
-    read_head(path, expected)
+    read_head(path, _EXPECTED)
+    text = read_text(path)
     try:
-        content = json.loads(read_text(path))
-    except json.JSONDecodeError as error:
-        raise TermselError(f"this is not JSON: {error.msg}", file=path, line=error.lineno,
-                           hint=expected) from error
-    if not isinstance(content, dict) or content.pop("schema", None) != SCHEMA:
-        raise TermselError("this is no geometry of a pushbroom scanner", file=path, hint=expected)
-    names = [field.name for field in fields(Pushbroom)]
-    for name in names:
-        if name not in content:
-            raise TermselError("the geometry lacks a field", file=path, column=name, hint=expected)
-    try:
-        return Pushbroom(**{name: _value(name, content[name]) for name in names})
-    except (TypeError, ValueError, KeyError) as error:
-        raise TermselError(f"a field of the geometry is amiss: {error}", file=path,
-                           hint=expected) from error
+        return geometry_from(text)
     except TermselError as error:
-        raise TermselError(error.what, file=path, hint=error.hint) from error
+        raise located(error, path) from error
 
 
 def _value(name: str, value: Any) -> Any:

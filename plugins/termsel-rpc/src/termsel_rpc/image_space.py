@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+import json
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -14,7 +15,8 @@ from termsel_rpc.refinement import FloatArray, Refinement
 from termsel_rpc.simulated import CANDIDATES, RPC_FILE
 
 RPC = Option("rpc", "", "The RPC to refine: a file in any form that termsel reads, or "
-             f"{CANDIDATES} for that of the embedded data set; to be given.")
+             f"{CANDIDATES} for that of the embedded data set; to be given. A result holds the "
+             "RPC itself.")
 
 _AXES = ("line", "sample")
 
@@ -50,12 +52,15 @@ class RpcShift(Refinement):
     def __init__(self, **options: Any) -> None:
         super().__init__(**options)
         given = self.options["rpc"]
-        self._rpc = None
-        if given:
-            self._rpc = read_rpc(RPC_FILE if given == CANDIDATES else given)
-        if given and given != CANDIDATES:
-            # A result must be readable from another folder.
-            self.options["rpc"] = str(Path(given).resolve())
+        self._rpc, self._file = None, given
+        if given == CANDIDATES:
+            self._rpc = read_rpc(RPC_FILE)
+        elif given.startswith("{"):
+            self._rpc, self._file = _from_record(given)
+        elif given:
+            self._rpc, self._file = read_rpc(given), Path(given).name
+            # A result must be readable where the vendor's file is not.
+            self.options["rpc"] = json.dumps({"file": self._file, **asdict(self._rpc)})
 
     @property
     def rpc(self) -> Rpc:
@@ -85,7 +90,7 @@ class RpcShift(Refinement):
     @property
     def source(self) -> str:
         """The RPC and its file."""
-        return f"the RPC {Path(self.options['rpc']).name}"
+        return f"the RPC {self._file}"
 
     def footprint(self) -> FloatArray:
         """Return least and greatest longitude and latitude [deg] seen, shape (2, 2)."""
@@ -130,6 +135,18 @@ class RpcShift(Refinement):
         above = np.array([rpc.line_numerator, rpc.sample_numerator])
         line, sample = scale / np.array(rpc.image_scale)[:, None] @ above
         return replace(refined, line_numerator=tuple(line), sample_numerator=tuple(sample))
+
+
+def _from_record(text: str) -> tuple[Rpc, str]:
+    """Return an RPC and the name of its file from the JSON that a result holds."""
+    try:
+        values = {name: tuple(value) if isinstance(value, list) else value
+                  for name, value in json.loads(text).items()}
+        return Rpc(**{name: value for name, value in values.items() if name != "file"}), str(
+            values["file"])
+    except (KeyError, TypeError, ValueError) as error:
+        raise TermselError(f"option 'rpc' is not the RPC of a result: {error}",
+                           hint="Give the file of an RPC: --set rpc=FILE.") from error
 
 
 class RpcDrift(RpcShift):

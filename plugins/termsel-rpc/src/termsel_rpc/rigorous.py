@@ -10,7 +10,15 @@ from typing import Any
 import numpy as np
 
 from termsel import Equations, FeatureSet, Option, TermselError, image_equations
-from termsel.simulate import SCENES, Angle, Pushbroom, read_geometry, scene_truth
+from termsel.simulate import (
+    SCENES,
+    Angle,
+    Pushbroom,
+    geometry_from,
+    geometry_text,
+    read_geometry,
+    scene_truth,
+)
 from termsel_rpc.refinement import FloatArray, Refinement
 from termsel_rpc.simulated import CANDIDATES, nominal_sensor
 
@@ -46,20 +54,22 @@ class PushbroomRefine(Refinement):
     declared_options = (
         Option("geometry", "", "The nominal geometry: a JSON file as "
                "termsel.simulate.write_geometry makes it, or the name of an embedded data set; "
-               "to be given."),
+               "to be given. A result holds the geometry itself."),
         Option("biases", "attitude", "Whose biases are terms.",
                choices=("attitude", "position", "both")))
 
     def __init__(self, **options: Any) -> None:
         super().__init__(**options)
         given = self.options["geometry"]
-        self._sensor = None
+        self._sensor, self._file = None, given
         if given in EMBEDDED:
             self._sensor = nominal_sensor() if given == CANDIDATES else scene_truth(given).sensor
+        elif given.startswith("{"):
+            self._sensor, self._file = geometry_from(given), "of the result"
         elif given:
-            self._sensor = read_geometry(given)
-            # A result must be readable from another folder.
-            self.options["geometry"] = str(Path(given).resolve())
+            self._sensor, self._file = read_geometry(given), Path(given).name
+            # A result must be readable where the file is not.
+            self.options["geometry"] = geometry_text(self._sensor)
 
     @property
     def sensor(self) -> Pushbroom:
@@ -85,7 +95,7 @@ class PushbroomRefine(Refinement):
     @property
     def source(self) -> str:
         """The geometry and its file."""
-        return f"the geometry {Path(self.options['geometry']).name}"
+        return f"the geometry {self._file}"
 
     def footprint(self) -> FloatArray:
         """Return least and greatest longitude and latitude [deg] seen, shape (2, 2)."""
