@@ -94,6 +94,20 @@ def test_image_to_ground_and_back(tmp_path: Path) -> None:
     assert np.abs(result.project(on_slope) - image).max() < 1e-5
 
 
+def test_places_without_coordinates_have_no_image() -> None:
+    ground = np.array([[59.6, 36.3, 1000.0], [np.nan, 36.3, 1000.0], [59.6, np.inf, 1000.0],
+                       [59.6, 36.3, np.nan]])
+    for model, seen in (("poly3d", [True, False, False, False]),
+                        ("poly2d", [True, False, False, True])):
+        result = termsel.run("rfm-terms", model=model, solver="all-terms", dataset="irs1c-mashad",
+                             options={"degree": 1})
+        image = result.project(ground)
+        assert np.isfinite(image).all(axis=1).tolist() == seen
+        assert np.isnan(image).all(axis=1).tolist() == [not one for one in seen]
+        with pytest.raises(TermselError, match=r"shape \(3,\), expected \(n, 3\)"):
+            result.project(ground[0])
+
+
 def test_residuals_are_a_table_for_pandas_and_features_for_geopandas() -> None:
     pandas = pytest.importorskip("pandas")
     result = example_results()[0]

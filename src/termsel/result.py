@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from termsel.diagnosis import correlations, doubts, orientation_spread, significance
+from termsel.errors import TermselError
 from termsel.features import FeatureSet, FloatArray
 from termsel.fitting import Fit, Rmse
 from termsel.inverse import Surface
@@ -205,9 +206,20 @@ class Result:
         Returns
         -------
         ndarray, shape (n, 2)
-            Line and sample [pixel].
+            Line and sample [pixel]; NaN where a coordinate that the model uses is not finite.
+
+        Raises
+        ------
+        TermselError
+            If the array has another shape.
         """
-        return self.fit.project(np.asarray(ground, dtype=np.float64))
+        places = np.asarray(ground, dtype=np.float64)
+        if places.ndim != 2 or places.shape[1] != 3:
+            raise TermselError(f"ground points have shape {places.shape}, expected (n, 3)")
+        image = self.fit.project(places)
+        needed = places if self.fit.model.uses_height else places[:, :2]
+        image[~np.isfinite(needed).all(axis=1)] = np.nan
+        return image
 
     def locate(self, image: ArrayLike, height: ArrayLike | Surface) -> FloatArray:
         """Return the ground points seen at image points, by the fitted model.
@@ -252,7 +264,6 @@ class Result:
     def to_json(self) -> str:
         """Return result.json as text."""
         return json.dumps(self.to_dict(), indent=1, allow_nan=False) + "\n"
-
 
     def _repr_html_(self) -> str:
         """Return the summary for a notebook."""
