@@ -10,6 +10,7 @@ from pymoo.algorithms.moo.age2 import AGEMOEA2Survival
 from scipy.spatial import ConvexHull, QhullError
 
 import termsel
+import termsel.report.text
 from termsel.adjustment.parts import independent_parts
 from termsel.assessing import recommended
 from termsel.features import FeatureSet, Points
@@ -68,6 +69,54 @@ def test_the_rules_recommend_what_they_say() -> None:
     assert chosen["one-standard-error"][0] <= bound
     assert (second[first <= bound] >= chosen["one-standard-error"][1]).all()
     assert chosen["knee"][1] < chosen["best"][1]
+
+
+def test_the_least_ebic_of_a_front() -> None:
+    given = {"degree": 5, "max_share": 1, "recommend": "ebic"}
+    task = termsel.prepare("poly-terms", solver="nsga2", options=given)
+    found = termsel.search(task.problem, task.solver, generations=4)
+    # Two with 21 of 24 equations in terms, too many for the criterion, whatever they are worth.
+    rich = tuple(np.arange(42) != left_out for left_out in (20, 41))
+    front = (*rich, *found.front)
+    figures = termsel.prepare("poly-terms", criterion="ebic", options={
+        "degree": 5, "max_share": 1}).problem.evaluate(np.array(front))
+    assert (figures.violation[:2] > 0).all()
+    best = np.where(figures.violation > 0, np.inf, figures.objectives[:, 0]).argmin()
+    assert best >= 2
+    of_front = Search(**{**vars(found), "front": front})
+    assert (recommended(task, of_front).genes == front[best]).all()
+    # Without any member of enough redundancy it is the best criterion.
+    first = task.problem.evaluate(np.array(rich)).objectives[:, 0].argmin()
+    crowded = Search(**{**vars(found), "front": rich})
+    assert (recommended(task, crowded).genes == rich[first]).all()
+
+
+def test_the_proven_front_is_recommended_from_where_a_rule_is_given() -> None:
+    given = {"solver": "exact", "model": "poly2d"}
+    best = termsel.run("rfm-terms", options={"degree": 4}, **given)
+    assert best.certificate["optimal"]
+    assert best.options["problem"]["recommend"] == "best"
+    for rule in ("one-standard-error", "knee", "ebic"):
+        found = termsel.run("rfm-terms", options={"degree": 4, "recommend": rule}, **given)
+        assert found.front == best.front
+        assert len(found.selection.terms) < len(best.selection.terms)
+        assert not found.certificate["optimal"]
+        assert found.certificate["gap"] == pytest.approx(
+            found.objectives["check-rmse"] / best.objectives["check-rmse"] - 1)
+        text = termsel.report.text.summary(found)
+        assert f"recommended by the rule {rule}" in text
+        assert "above the proven optimum" in text
+        assert "--set recommend=best finds it" in text
+
+
+def test_rules_that_cannot_be() -> None:
+    with pytest.raises(termsel.TermselError, match="no standard error"):
+        termsel.run("poly-terms", criterion="ebic", solver="nsga2",
+                    options={"recommend": "one-standard-error"})
+    with pytest.raises(termsel.TermselError, match="recommend"):
+        termsel.run("owdis-points", solver="nsga2", options={"recommend": "ebic"})
+    found = termsel.run("poly-terms", solver="ga", evaluations=50, options={"recommend": "knee"})
+    assert any("no front" in note for note in found.notes)
 
 
 def test_a_front_of_one_member_is_recommended() -> None:

@@ -12,18 +12,19 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from termsel.baselines import baseline, compare, figures
+from termsel.criteria import Ebic
 from termsel.crs import height_reference
 from termsel.features import BoolArray, FeatureSet
 from termsel.fitting import Fit, fit
 from termsel.judging import judge, name_conventional, notes_on
 from termsel.problems.base import Selection
-from termsel.problems.selection import guard_points, pole_violation
+from termsel.problems.selection import SelectionProblem, guard_points, pole_violation
 from termsel.residuals import residuals_of
 from termsel.result import LEAVE_ONE_OUT, Result, plain_rmse
 from termsel.roles import with_roles
 from termsel.searching import Search
 from termsel.shrinking import shrunken_coefficients
-from termsel.solvers.exact import gap
+from termsel.solvers.exact import gap, gap_of
 
 if TYPE_CHECKING:
     from termsel.running import Task
@@ -86,19 +87,27 @@ def recommended(task: Task, found: Search) -> Search:
     taken as that of an RMSE of normal errors, RMSE / sqrt(2 f), with f = 2 n coordinates of
     the n points or lines the criterion looks at. The knee is the member farthest below the
     straight line between the front's ends, in the logarithm of the criterion, which spans
-    orders of magnitude, and the second objective, both scaled to [0, 1].
+    orders of magnitude, and the second objective, both scaled to [0, 1]. "ebic" takes the least
+    `termsel.criteria.Ebic` of the control; where no member has one, the best criterion.
 
     Parameters
     ----------
     task : Task
     found : Search
-        Of a problem with several objectives; any other is returned as it is.
+        One without a front is returned as it is. With a single objective the members' numbers of
+        genes are the second one.
     """
-    if len(task.problem.objectives) < 2 or not found.front:
+    rule = task.options["problem"].get("recommend", "best")
+    alone = len(task.problem.objectives) < 2
+    if alone and rule == "best":
         return found
-    evaluation = task.problem.evaluate(np.array(found.front))
-    first, second = evaluation.objectives[:, 0], evaluation.objectives[:, 1]
-    rule = task.options["problem"]["recommend"]
+    if not found.front:
+        return replace(found, notes=(*found.notes, "This search has no front from which to "
+                                     f"recommend by the rule {rule}.")) if alone else found
+    genes = np.array(found.front)
+    evaluation = task.problem.evaluate(genes)
+    first = evaluation.objectives[:, 0]
+    second = genes.sum(axis=1).astype(float) if alone else evaluation.objectives[:, 1]
     index = int(np.argmin(first))
     if rule == "one-standard-error":
         judged = (task.observations.check if task.criterion.needs_check
@@ -110,8 +119,20 @@ def recommended(task: Task, found: Search) -> Search:
         height = np.log(first) if first.min() > 0 else first
         below = (height - height.min()) / np.ptp(height) + (second - second.min()) / np.ptp(second)
         index = int(np.argmin(below))
+    elif rule == "ebic" and isinstance(task.problem, SelectionProblem):
+        judged_anew = task.problem.judged_by(Ebic()).evaluate(genes)
+        index = int(np.lexsort((first, judged_anew.objectives[:, 0], judged_anew.violation))[0])
     return replace(found, genes=found.front[index], objectives=evaluation.objectives[index],
-                   violation=float(evaluation.violation[index]))
+                   violation=float(evaluation.violation[index]),
+                   certificate=_of_member(found.certificate, first[index], first.min()))
+
+
+def _of_member(certificate: Mapping[str, Any] | None, value: float,
+               optimum: float) -> Mapping[str, Any] | None:
+    """Return what a proof of the front's best member says of another one."""
+    if certificate is None or not certificate["optimal"] or value == optimum:
+        return certificate
+    return {**certificate, "optimal": False, **gap_of(value, optimum)}
 
 
 def _certificate(task: Task, found: Search) -> Mapping[str, Any] | None:

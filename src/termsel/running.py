@@ -142,10 +142,10 @@ def prepare(
         of_problem["objectives"] = of_problem["objectives"] or recipe.second
     if "max_share" in of_problem and of_problem["max_share"] is None:
         of_problem["max_share"] = 1.0 if solver and solver_type.as_published else MAX_SHARE
-    if not the_criterion.is_rmse and of_problem.get("recommend") == "one-standard-error":
-        of_problem["recommend"] = "best"  # only an RMSE has the standard error meant here
     the_model = model_type(**{**own, **chosen["model"]})
     the_criterion = type(the_criterion)(**{**the_criterion.options, **chosen["criterion"]})
+    if "recommend" in of_problem:
+        of_problem["recommend"] = _rule(of_problem["recommend"], the_criterion, solver_type)
     the_solver = solver_type(**chosen["solver"])
     if features is None:
         spec = names.get("datasets", dataset or recipe.dataset)
@@ -172,6 +172,17 @@ def prepare(
     return Task(recipe, the_problem, the_model, the_solver, the_criterion, observations,
                 scaling, features, source or "given in Python",
                 {"problem": of_problem, "data": of_data})
+
+
+def _rule(asked: str | None, criterion: Criterion, solver: type[Solver]) -> str:
+    """Return the rule by which a member of a front is recommended."""
+    if asked == "one-standard-error" and not criterion.is_rmse:
+        raise TermselError(f"criterion {criterion.name!r} is no RMSE, so it has no standard error "
+                           "to recommend a selection by",
+                           hint="Choose --set recommend=knee or best, or --criterion check-rmse, "
+                                "press or kfold.")
+    return asked or ("one-standard-error" if solver.max_objectives > 1 and criterion.is_rmse
+                     else "best")
 
 
 def _refuse_unknown(given: Mapping[str, Any], declared: Mapping[str, Iterable[Option]]) -> None:

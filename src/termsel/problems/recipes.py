@@ -76,13 +76,19 @@ OBJECTIVES = Option(
     "n_features, max_correlation, log_condition, uncovered, unevenness. By default none, or, "
     "with a solver for several, the number of what is selected.")
 RECOMMEND = Option(
-    "recommend", "one-standard-error", "Which member of a front is the selection: the one with "
-    "the least second objective within one standard error of the best criterion; the knee; or "
-    "the best criterion.", choices=("one-standard-error", "knee", "best"))
+    "recommend", None, "Which member of a front is the selection: the one with the least second "
+    "objective, or with exact the fewest terms, within one standard error of the best criterion; "
+    "the knee; or the best criterion. By default one-standard-error with several objectives, "
+    "best otherwise and for a criterion without a standard error.",
+    choices=("one-standard-error", "knee", "best"))
+RECOMMEND_TERMS = replace(RECOMMEND, doc=RECOMMEND.doc.replace(
+    "or the best criterion. By", "the least EBIC; or the best criterion. By"),
+    choices=(*RECOMMEND.choices, "ebic"))
 
-OF_TERMS = (MASK, MIXED, *WISHES, OBJECTIVES, RECOMMEND)
+_BOTH = (MASK, MIXED, *WISHES, OBJECTIVES)
+OF_TERMS = (*_BOTH, RECOMMEND_TERMS)
 OF_FEATURES = (TERMS, MIXED, *COUNTS, *FORCED, OBJECTIVES, RECOMMEND)
-OF_BOTH = (*OF_TERMS, *COUNTS, STEPS)
+OF_BOTH = (*_BOTH, RECOMMEND, *COUNTS, STEPS)
 
 
 def feature_options(**defaults: Any) -> tuple[Option, ...]:

@@ -138,6 +138,13 @@ class SelectionProblem(Problem):
             problem._share = 1.0
         return problem
 
+    def judged_by(self, criterion: Criterion) -> SelectionProblem:
+        """Return the problem with another criterion as its only objective."""
+        problem = copy(self)
+        problem.inputs = replace(self.inputs, criterion=criterion)
+        problem.objectives = (criterion.name,)
+        return problem
+
     def _refuse_hopeless(self, selects_terms: bool) -> None:
         """Refuse before any search what no selection could solve."""
         most = self.genome.segments[-1].maximum if self._selects_features else None

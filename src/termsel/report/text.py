@@ -58,8 +58,9 @@ def _head(result: Result) -> Iterator[str]:
                f"it, {result.polish['polished']:.4g} after {result.polish['evaluations']} "
                "evaluations more")
     if result.certificate:
-        yield _certificate(result.certificate, "--solver exact"
-                           + " --set max_share=1" * (share == 1.0))
+        exact = "--set recommend=best" if result.solver == "exact" else \
+            "--solver exact" + " --set max_share=1" * (share == 1.0)
+        yield _certificate(result.certificate, exact)
 
 
 def _strategy(strategy: Mapping[str, Any], seconds: float) -> Iterator[str]:
@@ -139,7 +140,7 @@ def _front(result: Result) -> Iterator[str]:
             f"{member['objectives'][name]:>16.5g}" for name in names
         ) + f"{'-' if total is None else f'{total:.3f}':>14}"
     rule = result.options["problem"].get("recommend")
-    if len(result.objectives) > 1 and rule:
+    if rule and (len(result.objectives) > 1 or rule != "best"):
         yield f"-> the selection, recommended by the rule {rule} (--set recommend=...)"
     yield ""
 

@@ -202,8 +202,12 @@ def gap(problem: Problem, found: float) -> dict[str, Any] | None:
         return None
     optimum = float(evaluation.objectives[0, 0])
     return {"optimal": found <= optimum + TIE * abs(optimum), "subsets": proof.decided,
-            "of": proof.total, "space": "all selections", "optimum": optimum,
-            "gap": max(0.0, found / optimum - 1) if optimum > 0 else None}
+            "of": proof.total, "space": "all selections", **gap_of(found, optimum)}
+
+
+def gap_of(found: float, optimum: float) -> dict[str, float | None]:
+    """Return the optimum, and how far a find is from it as a share of it."""
+    return {"optimum": optimum, "gap": max(0.0, found / optimum - 1) if optimum > 0 else None}
 
 
 def affordable_terms(problem: Problem) -> int | None:
