@@ -11,9 +11,9 @@ import pytest
 from termsel.criteria import CheckRmse, Huber, Median
 from termsel.errors import TermselError
 from termsel.features import FeatureSet, FloatArray, Points
-from termsel.models.base import Blocks, RationalModel
 from termsel.models.polynomial import Affine, Polynomial2D, Polynomial3D
 from termsel.models.projective import DLT2D, DLT3D, Projective2D
+from termsel.models.quotient import Blocks, RationalModel
 from termsel.models.rational import RationalFunctions
 from termsel.problems.selection import Inputs, SelectionProblem
 from termsel.solvers.aco import AntColony

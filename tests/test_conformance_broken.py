@@ -14,8 +14,8 @@ from termsel.adjustment.equations import Equations
 from termsel.criteria import CheckRmse, Criterion, Fits
 from termsel.errors import TermselError
 from termsel.features import BoolArray, FeatureSet, FloatArray, IntArray
-from termsel.models.base import Blocks, RationalModel
 from termsel.models.polynomial import Affine, Polynomial2D
+from termsel.models.quotient import Blocks, RationalModel
 from termsel.models.rational import RationalFunctions
 from termsel.options import Option
 from termsel.problems.base import Evaluation, Problem

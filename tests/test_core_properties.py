@@ -17,8 +17,9 @@ from termsel.adjustment.solve import solve
 from termsel.criteria import CheckRmse
 from termsel.errors import TermselError
 from termsel.features import ROLES, BoolArray, FeatureSet, FloatArray, Lines, Points
-from termsel.models.base import Blocks, RationalModel, SensorModel
+from termsel.models.base import SensorModel
 from termsel.models.polynomial import Affine, Polynomial2D, Polynomial3D
+from termsel.models.quotient import Blocks, RationalModel
 from termsel.models.rational import RationalFunctions
 from termsel.problems.base import Evaluation, Genome, Problem, Segment
 from termsel.problems.selection import Inputs, SelectionProblem

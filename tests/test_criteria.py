@@ -29,8 +29,9 @@ from termsel.criteria import (
 )
 from termsel.features import FeatureSet, Points, no_lines, no_points
 from termsel.io.csv_tables import write_points_csv
-from termsel.models.base import RationalModel, SensorModel
+from termsel.models.base import SensorModel
 from termsel.models.polynomial import Polynomial3D
+from termsel.models.quotient import RationalModel
 from termsel.problems.base import WORST
 from termsel.problems.selection import Inputs, SelectionProblem
 from termsel.report.text import summary

@@ -18,6 +18,8 @@ def approximate_image(features: FeatureSet, *, heights: bool = True) -> FloatArr
     ----------
     features : FeatureSet
         In scaled coordinates.
+    heights : bool
+        Whether the polynomial uses heights.
 
     Returns
     -------
@@ -48,16 +50,23 @@ def approximate_image(features: FeatureSet, *, heights: bool = True) -> FloatArr
 def row_weights(features: FeatureSet, *, heights: bool = True) -> FloatArray:
     """Return weights of the rows of points, then of lines, two each.
 
+    Rows are weighted by standard deviations relative to the median one. Those of a line are
+    those of its position at the vertex: with two end points measured to s, a distance of L
+    apart, it is s sqrt(1/2 + 2 t^2 / L^2) at t from their middle, so that long lines weigh more
+    outside their measured piece. That both vertices of a line share these end points is
+    neglected.
+
     Parameters
     ----------
     features : FeatureSet
         In scaled coordinates.
+    heights : bool
+        Whether the model uses heights.
 
     Returns
     -------
     ndarray, shape (2 n_points + 2 n_lines,)
-        The median standard deviation, or 1 where none is given, over that of the row; see
-        `termsel.models.base.RationalModel.equations`.
+        The median standard deviation, or 1 where none is given, over that of the row.
     """
     points, lines = features.points, features.lines
     given = [sigma.ravel() for sigma in (points.sigma, lines.sigma) if sigma is not None]
@@ -99,8 +108,7 @@ def image_equations(features: FeatureSet, of_points: FloatArray, of_vertices: Fl
     Returns
     -------
     Equations
-        Two rows a point, then two a line; weights are those of
-        `termsel.models.base.RationalModel.equations`.
+        Two rows a point, then two a line, weighted by `row_weights`.
     """
     points, lines = features.points, features.lines
     normal, rho = (np.repeat(one, 2, axis=0) for one in line_normals(lines))

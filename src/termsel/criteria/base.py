@@ -20,7 +20,8 @@ from termsel.features import (
     Points,
     no_lines,
 )
-from termsel.models.base import RationalModel, SensorModel
+from termsel.models.base import SensorModel
+from termsel.models.quotient import RationalModel
 from termsel.options import Configurable
 
 if TYPE_CHECKING:

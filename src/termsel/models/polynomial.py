@@ -8,7 +8,7 @@ from typing import ClassVar
 import numpy as np
 
 from termsel.features import FloatArray
-from termsel.models.base import Blocks, RationalModel
+from termsel.models.quotient import Blocks, RationalModel
 from termsel.options import Option
 
 Exponents = tuple[tuple[int, int, int], ...]

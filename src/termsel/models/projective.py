@@ -6,8 +6,8 @@ from abc import abstractmethod
 from functools import cached_property
 
 from termsel.features import FloatArray
-from termsel.models.base import Blocks, RationalModel
 from termsel.models.polynomial import Exponents, graded_exponents, monomial_name, monomials
+from termsel.models.quotient import Blocks, RationalModel
 from termsel.options import Option
 
 

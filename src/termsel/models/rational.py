@@ -5,8 +5,8 @@ from __future__ import annotations
 from functools import cached_property
 
 from termsel.features import FloatArray
-from termsel.models.base import Blocks, RationalModel
 from termsel.models.polynomial import Exponents, monomial_name, monomials
+from termsel.models.quotient import Blocks, RationalModel
 from termsel.options import Option
 
 # X, Y, Z stand for longitude, latitude and height, or whatever the ground coordinates are.

@@ -11,8 +11,9 @@ import numpy as np
 from termsel.adjustment.equations import Equations, row_axes
 from termsel.adjustment.subset_system import SubsetSystem
 from termsel.errors import TermselError
-from termsel.features import FeatureSet, FloatArray, IntArray, Points, no_lines
-from termsel.models.base import LINE, SAMPLE, RationalModel
+from termsel.features import BoolArray, FeatureSet, FloatArray, IntArray, Points, no_lines
+from termsel.models.base import LINE, SAMPLE
+from termsel.models.quotient import RationalModel
 from termsel.problems.base import EnumerablePart, Genome
 
 if TYPE_CHECKING:
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
 
 def enumerable_parts(inputs: Inputs, equations: Equations, genome: Genome,
                      gene_of_term: IntArray, guard: FloatArray, margin: float,
+                     pairs: tuple[IntArray, IntArray] | None,
                      ) -> tuple[EnumerablePart, ...]:
     """Return the parts of a term selection from control points.
 
@@ -38,6 +40,8 @@ def enumerable_parts(inputs: Inputs, equations: Equations, genome: Genome,
     guard : ndarray, shape (g, 3)
         Scaled ground points at which denominators must reach `margin`.
     margin : float
+    pairs : tuple of ndarray of int, optional
+        Terms, and for each a parent that has to be with it.
 
     Raises
     ------
@@ -53,7 +57,11 @@ def enumerable_parts(inputs: Inputs, equations: Equations, genome: Genome,
     if (row_axes(equations.A, axis) == 2).any() or (axis == 2).any():
         raise _unwalkable("lines or a shared denominator couple the axes")
     _refuse_other_errors(inputs)
-    sides = [_side(model, inputs, equations, side, guard, margin) for side in (LINE, SAMPLE)]
+    parents = np.zeros((len(axis), len(axis)), dtype=bool)
+    if pairs is not None:
+        parents[pairs] = True
+    sides = [_side(model, inputs, equations, side, guard, margin, parents if pairs else None)
+             for side in (LINE, SAMPLE)]
     genes = [gene_of_term[axis == side] for side in (LINE, SAMPLE)]
     if len(genome.segments) == 1:
         sides, genes = [_merge(sides, genes)], genes[:1]
@@ -87,14 +95,15 @@ def _unwalkable(why: str) -> TermselError:
 
 
 def _side(model: RationalModel, inputs: Inputs, equations: Equations, side: int,
-          guard: FloatArray, margin: float) -> SubsetSystem:
+          guard: FloatArray, margin: float, parents: BoolArray | None) -> SubsetSystem:
     """Return the system of one axis with the errors at the check points."""
     points, axis = inputs.control.points, model.axis
     control = equations.take(row_axes(equations.A, axis) == side, axis == side)
     system = SubsetSystem(
         control.A, control.b[:, None], denominator=_below(model, points.ground, side),
         guard_denominator=_below(model, guard, side), margin=margin,
-        some_of=np.ones(control.A.shape[1], dtype=bool))
+        some_of=np.ones(control.A.shape[1], dtype=bool),
+        parents=None if parents is None else parents[np.ix_(axis == side, axis == side)])
     return _with_check(system, model, inputs, side) if inputs.criterion.needs_check else system
 
 
@@ -141,7 +150,7 @@ def _merge(sides: list[SubsetSystem], genes: list[IntArray]) -> SubsetSystem:
                     else np.concatenate([line.check_target, sample.check_target], axis=1))
     return SubsetSystem(
         line.design, np.concatenate([line.target, sample.target], axis=1), line.check_design,
-        check_target, some_of=line.some_of)
+        check_target, some_of=line.some_of, parents=line.parents)
 
 
 def _ordered(system: SubsetSystem, order: IntArray, genome: Genome,
@@ -154,4 +163,5 @@ def _ordered(system: SubsetSystem, order: IntArray, genome: Genome,
         np.ascontiguousarray(system.design[:, order]), system.target,
         columns(system.check_design), system.check_target, columns(system.denominator),
         columns(system.check_denominator), columns(system.guard_denominator), system.margin,
-        genome.on[genes], genome.off[genes], system.some_of)
+        genome.on[genes], genome.off[genes], system.some_of,
+        None if system.parents is None else system.parents[np.ix_(order, order)])

@@ -13,7 +13,8 @@ import numpy as np
 from termsel.criteria import CheckRmse
 from termsel.errors import TermselError
 from termsel.features import FeatureSet, FloatArray, Points
-from termsel.models.base import RationalModel, SensorModel
+from termsel.models.base import SensorModel
+from termsel.models.quotient import RationalModel
 from termsel.problems.selection import Inputs, SelectionProblem
 from termsel.scaling import Scaling
 from termsel.testing.checks import (

@@ -1,0 +1,221 @@
+"""Models whose line and sample are quotients of linear forms."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from termsel.adjustment.equations import Equations, line_normals
+from termsel.adjustment.lines import approximate_image, image_equations
+from termsel.errors import TermselError
+from termsel.features import FeatureSet, FloatArray, IntArray
+from termsel.models.base import BOTH, LINE, SAMPLE, SensorModel
+
+
+@dataclass(frozen=True, eq=False)
+class Blocks:
+    """Columns of numerators and denominators at ground points.
+
+    Parameters
+    ----------
+    line, sample : ndarray, shape (n, columns)
+        Columns of the numerators.
+    line_denominator, sample_denominator : ndarray, shape (n, columns), optional
+        Columns of the denominators without their leading 1.
+    shared_denominator : ndarray, shape (n, columns), optional
+        Columns of a denominator that both axes share, without its leading 1.
+    """
+
+    line: FloatArray
+    sample: FloatArray
+    line_denominator: FloatArray | None = None
+    sample_denominator: FloatArray | None = None
+    shared_denominator: FloatArray | None = None
+
+
+# In the order of the terms: block, prefix of its term names, image axis.
+_LAYOUT = (
+    ("line", "line.num", LINE),
+    ("line_denominator", "line.den", LINE),
+    ("sample", "sample.num", SAMPLE),
+    ("sample_denominator", "sample.den", SAMPLE),
+    ("shared_denominator", "den", BOTH),
+)
+
+
+class RationalModel(SensorModel):
+    """A model whose line and sample are each a quotient of two linear forms.
+
+    With numerator columns n, denominator columns d and coefficients a, c: line = n a /
+    (1 + d c), sample likewise. Subclasses give the columns in `blocks`; equations of points
+    and lines, projection and fast evaluation follow.
+    """
+
+    @abstractmethod
+    def blocks(self, ground: FloatArray) -> Blocks:
+        """Return the columns at scaled ground points.
+
+        Parameters
+        ----------
+        ground : ndarray, shape (n, 3)
+
+        Returns
+        -------
+        Blocks
+        """
+
+    def column_names(self, block: str) -> tuple[str, ...] | None:
+        """Return names of a block's columns, or None to have them numbered.
+
+        Parameters
+        ----------
+        block : str
+            A field of `Blocks`, such as "line_denominator".
+        """
+        return None
+
+    @cached_property
+    def _layout(self) -> tuple[tuple[str, slice, int, tuple[str, ...]], ...]:
+        """(block, its columns among the terms, its axis, its term names) in order."""
+        sample = self.blocks(np.zeros((1, 3)))
+        layout = []
+        start = 0
+        for block, prefix, axis in _LAYOUT:
+            columns = getattr(sample, block)
+            if columns is None or not columns.shape[1]:
+                continue
+            width = columns.shape[1]
+            names = self.column_names(block) or tuple(str(i) for i in range(width))
+            if len(names) != width:
+                raise TermselError(
+                    f"model {self.name!r} names {len(names)} of {width} columns of {block!r}",
+                    hint="Tell the author of the model.")
+            layout.append((block, slice(start, start + width), axis,
+                           tuple(f"{prefix}:{name}" for name in names)))
+            start += width
+        return tuple(layout)
+
+    @property
+    def terms(self) -> tuple[str, ...]:
+        """Names of the terms: block and column, such as "line.den:XY"."""
+        return tuple(name for *_, names in self._layout for name in names)
+
+    @property
+    def axis(self) -> IntArray:
+        """Image axis of each term: 0 line, 1 sample, 2 both."""
+        return np.concatenate([np.full(len(names), axis, dtype=np.intp)
+                               for _, _, axis, names in self._layout])
+
+    def _columns(self, ground: FloatArray) -> dict[str, tuple[slice, FloatArray]]:
+        blocks = self.blocks(ground)
+        return {block: (where, np.asarray(getattr(blocks, block), dtype=np.float64))
+                for block, where, _, _ in self._layout}
+
+    def _axis_rows(self, ground: FloatArray, image: FloatArray) -> FloatArray:
+        """Return rows over all terms for line and sample, shape (n, 2, k).
+
+        From l (1 + d c) = n a follows n a - l d c = l: the denominator's columns enter
+        multiplied by minus the image coordinate, which is measured or approximate.
+        """
+        rows = np.zeros((len(ground), 2, len(self.terms)))
+        for block, (where, columns) in self._columns(ground).items():
+            if block in ("line", "line_denominator", "shared_denominator"):
+                rows[:, LINE, where] = columns if block == "line" else -image[:, :1] * columns
+            if block in ("sample", "sample_denominator", "shared_denominator"):
+                rows[:, SAMPLE, where] = columns if block == "sample" else -image[:, 1:] * columns
+        return rows
+
+    def equations(self, features: FeatureSet) -> Equations:
+        """Return the equations of points and of lines.
+
+        A point gives one row for its line and one for its sample. A control line gives
+        one row for each of its ground vertices G, which must lie on the image line:
+        nl l(G) + ns s(G) = rho, with unit normal (nl, ns) and offset rho of the image line
+        in Hesse form. This is linear for polynomials; with a shared denominator it becomes
+        linear when multiplied by it. With separate denominators the products of image
+        coordinate and denominator need the image position of the vertex, which is taken from
+        `approximate_image`: this is a Gauss-Newton step from that polynomial to the least
+        squares of distances in the image. A fit goes on from there by `linearised`.
+        (With the measured offset across the image line the coefficients would be biased, as
+        rows and right-hand side then share its error.)
+
+        Rows are weighted by `row_weights`.
+
+        The vector form follows from the requirement that conjugate lines coincide; the
+        published line equations of line-based RFMs (Teo 2013; Yavari et al. 2018) could
+        not be consulted, so this is termsel's own formulation.
+        """
+        points, lines = features.points, features.lines
+        if self._exact_for_lines or not len(lines):
+            # The place along the image line cancels.
+            normal, rho = line_normals(lines)
+            image = np.repeat(normal * rho[:, None], 2, axis=0)
+        else:
+            image = approximate_image(features, heights=self.uses_height)
+        return image_equations(features, self._axis_rows(points.ground, points.image),
+                               self._axis_rows(lines.ground.reshape(-1, 3), image),
+                               heights=self.uses_height)
+
+    def linearised(self, features: FeatureSet, coefficients: FloatArray) -> Equations | None:
+        """Return the equations of points and lines about a solution (Gauss-Newton).
+
+        Only for lines under separate denominators; points alone, and lines under polynomials or a
+        shared denominator, keep the linear equations that the literature solves.
+        """
+        if self._exact_for_lines or not len(features.lines):
+            return None
+        parts = []
+        for ground in (features.points.ground, features.lines.ground.reshape(-1, 3)):
+            image = self.project(coefficients, ground)
+            below = self.denominators(coefficients, ground)
+            assert below is not None
+            # With f = n a / (1 + d c): df = (n da - f d dc) / (1 + d c), and J x = f / (1 + d c).
+            with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+                parts += [self._axis_rows(ground, image) / below[..., None],
+                          image - image / below]
+        return image_equations(features, *parts[::2], *parts[1::2], heights=self.uses_height)
+
+    @property
+    def _exact_for_lines(self) -> bool:
+        """True where the equations of lines are linear."""
+        return not {block for block, *_ in self._layout} & {"line_denominator",
+                                                            "sample_denominator"}
+
+    def project(self, coefficients: FloatArray, ground: FloatArray) -> FloatArray:
+        """Return image positions of ground points (see `SensorModel.project`)."""
+        columns = self._columns(ground)
+        image = self._axis_forms(coefficients, columns, "line", "sample")
+        below = self._denominators(coefficients, columns)
+        if below is not None:
+            with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+                image /= below
+        return image
+
+    def denominators(self, coefficients: FloatArray, ground: FloatArray) -> FloatArray | None:
+        """Return 1 + d c for line and sample, shape (..., n, 2), or None."""
+        return self._denominators(coefficients, self._columns(ground))
+
+    def _denominators(self, coefficients: FloatArray, columns: Any) -> FloatArray | None:
+        if not columns.keys() & {"line_denominator", "sample_denominator", "shared_denominator"}:
+            return None
+        below = 1.0 + self._axis_forms(coefficients, columns, "line_denominator",
+                                       "sample_denominator")
+        if "shared_denominator" in columns:
+            where, block = columns["shared_denominator"]
+            below += (coefficients[..., where] @ block.T)[..., None]
+        return below
+
+    @staticmethod
+    def _axis_forms(coefficients: FloatArray, columns: Any, *names: str) -> FloatArray:
+        """Return the linear forms of a line block and a sample block, shape (..., n, 2)."""
+        n = len(next(iter(columns.values()))[1])
+        forms = np.zeros((*coefficients.shape[:-1], n, 2))
+        for axis, name in enumerate(names):
+            if name in columns:
+                where, block = columns[name]
+                forms[..., axis] = coefficients[..., where] @ block.T
+        return forms
