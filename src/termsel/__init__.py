@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 __version__ = "0.1.0"
 
 if TYPE_CHECKING:
-    from termsel.adjustment import Equations, image_equations, line_normals
+    from termsel.adjustment import Equations, image_equations, line_normals, row_weights
     from termsel.criteria import Criterion, Fits
     from termsel.datasets import DatasetSpec
     from termsel.errors import TermselError
@@ -76,6 +76,7 @@ _HOME = {
     "read_result": "termsel.io.result_files",
     "read_rpc": "termsel.io.rpc_files",
     "rectify": "termsel.io.rectifying",
+    "row_weights": "termsel.adjustment",
     "run": "termsel.running",
     "search": "termsel.searching",
     "simulate_scene": "termsel.simulate",
@@ -122,6 +123,7 @@ __all__ = [
     "read_result",
     "read_rpc",
     "rectify",
+    "row_weights",
     "run",
     "search",
     "simulate_scene",

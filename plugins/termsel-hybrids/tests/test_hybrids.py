@@ -261,6 +261,39 @@ def test_the_second_step_of_hybrid_1_takes_lines() -> None:
     np.testing.assert_allclose(found, DLT2D().project(second, places), atol=1e-9)
 
 
+def test_the_second_step_of_hybrid_1_weighs_as_dlt2d_does() -> None:
+    """With a polynomial that gives X and Y back, the second step is an adjustment of dlt2d."""
+    rng = np.random.default_rng(8)
+    vertices, ground = rng.uniform(-1, 1, (20, 2, 3)), rng.uniform(-1, 1, (12, 3))
+    ends = vertices[..., :2] + rng.normal(0, 0.02, (20, 2, 2))
+    lines = Lines(tuple(f"L{i}" for i in range(20)), ends, vertices, rng.uniform(0.01, 0.1, 20))
+    points = Points(tuple(f"P{i}" for i in range(12)),
+                    ground[:, :2] + rng.normal(0, 0.02, (12, 2)), ground,
+                    rng.uniform(0.01, 0.1, (12, 2)))
+    control, model = FeatureSet(points, lines), model_of("hybrid-1", degree=1)
+    identity = np.zeros(len(model.terms))
+    identity[[model.terms.index("line.num:X"), model.terms.index("sample.num:Y")]] = 1.0
+    places = rng.uniform(-1, 1, (20, 3))
+    expected = DLT2D().project(solve(DLT2D().equations(control)).coefficients, places)
+    np.testing.assert_allclose(model.predict(identity, control, places), expected, atol=1e-9)
+
+
+def test_a_pole_of_the_second_step_between_the_points_is_seen() -> None:
+    """The denominator 1 - 1.05 x is 0 at x = 0.95, between control points at 0.9 and 1."""
+    x, y = (values.ravel() for values in np.meshgrid([-1, -0.5, 0, 0.5, 0.9, 1],
+                                                     np.linspace(-1, 1, 5)))
+    ground = np.column_stack([x, y, 0 * x])
+    points = Points(tuple(f"P{i}" for i in range(30)),
+                    np.column_stack([x, y]) / (1 - x[:, None] / 0.95), ground)
+    model = model_of("hybrid-1", degree=1)
+    identity = np.zeros(len(model.terms))
+    identity[[model.terms.index("line.num:X"), model.terms.index("sample.num:Y")]] = 1.0
+    found = model.predict(np.stack([identity, 0 * identity]), FeatureSet(points),
+                          np.array([[-0.8, 0.0, 0.0]]))
+    assert np.isinf(found[0]).all()
+    assert np.isfinite(found[1]).all()  # the second step of a constant is one
+
+
 def test_without_control_hybrid_1_is_its_polynomial() -> None:
     model, control = model_of("hybrid-1"), control_points()
     coefficients = fitted(model, control)

@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from termsel import FeatureSet, Option, Polynomial2D, line_normals
+from termsel import FeatureSet, Option, Polynomial2D, line_normals, row_weights
 
 FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
 
 _LEAST_DENOMINATOR = 0.1
 _IDENTITY = np.concatenate([[0.0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0]])
@@ -24,8 +25,9 @@ class Hybrid1(Polynomial2D):
 
     y' with b: 11 unknowns, solved as `dlt2d` is, from points and lines. Unknowns that the
     control leaves open stay those of x' = x, y' = y. They are no terms: only the terms of the
-    polynomial can be selected, and what counts is the prediction after the second step. Where
-    the denominator of the second step falls to 0.1 or below there is no prediction.
+    polynomial can be selected, and what counts is the prediction after the second step. There
+    is none where the denominator of the second step is 0.1 or less, and none at all where it
+    is that anywhere in the rectangle around the control in the image.
 
     References
     ----------
@@ -56,7 +58,10 @@ class Hybrid1(Polynomial2D):
             Infinite where there is no prediction.
         """
         second = _fitted(self.project(coefficients, control.ground_vertices()), control)
-        return _mapped(second, self.project(coefficients, ground))
+        image = _mapped(second, self.project(coefficients, ground))
+        if len(control):
+            image[_has_pole(second, control)] = np.inf
+        return image
 
 
 def _fitted(computed: FloatArray, control: FeatureSet) -> FloatArray:
@@ -75,9 +80,7 @@ def _fitted(computed: FloatArray, control: FeatureSet) -> FloatArray:
     of_lines, offset = line_normals(control.lines)
     normal = np.concatenate([np.tile(np.eye(2), (n, 1)), np.repeat(of_lines, 2, axis=0)])
     rho = np.concatenate([points.image.ravel(), np.repeat(offset, 2)])
-    weight = np.ones(len(rho))
-    if points.sigma is not None:
-        weight[:2 * n] = (np.median(points.sigma) / points.sigma).ravel()
+    weight = row_weights(control, heights=False)
     vertex = np.concatenate([np.repeat(np.arange(n), 2), np.arange(n, computed.shape[-2])])
     columns = _columns(computed[..., vertex, :])
     A = weight[:, None] * np.concatenate(
@@ -92,9 +95,24 @@ def _mapped(second: FloatArray, image: FloatArray) -> FloatArray:
     columns = _columns(image)
     above = np.stack([np.einsum("...nk,...k->...n", columns, second[..., where])
                       for where in (slice(0, 4), slice(4, 8))], axis=-1)
-    below = 1 + np.einsum("...nk,...k->...n", columns[..., 1:], second[..., 8:])[..., None]
+    below = _denominators(second, columns)[..., None]
     return np.asarray(np.divide(above, below, out=np.full_like(above, np.inf),
                                 where=below > _LEAST_DENOMINATOR))
+
+
+def _has_pole(second: FloatArray, control: FeatureSet) -> BoolArray:
+    """Return whether denominators get too small around the control, shape (...)."""
+    image = control.image_vertices()
+    (top, left), (bottom, right) = image.min(axis=0), image.max(axis=0)
+    # A bilinear function has its least value over a rectangle in one of the corners.
+    corners = np.array([(line, sample) for line in (top, bottom) for sample in (left, right)])
+    below = _denominators(second, _columns(corners))
+    return np.asarray((below <= _LEAST_DENOMINATOR).any(axis=-1))
+
+
+def _denominators(second: FloatArray, columns: FloatArray) -> FloatArray:
+    """Return the denominators, shape (..., n), of positions with these columns."""
+    return np.asarray(1 + np.einsum("...nk,...k->...n", columns[..., 1:], second[..., 8:]))
 
 
 def _columns(image: FloatArray) -> FloatArray:

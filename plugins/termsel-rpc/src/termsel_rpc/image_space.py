@@ -140,10 +140,10 @@ class RpcShift(Refinement):
 def _from_record(text: str) -> tuple[Rpc, str]:
     """Return an RPC and the name of its file from the JSON that a result holds."""
     try:
-        values = {name: tuple(value) if isinstance(value, list) else value
-                  for name, value in json.loads(text).items()}
-        return Rpc(**{name: value for name, value in values.items() if name != "file"}), str(
-            values["file"])
+        values: dict[str, Any] = {name: tuple(value) if isinstance(value, list) else value
+                                  for name, value in json.loads(text).items()}
+        file = str(values.pop("file"))
+        return Rpc(**values), file
     except (KeyError, TypeError, ValueError) as error:
         raise TermselError(f"option 'rpc' is not the RPC of a result: {error}",
                            hint="Give the file of an RPC: --set rpc=FILE.") from error
