@@ -164,13 +164,16 @@ class _Design:
     Parameters
     ----------
     basis : ndarray, shape (n, m)
-        What no affine function explains.
-    u : ndarray, shape (g, m, j)
-    values : ndarray, shape (g, j)
-    vt : ndarray, shape (g, j, k)
+        What some column, and no affine function, explains.
+    explained : ndarray, shape (n, l)
+        What the columns explain, affine ones with them; the rest is left by every solution.
+    u : ndarray, shape (g, m, m)
+    values : ndarray, shape (g, m)
+    vt : ndarray, shape (g, m, k)
     """
 
     basis: FloatArray
+    explained: FloatArray
     u: FloatArray
     values: FloatArray
     vt: FloatArray
@@ -179,36 +182,36 @@ class _Design:
 def _design(columns: FloatArray, free: BoolArray, scales: FloatArray) -> _Design | None:
     """Return the decompositions; None if the free columns lack a point's redundancy."""
     lead = columns[:, free]
-    if len(lead) <= lead.shape[1]:
+    count = lead.shape[1]
+    if len(lead) <= count:
         return None
-    q, r = np.linalg.qr(lead, mode="complete")
-    basis = q[:, lead.shape[1]:]
-    if (np.abs(np.diag(r)) <= TOLERANCE * np.linalg.norm(lead, axis=0)).any() \
-            or (basis**2).sum(axis=1).min() < TOLERANCE:
+    q, r = np.linalg.qr(np.concatenate([lead, columns[:, ~free]], axis=1))
+    if (np.abs(np.diag(r))[:count] <= TOLERANCE * np.linalg.norm(lead, axis=0)).any() \
+            or (1.0 - (q[:, :count]**2).sum(axis=1)).min() < TOLERANCE:
         return None
-    rest = basis.T @ columns[:, ~free]
-    return _Design(basis, *np.linalg.svd(rest * scales[:, None, :], full_matrices=False))
+    rest = r[count:, count:]
+    return _Design(q[:, count:], q, *np.linalg.svd(rest * scales[:, None, :],
+                                                   full_matrices=False))
 
 
 def _solutions(design: _Design, target: FloatArray, scales: FloatArray) -> _Side:
     """Return the solutions of one axis for all scales and sizes."""
-    y = design.basis.T @ target
-    along = y @ design.u
+    along = (design.basis.T @ target) @ design.u
     u = design.basis @ design.u
+    n, k = len(target), scales.shape[1]
     # What no column reaches is kept apart, so that nothing cancels where noise tends to 0.
-    beyond, room = np.zeros(u.shape[:2]), np.zeros(u.shape[:2])
-    if len(y) > scales.shape[1]:
-        beyond = design.basis @ y - (u @ along[:, :, None])[..., 0]
-        room = np.maximum((design.basis**2).sum(axis=1) - (u**2).sum(axis=2), 0.0)
-    ratio = SIZES[:, None] * design.values[:, None, :]                        # (g, s, j)
+    beyond, room = np.zeros(n), np.zeros(n)
+    if design.explained.shape[1] < n:
+        beyond = target - design.explained @ (design.explained.T @ target)
+        room = np.maximum(1.0 - (design.explained**2).sum(axis=1), 0.0)
+    ratio = SIZES[:, None] * design.values[:, None, :]                        # (g, s, m)
     keep = 1.0 / (1.0 + ratio**2)
     part = keep * along[:, None, :]
-    n, k = len(u[0]), scales.shape[1]
     return _Side(
         (0.5 * np.log(keep).sum(axis=2) - 0.5 * np.log1p((SIZES / TYPICAL) ** 2)).ravel(),
-        ((beyond**2).sum(axis=1)[:, None] + (part * along[:, None, :]).sum(axis=2)).ravel(),
-        np.maximum(room[:, None, :] + keep @ (u**2).transpose(0, 2, 1), TINY).reshape(-1, n),
-        (beyond[:, None, :] + part @ u.transpose(0, 2, 1)).reshape(-1, n),
+        (beyond @ beyond + (part * along[:, None, :]).sum(axis=2)).ravel(),
+        np.maximum(room + keep @ (u**2).transpose(0, 2, 1), TINY).reshape(-1, n),
+        (beyond + part @ u.transpose(0, 2, 1)).reshape(-1, n),
         (scales[:, None, :] * ((SIZES[:, None] * ratio * part) @ design.vt)).reshape(-1, k))
 
 

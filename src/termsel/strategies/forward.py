@@ -60,8 +60,10 @@ def select_forward(columns: FloatArray, target: FloatArray, forced: BoolArray) -
     fold = np.arange(n) % folds
     present = np.ones((folds + 1, n))
     present[fold, np.arange(n)] = 0.0
-    rest = present[:, :, None] * columns
-    left = present * target
+    # Triangular factors stand for the systems: as long as the rows are many, they are not.
+    augmented = np.concatenate([columns, target[:, None]], axis=1)
+    systems = np.asarray(np.linalg.qr(augmented * present[:, :, None], mode="r"))
+    rest, left = systems[:, :, :k], systems[:, :, k]
     lengths = np.linalg.norm(rest, axis=1)
     chosen = np.zeros((folds + 1, k), dtype=bool)
     best, least = chosen.copy(), np.full(folds + 1, np.inf)
@@ -90,7 +92,7 @@ def select_forward(columns: FloatArray, target: FloatArray, forced: BoolArray) -
     errors = np.empty(n)
     for out in range(folds):
         others, mask = fold != out, best[out]
-        x = np.linalg.lstsq(columns[others][:, mask], target[others])[0]
+        x = np.linalg.lstsq(systems[out][:, :k][:, mask], systems[out][:, k])[0]
         errors[~others] = target[~others] - columns[~others][:, mask] @ x
     return Selected(best[folds], errors)
 

@@ -28,7 +28,13 @@ from termsel.strategies.averaging import average
 from termsel.strategies.forward import select_forward
 
 SHRUNK = "shrunken"
-"""Name of the candidate that is taken unless another one is better by a standard error."""
+"""Name of the candidate that is taken unless one that it does not contain is clearly better."""
+
+CONTAINED = ("affine", "quadratic", "cubic")
+"""Limits of the shrunken polynomial, which finds them by itself where the points call for them."""
+
+CLEARLY = 3.0
+"""Standard errors by which the logarithms of a candidate's squared errors must be smaller."""
 
 SELECTED = "selected"
 
@@ -202,17 +208,20 @@ def portfolio(heights: bool) -> tuple[Candidate, ...]:
     return (plain("affine", Affine()), plain("dlt", DLT3D()),
             plain("quadratic", Polynomial3D(degree=2)),
             plain("rfm-2", RationalFunctions(order=2)),
-            plain("cubic", Polynomial3D(degree=3)), selected(Polynomial3D),
+            plain("cubic", Polynomial3D(degree=3)), plain("rfm-3", RationalFunctions()),
+            selected(Polynomial3D),
             shrunken(Polynomial3D))
 
 
 def choose(control: FeatureSet, heights: bool) -> Choice | None:
     """Fit the portfolio to features and choose by leave-one-out.
 
-    The shrunken polynomial contains the plain ones as limits, so it is the choice unless the
-    candidate with the smallest squared errors beats it by more than one standard error of the
-    mean difference. With lines, for which there is no shrunken polynomial, it is the one with
-    the smallest.
+    The shrunken polynomial is averaged over all that lies between the plain ones, by a measure
+    that needs no points to be left out, so that leave-one-out chooses only between it and what
+    it does not contain: projective and rational models, and few terms of their own. One of these
+    must be better by CLEARLY standard errors, since the best of several is so partly by luck;
+    logarithms are compared, lest a few great errors make everything uncertain. With lines, for
+    which there is no shrunken polynomial, the smallest sum of squares decides.
 
     Parameters
     ----------
@@ -228,15 +237,16 @@ def choose(control: FeatureSet, heights: bool) -> Choice | None:
     fitted = tuple(one for one in (make(control, scaling) for make in portfolio(heights)) if one)
     if not fitted:
         return None
-    least = min(fitted, key=lambda one: one.predicted)
     shrunk = next((one for one in fitted if one.name == SHRUNK), None)
-    return Choice(shrunk if shrunk and not _better(least, shrunk) else least, fitted)
+    rivals = [one for one in fitted if shrunk is None or one is shrunk
+              or (one.name not in CONTAINED and _clearly_better(one, shrunk))]
+    return Choice(min(rivals, key=lambda one: one.predicted), fitted)
 
 
-def _better(one: Fitted, other: Fitted) -> bool:
-    """Return whether one's errors are smaller by more than a standard error."""
-    gain = other.squares - one.squares
-    return bool(gain.mean() > gain.std(ddof=1) / np.sqrt(len(gain)))
+def _clearly_better(one: Fitted, other: Fitted) -> bool:
+    tiny = np.finfo(float).tiny
+    gain = np.log(np.maximum(other.squares, tiny) / np.maximum(one.squares, tiny))
+    return bool(gain.mean() > CLEARLY * gain.std(ddof=1) / np.sqrt(len(gain)))
 
 
 def repeated(control: FeatureSet, heights: bool) -> FloatArray | None:
