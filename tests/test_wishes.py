@@ -69,9 +69,28 @@ def test_hierarchy_leaves_no_orphans() -> None:
     assert not (chosen[child] & ~chosen[parent]).any()
 
 
-def test_hierarchy_cannot_be_walked() -> None:
-    with pytest.raises(termsel.TermselError, match="this solver needs"):
-        run(solver="exact", degree=2, hierarchy=True)
+@pytest.mark.parametrize(("problem", "options"), [
+    ("poly-terms", {"degree": 2}), ("rfm-terms", {"order": 1}),
+    ("poly-terms", {"degree": 4, "mask": "shared"})])
+@pytest.mark.parametrize("criterion", ["check-rmse", "press", "ebic"])
+def test_the_optimum_of_a_hierarchy(problem: str, options: dict, criterion: str) -> None:
+    task = termsel.prepare(problem, solver="exact", criterion=criterion,
+                           options={"hierarchy": True, "force_off": "X", **options})
+    genome = task.problem.genome
+    genes = np.array(list(itertools.product([False, True], repeat=genome.size)))
+    evaluation = task.problem.evaluate(genes[~(genes & genome.off).any(axis=1)])
+    feasible = evaluation.objectives[evaluation.violation == 0, 0]
+    found = termsel.search(task.problem, task.solver)
+    assert found.certificate["optimal"]
+    assert found.objectives[0] == pytest.approx(feasible.min(), rel=1e-9)
+    free = termsel.prepare(problem, solver="exact", criterion=criterion,
+                           options={"force_off": "X", **options})
+    assert termsel.search(free.problem, free.solver).objectives[0] <= found.objectives[0]
+
+
+def test_regressions_keep_no_hierarchy() -> None:
+    with pytest.raises(termsel.TermselError, match="keeps no hierarchy"):
+        termsel.run("poly-terms", solver="stepwise", options={"hierarchy": True})
 
 
 @pytest.mark.parametrize("solver", ["ga", "exact"])

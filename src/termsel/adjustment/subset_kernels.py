@@ -89,6 +89,9 @@ class Records(NamedTuple):
         Mask of each column.
     some_of : ndarray of uint64, shape (1,)
         Columns of which a best subset has at least one; 0 for no such demand.
+    parents : ndarray of uint64, shape (k,) or (0,)
+        Mask of the columns without which a best subset does not have a column; none for no
+        such demand.
     guard : ndarray, shape (n + 1, g)
         Minus the denominators at guard points, of columns and target.
     x, sums : ndarray, shape (depths,) and (g,)
@@ -99,6 +102,7 @@ class Records(NamedTuple):
     masks: Any
     bits: Any
     some_of: Any
+    parents: Any
     guard: FloatArray
     x: FloatArray
     sums: FloatArray
@@ -239,6 +243,16 @@ def _keeps_guard(levels: Levels, depth: int, cursor: IntArray, records: Records,
 
 
 @_compiled
+def _has_parents(mask: Any, parents: Any) -> bool:
+    """Return whether a subset has the parents of all its columns."""
+    one = np.uint64(1)
+    for j in range(len(parents)):
+        if (mask >> np.uint64(j)) & one != 0 and (parents[j] & ~mask) != 0:
+            return False
+    return True
+
+
+@_compiled
 def _record(score: float, size: int, mask: Any, levels: Levels, depth: int, cursor: IntArray,
             records: Records, margin: float) -> None:
     """Keep a subset that is the best of its size; the smaller mask wins a tie."""
@@ -246,6 +260,7 @@ def _record(score: float, size: int, mask: Any, levels: Levels, depth: int, curs
     if (
         (score < best[size] or (score == best[size] and mask < masks[size]))
         and (some_of == 0 or (mask & some_of) != 0)
+        and _has_parents(mask, records.parents)
         and _keeps_guard(levels, depth, cursor, records, margin)
     ):
         best[size] = score

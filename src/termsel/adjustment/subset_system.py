@@ -60,6 +60,8 @@ class SubsetSystem:
         Columns in every subset, and in none.
     some_of : ndarray of bool, shape (k,), optional
         A best subset has at least one of these columns.
+    parents : ndarray of bool, shape (k, k), optional
+        A best subset has column i only if it has all columns j with parents[i, j].
 
     Raises
     ------
@@ -80,6 +82,7 @@ class SubsetSystem:
     forced: BoolArray | None = None
     forbidden: BoolArray | None = None
     some_of: BoolArray | None = None
+    parents: BoolArray | None = None
 
     def __post_init__(self) -> None:
         m, k = self.design.shape
@@ -93,7 +96,7 @@ class SubsetSystem:
             ("target", (m, r)), ("check_design", (c, k)), ("check_target", (c, r)),
             ("denominator", (m, k)), ("check_denominator", (c, k)),
             ("guard_denominator", (g, k)), ("forced", (k,)), ("forbidden", (k,)),
-            ("some_of", (k,)),
+            ("some_of", (k,)), ("parents", (k, k)),
         ):
             array = getattr(self, name)
             if array is not None and array.shape != shape:
@@ -177,6 +180,7 @@ class Stack:
     systems: list[Rows]
     margin: float
     some_of: np.uint64
+    parents: Masks
     everything: Piece
 
     @cached_property
@@ -253,7 +257,8 @@ class Stack:
             self.kind, levels,
             Limits(self.margin, TOLERANCE, offset, self._slack, len(used), room),
             Records(best, masks, np.append(_BITS[piece.rest], np.uint64(0)),
-                    np.array([self.some_of]), guard, np.empty(depths), np.empty(guard.shape[1])),
+                    np.array([self.some_of]), self.parents, guard, np.empty(depths),
+                    np.empty(guard.shape[1])),
             _BITS[used].sum(), _counts(n, room), np.zeros(depths, dtype=np.intp),
             np.zeros(depths, dtype=np.intp), np.zeros(depths, dtype=np.uint64),
             np.empty((vectors, height)), None if levels.share[0].size == n + 1 else False)
@@ -340,7 +345,9 @@ def stack(system: SubsetSystem, score: str, folds: Sequence[IntArray],
     if kind == RSS:
         free = _by_gain(control, used, free, k)
     room = len(free) if max_terms is None else min(len(free), max_terms - len(used))
+    parents = np.zeros((0, k), dtype=bool) if system.parents is None else system.parents
     return Stack(kind, k, systems, float(system.margin), _BITS[:k][some_of].sum(),
+                 np.where(parents, _BITS[:k], np.uint64(0)).sum(axis=1, dtype=np.uint64),
                  Piece(used, free, room))
 
 

@@ -227,10 +227,10 @@ class SelectionProblem(Problem):
 
     def parts(self) -> tuple[EnumerablePart, ...]:
         """Return line and sample as parts that can be walked (see `Problem.parts`)."""
-        if self._gene_of_term is None or self._selects_features or self._pairs is not None:
+        if self._gene_of_term is None or self._selects_features:
             return super().parts()
         return enumerable_parts(self.inputs, self.equations, self.genome, self._gene_of_term,
-                                self._guard, POLE_MARGIN)
+                                self._guard, POLE_MARGIN, self._pairs)
 
     def design(self) -> FloatArray:
         """Return the columns of the adjustment by gene (see `Problem.design`).

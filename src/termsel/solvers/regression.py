@@ -91,8 +91,12 @@ def regressions(problem: Problem) -> list[Regression]:
     Raises
     ------
     TermselError
-        If the problem's space cannot be walked (see `Problem.parts`).
+        If the problem's space cannot be walked (see `Problem.parts`), or terms need parents.
     """
+    if any(part.system.parents is not None for part in problem.parts()):
+        raise TermselError("regression enters and drops term by term and keeps no hierarchy",
+                           hint="Choose a solver that does, such as --solver ga or exact, or leave "
+                                "hierarchy=true out.")
     return [_regression(problem, part) for part in problem.parts()]
 
 
