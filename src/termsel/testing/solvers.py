@@ -249,7 +249,8 @@ def feasible_first(trial: Trial) -> None:
     """It seeks feasible individuals, even where infeasible ones have better objectives."""
     if not trial.takes(problems.trap()):
         return
-    found = trial.search(problems.trap(), evaluations=GENEROUS)
+    found = trial.search_until(lambda progress: progress.violation == 0, problems.trap(),
+                               evaluations=GENEROUS)
     require(found.violation == 0,
             f"with {found.evaluations} evaluations it finds no feasible selection where the "
             "objective leads away from them; rank by violation before objectives, as "
@@ -270,7 +271,9 @@ def optimum_found(trial: Trial) -> None:
     """From any seed it finds the best of all selections, 4096 by default, in 5000 evaluations."""
     best = problems.optimum(trial.problem())
     for seed in SEEDS:
-        found = trial.search(trial.problem(), seed=seed, evaluations=ENOUGH)
+        found = trial.search_until(
+            lambda progress: progress.violation == 0 and bool(np.isclose(progress.best, best)),
+            trial.problem(), seed=seed, evaluations=ENOUGH)
         require(np.isclose(found.objectives[0], best),
                 f"with seed {seed} and {found.evaluations} evaluations it finds "
                 f"{found.objectives[0]:.3f}, and the best is {best:.3f}; a solver that does not "

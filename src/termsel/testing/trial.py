@@ -14,7 +14,7 @@ import numpy as np
 from termsel.errors import TermselError
 from termsel.features import BoolArray
 from termsel.problems.base import Evaluation, Problem, Selection
-from termsel.searching import Search, search
+from termsel.searching import Progress, Search, search
 from termsel.solvers.base import Generation, Solver
 
 FEW = 4
@@ -85,6 +85,18 @@ class Trial:
     def search(self, problem: Problem, *, seed: int = 1, **budget: Any) -> Search:
         """Search as a run does."""
         return search(self.posed(problem), self.solver, seed=seed, **budget)
+
+    def search_until(self, reached: Callable[[Progress], bool], problem: Problem, *,
+                     seed: int = 1, evaluations: int) -> Search:
+        """Search as a run does, and end as after Ctrl-C where more would show no more.
+
+        What was reached has to be what no later generation takes away.
+        """
+        def end(progress: Progress) -> None:
+            if reached(progress):
+                raise KeyboardInterrupt
+
+        return self.search(problem, seed=seed, evaluations=evaluations, observers=[end])
 
 
 def global_states() -> tuple[Any, ...]:
