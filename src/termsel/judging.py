@@ -10,7 +10,7 @@ import numpy as np
 from termsel.criteria import Criterion
 from termsel.diagnosis import PARALLEL, orientation_spread
 from termsel.extrapolation import warnings_of
-from termsel.fitting import Fit, Rmse
+from termsel.fitting import Fit, Rmse, fit
 from termsel.problems.base import Genome
 from termsel.roles import Observations
 from termsel.searching import Search
@@ -191,7 +191,14 @@ def notes_on(observations: Observations, criterion: Criterion, found: Search,
     yield from warnings_of(observations.control, chosen.used, observations.check)
     if (criterion.name == "check-rmse" and check and found.coefficients is None
             and abs(check.total - found.objectives[0]) > 0.005 * check.total):
-        yield (f"The search saw a check RMSE of {found.objectives[0]:.4g} px, with lines under "
-               "separate denominators to first order; the fit was then iterated.")
+        seen = found.objectives[0]
+        first = fit(chosen.model, chosen.control, chosen.scaling, chosen.terms, chosen.used,
+                    iterated=False).rmse(observations.check)
+        if first and abs(first.total - seen) <= 0.005 * seen:
+            yield (f"The search saw a check RMSE of {seen:.4g} px, with equations to first order; "
+                   "the fit was then iterated.")
+        else:
+            yield (f"The search drove down an RMSE of {seen:.4g} px over the points that the "
+                   "problem judges by, which are not the check points alone.")
     if chosen.adjustment.redundancy == 0:
         yield "The adjustment has no redundancy: its residuals say nothing."

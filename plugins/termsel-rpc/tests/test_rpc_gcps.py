@@ -56,6 +56,15 @@ def test_runs_by_its_name_and_leaves_the_wrong_points_out(run_by_name: Path) -> 
     assert everything["rmse"]["independent"]["total"] > 1.9
 
 
+def test_the_note_says_what_the_search_drove_down(run_by_name: Path) -> None:
+    notes = " ".join(read_result(run_by_name).notes)
+    assert "over the points that the problem judges by" in notes
+    assert "first order" not in notes  # the equations of an RPC's refinement are exact
+    alone = termsel.run("rpc-gcps", generations=2,
+                        options={"judged_by": "check", "polish": False})
+    assert "drove down" not in " ".join(alone.notes)
+
+
 def test_refined_rpc_serves_gdal(run_by_name: Path, tmp_path: Path) -> None:
     pytest.importorskip("rasterio")
     code, _, error = termsel_says("export", run_by_name, "--to", "rpb", "--output",
