@@ -6,7 +6,6 @@ import subprocess
 import sys
 from importlib.metadata import distributions
 from textwrap import dedent
-from types import SimpleNamespace
 
 import pytest
 
@@ -68,18 +67,6 @@ def with_plugins(plugin_folder, monkeypatch):
                       for point in found.entry_points])
     monkeypatch.setattr(manager, "registry", lambda: names)
     return names
-
-
-@pytest.fixture
-def call(capsys):
-    """Return a function that runs a command line in this process."""
-    def run(*args):
-        with pytest.raises(SystemExit) as stop:
-            cli.main(list(args), prog_name="termsel")
-        out, err = capsys.readouterr()
-        return SimpleNamespace(exit_code=stop.value.code, stdout=out, stderr=err)
-
-    return run
 
 
 def shell(*args, folder=None, **environment):

@@ -8,7 +8,10 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -19,9 +22,13 @@ from termsel.simulate import simulate_scene
 QUICK = ["--generations", "3", "--set", "population=30"]
 
 
-def termsel(*words: object, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
+Call = Callable[..., SimpleNamespace]
+
+
+def termsel(*words: object) -> subprocess.CompletedProcess[str]:
+    """Run termsel in a process of its own."""
     return subprocess.run([sys.executable, "-m", "termsel", *map(str, words)], text=True,
-                          capture_output=True, cwd=cwd, check=False)
+                          capture_output=True, check=False)
 
 
 @pytest.fixture(scope="module")
@@ -74,6 +81,7 @@ def interrupted(process: subprocess.Popen[str]) -> tuple[str, str]:
         except subprocess.TimeoutExpired:
             continue
     process.kill()
+    process.wait()
     raise AssertionError("Ctrl-C does not end the run")
 
 
@@ -83,7 +91,9 @@ def test_ctrl_c_returns_the_best_so_far(tmp_path: Path) -> None:
     process = subprocess.Popen(
         [sys.executable, "-m", "termsel", "run", "--problem", "owdis-lines-terms", "--json",
          "--seconds", "600", "--out", str(out)], text=True, stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE)
+        stderr=subprocess.PIPE,
+        # Tests in the background of a script ignore it, and what they start would too.
+        preexec_fn=partial(signal.signal, signal.SIGINT, signal.SIG_DFL))
     deadline = time.monotonic() + 60
     while not out.is_dir() and time.monotonic() < deadline:
         time.sleep(0.05)
@@ -170,13 +180,14 @@ BAD_FILES = {
 
 
 @pytest.mark.parametrize("kind", BAD_FILES)
-def test_a_bad_file_gives_one_message_and_code_2(kind: str, files: Path, tmp_path: Path) -> None:
+def test_a_bad_file_gives_one_message_and_code_2(kind: str, files: Path, tmp_path: Path,
+                                                 call: Call) -> None:
     make, message = BAD_FILES[kind]
     path = make(files, tmp_path)
     out = tmp_path / "out"
-    done = termsel("run", "--problem", "rfm-terms", "--points", path, "--crs", "EPSG:4979",
-                   "--out", out, *QUICK)
-    assert done.returncode == 2, done.stdout + done.stderr
+    done = call("run", "--problem", "rfm-terms", "--points", path, "--crs", "EPSG:4979",
+                "--out", out, *QUICK)
+    assert done.exit_code == 2, done.stdout + done.stderr
     assert done.stdout == ""
     assert message in done.stderr
     assert "Traceback" not in done.stderr
@@ -202,10 +213,10 @@ BAD_WORDS = {
 
 
 @pytest.mark.parametrize("kind", BAD_WORDS)
-def test_bad_words_give_one_message_and_code_2(kind: str) -> None:
+def test_bad_words_give_one_message_and_code_2(kind: str, call: Call) -> None:
     words, message = BAD_WORDS[kind]
-    done = termsel("run", *words)
-    assert done.returncode == 2, done.stdout + done.stderr
+    done = call("run", *words)
+    assert done.exit_code == 2, done.stdout + done.stderr
     assert done.stdout == ""
     assert message in done.stderr
     assert "Traceback" not in done.stderr
@@ -214,11 +225,19 @@ def test_bad_words_give_one_message_and_code_2(kind: str) -> None:
 @pytest.mark.parametrize(("crs", "message"), [
     ("EPSG:32639", "degrees"), ("EPSG:99999999", "EPSG"), ("WGS 84", "EPSG:4979"), (None, "--crs")])
 def test_a_wrong_crs_is_refused(crs: str | None, message: str, files: Path,
-                                tmp_path: Path) -> None:
+                                tmp_path: Path, call: Call) -> None:
     named = [] if crs is None else ["--crs", crs]
     plain = tmp_path / "plain.csv"  # the written file may declare its CRS
     plain.write_text("".join(row for row in (files / "points.csv").open()
                              if not row.startswith("#")))
-    done = termsel("run", "--problem", "rfm-terms", "--points", plain, *named, *QUICK)
-    assert done.returncode == 2
+    done = call("run", "--problem", "rfm-terms", "--points", plain, *named, *QUICK)
+    assert done.exit_code == 2
     assert message in done.stderr
+
+
+@pytest.mark.parametrize("words", [
+    BAD_WORDS["unknown problem"][0], ["--problem", "rfm-terms", "--points", "nowhere.csv"]])
+def test_a_process_of_its_own_says_the_same(words: list[str], call: Call) -> None:
+    done, here = termsel("run", *words), call("run", *words)
+    assert (done.returncode, done.stdout, done.stderr) == (2, "", here.stderr)
+    assert here.exit_code == 2

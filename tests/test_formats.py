@@ -5,11 +5,12 @@ from __future__ import annotations
 import json
 import math
 import re
-import subprocess
 import sys
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -499,13 +500,12 @@ def test_format_is_forced(tmp_path: Path) -> None:
     ("qgis-points", "-20.5", ", line 3, column 'sourceY': the cell is blank"),
     ("geojson-points", "]", ", line 11: this is not JSON"), ("envi-pts", "447.000000", ", line 6"),
     ("asp-gcp", "23.7", ", line 2")])
-def test_command_refuses_in_one_line(tmp_path: Path, name: str, old: str, words: str) -> None:
+def test_command_refuses_in_one_line(tmp_path: Path, name: str, old: str, words: str,
+                                     call: Callable[..., SimpleNamespace]) -> None:
     path = put(tmp_path, CONTENT[name].replace(old, "", 1))
-    done = subprocess.run([sys.executable, "-m", "termsel", "run", "--problem", "poly-terms",
-                           "--points", str(path), "--crs", "EPSG:4979", "--out",
-                           str(tmp_path / "out"), "--format", name], capture_output=True,
-                          text=True, check=False)
-    assert (done.returncode, done.stdout) == (2, "")
+    done = call("run", "--problem", "poly-terms", "--points", path, "--crs", "EPSG:4979", "--out",
+                tmp_path / "out", "--format", name)
+    assert (done.exit_code, done.stdout) == (2, "")
     assert f"{path}{words}" in done.stderr
     assert "Traceback" not in done.stderr
     assert not (tmp_path / "out").exists()
