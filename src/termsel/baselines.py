@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from termsel.adjustment.solve import TOLERANCE
-from termsel.features import FeatureSet, Points
+from termsel.features import FeatureSet, join_points
 from termsel.fitting import Fit, Rmse, fit
 from termsel.models.rational import RationalFunctions
 from termsel.result import LEAVE_ONE_OUT, Baseline
@@ -76,14 +76,7 @@ def compare(observations: Observations) -> Comparison:
 def together(observations: Observations) -> FeatureSet:
     """Return control and check points as control."""
     control = observations.control
-    return control.with_(points=_join(control.points, observations.check))
-
-
-def _join(first: Points, second: Points) -> Points:
-    sigma = (None if first.sigma is None or second.sigma is None
-             else np.concatenate([first.sigma, second.sigma]))
-    return Points(first.ids + second.ids, np.concatenate([first.image, second.image]),
-                  np.concatenate([first.ground, second.ground]), sigma)
+    return control.with_(points=join_points(control.points, observations.check))
 
 
 def _rational(both: FeatureSet) -> Iterator[tuple[str, Fit]]:

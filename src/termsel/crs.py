@@ -192,9 +192,7 @@ def is_geocentric(crs: str) -> bool:
     crs : str
         As for `normalise`.
     """
-    name = normalise(crs)
-    known = None if name == LOCAL or name in WGS84 or _UTM.fullmatch(name) else _with_pyproj(name)
-    return known is not None and bool(known.is_geocentric)
+    return _kind(normalise(crs)) == "geocentric"
 
 
 def height_reference(crs: str) -> str:
@@ -312,7 +310,7 @@ def _short(crs: str) -> str:
 
 
 def _kind(crs: str) -> str:
-    """Return "geographic", "projected", or "" where neither or not known."""
+    """Return "geographic", "projected", "geocentric", or "" where none of them or not known."""
     if crs in WGS84:
         return "geographic"
     if _UTM.fullmatch(crs):
@@ -320,9 +318,10 @@ def _kind(crs: str) -> str:
     known = None if crs == LOCAL else _with_pyproj(crs)
     if known is not None:
         return ("geographic" if known.is_geographic else
-                "projected" if known.is_projected else "")
-    root = crs.upper()[:4]
-    return {"GEOG": "geographic", "PROJ": "projected"}.get(root, "")
+                "projected" if known.is_projected else
+                "geocentric" if known.is_geocentric else "")
+    return {"GEOG": "geographic", "PROJ": "projected", "GEOC": "geocentric"}.get(
+        crs.upper()[:4], "")
 
 
 def _with_pyproj(crs: str) -> CRS | None:

@@ -34,20 +34,10 @@ class Multiquadric(Polynomial2D):
         Option("degree", 2, "Total degree of the polynomial; 2 gives 6 terms an axis.", int, 1, 8),)
 
     def residual_weights(self, control: FloatArray, ground: FloatArray) -> FloatArray:
-        """Return the weights of the control residuals, W = f inv(F).
+        """Return W = f inv(F) (see `SensorModel.residual_weights`).
 
-        Parameters
-        ----------
-        control : ndarray, shape (n, 3)
-            Scaled ground positions of the control points.
-        ground : ndarray, shape (m, 3)
-            Scaled ground positions to be corrected.
-
-        Returns
-        -------
-        ndarray, shape (m, n)
-            Where control points share their X and Y, the mean of their residuals is
-            interpolated; a single control point corrects nothing.
+        Where control points share their X and Y, the mean of their residuals is interpolated; a
+        single control point corrects nothing.
         """
         places = np.ascontiguousarray(control[:, :2])
         return np.asarray(_distances(ground, control) @ _inverse(places.tobytes()))

@@ -53,19 +53,7 @@ class Pointwise(Polynomial2D):
                choices=tuple(WEIGHTS)))
 
     def residual_weights(self, control: FloatArray, ground: FloatArray) -> FloatArray:
-        """Return the weights of the control residuals: what each adds to the local constant.
-
-        Parameters
-        ----------
-        control : ndarray, shape (n, 3)
-            Scaled ground positions of the control points.
-        ground : ndarray, shape (m, 3)
-            Scaled ground positions to be corrected.
-
-        Returns
-        -------
-        ndarray, shape (m, n)
-        """
+        """Return what each residual adds to the local constant (see `SensorModel`)."""
         offset = control[None, :, :2] - ground[:, None, :2]
         distance = np.linalg.norm(offset, axis=2)
         near = self._neighbours(offset, distance)

@@ -41,8 +41,10 @@ class RpcShift(Refinement):
     rational polynomials. PE&RS 69(1), 59-68: image offsets as a polynomial of line and sample.
     Hanley, Fraser 2004: Sensor orientation for high-resolution satellite imagery: further
     insights into bias-compensated RPCs. ISPRS Archives XXXV-B1: shift, shift and drift, and
-    affine as the sets to choose from. Both take the polynomial of measured positions; here it
-    is that of the RPC's, so that points can be projected.
+    affine as the sets to choose from. They correct measured positions; here those of the RPC
+    are corrected, so that points can be projected. The papers' equations could not be
+    consulted in full. That both axes drift by the line, along which time runs, is how termsel
+    takes them; Orthority has each axis drift by its own coordinate. `rpc-affine` holds both.
     """
 
     name = "rpc-shift"

@@ -29,7 +29,8 @@ JUDGED_BY = Option(
 class Ce90(Criterion):
     """Circular error of nine in ten check points [pixel]: the 90 % quantile of the distances.
 
-    Up to a tenth of the points may be wrong without effect. The quantile is interpolated
+    Up to a tenth of the points may be wrong without effect; where they are more, `median` is the
+    criterion to take. The quantile is interpolated
     linearly between the distances; no distribution is assumed.
     """
 
