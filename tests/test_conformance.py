@@ -8,7 +8,8 @@ import sys
 import numpy as np
 import pytest
 
-from termsel.criteria import CheckRmse, Huber, Median
+from termsel.criteria import CheckRmse, Ebic, Huber, KFold, Median, Press
+from termsel.criteria.losses import LOSS
 from termsel.errors import TermselError
 from termsel.features import FeatureSet, FloatArray, Points
 from termsel.models.polynomial import Affine, Polynomial2D, Polynomial3D
@@ -89,7 +90,11 @@ SUITES: dict[str, tuple[Check, ...]] = {
     "all-terms": solver_checks(AllTerms, expected_failures=NO_SEARCH),
     "check-rmse": criterion_checks(CheckRmse()),
     "median": criterion_checks(Median()),
-    "huber": criterion_checks(Huber())}
+    "huber": criterion_checks(Huber()),
+    "ebic": criterion_checks(Ebic()),
+    **{f"press, {loss}": criterion_checks(Press(loss=loss)) for loss in LOSS.choices},
+    **{f"kfold, {loss}": criterion_checks(KFold(loss=loss)) for loss in LOSS.choices},
+    "kfold, random": criterion_checks(KFold(how="random", repeats=2))}
 
 
 @pytest.mark.parametrize("check", [

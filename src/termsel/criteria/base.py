@@ -11,6 +11,7 @@ import numpy as np
 
 from termsel.adjustment.equations import line_normals
 from termsel.adjustment.parts import Part
+from termsel.criteria.losses import SQUARES, figure
 from termsel.features import (
     BoolArray,
     FeatureSet,
@@ -167,33 +168,34 @@ class Fits:
                                       np.searchsorted(owner[order], features), axis=1)
         return np.asarray(squares * self.pixels**2)
 
-    def rmse(self, squares: FloatArray) -> FloatArray:
+    def rmse(self, squares: FloatArray, loss: str = SQUARES,
+             threshold: float = 2.0) -> FloatArray:
         """Return the RMSE of the control in use, infinite without any, shape (p,).
 
-        As everywhere, sqrt(mean(dl^2 + ds^2)) over points and over all vertices of lines.
+        As everywhere, sqrt(mean(dl^2 + ds^2)) over points and over all vertices of lines; with
+        another loss the error of a line is the root mean square of those of its vertices.
 
         Parameters
         ----------
         squares : ndarray, shape (p, n)
             As from `held_out`, of all control features.
+        loss, threshold : str and float
+            As for `termsel.criteria.losses.figure`.
         """
-        used = self.in_use
         errors = np.bincount(self._vertices[0]).astype(np.float64)
-        count = used @ errors
-        total = np.where(used, squares, 0.0).sum(axis=1)
-        mean = np.divide(total, count, out=np.full(len(used), np.inf), where=count > 0)
-        return np.asarray(np.sqrt(mean))
+        return figure(np.sqrt(squares / errors), self.in_use * errors, loss, threshold)
 
 
 class Criterion(Configurable, ABC):
     """A figure of merit of fitted models; smaller is better."""
 
     needs_check: ClassVar[bool] = True
-    is_rmse: ClassVar[bool] = True
-    """Whether the figure is an RMSE [pixel], of which a standard error can be given."""
     """Whether the figure is that of check points; others do without any."""
 
-    subset_score: ClassVar[str] = ""
+    is_rmse: bool = True
+    """Whether the figure is an RMSE [pixel], of which a standard error can be given."""
+
+    subset_score: str = ""
     """Score of `termsel.adjustment.subsets.search` from which the figure follows, if any."""
 
     @abstractmethod

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from typing import Any, ClassVar
+
 import numpy as np
 
 from termsel.adjustment.leave_out import leave_one_out
 from termsel.adjustment.parts import solve_parts
 from termsel.criteria.base import Criterion, Fits
+from termsel.criteria.losses import LOSS, SQUARES, THRESHOLD
 from termsel.features import FloatArray, IntArray, Lines, Points, no_lines
 from termsel.options import Option
 from termsel.roles import spatial_order
@@ -15,7 +18,23 @@ _SOLUTIONS = 1 << 22
 """Coefficients of leave-one-out solutions held at once: 32 MB."""
 
 
-class Press(Criterion):
+class _LeftOut(Criterion):
+    """Base of criteria that put together the errors of control features left out."""
+
+    needs_check = False
+    declared_options: ClassVar[tuple[Option, ...]] = (LOSS, THRESHOLD)
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(**options)
+        if self.options["loss"] != SQUARES:  # no sum over rows, and no standard error
+            self.is_rmse, self.subset_score = False, ""
+
+    def combined(self, fits: Fits, squares: FloatArray) -> FloatArray:
+        """Return the RMSE, or what the loss makes of the errors."""
+        return fits.rmse(squares, self.options["loss"], self.options["threshold"])
+
+
+class Press(_LeftOut):
     """RMSE of each control feature, predicted from all others [pixel]; needs no check points.
 
     A feature leaves with all its rows, and what is squared is its true image error under the
@@ -29,7 +48,6 @@ class Press(Criterion):
     """
 
     name = "press"
-    needs_check = False
     subset_score = "press"
 
     def score(self, fits: Fits) -> FloatArray:
@@ -47,10 +65,10 @@ class Press(Criterion):
                     part.equations, fits.terms[some, part.columns], used[some])
                 determined &= one_by_one
             squares[some] = np.where(determined[:, None], fits.held_out_each(solutions), np.inf)
-        return fits.rmse(squares)
+        return self.combined(fits, squares)
 
 
-class KFold(Criterion):
+class KFold(_LeftOut):
     """RMSE of the control features of each fold, predicted from all other folds [pixel].
 
     The control on offer is shared out among the folds once, whatever features are selected.
@@ -63,7 +81,6 @@ class KFold(Criterion):
     """
 
     name = "kfold"
-    needs_check = False
     subset_score = "kfold"
     declared_options = (
         Option("folds", 5, "Folds of control features; with more folds than features each is "
@@ -73,6 +90,7 @@ class KFold(Criterion):
         Option("how", "spatial", "Folds as blocks of neighbours on the ground, or at random.",
                choices=("spatial", "random")),
         Option("fold_seed", 0, "Seed of random folds.", int, 0),
+        LOSS, THRESHOLD,
     )
 
     def score(self, fits: Fits) -> FloatArray:
@@ -85,7 +103,7 @@ class KFold(Criterion):
             coefficients, lacking = solve_parts(fits.parts, fits.terms, rest)
             found = fits.held_out(coefficients, fold)
             squares[:, fold] += np.where(lacking[:, None] == 0, found, np.inf)
-        return fits.rmse(squares / self.options["repeats"])
+        return self.combined(fits, squares / self.options["repeats"])
 
     def folds(self, points: Points, lines: Lines) -> tuple[IntArray, ...]:
         """Return the features of each fold, points before lines, for all repeats.

@@ -5,18 +5,15 @@ from __future__ import annotations
 import numpy as np
 
 from termsel.criteria.base import Criterion, Fits
+from termsel.criteria.losses import HUBER, MEDIAN, THRESHOLD, figure
 from termsel.features import FloatArray
-from termsel.options import Option
-
-MEDIAN = float(1.0 / np.sqrt(np.log(2.0)))
-"""RMSE of points by the median of their distances, for normal errors: sqrt(2) by
-sqrt(2 ln 2)."""
 
 
-def _distances(fits: Fits) -> FloatArray:
-    """Return sqrt(dl^2 + ds^2) of the check points [pixel], shape (p, n)."""
+def _figure(fits: Fits, loss: str, threshold: float = THRESHOLD.default) -> FloatArray:
+    """Return the figure of the distances sqrt(dl^2 + ds^2) of the check points [pixel]."""
     with np.errstate(over="ignore", invalid="ignore"):
-        return np.asarray(np.hypot(fits.check_errors[..., 0], fits.check_errors[..., 1]))
+        distances = np.hypot(fits.check_errors[..., 0], fits.check_errors[..., 1])
+    return figure(distances, np.ones_like(distances), loss, threshold)
 
 
 class Median(Criterion):
@@ -37,7 +34,7 @@ class Median(Criterion):
 
     def score(self, fits: Fits) -> FloatArray:
         """Return the figure [pixel]."""
-        return np.asarray(MEDIAN * np.median(_distances(fits), axis=1))
+        return _figure(fits, MEDIAN)
 
 
 class Huber(Criterion):
@@ -55,14 +52,8 @@ class Huber(Criterion):
 
     name = "huber"
     is_rmse = False
-    declared_options = (
-        Option("threshold", 2.0, "Distance from which on errors count linearly, by the median "
-               "distance.", float, 0.1),)
+    declared_options = (THRESHOLD,)
 
     def score(self, fits: Fits) -> FloatArray:
         """Return the figure [pixel]."""
-        d = _distances(fits)
-        c = self.options["threshold"] * np.median(d, axis=1)[:, None]
-        with np.errstate(over="ignore", invalid="ignore"):
-            loss = np.where(d <= c, d**2, 2 * c * d - c**2)
-            return np.asarray(np.sqrt(loss.mean(axis=1)))
+        return _figure(fits, HUBER, self.options["threshold"])
