@@ -79,6 +79,28 @@ def test_agrees_with_lapack(shape, condition, kind):
 
 
 @few
+@given(SYSTEMS, st.booleans())
+def test_pseudo_observations_are_always_in(shape, all_features):
+    seed, n_features, per_feature, k = shape
+    rng = np.random.default_rng(seed)
+    plain = system(rng, n_features, per_feature, k)
+    prior = rng.uniform(0.1, 1.0, k) * (rng.random(k) < 0.7)
+    equations = Equations(plain.A, plain.b, plain.feature, prior)
+    terms, features = masks(rng, 8, k), None if all_features else masks(rng, 8, n_features)
+    coefficients, violation = solve_many(equations, terms, features)
+    for i, on in enumerate(terms):
+        rows = features[i][plain.feature] if features is not None else np.ones(len(plain.b), bool)
+        A = np.concatenate([plain.A[rows], np.diag(prior)])[:, on]
+        if violation[i] or (on.any() and np.linalg.cond(A) > 1e7):
+            continue
+        x = np.linalg.lstsq(A, np.concatenate([plain.b[rows], np.zeros(k)]), rcond=None)[0]
+        np.testing.assert_allclose(coefficients[i, on], x, atol=1e-7)
+        one = solve(equations, on, None if features is None else features[i])
+        np.testing.assert_allclose(one.coefficients[on], x, atol=1e-7)
+        assert one.n_equations == rows.sum()
+
+
+@few
 @given(SYSTEMS, st.integers(0, 12), st.sampled_from(["terms", "features", "both"]))
 def test_counts_the_dependent_terms(shape, rank, kind):
     seed, n_features, per_feature, k = shape

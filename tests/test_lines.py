@@ -47,10 +47,11 @@ def test_without_deviations_a_point_weighs_one() -> None:
     assert (row_weights(features) == 1.0).all()
 
 
-@pytest.mark.parametrize("order", [1, 2])
-def test_a_fit_to_lines_is_the_least_squares_of_distances(order: int) -> None:
+@pytest.mark.parametrize(("order", "ridge"), [(1, 0.0), (2, 0.0), (1, 0.01)])
+def test_a_fit_to_lines_is_the_least_squares_of_distances(order: int, ridge: float) -> None:
     features = lines_of_a_scene(100)
-    model = RationalFunctions(order=order)
+    model = RationalFunctions(order=order, ridge=ridge)
+    below = np.array([".den" in name for name in model.terms])
     terms = np.array([not name.endswith(("XY", "XZ", "YZ", "X2", "Z2")) or ".num" in name
                       for name in model.terms])
     found = fit(model, features, scaling_of(features), terms)
@@ -62,7 +63,8 @@ def test_a_fit_to_lines_is_the_least_squares_of_distances(order: int) -> None:
         coefficients = np.zeros(len(terms))
         coefficients[terms] = x
         image = model.project(coefficients, scaled.lines.ground.reshape(-1, 3))
-        return weight * (rho - np.einsum("na,na->n", normal, image))
+        return np.concatenate([weight * (rho - np.einsum("na,na->n", normal, image)),
+                               np.sqrt(ridge) * coefficients[below]])
 
     x = found.adjustment.coefficients[terms]
     best = least_squares(distances, x, xtol=1e-15, ftol=1e-15, gtol=1e-15, x_scale="jac")

@@ -176,3 +176,17 @@ def test_wrong_lines_of_real_geometry_are_found(data_folder: Path, scene: str,
     assert len(set(found.wrong) - displaced) <= 3
     assert result.rmse["independent"].total < 1.1 * {"ventoux_lines": 1.33,
                                                      "ikonos_lines": 0.96}[scene]
+
+
+def test_lines_are_selected_under_all_terms_of_an_rfm() -> None:
+    """Denominators held near zero have no poles; without that there is next to no way."""
+    held, free = (termsel.run("owdis-lines", model="rfm", generations=8,
+                              options={**QUICK, "order": 2, "ridge": ridge})
+                  for ridge in (None, 0.0))
+    assert held.feasible
+    assert not free.feasible
+    assert len(held.selection.terms) == 38
+    below = np.array([".den" in term for term in held.fit.model.terms])
+    assert np.abs(held.fit.adjustment.coefficients[below]).max() < 0.1
+    everything = held.baselines[0].rmse["independent"]
+    assert held.rmse["independent"].total < everything.total / 2

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from termsel.adjustment.equations import line_normals
+from termsel.adjustment.equations import Equations, line_normals
 from termsel.adjustment.solve import Adjustment, solve
 from termsel.features import BoolArray, FeatureSet, FloatArray, Points
 from termsel.inverse import Surface, locate
@@ -188,26 +188,31 @@ def adjust(model: SensorModel, features: FeatureSet, terms: BoolArray,
         As for `fit`.
     """
     adjustment = solve(model.equations(features), terms, used)
-    rows = used[np.repeat(features.feature, 2)]
+
+    def left(equations: Equations, coefficients: FloatArray) -> FloatArray:
+        """Return what the rows in use leave, pseudo-observations with them."""
+        A, b = equations.take(used[equations.feature], np.ones_like(terms)).held()
+        return np.asarray(b - A @ coefficients)
+
     equations = (model.linearised(features, adjustment.coefficients)
                  if adjustment.feasible else None)
     for _ in range(ITERATIONS):
         if equations is None:
             break
-        v = equations.b - equations.A @ adjustment.coefficients
+        v = left(equations, adjustment.coefficients)
         step = solve(equations, terms, used).coefficients - adjustment.coefficients
         for share in HALVINGS:
             coefficients = adjustment.coefficients + share * step
             nearer = model.linearised(features, coefficients)
             assert nearer is not None
-            left = nearer.b - nearer.A @ coefficients
-            if left[rows] @ left[rows] < (1 - 1e-10) * (v[rows] @ v[rows]):
+            w = left(nearer, coefficients)
+            if w @ w < (1 - 1e-10) * (v @ v):
                 break
         else:
             break
         equations = nearer
         adjustment = replace(solve(equations, terms, used), coefficients=coefficients,
-                             residuals=left)
+                             residuals=equations.b - equations.A @ coefficients)
     return adjustment
 
 

@@ -21,11 +21,15 @@ class Equations:
         Observations, in the scaled image unit.
     feature : ndarray of int, shape (m,)
         The control feature each row belongs to: points from 0, then lines.
+    prior : ndarray, shape (k,), optional
+        Weights, as a factor of the row, of pseudo-observations that a coefficient is zero; they
+        are of no feature and always in the adjustment. 0 for none.
     """
 
     A: FloatArray
     b: FloatArray
     feature: IntArray
+    prior: FloatArray | None = None
 
     @property
     def n_features(self) -> int:
@@ -36,7 +40,15 @@ class Equations:
         """Return the system of some rows and columns."""
         return Equations(np.ascontiguousarray(self.A[np.ix_(rows, columns)]),
                          np.ascontiguousarray(self.b[rows]),
-                         np.ascontiguousarray(self.feature[rows]))
+                         np.ascontiguousarray(self.feature[rows]),
+                         None if self.prior is None else self.prior[columns])
+
+    def held(self) -> tuple[FloatArray, FloatArray]:
+        """Return design matrix and right-hand side with the pseudo-observations as last rows."""
+        if self.prior is None:
+            return self.A, self.b
+        rows = np.diag(self.prior)[self.prior > 0]
+        return np.concatenate([self.A, rows]), np.concatenate([self.b, np.zeros(len(rows))])
 
 
 def line_normals(lines: Lines) -> tuple[FloatArray, FloatArray]:

@@ -39,6 +39,9 @@ from termsel.features import BoolArray, FloatArray, IntArray
 BLOCK = 192
 """Rows folded into a triangle at once."""
 
+ALWAYS = -1
+"""The last feature of a mask: that of pseudo-observations, where there are any."""
+
 UintArray = NDArray[np.uintp]
 Work = tuple[FloatArray, FloatArray, FloatArray, IntArray]
 """Of the reflections: vectors, factors, products of neighbours, and the rows they reach."""
@@ -287,9 +290,12 @@ def _prepared(equations: Equations) -> _Prepared:
     """Return what is kept for the equations, computing it the first time."""
     known = _PREPARED.get(equations)
     if known is None:
-        source = np.column_stack([equations.A, equations.b, np.zeros(len(equations.b))])
+        A, b = equations.held()
+        source = np.column_stack([A, b, np.zeros(len(b))])
         source = np.ascontiguousarray(source, dtype=np.float64)
-        known = _Prepared(source, np.array(equations.feature, dtype=np.intp), _triangle(source),
+        feature = np.full(len(b), ALWAYS, dtype=np.intp)
+        feature[:len(equations.feature)] = equations.feature
+        known = _Prepared(source, feature, _triangle(source),
                           float(np.linalg.norm(source[:, :-2], axis=0).max(initial=0.0)))
         _PREPARED[equations] = known
     return known
@@ -339,6 +345,8 @@ def solve_many(
     else:
         source, feature = shared.source, shared.feature
         rows = np.asarray(features, dtype=bool)
+        if equations.prior is not None:
+            rows = np.concatenate([rows, np.ones((len(rows), 1), dtype=bool)], axis=1)
     if columns.shape != (p, k) or len(rows) != p or rows.shape[1] <= feature.max(initial=-1):
         raise ValueError(f"masks of shapes {columns.shape} and {rows.shape} do not fit {k} terms "
                          f"and {equations.n_features} features")

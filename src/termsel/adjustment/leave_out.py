@@ -155,6 +155,8 @@ def _leave_out(
                     m += 1
                 count += 1
         start[count] = m
+        if count and used[count - 1] == len(solutions):
+            count -= 1
         determined[one] = n < m and _factor(system, other, n, m, work, tolerance)
         if not determined[one]:
             continue
@@ -206,15 +208,21 @@ def leave_one_out(equations: Equations, terms: BoolArray, features: BoolArray,
         such an individual are not to be used.
     """
     order = np.argsort(equations.feature, kind="stable")
-    source = np.ascontiguousarray(np.column_stack([equations.A, equations.b])[order])
     n = features.shape[1]
     first = np.searchsorted(equations.feature[order], np.arange(n + 1)).astype(np.intp)
-    m, k = equations.A.shape
     tallest = int(np.diff(first).max())
+    A, b = equations.held()
+    m, k = A.shape
+    # Pseudo-observations are those of one feature more, which nobody leaves out.
+    order = np.concatenate([order, np.arange(len(order), m)])
+    source = np.ascontiguousarray(np.column_stack([A, b])[order])
+    if m > len(equations.b):
+        first = np.append(first, m)
+        features = np.concatenate([features, np.ones((len(features), 1), dtype=bool)], axis=1)
     panels = np.empty((2, k // LANES + 1, m, LANES))
     work = np.empty((k, m)), np.empty(k), np.empty(k)
     room = np.empty((k + 1, m)), np.empty((k, n + 1)), np.empty((tallest, tallest))
-    index = np.empty(k + 1, np.intp), np.empty(n, np.intp), np.empty(n + 1, np.intp)
+    index = np.empty(k + 1, np.intp), np.empty(n + 1, np.intp), np.empty(n + 2, np.intp)
     solutions = np.zeros((n, *terms.shape))
     determined = np.empty(len(terms), dtype=bool)
     _leave_out(source, first, np.ascontiguousarray(terms), np.ascontiguousarray(features),

@@ -91,8 +91,9 @@ def solve(
     m, k = equations.A.shape
     columns = np.ones(k, dtype=bool) if terms is None else np.asarray(terms, dtype=bool)
     rows = np.ones(m, dtype=bool) if features is None else np.asarray(features)[equations.feature]
-    A, b = equations.A[np.ix_(rows, columns)], equations.b[rows]
-    n_equations, n_terms = A.shape
+    used = equations.take(rows, columns)
+    n_equations, n_terms = used.A.shape
+    A, b = used.held()
     rank = _rank(A)
     coefficients, deviations = np.zeros(k), np.zeros(k)
     condition, sigma0 = float("inf"), float("nan")
@@ -109,7 +110,7 @@ def solve(
             condition = float(np.linalg.cond(r))
             if n_equations > n_terms:
                 v = b - A @ (x / lengths)
-                sigma0 = float(np.sqrt(v @ v / (n_equations - n_terms)))
+                sigma0 = float(np.sqrt(v @ v / (len(b) - n_terms)))
             norms = np.sqrt((inverse**2).sum(axis=1))
             correlations = inverse @ inverse.T / np.outer(norms, norms)
             deviations[columns] = sigma0 * norms / lengths

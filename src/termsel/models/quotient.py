@@ -150,7 +150,7 @@ class RationalModel(SensorModel):
         not be consulted, so this is termsel's own formulation.
         """
         points, lines = features.points, features.lines
-        if self._exact_for_lines or not len(lines):
+        if self.exact_for_lines or not len(lines):
             # The place along the image line cancels.
             normal, rho = line_normals(lines)
             image = np.repeat(normal * rho[:, None], 2, axis=0)
@@ -166,7 +166,7 @@ class RationalModel(SensorModel):
         Only for lines under separate denominators; points alone, and lines under polynomials or a
         shared denominator, keep the linear equations that the literature solves.
         """
-        if self._exact_for_lines or not len(features.lines):
+        if self.exact_for_lines or not len(features.lines):
             return None
         parts = []
         for ground in (features.points.ground, features.lines.ground.reshape(-1, 3)):
@@ -180,7 +180,7 @@ class RationalModel(SensorModel):
         return image_equations(features, *parts[::2], *parts[1::2], heights=self.uses_height)
 
     @property
-    def _exact_for_lines(self) -> bool:
+    def exact_for_lines(self) -> bool:
         """True where the equations of lines are linear."""
         return not {block for block, *_ in self._layout} & {"line_denominator",
                                                             "sample_denominator"}

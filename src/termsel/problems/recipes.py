@@ -134,9 +134,9 @@ RECIPES = (
            model="poly3d", dataset="ikonos-hamedan", control="lines",
            options=OF_FEATURES, second="n_features", source=YAVARI),
     Recipe("owdis-points-terms", "Which control points and which model terms to use.", _both,
-           model="rfm", model_options={"order": 2}, dataset="ikonos-hamedan",
+           model="rfm", model_options={"order": 2, "ridge": 0.0}, dataset="ikonos-hamedan",
            options=OF_BOTH, source=YAVARI),
     Recipe("owdis-lines-terms", "Which control lines and which model terms to use.", _both,
-           model="rfm", model_options={"order": 2}, dataset="ikonos-hamedan", control="lines",
-           options=OF_BOTH, source=YAVARI),
+           model="rfm", model_options={"order": 2, "ridge": 0.0}, dataset="ikonos-hamedan",
+           control="lines", options=OF_BOTH, source=YAVARI),
 )
