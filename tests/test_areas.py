@@ -90,12 +90,11 @@ def test_edges_of_neighbours_are_taken_once() -> None:
     # By hand: of 3 by 3 squares with 36 edges, 12 are shared. The middle one has none of its own.
     lines = boundary(squares(3, 3))
     assert len(lines) == 24
-    ends = {frozenset(map(tuple, edge)) for edge in lines.ground[..., :2].tolist()}
-    assert len(ends) == 24
-    of_middle = lines.ground[np.array(lines.ids) == "11", :, :2].tolist()
-    assert {frozenset(map(tuple, edge)) for edge in of_middle} == {
-        frozenset({(1.0, 1.0), (2.0, 1.0)}), frozenset({(2.0, 1.0), (2.0, 2.0)})}
-    assert set(lines.features) == {area.id for area in squares(3, 3)}
+    assert len({frozenset(map(tuple, edge)) for edge in lines.ground[..., :2].tolist()}) == 24
+    counts = [lines.ids.count(area.id) for area in squares(3, 3)]
+    assert min(counts) >= 2
+    # The image goes with the ground.
+    np.testing.assert_array_equal(lines.image, lines.ground[..., :2])
 
 
 @settings(max_examples=25, deadline=None)

@@ -90,9 +90,8 @@ def boundary(areas: Sequence[Area]) -> Lines:
     Returns
     -------
     Lines
-        Those of one area are pieces of one feature. An edge that areas share, with the same X and
-        Y at its ends, is taken once: of neighbours by the one that it bounds below, or on the
-        right where it runs along Y, so that each keeps some wherever it lies among others.
+        Those of one area are pieces of one feature. An edge that neighbours share, with the same
+        X and Y at its ends, is taken once, by the one that has fewer so far: each keeps some.
 
     Raises
     ------
@@ -172,20 +171,21 @@ def centroid(ring: ArrayLike) -> FloatArray:
 
 def _own_edges(areas: Sequence[Area]) -> list[list[int]]:
     """Return the numbers of each area's edges, without those that another area takes."""
-    rings = [_edges(area.ground[:, :2]) for area in areas]
-    taken: dict[frozenset[tuple[float, ...]], tuple[int, int]] = {}
-    # Neighbours go around themselves in the same sense, so that they pass their common edge in
-    # opposite directions. Every ring has edges in either direction.
-    for rising in (True, False):
-        for i, ring in enumerate(rings):
-            around = _cross(*np.moveaxis(ring - ring.mean(axis=(0, 1)), 1, 0)).sum() > 0
-            for j, (one, other) in enumerate(ring.tolist()):
-                if ((one < other) == around) == rising:
-                    taken.setdefault(frozenset((tuple(one), tuple(other))), (i, j))
+    # By its ends: the first area on either side of an edge, and the number it has there.
+    sides: dict[frozenset[tuple[float, ...]], dict[bool, tuple[int, int]]] = {}
+    for i, area in enumerate(areas):
+        ring = _edges(area.ground[:, :2])
+        around = _cross(*np.moveaxis(ring - ring.mean(axis=(0, 1)), 1, 0)).sum() > 0
+        for j, (one, other) in enumerate(ring.tolist()):
+            ends = frozenset((tuple(one), tuple(other)))
+            sides.setdefault(ends, {}).setdefault((one < other) == around, (i, j))
     own: list[list[int]] = [[] for _ in areas]
-    for i, j in sorted(taken.values()):
+    # To the one with fewer. Every area lies on either side of some of its edges, so that the
+    # rule for equal numbers leaves none without.
+    for on_either in sorted(sides.values(), key=len):
+        i, j = on_either[min(on_either, key=lambda side: (len(own[on_either[side][0]]), not side))]
         own[i].append(j)
-    return own
+    return [sorted(edges) for edges in own]
 
 
 def _edges(ring: FloatArray) -> FloatArray:
