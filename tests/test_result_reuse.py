@@ -14,6 +14,7 @@ from termsel.errors import TermselError
 from termsel.features import FeatureSet, Points
 from termsel.io.result_files import read_result, write_result
 from termsel.result import Result
+from termsel.sealing import of_record
 from termsel.testing import example_results
 
 
@@ -130,8 +131,11 @@ def test_notebook_shows_the_summary() -> None:
 
 
 def _damaged(folder: Path, **change: object) -> None:
+    """Change the record as someone would who knows how to seal it again."""
     path = folder / "result.json"
-    path.write_text(json.dumps(json.loads(path.read_text()) | change))
+    record = json.loads(path.read_text()) | change
+    record["checksums"]["record"] = of_record(record)
+    path.write_text(json.dumps(record))
 
 
 @pytest.mark.parametrize(("change", "message"), [
@@ -150,6 +154,40 @@ def test_damaged_records_are_refused(change: dict[str, object], message: str, tm
     write_result(example_results()[0], tmp_path)
     _damaged(tmp_path, **change)
     with pytest.raises(TermselError, match=message):
+        read_result(tmp_path)
+
+
+@pytest.mark.parametrize("key", [
+    ("rmse", "independent", "total"), ("selection", "terms"), ("data", "image_size"), ("seed",),
+    ("judgement",), ("baselines",), ("options", "problem", "mask"), ("adjustment", "redundancy"),
+    ("versions", "termsel"), ("checksums", "features"), ("checksums",)])
+@pytest.mark.parametrize("value", [7.0, "edited", [], None])
+def test_nothing_edited_by_hand_is_read(key: tuple[str, ...], value: object, tmp_path: Path,
+                                        ) -> None:
+    write_result(example_results()[0], tmp_path)
+    path = tmp_path / "result.json"
+    record = inner = json.loads(path.read_text())
+    for one in key[:-1]:
+        inner = inner[one]
+    assert inner[key[-1]] != value
+    inner[key[-1]] = value
+    path.write_text(json.dumps(record))
+    with pytest.raises(TermselError, match=r"(result\.json|points\.csv): .*(changed|damaged)"):
+        read_result(tmp_path)
+
+
+def test_another_layout_is_no_change_and_other_points_are(tmp_path: Path) -> None:
+    write_result(example_results()[0], tmp_path)
+    path = tmp_path / "result.json"
+    path.write_text(json.dumps(json.loads(path.read_text()), sort_keys=True))
+    assert read_result(tmp_path).to_dict() == example_results()[0].to_dict()
+    points = tmp_path / "points.csv"
+    rows = points.read_text().splitlines()
+    at = rows.index(next(row for row in rows if ",check," in row))
+    cells = rows[at].split(",")
+    cells[2] = str(float(cells[2]) + 0.01)
+    points.write_text("\n".join([*rows[:at], ",".join(cells), *rows[at + 1:]]) + "\n")
+    with pytest.raises(TermselError, match=r"points\.csv: this is not what the run wrote"):
         read_result(tmp_path)
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import platform
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, replace
@@ -14,7 +13,7 @@ import numpy as np
 from termsel.baselines import baseline, compare, figures
 from termsel.criteria import Ebic
 from termsel.crs import height_reference
-from termsel.features import BoolArray, FeatureSet
+from termsel.features import BoolArray
 from termsel.fitting import Fit, fit
 from termsel.judging import judge, name_conventional, notes_on
 from termsel.problems.base import Selection
@@ -22,6 +21,7 @@ from termsel.problems.selection import SelectionProblem, guard_points, pole_viol
 from termsel.residuals import residuals_of
 from termsel.result import LEAVE_ONE_OUT, Result, plain_rmse
 from termsel.roles import with_roles
+from termsel.sealing import of_features
 from termsel.searching import Search
 from termsel.shrinking import shrunken_coefficients
 from termsel.solvers.exact import gap, gap_of
@@ -192,7 +192,7 @@ def data_of(task: Task) -> dict[str, Any]:
     """Return what a result says of the features it was made of."""
     observations = task.observations
     return {
-        "source": task.source, "sha256": _checksum(task.features), "crs": task.features.crs,
+        "source": task.source, "sha256": of_features(task.features), "crs": task.features.crs,
         "fit_crs": task.features.fit_crs or task.features.crs,
         "heights": task.features.heights or height_reference(task.features.crs) or None,
         "noise": task.features.noise,
@@ -203,20 +203,6 @@ def data_of(task: Task) -> dict[str, Any]:
         "roles": {"control": list(observations.control.ids), "off": list(observations.off),
                   "check": list(observations.check.ids),
                   "independent": list(observations.independent.ids)}}
-
-
-def _checksum(features: FeatureSet) -> str:
-    """Return a checksum of all that was read, whatever file it came in."""
-    digest = hashlib.sha256(features.crs.encode())
-    digest.update("\n".join(features.points.roles).encode())
-    for sigma in (features.points.sigma, features.lines.sigma):
-        if sigma is not None:
-            digest.update(sigma.tobytes())
-    for part in (features.points, features.lines):
-        digest.update("\n".join(part.ids).encode())
-        digest.update(part.image.tobytes())
-        digest.update(part.ground.tobytes())
-    return digest.hexdigest()
 
 
 def versions() -> dict[str, str]:

@@ -19,6 +19,7 @@ from termsel.fitting import Fit, Rmse
 from termsel.inverse import Surface
 from termsel.problems.base import Selection
 from termsel.residuals import Residuals
+from termsel.sealing import sealed
 
 if TYPE_CHECKING:
     from termsel.rpc import Rpc
@@ -262,8 +263,9 @@ class Result:
         export(self, to, path, overwrite=overwrite, **options)
 
     def to_json(self) -> str:
-        """Return result.json as text."""
-        return json.dumps(self.to_dict(), indent=1, allow_nan=False) + "\n"
+        """Return result.json as text: `to_dict` and its checksums."""
+        record = sealed(self.to_dict(), self.features)
+        return json.dumps(record, indent=1, allow_nan=False) + "\n"
 
     def _repr_html_(self) -> str:
         """Return the summary for a notebook."""

@@ -20,6 +20,7 @@ from termsel.reloading import result_from
 from termsel.report.text import summary
 from termsel.result import SCHEMA, Result
 from termsel.roles import by_roles
+from termsel.sealing import SEALS, of_features, of_record
 
 RECORD, POINTS, LINES = "result.json", "points.csv", "lines.csv"
 RESIDUAL_COLUMNS = ("id", "kind", "role", "used", "residual_line", "residual_sample", "distance")
@@ -80,8 +81,8 @@ def read_result(folder: Path | str) -> Result:
     Raises
     ------
     TermselError
-        If there is no result, a file of it is missing, damaged or of another version, or its
-        model is of a plugin that is not installed.
+        If there is no result, a file of it is missing, was changed or is of another version, or
+        its model is of a plugin that is not installed.
     """
     path = Path(folder) / RECORD
     if not path.is_file():
@@ -99,10 +100,15 @@ def read_result(folder: Path | str) -> Result:
         raise TermselError(f"this is not a result of the form {SCHEMA}", file=path,
                            hint="Run the search again with this version of termsel.")
     try:
-        return result_from(record, _read_features(Path(folder), record))
+        seals = record[SEALS]
+        _refuse_changed(seals["record"] != of_record(record), path)
+        features = _read_features(Path(folder), record)
+        _refuse_changed(seals["features"] != of_features(features), path.with_name(
+            POINTS if len(features.points) else LINES))
+        return result_from(record, features)
     except TermselError as error:
         raise (error if error.file is not None else located(error, path)) from error
-    except (AttributeError, KeyError, TypeError, ValueError) as error:  # edited by hand
+    except (AttributeError, LookupError, TypeError, ValueError) as error:  # edited by hand
         raise TermselError(f"this result is damaged: {type(error).__name__}: {error}", file=path,
                            hint="Run the search again.") from error
 
@@ -127,6 +133,13 @@ def _read_features(folder: Path, record: Mapping[str, Any]) -> FeatureSet:
                                hint="Leave the files of a result as they are; run the search "
                                     "again.")
     return features
+
+
+def _refuse_changed(changed: bool, path: Path) -> None:
+    """Refuse a file that is not as the run left it."""
+    if changed:
+        raise TermselError("this is not what the run wrote: the file was changed since", file=path,
+                           hint="Leave the files of a result as they are; run the search again.")
 
 
 def residuals_csv(result: Result) -> str:
