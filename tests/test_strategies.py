@@ -11,6 +11,7 @@ import pytest
 import termsel
 from termsel.features import FeatureSet, Points
 from termsel.io.result_files import read_result
+from termsel.judging import TITLES
 from termsel.models.polynomial import graded_exponents, monomials
 from termsel.simulate import simulate_scene
 from termsel.strategies.averaging import average
@@ -234,6 +235,21 @@ def test_one_wrong_check_point_is_in_the_prediction() -> None:
     assert spoilt.strategy is not None
     assert clean.strategy is not None
     assert spoilt.strategy["predicted"] > 3 * clean.strategy["predicted"]
+
+
+def test_the_full_rfm_is_chosen_where_it_is_the_truth_and_can_be_named() -> None:
+    rng = np.random.default_rng(0)
+    ground = rng.uniform(-1, 1, (90, 3))
+    columns = monomials(ground, CUBIC)
+    numerators = rng.normal(size=(20, 2)) * np.array(
+        [1000.0 if sum(e) < 2 else 20.0 for e in CUBIC])[:, None]
+    denominators = rng.uniform(-0.03, 0.03, (20, 2))
+    denominators[0] = 1.0
+    image = (columns @ numerators) / (columns @ denominators) + rng.normal(0, 0.01, (90, 2))
+    choice = choose(FeatureSet(Points(tuple(f"P{i}" for i in range(90)), image, ground)), True)
+    assert choice is not None
+    assert choice.chosen.name == "rfm-3"
+    assert {one.name for one in choice.fitted} <= set(TITLES)
 
 
 def test_plane_points_get_plane_models() -> None:
