@@ -3,11 +3,19 @@
 from __future__ import annotations
 
 import sys
+from warnings import catch_warnings, simplefilter
 
 import numpy as np
 import pytest
 
-from termsel.crs import check_ground, is_geographic, normalise
+from termsel.crs import (
+    check_ground,
+    height_reference,
+    horizontal,
+    is_geographic,
+    normalise,
+    to_wgs84,
+)
 from termsel.errors import TermselError
 from termsel.features import FeatureSet, Lines, Points, no_points
 
@@ -34,7 +42,7 @@ def test_normalise(given: str, expected: str) -> None:
 
 
 @pytest.mark.parametrize("given", ["", "WGS84", "EPSG:", "EPSG:abc", "4979", "UTM 31", "OGC:x",
-                                   "EPSG:32735+4326", "POINT[3]", "[]"])
+                                   "EPSG:32735+", "POINT[3]", "[]"])
 def test_unknown_names_come_with_examples(given: str) -> None:
     with pytest.raises(TermselError, match=r"unknown CRS .*EPSG:4979 .*EPSG:32631 .*local"):
         normalise(given)
@@ -53,6 +61,30 @@ def test_pyproj_knows_which_codes_exist() -> None:
         normalise("EPSG:5773")
     with pytest.raises(TermselError, match="cannot be read"):
         normalise('PROJCS["half"]')
+
+
+def test_heights_of_their_own() -> None:
+    pytest.importorskip("pyproj")
+    assert normalise("epsg:4326+5773") == "EPSG:9707"  # which is these two
+    assert normalise("EPSG:32639+05773") == "EPSG:32639+5773"
+    assert height_reference("EPSG:32639+5773") == "EGM96 height"
+    assert horizontal("EPSG:32639+5773") == "EPSG:32639"
+    with pytest.raises(TermselError, match="look like degrees"):
+        check_ground(ground("EPSG:32639+5773", (5, 44)))
+    assert height_reference("EPSG:32735+4326") == "ellipsoidal (WGS 84)"
+    with pytest.raises(TermselError, match=r"'EPSG:5773\+32735' does not exist"):
+        normalise("EPSG:5773+32735")
+
+
+def test_the_grid_of_a_geoid_that_is_missing_is_named() -> None:
+    pyproj = pytest.importorskip("pyproj")
+    with catch_warnings():
+        simplefilter("ignore")
+        group = pyproj.transformer.TransformerGroup("EPSG:32639+5773", "EPSG:4979")
+    if group.best_available:
+        pytest.skip("PROJ has the grid here")
+    with pytest.raises(TermselError, match=r"without the grid us_nga_egm96_15\.tif.*pyproj sync"):
+        to_wgs84("EPSG:32639+5773")
 
 
 def test_wkt_becomes_its_code() -> None:

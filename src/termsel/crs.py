@@ -11,6 +11,7 @@ import re
 from collections.abc import Callable, Sequence
 from functools import lru_cache
 from typing import TYPE_CHECKING
+from warnings import catch_warnings, simplefilter
 
 import numpy as np
 
@@ -31,6 +32,7 @@ Transformation = Callable[[FloatArray], FloatArray]
 """From ground coordinates to others, shapes (n, 3)."""
 
 _CODE = re.compile(r"(?:urn:ogc:def:crs:)?(EPSG|OGC):(?:[\d.]*:)?(\w+)", re.IGNORECASE)
+_COMPOUND = re.compile(r"EPSG:(\d{1,9})\+(\d{1,9})", re.IGNORECASE)
 # x is longitude in termsel, so the OGC names say nothing more than the EPSG codes.
 _OGC = {"CRS84": "EPSG:4326", "CRS84H": "EPSG:4979"}
 _UTM = re.compile(r"EPSG:32([67])(0[1-9]|[1-5]\d|60)")
@@ -53,13 +55,14 @@ def normalise(crs: str) -> str:
     Parameters
     ----------
     crs : str
-        "EPSG:n", "OGC:CRS84", their URN forms, WKT, or "local".
+        "EPSG:n", "EPSG:n+m" with heights of their own, "OGC:CRS84", their URN forms, WKT, or
+        "local".
 
     Returns
     -------
     str
-        "EPSG:n" where the code is known, pyproj finds it or WKT ends with it, else the WKT, or
-        "local".
+        "EPSG:n" where the code is known, pyproj finds it or WKT ends with it, else "EPSG:n+m" or
+        the WKT, or "local".
 
     Raises
     ------
@@ -80,7 +83,8 @@ def normalise(crs: str) -> str:
             if name not in WGS84 and not _UTM.fullmatch(name):
                 _with_pyproj(name)
             return name
-    elif _WKT.fullmatch(text):
+    elif (two := _COMPOUND.fullmatch(text)) or _WKT.fullmatch(text):
+        text = f"EPSG:{int(two[1])}+{int(two[2])}" if two else text
         known = _with_pyproj(text)
         if known is None:
             own = _AUTHORITY.search(text)
@@ -171,7 +175,13 @@ def transformation(source: str, target: str, *, strict: bool = True) -> Transfor
     try:
         turn = Transformer.from_crs(*ends, always_xy=True, allow_ballpark=False)
     except ProjError as error:
-        raise TermselError(f"{failure}: {error}") from error
+        grids = _missing_grids(*ends)
+        if not grids:
+            raise TermselError(f"{failure}: {error}") from error
+        raise TermselError(
+            f"{failure} without the grid {' or '.join(grids)}, which PROJ does not have",
+            hint=f"Get it: pyproj sync --file {grids[0]}, or PROJ_NETWORK=ON. Or give "
+                 "ellipsoidal heights, as in EPSG:4979.") from error
 
     def convert(ground: FloatArray) -> FloatArray:
         known_heights = np.nan_to_num(ground, nan=0.0)
@@ -284,6 +294,17 @@ def check_ground(features: FeatureSet) -> None:
             _check_range(xy, ids, *_UTM_RANGE[utm[1]],
                          f"cannot be easting and northing in {crs} (UTM)",
                          "x is easting and y northing, in metres; is this the CRS of the file?")
+
+
+def _missing_grids(source: CRS, target: CRS) -> list[str]:
+    """Return the names of grids with which PROJ could transform."""
+    from pyproj.transformer import TransformerGroup
+
+    with catch_warnings():
+        simplefilter("ignore")  # that grids are missing
+        group = TransformerGroup(source, target, always_xy=True)
+    return list(dict.fromkeys(grid.short_name for operation in group.unavailable_operations
+                              for grid in operation.grids if not grid.available))
 
 
 def _check_range(xy: FloatArray, ids: Sequence[str], low: tuple[float, float],
