@@ -15,7 +15,10 @@ import termsel
 from termsel.adjustment.equations import line_normals
 from termsel.diagnosis import correlations, doubts, orientation_spread, significance
 from termsel.features import Lines
+from termsel.fitting import fit
+from termsel.models.polynomial import Polynomial3D
 from termsel.rpc import Rpc
+from termsel.scaling import scaling_of
 
 QUICK = {"population": 40, "polish": False}
 
@@ -37,6 +40,24 @@ def test_wrong_lines_are_told_from_those_not_needed() -> None:
     assert {"L005", "L006", "L027", "L049", "L050", "L086", "L098", "L099"} <= set(found.wrong)
     assert 0.5 * 0.7 < found.sigma < 2.0 * 0.7
     assert result.to_dict()["doubts"]["wrong"] == dict(found.wrong)
+
+
+def test_features_are_doubted_by_their_own_deviation() -> None:
+    """Every third point is ten times less exact, and says so; one more is wrong."""
+    scene = termsel.simulate_scene("ikonos-hamedan", n_points=150, n_lines=0, noise=0.3)
+    control = scene.points.take(np.array(scene.points.roles) == "control")
+    n, rng = len(control), np.random.default_rng(1)
+    sigma = np.where(np.arange(n) % 3 == 0, 3.0, 0.3)[:, None] * [1, 1]
+    image = control.image + rng.normal(0, 1, (n, 2)) * np.where(sigma > 1, sigma, 0)
+    image[1] += 6.0
+    points = termsel.Points(control.ids, image, control.ground, sigma)
+    features = termsel.FeatureSet(points, crs=scene.crs)
+    used = (np.arange(n) % 3 != 0) & (np.arange(n) != 1)
+    found = doubts(fit(Polynomial3D(), features, scaling_of(features), used=used))
+    assert found is not None
+    assert list(found.wrong) == [control.ids[1]]
+    assert 0.2 < found.sigma < 0.5
+    assert len(found.spare) == n - used.sum() - 1
 
 
 def test_nothing_is_doubted_where_all_is_in_use() -> None:

@@ -9,6 +9,7 @@ import numpy as np
 from scipy.special import stdtr
 
 from termsel.adjustment.equations import line_normals
+from termsel.adjustment.lines import relative_deviations
 from termsel.features import FloatArray, Lines, select
 from termsel.fitting import Fit
 
@@ -34,7 +35,8 @@ class Doubts:
     sigma : float
         Standard deviation of a measured coordinate [pixel], from the median error of all control
         features on offer, those in use enlarged by what the adjustment takes from them; few
-        wrong ones, used or not, do not move it.
+        wrong ones, used or not, do not move it. Where deviations are given, it is that of a
+        feature with the median one.
     wrong : mapping
         Features whose error is beyond 3 sigma, with that error [pixel]: probably measured or
         matched wrongly.
@@ -73,12 +75,14 @@ def doubts(fit: Fit) -> Doubts | None:
     if len(lines):
         rows = np.concatenate([rows, np.linalg.norm(fit.line_errors(), axis=2)])
     feature = fit.control.feature
-    errors = np.zeros(len(fit.control))
+    errors, relative = np.zeros((2, len(fit.control)))
     np.maximum.at(errors, feature, rows.max(axis=1))
+    rows /= relative_deviations(fit.control)
+    np.maximum.at(relative, feature, rows.max(axis=1))
     left = fit.adjustment.redundancy / fit.adjustment.n_equations
     enlarged = rows / np.sqrt(np.where(fit.used[feature], max(left, 0.1), 1.0))[:, None]
     sigma = float(np.median(enlarged)) / NORMAL_MEDIAN
-    beyond = errors > BEYOND * sigma
+    beyond = relative > BEYOND * sigma
     ids = fit.control.ids
     return Doubts(sigma, {ids[i]: float(errors[i]) for i in np.flatnonzero(beyond)},
                   select(ids, beyond & fit.used), select(ids, ~beyond & ~fit.used))

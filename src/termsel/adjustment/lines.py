@@ -47,6 +47,30 @@ def approximate_image(features: FeatureSet, *, heights: bool = True) -> FloatArr
     return np.asarray(on_lines @ x.T)
 
 
+def relative_deviations(features: FeatureSet) -> FloatArray:
+    """Return the standard deviations of points, then of lines, over the median one.
+
+    Parameters
+    ----------
+    features : FeatureSet
+
+    Returns
+    -------
+    ndarray, shape (n_points + n_lines, 2)
+        Of line and sample, of lines across them; 1 where none is given.
+    """
+    points, lines = features.points, features.lines
+    given = [sigma.ravel() for sigma in (points.sigma, lines.sigma) if sigma is not None]
+    deviation = np.ones((len(points) + len(lines), 2))
+    if given:
+        unit = np.median(np.concatenate(given))
+        if points.sigma is not None:
+            deviation[:len(points)] = points.sigma / unit
+        if lines.sigma is not None:
+            deviation[len(points):] = lines.sigma[:, None] / unit
+    return deviation
+
+
 def row_weights(features: FeatureSet, *, heights: bool = True) -> FloatArray:
     """Return weights of the rows of points, then of lines, two each.
 
@@ -69,21 +93,15 @@ def row_weights(features: FeatureSet, *, heights: bool = True) -> FloatArray:
         The median standard deviation, or 1 where none is given, over that of the row.
     """
     points, lines = features.points, features.lines
-    given = [sigma.ravel() for sigma in (points.sigma, lines.sigma) if sigma is not None]
-    unit = float(np.median(np.concatenate(given))) if given else 1.0
-    deviation = np.full((len(points) + len(lines), 2), unit)
-    if points.sigma is not None:
-        deviation[:len(points)] = points.sigma
+    deviation = relative_deviations(features)
     if len(lines):
-        if lines.sigma is not None:
-            deviation[len(points):] = lines.sigma[:, None]
         along = lines.image[:, 1] - lines.image[:, 0]
         length = np.linalg.norm(along, axis=1)[:, None]
         vertices = approximate_image(features, heights=heights).reshape(-1, 2, 2)
         place = np.einsum("ia,iva->iv", along / length,
                           vertices - lines.image.mean(axis=1)[:, None])
         deviation[len(points):] *= np.sqrt(0.5 + 2.0 * (place / length) ** 2)
-    return np.asarray(unit / deviation.ravel())
+    return np.asarray(1.0 / deviation.ravel())
 
 
 def image_equations(features: FeatureSet, of_points: FloatArray, of_vertices: FloatArray,
