@@ -407,20 +407,35 @@ def without_check() -> FeatureSet:
 
 
 @pytest.mark.parametrize("criterion", CRITERIA)
-@pytest.mark.parametrize("features", [None, without_check()], ids=["check", "no check"])
-def test_a_search_with_and_without_check_points(criterion: str,
-                                                features: FeatureSet | None) -> None:
-    result = termsel.run("rfm-terms", criterion=criterion, features=features, generations=15,
-                         options={"population": 60, "polish": False})
-    assert result.feasible
-    assert result.criterion == criterion
-    assert set(result.objectives) == {criterion}
-    assert result.rmse["independent"].total < 20
-    assert (result.rmse["check"] is None) == (features is not None)
-    text = json.loads(result.to_json())
-    assert (text["rmse"]["check"]["total"] is None) == (features is not None)
-    assert "independent points" in result.judgement
-    assert summary(result)
+def test_control_and_check_points_are_used_together(criterion: str) -> None:
+    given = {"criterion": criterion, "generations": 15}
+    options = {"population": 60, "polish": False}
+    results = [termsel.run("rfm-terms", features=features, options=options, **given)
+               for features in (None, without_check())]
+    for result in results:
+        assert result.feasible
+        assert result.criterion == criterion
+        assert set(result.objectives) == {criterion}
+        assert result.rmse["independent"].total < 20
+        assert result.rmse["check"] is None
+        assert json.loads(result.to_json())["rmse"]["check"]["total"] is None
+        assert "independent points" in result.judgement
+        assert "control: 48 points; 0 check points" in summary(result).lower()
+        assert result.options["data"]["check_as"] == "control"
+    # The points come in another order, of which the folds and rounding take notice.
+    assert set(results[0].fit.control.ids) == set(results[1].fit.control.ids)
+    apart = termsel.run("rfm-terms", options={**options, "check_as": "judge"}, **given)
+    assert apart.rmse["check"].n == apart.rmse["control"].n == 24
+
+
+def test_check_points_beside_lines_alone_stay_apart() -> None:
+    task = termsel.prepare("owdis-lines", criterion="press")
+    assert task.options["data"]["check_as"] == "judge"
+    assert len(task.observations.check) == 24
+    mixed = termsel.prepare("owdis-lines", criterion="press", options={"mixed": True})
+    assert len(mixed.observations.control.points) == 48
+    with pytest.raises(termsel.TermselError, match="0 check points are too few"):
+        termsel.prepare("rfm-terms", options={"check_as": "control"})
 
 
 def test_lines_alone_need_no_check_points() -> None:

@@ -8,11 +8,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from termsel.adjustment.solve import TOLERANCE
-from termsel.features import FeatureSet, join_points
+from termsel.features import FeatureSet
 from termsel.fitting import Fit, Rmse, fit
 from termsel.models.rational import RationalFunctions
 from termsel.result import LEAVE_ONE_OUT, Baseline
-from termsel.roles import Observations
+from termsel.roles import Observations, together
 from termsel.scaling import scaling_of
 from termsel.shrinking import shrunken_coefficients
 from termsel.strategies.portfolio import SELECTED, SHRUNK, Choice, choose
@@ -71,12 +71,6 @@ def compare(observations: Observations) -> Comparison:
         if name in found:
             baselines.append(baseline(name, *found[name], observations))
     return Comparison(tuple(baselines), choice.chosen.name if choice else "", choice)
-
-
-def together(observations: Observations) -> FeatureSet:
-    """Return control and check points as control."""
-    control = observations.control
-    return control.with_(points=join_points(control.points, observations.check))
 
 
 def _rational(both: FeatureSet) -> Iterator[tuple[str, Fit]]:

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from termsel.baselines import has_heights, together
+from termsel.baselines import has_heights
 from termsel.crs import (
     LOCAL,
     WGS84,
@@ -20,7 +20,7 @@ from termsel.errors import TermselError
 from termsel.features import FeatureSet
 from termsel.models.base import SensorModel
 from termsel.options import Option
-from termsel.roles import Observations
+from termsel.roles import Observations, together
 from termsel.strategies.portfolio import choose
 
 log = logging.getLogger(__name__)

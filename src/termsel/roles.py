@@ -9,7 +9,15 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from termsel.errors import TermselError
-from termsel.features import FeatureSet, FloatArray, IntArray, Points, no_lines, no_points
+from termsel.features import (
+    FeatureSet,
+    FloatArray,
+    IntArray,
+    Points,
+    join_points,
+    no_lines,
+    no_points,
+)
 
 ASSIGNABLE = ("control", "check", "independent")
 THIRDS = (1 / 3, 1 / 3, 1 / 3)
@@ -169,6 +177,12 @@ def observe(
         check=points.take(roles == "check"),
         independent=points.take(roles == "independent"),
         off=tuple(points.ids[i] for i in np.flatnonzero(off)))
+
+
+def together(observations: Observations) -> FeatureSet:
+    """Return control and check points as control."""
+    control = observations.control
+    return control.with_(points=join_points(control.points, observations.check))
 
 
 def with_roles(features: FeatureSet, observations: Observations) -> FeatureSet:

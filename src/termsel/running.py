@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,7 @@ from termsel.coordinates import FIT_CRS, with_fit_crs
 from termsel.criteria import Criterion
 from termsel.diagnosis import orientation_spread
 from termsel.errors import TermselError, unknown_name
-from termsel.features import FeatureSet, Points
+from termsel.features import FeatureSet, Points, no_points
 from termsel.models.base import SensorModel, require_heights
 from termsel.options import Option, resolve
 from termsel.plugins.manager import registry
@@ -25,7 +25,7 @@ from termsel.problems.recipes import Recipe
 from termsel.problems.redundancy import MAX_SHARE
 from termsel.problems.selection import Inputs
 from termsel.result import Result
-from termsel.roles import Observations, observe
+from termsel.roles import Observations, observe, together
 from termsel.scaling import Scaling, scaling_of
 from termsel.searching import Observer, require_able
 from termsel.solvers.base import Solver
@@ -41,6 +41,9 @@ DATA_OPTIONS = (
     Option("fractions", "1:1:1", "Shares of control, check and independent points among those "
            "shared out."),
     Option("split", 0, "Seed of the sharing out of roles.", int, 0),
+    Option("check_as", None, "What check points are: judges of each selection, or further control. "
+           "By default judges; where points are the control and the criterion needs no check "
+           "points, control.", choices=("judge", "control")),
     FIT_CRS,
 )
 
@@ -156,6 +159,11 @@ def prepare(
         how=of_data["roles"],
         fractions=_fractions(of_data["fractions"], the_criterion.needs_check),
         rng=np.random.default_rng(of_data["split"]))
+    if of_data["check_as"] is None:
+        judging = the_criterion.needs_check or not len(observations.control.points)
+        of_data["check_as"] = "judge" if judging else "control"
+    if of_data["check_as"] == "control":
+        observations = replace(observations, control=together(observations), check=no_points())
     require_heights(the_model, _taking_part(observations))
     _require_enough(observations, recipe, the_criterion)
     if of_data["fit_crs"] is not None:
@@ -308,7 +316,10 @@ def run(
             **{f"the option {key}": True for key in prepared.get("options") or ()
                if key not in {option.name for option in DATA_OPTIONS}},
             "a budget": any(b is not None for b in (generations, evaluations, seconds))})
-        task = prepare(problem, **{**prepared, **(AUTO if auto else {})})
+        if auto:  # which uses check points as control and yet shows their figures
+            prepared |= {**AUTO, "options": {"check_as": "judge",
+                                             **(prepared.get("options") or {})}}
+        task = prepare(problem, **prepared)
     if out is not None:
         claim_folder(Path(out))
     if needs_compilation():

@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 
 from termsel.assessing import recommended
-from termsel.baselines import figures, in_role, together
+from termsel.baselines import figures, in_role
 from termsel.errors import TermselError
 from termsel.features import BoolArray, FeatureSet, FloatArray, select
 from termsel.fitting import Rmse, fit
 from termsel.problems.selection import guard_points, pole_violation
 from termsel.result import Rmses, plain_rmse
-from termsel.roles import with_roles
+from termsel.roles import together, with_roles
 from termsel.running import Task, prepare
 from termsel.scaling import scaling_of
 from termsel.searching import search

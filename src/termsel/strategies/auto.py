@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from termsel.assessing import data_of, versions
-from termsel.baselines import compare, figures, has_heights, in_role, together
+from termsel.baselines import compare, figures, has_heights, in_role
 from termsel.errors import TermselError
 from termsel.extrapolation import warnings_of
 from termsel.features import FeatureSet, no_points, select
@@ -18,7 +18,7 @@ from termsel.problems.base import Selection
 from termsel.problems.recipes import Recipe
 from termsel.residuals import residuals_of
 from termsel.result import Result
-from termsel.roles import with_roles
+from termsel.roles import together, with_roles
 from termsel.strategies.portfolio import MAX_FOLDS, portfolio, repeated
 
 if TYPE_CHECKING:
