@@ -60,7 +60,8 @@ def six_of_twelve() -> SelectionProblem:
                {"min_features": 6, "max_features": 6}), terms=False, features=True)
 
 
-ORDERS = [{"order": order, "denominators": kind}
+# Held near zero, denominators are not exactly those of lines without noise.
+ORDERS = [{"order": order, "denominators": kind, **({"ridge": 0.0} if kind == "shared" else {})}
           for order in (1, 2, 3) for kind in ("separate", "shared", "none")]
 SUITES: dict[str, tuple[Check, ...]] = {
     "rfm": model_checks(RationalFunctions, options=ORDERS),

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from termsel import prepare
+from termsel import prepare, simulate_scene
 from termsel.adjustment.equations import line_normals
 from termsel.adjustment.lines import row_weights
-from termsel.features import FeatureSet, Lines, Points
+from termsel.features import FeatureSet, Lines, Points, no_points
 from termsel.fitting import fit
 from termsel.models.rational import RationalFunctions
 from termsel.scaling import scaling_of
@@ -73,3 +73,21 @@ def test_a_fit_to_lines_is_the_least_squares_of_distances(order: int, ridge: flo
     first = model.equations(scaled)
     start = np.linalg.lstsq(first.A[:, terms], first.b, rcond=None)[0]
     assert (distances(x) ** 2).sum() <= (distances(start) ** 2).sum()
+
+
+def test_a_shared_denominator_keeps_off_zero_in_the_scene() -> None:
+    """With a term for every other line, noise alone would let it grow to a pole."""
+    scene = simulate_scene("ikonos-hamedan", n_points=74, n_lines=120, wrong_lines=0, seed=3)
+    control = scene.with_(points=no_points())
+    scaling = scaling_of(control)
+    held, free, plain = (fit(RationalFunctions(order=3, **options), control, scaling)
+                         for options in ({"denominators": "shared"},
+                                         {"denominators": "shared", "ridge": 0.0},
+                                         {"denominators": "none"}))
+    ground = scaling.features(control).ground_vertices()
+    below = held.model.denominators(held.adjustment.coefficients, ground)
+    assert below is not None
+    assert np.abs(below - 1).max() < 0.1
+    # More terms can only come nearer to the lines.
+    assert held.control_rmse().total < plain.control_rmse().total  # type: ignore[union-attr]
+    assert free.control_rmse().total > 2 * plain.control_rmse().total  # type: ignore[union-attr]

@@ -55,7 +55,7 @@ class RationalFunctions(RationalModel):
                choices=("separate", "shared", "none")),
         Option("ridge", None, "Weight, in scaled coordinates, of pseudo-observations that the "
                "coefficients of denominators are zero; 0 for none. By default "
-               f"{RIDGE} with control lines under separate denominators, and else none.",
+               f"{RIDGE} with control lines, unless for a DLT (order 1, shared), and else none.",
                float, 0.0),
     )
 
@@ -87,7 +87,8 @@ class RationalFunctions(RationalModel):
     def _prior(self, features: FeatureSet) -> FloatArray | None:
         ridge = self.options["ridge"]
         if ridge is None:
-            ridge = 0.0 if self.exact_for_lines or not len(features.lines) else RIDGE
+            is_dlt = self.options["order"] == 1 and self.exact_for_lines
+            ridge = RIDGE if len(features.lines) and not is_dlt else 0.0
         below = np.array(["den:" in name for name in self.terms])
         return np.sqrt(ridge) * below if ridge and below.any() else None
 
