@@ -85,7 +85,7 @@ def assign(
     Parameters
     ----------
     xy : array_like, shape (n, 2)
-        Image positions [pixel].
+        Where the points are, on the ground or in the image.
     how : {"stratified", "random"}
         "stratified" gives neighbouring points different roles, so that each role covers
         the scene; "random" draws without regard to place.
@@ -167,7 +167,8 @@ def observe(
     blank = np.flatnonzero(roles == "")
     if blank.size:
         shares = (0.0, *fractions[1:]) if control == "lines" else tuple(fractions)
-        roles[blank] = _share_out(points.image[blank], shares, how, rng)
+        # By the ground, so that what an independent point's image coordinates are changes no role.
+        roles[blank] = _share_out(points.ground[blank, :2], shares, how, rng)
     keep_control = roles == "control" if control != "lines" else np.zeros(len(points), dtype=bool)
     off = (roles == "off") | ((roles == "control") & ~keep_control)
     return Observations(
