@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from termsel.adjustment.parts import Part
+from termsel.errors import TermselError
 from termsel.features import BoolArray, FloatArray, IntArray
 from termsel.problems.base import Segment
 
@@ -70,6 +71,11 @@ def capped(segments: Iterable[Segment], gene_of_term: IntArray, parts: tuple[Par
     gene_of_term : ndarray of int, shape (k,)
     parts : tuple of Part
     share : float
+
+    Raises
+    ------
+    TermselError
+        If a segment may have no term at all.
     """
     found, start = [], 0
     for segment in segments:
@@ -79,8 +85,14 @@ def capped(segments: Iterable[Segment], gene_of_term: IntArray, parts: tuple[Par
         for part in parts:
             columns = np.bincount(gene_of_term[part.columns], minlength=start)[genes]
             if columns.any():
-                bears = int(most_terms(np.array(len(part.equations.b)), share))
+                equations = len(part.equations.b)
+                bears = int(most_terms(np.array(equations), share))
                 # Genes of no column here are free; the others switch as many as the fewest do.
                 most = min(most, int((columns == 0).sum()) + bears // columns[columns > 0].min())
-        found.append(replace(segment, maximum=max(most, 0)))
+        if most < 1:
+            of = segment.name.replace(".", " of ")
+            raise TermselError(f"max_share={share:.2g} allows no {of}: the control gives "
+                               f"{equations} equations",
+                               hint="Raise max_share or give more control.")
+        found.append(replace(segment, maximum=most))
     return found

@@ -47,7 +47,7 @@ def _head(result: Result) -> Iterator[str]:
     yield (f"Selected: {_share(len(result.selection.features), len(result.fit.control))} control "
            f"features, {_share(len(result.selection.terms), len(result.fit.model.terms))} terms; "
            f"redundancy {result.fit.adjustment.redundancy}")
-    share = result.options["problem"].get("max_share") or 1.0
+    share = result.options["problem"].get("max_share", 1.0)
     if share < 1:
         yield (f"Terms are {100 * share:.0f} % of their equations at most; --set max_share=1 lifts "
                "this")
