@@ -96,29 +96,43 @@ def replace_one(tuples: IntArray, n: int, probability: float,
 class Coding:
     """Selections as tuples of the numbers of what is free to be chosen.
 
+    Where a selection may have fewer than m, numbers that stand for nothing fill its tuple up.
+
     Parameters
     ----------
     free : ndarray of int, shape (n,)
-        Which gene each number stands for; forced genes have none.
+        Which gene each of the first n numbers stands for; forced genes have none.
     m : int
-        How many of them are on.
+        How many of them are on at most.
+    blanks : int
+        How many fewer there may be: so many numbers, from n, stand for nothing.
     forced : ndarray of bool, shape (size,)
         Genes that are always on.
     """
 
     free: IntArray
     m: int
+    blanks: int
     forced: BoolArray
+
+    @property
+    def numbers(self) -> int:
+        """How many numbers there are to draw from."""
+        return len(self.free) + self.blanks
 
     def tuples(self, genes: BoolArray) -> IntArray:
         """Return chromosomes, shape (p, m), each row ascending, from genes (p, size)."""
-        return np.nonzero(genes[:, self.free])[1].reshape(len(genes), self.m)
+        on = genes[:, self.free]
+        blank = np.arange(self.blanks) < self.m - on.sum(axis=1, keepdims=True)
+        return np.nonzero(np.concatenate([on, blank], axis=1))[1].reshape(len(genes), self.m)
 
     def genes(self, tuples: IntArray) -> BoolArray:
         """Return genes, shape (p, size), from chromosomes (p, m)."""
-        genes = np.repeat(self.forced[None], len(tuples), axis=0)
-        np.put_along_axis(genes, self.free[tuples], True, axis=1)
-        return genes
+        size = len(self.forced)
+        genes = np.zeros((len(tuples), size + 1), dtype=bool)
+        gene = np.concatenate([self.free, np.full(self.blanks, size)])
+        np.put_along_axis(genes, gene[tuples], True, axis=1)
+        return np.asarray(genes[:, :size] | self.forced)
 
 
 def coding(genome: Genome) -> Coding:
@@ -127,7 +141,7 @@ def coding(genome: Genome) -> Coding:
     Raises
     ------
     TermselError
-        If its genes are not one segment with a fixed number of them on.
+        If its genes are not one segment.
     """
     if len(genome.segments) > 1:
         names = ", ".join(segment.name for segment in genome.segments)
@@ -137,17 +151,13 @@ def coding(genome: Genome) -> Coding:
                  "min_features=12 --set max_features=12, or another solver, such as "
                  "--solver ga.")
     segment = genome.segments[0]
-    if segment.minimum != segment.maximum:
-        raise TermselError(
-            f"solver 'ga-steady' chooses m of n, and the number of {segment.name} is not fixed",
-            hint="Fix it where the problem allows it, such as --problem owdis-points with --set "
-                 "min_features=12 --set max_features=12, or choose another solver, such as "
-                 "--solver ga.")
-    return Coding(np.flatnonzero(genome.free), segment.minimum - int(genome.on.sum()), genome.on)
+    free, forced = np.flatnonzero(genome.free), int(genome.on.sum())
+    most = len(free) if segment.maximum is None else min(segment.maximum - forced, len(free))
+    return Coding(free, most, most - max(segment.minimum - forced, 0), genome.on)
 
 
 class SteadyStateGA(GeneticAlgorithm):
-    """Steady-state GA that chooses a fixed number of features: m of n.
+    """Steady-state GA that chooses m features of n, with m fixed or in a range.
 
     Konugurthi et al. 2016, page 380: a chromosome is a tuple of m feature numbers out of n;
     about half of the population, the best, lives on; chromosomes drawn at random join every
@@ -159,9 +169,10 @@ class SteadyStateGA(GeneticAlgorithm):
     sets, which keeps what both parents have and fills up from what one of them has, so that no
     feature is met twice; a mutation that replaces one feature by one the chromosome lacks; and
     that of equal chromosomes one lives on, for else copies of one fill the population and the
-    search stands still. The paper takes 10 chromosomes and 20 generations, of models that need
-    seconds to be judged; selections are judged in microseconds here, so the defaults are ten
-    times that.
+    search stands still. For m in a range tuples are as long as its end, and some of their
+    numbers stand for no feature. The paper takes 10 chromosomes and 20 generations, of models
+    that need seconds to be judged; selections are judged in microseconds here, so the defaults
+    are ten times that.
     """
 
     name = "ga-steady"
@@ -183,7 +194,7 @@ class SteadyStateGA(GeneticAlgorithm):
         """Return the DEAP toolbox: that of the GA with operators on tuples, and immigrants."""
         o = self.options
         code = coding(problem.genome)
-        n = len(code.free)
+        n = code.numbers
         box = base.Toolbox()
         box.register("tuples", code.tuples)
         box.register("genes", code.genes)
