@@ -9,6 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from threadpoolctl import threadpool_info, threadpool_limits
 
 import termsel
 from termsel.features import FeatureSet, Points
@@ -260,3 +261,16 @@ def test_real_data_run_and_make_sense(name: str, data_folder) -> None:
     assert result.feasible
     affine = next(b for b in result.baselines if b.name == "affine")
     assert result.rmse["independent"].total < affine.rmse["independent"].total
+
+
+def test_linear_algebra_keeps_to_one_thread() -> None:
+    def threads() -> set[int]:
+        return {one["num_threads"] for one in threadpool_info() if one["user_api"] == "blas"}
+
+    seen = []
+    with threadpool_limits(2, user_api="blas"):
+        termsel.run("owdis-points", generations=1, options={"polish": False},
+                    observers=[lambda _: seen.append(threads())])
+        assert threads() == {2}
+    assert seen
+    assert all(one == {1} for one in seen)

@@ -31,6 +31,7 @@ from termsel.searching import Observer, require_able
 from termsel.solvers.base import Solver
 from termsel.stepping import search_in_steps
 from termsel.strategies.auto import choose_for, wanted
+from termsel.threads import one_blas_thread
 
 log = logging.getLogger(__name__)
 
@@ -250,6 +251,7 @@ def _require_enough(observations: Observations, recipe: Recipe, criterion: Crite
             hint="Add lines of another direction, or control points with --set mixed=true.")
 
 
+@one_blas_thread
 def run(
     problem: str | Task,
     *,

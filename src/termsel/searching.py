@@ -14,6 +14,7 @@ from termsel.features import BoolArray, FloatArray
 from termsel.problems.base import EnumerablePart, Evaluation, Problem, Selection
 from termsel.solvers.base import Generation, Solver
 from termsel.solvers.local import climb, neighbours
+from termsel.threads import one_blas_thread
 
 POLISH_SHARE = 3
 """Most evaluations of a polish by those of the search before it: as many as let the embedded
@@ -239,6 +240,7 @@ def _keys(genes: BoolArray) -> list[bytes]:
     return [row.tobytes() for row in packed]
 
 
+@one_blas_thread
 def search(
     problem: Problem,
     solver: Solver,

@@ -19,6 +19,7 @@ from termsel.roles import together, with_roles
 from termsel.running import Task, prepare
 from termsel.scaling import scaling_of
 from termsel.searching import search
+from termsel.threads import one_blas_thread
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,6 +64,7 @@ class Stability:
                 "rmse": plain_rmse(self.rmse) if self.determined else None}
 
 
+@one_blas_thread
 def stability(
     problem: str,
     *,
