@@ -210,8 +210,11 @@ def adjust(model: SensorModel, features: FeatureSet, terms: BoolArray,
                 break
         else:
             break
+        there = solve(nearer, terms, used)
+        if not there.feasible:  # near a pole, where the equations say nothing of what is determined
+            break
         equations = nearer
-        adjustment = replace(solve(equations, terms, used), coefficients=coefficients,
+        adjustment = replace(there, coefficients=coefficients,
                              residuals=equations.b - equations.A @ coefficients)
     return adjustment
 
