@@ -57,7 +57,7 @@ def test_auto_is_the_default_where_only_points_are_given(result: termsel.Result)
     assert result.strategy["name"] == "auto"
     names = [one["name"] for one in result.strategy["candidates"]]
     assert result.strategy["chosen"] in names
-    assert {"affine", "dlt", "quadratic", "cubic", "selected", SHRUNK} <= set(names)
+    assert {"affine", "dlt", "quadratic", "cubic", "selected", *SHRUNK.values()} <= set(names)
     quadratic = next(b for b in result.baselines if b.name == "quadratic")
     assert result.rmse["independent"].total < quadratic.rmse["independent"].total
 

@@ -67,7 +67,7 @@ def compare(observations: Observations) -> Comparison:
         else:
             baselines.append(Baseline(name, n_terms, BOTH, False, dict.fromkeys(
                 ("control", "check", "independent"))))
-    for name in (SELECTED, SHRUNK):
+    for name in (SELECTED, *SHRUNK.values()):
         if name in found:
             baselines.append(baseline(name, *found[name], observations))
     return Comparison(tuple(baselines), choice.chosen.name if choice else "", choice)

@@ -26,7 +26,9 @@ TITLES = {
     "affine": "an affine polynomial", "dlt": "a DLT", "projective": "a projective transformation",
     "quadratic": "a quadratic polynomial", "cubic": "a cubic polynomial",
     "rfm-2": "a second-order RFM", "rfm-3": "a third-order RFM",
-    "selected": "a cubic polynomial of selected terms", "shrunken": "a shrunken cubic polynomial"}
+    "selected": "a cubic polynomial of selected terms",
+    "shrunken-quadratic": "a shrunken quadratic polynomial",
+    "shrunken-cubic": "a shrunken cubic polynomial"}
 """Baselines among which leave-one-out chooses, in words."""
 
 PLAIN = ("affine", "dlt", "projective", "quadratic", "cubic", "rfm-2")

@@ -14,7 +14,7 @@ _WIDTH = 88
 _LONGEST_FRONT = 40
 _TITLES = {"all-terms": "conventional (all)", "dlt": "DLT", "rfm-2": "second-order RFM",
            "rfm-3": "full RFM", "ridge": "full RFM, ridge", "selected": "selected cubic",
-           "shrunken": "shrunken cubic"}
+           "shrunken-quadratic": "shrunken quadratic", "shrunken-cubic": "shrunken cubic"}
 
 
 def summary(result: Result) -> str:

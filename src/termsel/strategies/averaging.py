@@ -149,9 +149,9 @@ def average(ground: FloatArray, image: FloatArray, exponents: Exponents,
 def _scales(exponents: FloatArray) -> FloatArray:
     """Return standard deviations of the shrunken coefficients for size 1, shape (g, k)."""
     order, height = exponents.sum(axis=1), exponents[:, 2]
-    reliefs = RELIEFS if height.any() else (1.0,)
+    reliefs, falls = RELIEFS if height.any() else (1.0,), FALLS if order.max() > 2 else (1.0,)
     rule = np.array([fall ** (order - 2.0) * relief ** height
-                     for fall in FALLS for relief in reliefs])
+                     for fall in falls for relief in reliefs])
     rng = np.random.default_rng(0)
     own = np.exp(SPREAD * rng.standard_normal((DRAWS, *rule.shape)))
     return np.concatenate([rule, (rule * own).reshape(-1, rule.shape[1])])

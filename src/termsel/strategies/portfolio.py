@@ -27,14 +27,16 @@ from termsel.scaling import Scaling, scaling_of
 from termsel.strategies.averaging import average
 from termsel.strategies.forward import select_forward
 
-SHRUNK = "shrunken"
-"""Name of the candidate that is taken unless one that it does not contain is clearly better."""
+SHRUNK = {2: "shrunken-quadratic", 3: "shrunken-cubic"}
+"""Names by degree of the candidates of which one is taken, unless what they do not contain is
+clearly better."""
 
 CONTAINED = ("affine", "quadratic", "cubic")
-"""Limits of the shrunken polynomial, which finds them by itself where the points call for them."""
+"""Limits of the shrunken polynomials, which find them where the points call for them."""
 
-CLEARLY = 3.0
-"""Standard errors by which the logarithms of a candidate's squared errors must be smaller."""
+BETTER, CLEARLY = 1.0, 3.0
+"""Standard errors by which the logarithms of squared errors must be smaller: of the shrunken cubic
+beside the quadratic, and of what neither contains."""
 
 SELECTED = "selected"
 
@@ -138,12 +140,12 @@ def left_out_squares(fitted: Fit) -> FloatArray:
     return np.asarray(fits.held_out_each(solutions)[0])
 
 
-def shrunken(family: type[Polynomial]) -> Candidate:
-    """Return the candidate that averages shrunken cubic polynomials; for points alone."""
+def shrunken(family: type[Polynomial], degree: int) -> Candidate:
+    """Return the candidate that averages shrunken polynomials of a degree; for points alone."""
     def candidate(control: FeatureSet, scaling: Scaling) -> Fitted | None:
         if len(control.lines):
             return None
-        model = family(degree=3)
+        model = family(degree=degree)
         points = scaling.points(control.points)
         found = average(points.ground, points.image, model.exponents,
                         None if points.sigma is None else _weights(points))
@@ -161,7 +163,7 @@ def shrunken(family: type[Polynomial]) -> Candidate:
                                 round(found.effective), len(residuals), round(found.effective),
                                 float("nan"), sigma0))
         squares = (found.errors**2).sum(axis=1) * scaling.image_scale**2
-        return Fitted(SHRUNK, fitted, squares, found.effective)
+        return Fitted(SHRUNK[degree], fitted, squares, found.effective)
     return candidate
 
 
@@ -204,24 +206,24 @@ def portfolio(heights: bool) -> tuple[Candidate, ...]:
         return (plain("affine", Polynomial2D(degree=1)), plain("projective", Projective2D()),
                 plain("quadratic", Polynomial2D(degree=2)),
                 plain("cubic", Polynomial2D(degree=3)), selected(Polynomial2D),
-                shrunken(Polynomial2D))
+                shrunken(Polynomial2D, 2), shrunken(Polynomial2D, 3))
     return (plain("affine", Affine()), plain("dlt", DLT3D()),
             plain("quadratic", Polynomial3D(degree=2)),
             plain("rfm-2", RationalFunctions(order=2)),
             plain("cubic", Polynomial3D(degree=3)), plain("rfm-3", RationalFunctions()),
-            selected(Polynomial3D),
-            shrunken(Polynomial3D))
+            selected(Polynomial3D), shrunken(Polynomial3D, 2), shrunken(Polynomial3D, 3))
 
 
 def choose(control: FeatureSet, heights: bool) -> Choice | None:
     """Fit the portfolio to features and choose by leave-one-out.
 
-    The shrunken polynomial is averaged over all that lies between the plain ones, by a measure
-    that needs no points to be left out, so that leave-one-out chooses only between it and what
-    it does not contain: projective and rational models, and few terms of their own. One of these
-    must be better by CLEARLY standard errors, since the best of several is so partly by luck;
-    logarithms are compared, lest a few great errors make everything uncertain. With lines, for
-    which there is no shrunken polynomial, the smallest sum of squares decides.
+    A shrunken polynomial is averaged over all that lies between the plain ones, by a measure
+    that needs no points to be left out. The quadratic one is taken unless the cubic one is better
+    by BETTER standard errors (the rule of Breiman et al. 1984), and that one unless what it does
+    not contain is better by CLEARLY standard errors, since the best of several is so partly by
+    luck: projective and rational models, and few terms of their own. Logarithms of squared errors are
+    compared, lest a few great errors make everything uncertain. With lines, for which there is no
+    shrunken polynomial, the smallest sum of squares decides.
 
     Parameters
     ----------
@@ -237,16 +239,21 @@ def choose(control: FeatureSet, heights: bool) -> Choice | None:
     fitted = tuple(one for one in (make(control, scaling) for make in portfolio(heights)) if one)
     if not fitted:
         return None
-    shrunk = next((one for one in fitted if one.name == SHRUNK), None)
-    rivals = [one for one in fitted if shrunk is None or one is shrunk
-              or (one.name not in CONTAINED and _clearly_better(one, shrunk))]
+    named = {one.name: one for one in fitted}
+    quadratic, cubic = (named.get(name) for name in SHRUNK.values())
+    shrunk = cubic or quadratic
+    if cubic and quadratic and _gain(cubic, quadratic) <= BETTER:
+        shrunk = quadratic
+    rivals = [one for one in fitted if shrunk is None or one is shrunk or (
+        one.name not in (*CONTAINED, *SHRUNK.values()) and _gain(one, shrunk) > CLEARLY)]
     return Choice(min(rivals, key=lambda one: one.predicted), fitted)
 
 
-def _clearly_better(one: Fitted, other: Fitted) -> bool:
+def _gain(one: Fitted, other: Fitted) -> float:
+    """Return by how many standard errors one's squared errors are smaller, in logarithms."""
     tiny = np.finfo(float).tiny
     gain = np.log(np.maximum(other.squares, tiny) / np.maximum(one.squares, tiny))
-    return bool(gain.mean() > CLEARLY * gain.std(ddof=1) / np.sqrt(len(gain)))
+    return float(gain.mean() / max(gain.std(ddof=1) / np.sqrt(len(gain)), tiny))
 
 
 def repeated(control: FeatureSet, heights: bool) -> FloatArray | None:
