@@ -221,9 +221,9 @@ def choose(control: FeatureSet, heights: bool) -> Choice | None:
     that needs no points to be left out. The quadratic one is taken unless the cubic one is better
     by BETTER standard errors (the rule of Breiman et al. 1984), and that one unless what it does
     not contain is better by CLEARLY standard errors, since the best of several is so partly by
-    luck: projective and rational models, and few terms of their own. Logarithms of squared errors are
-    compared, lest a few great errors make everything uncertain. With lines, for which there is no
-    shrunken polynomial, the smallest sum of squares decides.
+    luck: projective and rational models, and few terms of their own. Logarithms of squared errors
+    are compared, lest a few great errors make everything uncertain. With lines, for which there
+    is no shrunken polynomial, the smallest sum of squares decides.
 
     Parameters
     ----------
