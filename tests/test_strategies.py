@@ -235,6 +235,10 @@ def test_one_wrong_check_point_is_in_the_prediction() -> None:
     assert spoilt.strategy is not None
     assert clean.strategy is not None
     assert spoilt.strategy["predicted"] > 3 * clean.strategy["predicted"]
+    named, = (note for note in spoilt.notes if note.startswith("Far from where the others"))
+    assert f": {features.points.ids[at]} (" in named
+    assert "), " not in named
+    assert not any(note.startswith("Far from") for note in clean.notes)
 
 
 def test_the_full_rfm_is_chosen_where_it_is_the_truth_and_can_be_named() -> None:

@@ -130,8 +130,9 @@ def test_any_number_of_points(m: int) -> None:
     assert len(result.selection.features) == m
 
 
-def test_a_range_of_numbers_by_another_solver() -> None:
-    result = termsel.run("rpc-gcps", solver="ga", generations=20,
+@pytest.mark.parametrize("solver", [None, "ga"])
+def test_a_range_of_numbers(solver: str | None) -> None:
+    result = termsel.run("rpc-gcps", solver=solver, generations=20,
                          options={"min_features": 6, "max_features": 12})
     assert 6 <= len(result.selection.features) <= 12
 
@@ -173,7 +174,7 @@ def test_terms_of_a_refinement_are_selected() -> None:
     (["--set", "rpc=no-such-file.RPB"], "there is no such file"),
     (["--dataset", "spot-isfahan"], "sees the ground of longitude"),
     (["--model", "pushbroom-refine"], "needs the geometry that it is to refine"),
-    (["--set", "min_features=5"], "the number of features is not fixed"),
+    (["--set", "min_features=9"], "option 'min_features' is 9 and 'max_features' 6"),
 ])
 def test_bad_input_gives_one_message(arguments: list[str], said: str) -> None:
     code, out, error = termsel_says("run", "--problem", "rpc-gcps", *arguments)

@@ -10,9 +10,10 @@ import numpy as np
 
 from termsel.assessing import data_of, versions
 from termsel.baselines import compare, figures, has_heights, in_role
+from termsel.diagnosis import NORMAL_MEDIAN
 from termsel.errors import TermselError
 from termsel.extrapolation import warnings_of
-from termsel.features import FeatureSet, no_points, select
+from termsel.features import FeatureSet, FloatArray, no_points, select
 from termsel.judging import PLAIN, judge_choice
 from termsel.problems.base import Selection
 from termsel.problems.recipes import Recipe
@@ -25,6 +26,10 @@ if TYPE_CHECKING:
     from termsel.running import Task
 
 NAMES = ("auto", "as-asked")
+
+FAR, FROM = 8.0, 30
+"""Robust standard deviations of all predictions beyond which a point is named as perhaps wrong, and
+the number of points from which on: of fewer, each may be hard to predict from the others."""
 
 
 def wanted(strategy: str | None, recipe: Recipe, asked: Mapping[str, Any]) -> bool:
@@ -105,7 +110,7 @@ def choose_for(task: Task, seed: int) -> Result:
         selection=Selection(select(model.terms, fitted.terms), observations.control.ids),
         feasible=True, rmse=rmse, baselines=baselines,
         judgement=judge_choice(chosen.name, predicted, rmse, baselines, task.features.noise),
-        notes=tuple(_notes(task, both, predicted)), objectives={"press": chosen.predicted},
+        notes=tuple(_notes(task, both, errors)), objectives={"press": chosen.predicted},
         evaluations=len(portfolio(heights)) * (1 + folds), lookups=0, generations=0,
         seconds=time.perf_counter() - start, interrupted=False, polish=None, fit=fitted,
         residuals=residuals_of(fitted, observations, check_used=True),
@@ -119,12 +124,23 @@ def choose_for(task: Task, seed: int) -> Result:
                  "predicted": one.predicted} for one in candidates]})
 
 
-def _notes(task: Task, both: FeatureSet, predicted: float | None) -> list[str]:
+def _notes(task: Task, both: FeatureSet, errors: FloatArray | None) -> list[str]:
     notes = [*warnings_of(both, np.ones(len(both), dtype=bool), no_points())]
-    if predicted is None:
+    if errors is None:
         notes.append("The points are too few to repeat the choice without some of them, so it "
                      "predicts no accuracy.")
+    elif far := _far(both.ids, errors):
+        notes.append(f"Far from where the others predict them: {far}. Where one is measured "
+                     "wrongly, give it the role off and run again.")
     if has_heights(task.observations) and not task.model.uses_height:
         notes.append(f"Heights are known and were used. --model {task.model.name} keeps to a "
                      "plane model.")
     return notes
+
+
+def _far(ids: tuple[str, ...], errors: FloatArray) -> str:
+    """Return the points whose predictions by the others fail by far, the worst first."""
+    sigma = float(np.median(np.abs(errors))) / NORMAL_MEDIAN
+    worst = np.abs(errors).max(axis=1)
+    order = [i for i in np.argsort(-worst) if worst[i] > FAR * sigma]
+    return ", ".join(f"{ids[i]} ({worst[i]:.3g} px)" for i in order) if len(ids) >= FROM else ""
