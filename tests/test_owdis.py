@@ -206,6 +206,8 @@ def test_lines_are_selected_under_all_terms_of_an_rfm() -> None:
                   for ridge in (None, 0.0))
     assert held.feasible
     assert not free.feasible
+    assert any("of weight 0.01 hold coefficients" in note for note in held.notes)
+    assert not any("Pseudo-observations" in note for note in free.notes)
     assert len(held.selection.terms) == 38
     below = np.array([".den" in term for term in held.fit.model.terms])
     assert np.abs(held.fit.adjustment.coefficients[below]).max() < 0.1

@@ -183,6 +183,10 @@ def notes_on(observations: Observations, criterion: Criterion, found: Search,
         if spread < PARALLEL:
             yield (f"The lines in use run nearly alike (orientation spread {spread:.2g} of 1): "
                    "along them the model is hardly fixed.")
+    prior = chosen.model.equations(chosen.scaling.features(chosen.control)).prior
+    if prior is not None and prior[chosen.terms].any():
+        yield (f"Pseudo-observations of weight {prior.max()**2:.3g} hold coefficients of "
+               "denominators near zero (--set ridge=...); they do not count as redundancy.")
     if found.interrupted:
         yield "The search was interrupted; this is the best it had found."
     check, independent = chosen.rmse(observations.check), chosen.rmse(observations.independent)
