@@ -312,8 +312,8 @@ machine.
 
 What is missed is missed with 12 points, and 20 at most: nothing in so few tells which structure
 will be best on that very split, and the best of five in hindsight is the best by luck as well.
-Rules that always take one plain structure, even that which is best for the set and the number of
-points in hindsight, are much worse than the best of the split far more often:
+No rule can promise it: even who always takes the structure that is best for the set and the number
+of points, which nobody knows beforehand, is sometimes much worse than the best of the split.
 
 {rules(found)}
 

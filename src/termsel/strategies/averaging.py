@@ -49,9 +49,9 @@ FALLS = (0.01, 0.03, 0.1, 0.3)
 RELIEFS = (0.03, 0.1, 0.3, 1.0)
 """Coefficients of one power of Z more, by those without."""
 
-DRAWS, SPREAD = 4, 1.0
-"""How often factors of single terms are drawn, beside 1 for all, and their standard deviation in
-natural logarithms."""
+DRAWS, SPREAD = 64, 1.0
+"""How often factors of single terms are drawn, beside 1 for all, shared out among all pairs of a
+fall and a relief; and their standard deviation in natural logarithms."""
 
 NO_NOISE = 1e-11
 """Noise that counts as none, as a part of the image's half-range."""
@@ -153,7 +153,7 @@ def _scales(exponents: FloatArray) -> FloatArray:
     rule = np.array([fall ** (order - 2.0) * relief ** height
                      for fall in falls for relief in reliefs])
     rng = np.random.default_rng(0)
-    own = np.exp(SPREAD * rng.standard_normal((DRAWS, *rule.shape)))
+    own = np.exp(SPREAD * rng.standard_normal((DRAWS // len(rule), *rule.shape)))
     return np.concatenate([rule, (rule * own).reshape(-1, rule.shape[1])])
 
 
