@@ -204,5 +204,31 @@ def test_folders_that_lack_something_are_refused(tmp_path: Path) -> None:
         read_result(tmp_path)
     (tmp_path / "result.json").write_text(whole)
     (tmp_path / "points.csv").unlink()
-    with pytest.raises(TermselError, match="do not hold the features in the role control"):
+    with pytest.raises(TermselError, match=r"points\.csv: cannot read this file"):
         read_result(tmp_path)
+
+
+def test_a_folder_is_used_again_by_a_result_without_lines(of_lines: Result, tmp_path: Path,
+                                                          ) -> None:
+    _written(of_lines, tmp_path)
+    assert _written(example_results()[0], tmp_path).to_json() == example_results()[0].to_json()
+
+
+def test_changed_lines_are_not_blamed_on_the_points(of_lines: Result, tmp_path: Path) -> None:
+    _written(of_lines, tmp_path)
+    lines = tmp_path / "lines.csv"
+    x = str(float(of_lines.features.lines.ground[0, 0, 0]))
+    changed = lines.read_text().replace(x, str(float(x) + 1e-6))
+    assert changed != lines.read_text()
+    lines.write_text(changed)
+    with pytest.raises(TermselError, match=r"points\.csv or lines\.csv: this is not what the run"):
+        read_result(tmp_path)
+
+
+@pytest.mark.parametrize("name", ["points.csv", "lines.csv"])
+def test_measurements_in_the_folder_of_a_result_are_not_replaced(name: str, tmp_path: Path) -> None:
+    own = tmp_path / name
+    own.write_text("id,line,sample\n")
+    with pytest.raises(TermselError, match="would replace this file"):
+        termsel.run("rfm-terms", out=tmp_path)
+    assert own.read_text() == "id,line,sample\n"

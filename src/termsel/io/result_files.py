@@ -32,7 +32,8 @@ def claim_folder(folder: Path) -> None:
     Raises
     ------
     TermselError
-        If it cannot be made or written to.
+        If it cannot be made or written to, or holds features that are not those of a result and
+        would be replaced.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -41,6 +42,10 @@ def claim_folder(folder: Path) -> None:
                            hint="Choose another --out.") from error
     if not os.access(folder, os.W_OK | os.X_OK):
         raise TermselError(f"cannot write to the folder {folder}", hint="Choose another --out.")
+    for name in (POINTS, LINES):
+        if (folder / name).exists() and not (folder / RECORD).exists():
+            raise TermselError("the result would replace this file, which is of no result",
+                               file=folder / name, hint="Choose another --out.")
 
 
 def write_result(result: Result, folder: Path) -> None:
@@ -103,8 +108,10 @@ def read_result(folder: Path | str) -> Result:
         seals = record[SEALS]
         _refuse_changed(seals["record"] != of_record(record), path)
         features = _read_features(Path(folder), record)
-        _refuse_changed(seals["features"] != of_features(features), path.with_name(
-            POINTS if len(features.points) else LINES))
+        files = [name for name, part in ((POINTS, features.points), (LINES, features.lines))
+                 if len(part)]
+        _refuse_changed(seals["features"] != of_features(features),
+                        path.with_name(" or ".join(files)))
         return result_from(record, features)
     except TermselError as error:
         raise (error if error.file is not None else located(error, path)) from error
@@ -115,11 +122,13 @@ def read_result(folder: Path | str) -> Result:
 
 def _read_features(folder: Path, record: Mapping[str, Any]) -> FeatureSet:
     """Return the features of a result, refusing other features than it was made of."""
-    points = PointsCsv().read(folder / POINTS).points if (folder / POINTS).exists() else no_points()
-    lines = LinesCsv().read(folder / LINES).lines if (folder / LINES).exists() else no_lines()
     data = record.get("data", {})
     size = data.get("image_size")
     normalise(data["crs"])
+    # By the record: an earlier result in the same folder may have left a file that this has not.
+    counts = dict(data["counts"])
+    lines = LinesCsv().read(folder / LINES).lines if counts.pop("lines") else no_lines()
+    points = PointsCsv().read(folder / POINTS).points if any(counts.values()) else no_points()
     features = FeatureSet(points, lines, data["crs"], size and (int(size[0]), int(size[1])),
                           data.get("noise"), data.get("heights") or "",
                           record.get("scaling", {}).get("fit_crs", ""))
