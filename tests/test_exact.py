@@ -116,6 +116,7 @@ def test_a_large_space_has_no_gap() -> None:
     ("owdis-lines", {}, "terms as columns"),
     ("rfm-terms", {"denominators": "shared"}, "couple the axes"),
     ("rfm-terms", {"order": 1, "mask": "shared"}, "no denominators"),
+    ("rfm-terms", {"order": 1, "ridge": 0.01}, "pseudo-observations"),
 ])
 def test_what_cannot_be_walked_is_refused(problem: str, options: dict, why: str) -> None:
     with pytest.raises(termsel.TermselError, match=why):

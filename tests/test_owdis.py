@@ -213,3 +213,16 @@ def test_lines_are_selected_under_all_terms_of_an_rfm() -> None:
     assert np.abs(held.fit.adjustment.coefficients[below]).max() < 0.1
     everything = held.baselines[0].rmse["independent"]
     assert held.rmse["independent"].total < everything.total / 2
+
+
+def test_what_is_not_so_of_pseudo_observations_is_not_said() -> None:
+    """All 78 terms of 48 equations are determined with them, and yet infeasible."""
+    options = {"ridge": 0.01}
+    every = termsel.run("rfm-terms", solver="all-terms", options=options)
+    assert not every.feasible
+    assert "too many terms" in every.judgement
+    assert any("of weight 0.01" in note for note in every.notes)
+    assert not any("drove down" in note for note in every.notes)
+    shrunk = termsel.run("rfm-terms", solver="ga", generations=2,
+                         options={**QUICK, **options, "shrink": True})
+    assert not any("Pseudo-observations" in note for note in shrunk.notes)

@@ -57,9 +57,9 @@ def judge(conventional: str, criterion: str, rmse: Mapping[str, Rmse | None],
         Standard deviation of the measurements [pixel], where it is known.
     """
     if not feasible:
-        return ("This does not satisfy all conditions: it has undetermined terms, an axis "
-                "without terms or a pole in the scene, and no better was found. Do not use it; "
-                "give more control or a smaller model.")
+        return ("This does not satisfy all conditions: it has undetermined or too many terms, an "
+                "axis without terms or a pole in the scene, and no better was found. Do not use "
+                "it; give more control or a smaller model.")
     mine = rmse["independent"]
     if mine is None:
         return ("There are no independent points, so the accuracy of this selection is not "
@@ -184,7 +184,7 @@ def notes_on(observations: Observations, criterion: Criterion, found: Search,
             yield (f"The lines in use run nearly alike (orientation spread {spread:.2g} of 1): "
                    "along them the model is hardly fixed.")
     prior = chosen.model.equations(chosen.scaling.features(chosen.control)).prior
-    if prior is not None and prior[chosen.terms].any():
+    if prior is not None and prior[chosen.terms].any() and found.coefficients is None:
         yield (f"Pseudo-observations of weight {prior.max()**2:.3g} hold coefficients of "
                "denominators near zero (--set ridge=...); they do not count as redundancy.")
     if found.interrupted:
@@ -195,9 +195,9 @@ def notes_on(observations: Observations, criterion: Criterion, found: Search,
         yield (f"The independent RMSE is {independent.total / check.total:.1f} times the check "
                "RMSE: the selection is fitted to the check points.")
     yield from warnings_of(observations.control, chosen.used, observations.check)
+    seen = found.objectives[0]
     if (criterion.name == "check-rmse" and check and found.coefficients is None
-            and abs(check.total - found.objectives[0]) > 0.005 * check.total):
-        seen = found.objectives[0]
+            and found.violation == 0 and abs(check.total - seen) > 0.005 * check.total):
         first = fit(chosen.model, chosen.control, chosen.scaling, chosen.terms, chosen.used,
                     iterated=False).rmse(observations.check)
         if first and abs(first.total - seen) <= 0.005 * seen:

@@ -189,7 +189,7 @@ def _rule(asked: str | None, criterion: Criterion, solver: type[Solver]) -> str:
         raise TermselError(f"criterion {criterion.name!r} is no RMSE, so it has no standard error "
                            "to recommend a selection by",
                            hint="Choose --set recommend=knee or best, or --criterion check-rmse, "
-                                "press or kfold.")
+                                "press or kfold, these with loss=squares.")
     return asked or ("one-standard-error" if solver.max_objectives > 1 and criterion.is_rmse
                      else "best")
 

@@ -56,6 +56,9 @@ def enumerable_parts(inputs: Inputs, equations: Equations, genome: Genome,
     axis = model.axis
     if (row_axes(equations.A, axis) == 2).any() or (axis == 2).any():
         raise _unwalkable("lines or a shared denominator couple the axes")
+    if equations.prior is not None:
+        raise _unwalkable(f"model {model.name!r} holds coefficients by pseudo-observations, which "
+                          "are no rows of the control (--set ridge=0 has none)")
     _refuse_other_errors(inputs)
     parents = np.zeros((len(axis), len(axis)), dtype=bool)
     if pairs is not None:
