@@ -410,6 +410,12 @@ def test_gcv_is_that_of_the_explicit_matrix(m: int, k: int, r: int) -> None:
     np.testing.assert_allclose(spectrum_of(part).gcv(penalties), expected, rtol=1e-6)
 
 
+def test_gcv_without_redundancy_is_level() -> None:
+    """Nothing is left but what the penalty leaves, however small it is."""
+    spectrum = Spectrum(np.array([1.0]), np.array([1.0]), 0.0, 1)
+    np.testing.assert_allclose(spectrum.gcv(np.geomspace(1.0, 1e-9, 20)), 1.0)
+
+
 def test_gcv_of_a_circulant_system_is_leaving_one_out() -> None:
     # All rows have the same leverage there, so that the generalised is the ordinary.
     angle = 2 * np.pi * np.arange(12) / 12

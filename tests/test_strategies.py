@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import termsel
-from termsel.features import FeatureSet, Points
+from termsel.features import FeatureSet, Points, no_lines
 from termsel.io.result_files import read_result
 from termsel.judging import TITLES
 from termsel.models.polynomial import graded_exponents, monomials
@@ -239,6 +239,22 @@ def test_one_wrong_check_point_is_in_the_prediction() -> None:
     assert f": {features.points.ids[at]} (" in named
     assert "), " not in named
     assert not any(note.startswith("Far from") for note in clean.notes)
+    sigma = np.full((len(wrong), 2), 0.5)
+    sigma[at] = 40.0  # who says so is not told
+    known = termsel.run("rfm-terms", features=features.with_(
+        points=replace(features.points, image=wrong, sigma=sigma)))
+    assert not any(note.startswith("Far from") for note in known.notes)
+
+
+def test_rounding_errors_are_not_far() -> None:
+    rng = np.random.default_rng(0)
+    ground = rng.uniform(0, [1000, 1000, 100], (40, 3))
+    image = ground[:, 1::-1] * 2 + ground[:, 2:] * [0.1, -0.2] + ground[:, :1] ** 2 * [1e-4, 0]
+    found = termsel.run("rfm-terms", options={"fractions": "1:1:0"}, features=FeatureSet(
+        Points(tuple(map(str, range(40))), image, ground), no_lines(), "local"))
+    assert found.strategy is not None
+    assert found.strategy["predicted"] < 1e-6
+    assert not any(note.startswith("Far from") for note in found.notes)
 
 
 def test_the_full_rfm_is_chosen_where_it_is_the_truth_and_can_be_named() -> None:

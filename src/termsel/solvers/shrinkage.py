@@ -272,7 +272,7 @@ class Spectrum:
         """
         left = self._left(penalty)
         square = ((left * self.inner) ** 2).sum(axis=1) + self.outside
-        freedom = left.sum(axis=1) + self.freedom - len(self.values)
+        freedom = left.sum(axis=1) + (self.freedom - len(self.values))
         return np.asarray(square / freedom**2)
 
     def curvature(self, penalty: FloatArray) -> FloatArray:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from termsel.adjustment.lines import relative_deviations
 from termsel.assessing import data_of, versions
 from termsel.baselines import compare, figures, has_heights, in_role
 from termsel.diagnosis import NORMAL_MEDIAN
@@ -28,8 +29,12 @@ if TYPE_CHECKING:
 NAMES = ("auto", "as-asked")
 
 FAR, FROM = 8.0, 30
-"""Robust standard deviations of all predictions beyond which a point is named as perhaps wrong, and
-the number of points from which on: of fewer, each may be hard to predict from the others."""
+"""Robust standard deviations of all predictions, each by its point's own deviation where one is
+given, beyond which a point is named as perhaps wrong, and the number of points from which on: of
+fewer, each may be hard to predict from the others."""
+
+ROUNDING = 1e-6
+"""Errors that are none [pixel]."""
 
 
 def wanted(strategy: str | None, recipe: Recipe, asked: Mapping[str, Any]) -> bool:
@@ -129,7 +134,7 @@ def _notes(task: Task, both: FeatureSet, errors: FloatArray | None) -> list[str]
     if errors is None:
         notes.append("The points are too few to repeat the choice without some of them, so it "
                      "predicts no accuracy.")
-    elif far := _far(both.ids, errors):
+    elif far := _far(both, errors):
         notes.append(f"Far from where the others predict them: {far}. Where one is measured "
                      "wrongly, give it the role off and run again.")
     if has_heights(task.observations) and not task.model.uses_height:
@@ -138,9 +143,11 @@ def _notes(task: Task, both: FeatureSet, errors: FloatArray | None) -> list[str]
     return notes
 
 
-def _far(ids: tuple[str, ...], errors: FloatArray) -> str:
+def _far(both: FeatureSet, errors: FloatArray) -> str:
     """Return the points whose predictions by the others fail by far, the worst first."""
-    sigma = float(np.median(np.abs(errors))) / NORMAL_MEDIAN
+    own = np.abs(errors) / relative_deviations(both)
+    beyond = FAR * float(np.median(own)) / NORMAL_MEDIAN
     worst = np.abs(errors).max(axis=1)
-    order = [i for i in np.argsort(-worst) if worst[i] > FAR * sigma]
-    return ", ".join(f"{ids[i]} ({worst[i]:.3g} px)" for i in order) if len(ids) >= FROM else ""
+    order = [i for i in np.argsort(-worst)
+             if own[i].max() > beyond and worst[i] > ROUNDING and len(both) >= FROM]
+    return ", ".join(f"{both.ids[i]} ({worst[i]:.3g} px)" for i in order)
