@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -232,3 +233,18 @@ def test_measurements_in_the_folder_of_a_result_are_not_replaced(name: str, tmp_
     with pytest.raises(TermselError, match="would replace this file"):
         termsel.run("rfm-terms", out=tmp_path)
     assert own.read_text() == "id,line,sample\n"
+
+
+def test_blanks_around_ids_are_no_part_of_them(of_lines: Result, tmp_path: Path) -> None:
+    """Files do not hold them, so that the features would not be found again."""
+    features = of_lines.features
+    spaced = features.with_(
+        points=replace(features.points, ids=tuple(f" {i}" for i in features.points.ids)),
+        lines=replace(features.lines, ids=tuple(f"{i}\t" for i in features.lines.ids)))
+    assert spaced.points.ids == features.points.ids
+    assert spaced.lines.ids == features.lines.ids
+    result = termsel.run("owdis-lines", features=spaced, generations=1,
+                         options={"population": 30, "polish": False})
+    assert _written(result, tmp_path).to_json() == result.to_json()
+    with pytest.raises(TermselError, match="is used 2 times"):
+        replace(features.points, ids=(" P", "P", *features.points.ids[2:]))

@@ -94,7 +94,7 @@ class Points:
     roles: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        ids = tuple(str(name) for name in self.ids)
+        ids = tuple(str(name).strip() for name in self.ids)  # as files hold them
         n = len(ids)
         roles = tuple(self.roles) or ("",) * n
         object.__setattr__(self, "ids", ids)
@@ -176,7 +176,7 @@ class Lines:
     sigma: FloatArray | None = None
 
     def __post_init__(self) -> None:
-        ids = tuple(str(name) for name in self.ids)
+        ids = tuple(str(name).strip() for name in self.ids)  # as files hold them
         n = len(ids)
         object.__setattr__(self, "ids", ids)
         object.__setattr__(self, "image", _frozen(self.image, (n, 2, 2), "image of lines"))
