@@ -78,3 +78,9 @@ def test_command() -> None:
     record = json.loads(CliRunner().invoke(cli, [*words, "--json"]).stdout)
     assert record["repeats"] == 3
     assert set(record["frequency"]) == set(Polynomial3D(degree=2).terms)
+    command = done.output.strip().splitlines()[-1].split()[1:]
+    again = CliRunner().invoke(cli, [*command, "--model", "poly3d", "--set", "degree=2", "--json"])
+    assert again.exit_code == 0, again.output
+    result = json.loads(again.stdout)
+    assert result["selection"]["terms"] == record["stable"]
+    assert result["rmse"]["independent"] == pytest.approx(record["rmse"]["independent"])

@@ -72,3 +72,8 @@ def stability(
     elif independent is not None:
         click.echo(f"Fitted to control and check together: {independent.total:.3f} pixel on "
                    f"{independent.n} independent points.")
+    others = [term for term in found.terms if term not in found.stable]
+    if found.determined and others:
+        click.echo("For a result with the stable terms run the same data and model by\n"
+                   f"  termsel run --problem {problem} --solver all-terms --criterion press "
+                   f"--set force_off={','.join(others)}")
