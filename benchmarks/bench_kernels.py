@@ -179,7 +179,7 @@ def _feature_masks(rng: np.random.Generator) -> Iterator[Row]:
         yield from compare(f"points, {share:.0%} of {n}, {len(model.terms)} terms",
                       [(one, None, masks) for one in systems])
     for order, n in ((2, 120), (3, 120), (3, 200)):
-        model = RationalFunctions(order=order)
+        model = RationalFunctions(order=order, ridge=0.0)
         equations = model.equations(scene(rng, 0, n))
         k = len(model.terms)
         masks = rng.random((100, n)) < 0.5
@@ -204,7 +204,7 @@ def _growth(rng: np.random.Generator) -> Iterator[Row]:
         yield from compare(f"growth: half of {k} terms, 200 points",
                       [(line, rng.random((200, k)) < 0.5, None)])
     for n in (50, 500, 5000):
-        equations = RationalFunctions(order=2).equations(scene(rng, 0, n))
+        equations = RationalFunctions(order=2, ridge=0.0).equations(scene(rng, 0, n))
         yield from compare(f"growth: half of {n} lines, 38 terms",
                       [(equations, None, rng.random((50 if n < 5000 else 10, n)) < 0.5)],
                       5 if n > 1000 else 30)
