@@ -1,4 +1,4 @@
-"""Cubic polynomials whose terms beyond the affine ones are shrunk, averaged over how much.
+"""Polynomials whose terms beyond the affine ones are shrunk, averaged over how much.
 
 The prior: with all coordinates scaled to [-1, 1], the coefficient of X^a Y^b Z^c, a + b + c >= 2,
 is normal with the mean 0 and the standard deviation
@@ -10,7 +10,7 @@ to order by one rate, and by a further one with each power of Z, as the relief i
 the scene. Affine terms are free. How large `size` is for line and for sample, and what `fall`
 and `relief` are for both, is not known: the least-squares solutions for all values on a wide
 grid are averaged with their posterior probabilities, and nothing is set. `own` is a factor for
-each term, log-normal, drawn a few times, so that single terms may stand out from the rule.
+each term, log-normal, drawn many times, so that single terms may stand out from the rule.
 Noise is taken to be the same in line and sample; its variance is integrated out.
 
 Every solution on the grid is linear in the measurements. Leaving a point out changes it, and

@@ -1,4 +1,4 @@
-"""Candidates that are fitted to features, and the choice among them by leave-one-out.
+"""Candidates that are fitted to features, and the choice among them.
 
 A candidate takes features and gives a fitted model with the error of each feature under the same
 procedure without it. Nothing here knows of roles: what it is given are features it may use.
