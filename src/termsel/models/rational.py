@@ -27,7 +27,7 @@ RIDGE = 0.01
 """Control lines leave next to undetermined what numerators and denominators have in common, which
 then grows to poles. With errors of a pixel in an image of ten thousand this is a standard
 deviation of 0.002 for a coefficient: satellites' are smaller; and one of 0.3, as a photograph
-has, loses 0.0001 of it where there are fifty equations. A DLT on lines is determined without."""
+has, loses 0.0002 of it where there are fifty equations. A DLT on lines is determined without."""
 
 
 class RationalFunctions(RationalModel):
