@@ -15,7 +15,7 @@ import numpy as np
 from benchmarks.bench_kernels import Row, best_of
 from termsel import prepare
 from termsel.criteria import KFold
-from termsel.features import BoolArray, IntArray
+from termsel.measurements.features import BoolArray, IntArray
 from termsel.models.base import LINE, SAMPLE
 from termsel.problems.selection import SelectionProblem
 

@@ -18,7 +18,7 @@ from deap import algorithms, base, tools
 
 from benchmarks.bench_kernels import Row
 from termsel import prepare, search
-from termsel.features import FeatureSet
+from termsel.measurements.features import FeatureSet
 from termsel.problems.selection import SelectionProblem
 
 POPULATION, GENERATIONS, MUTATION = 200, 80, 1 / 78

@@ -14,7 +14,7 @@ import numpy as np
 
 from termsel.adjustment import Equations
 from termsel.adjustment.kernels import solve_many
-from termsel.features import BoolArray, FeatureSet, FloatArray, Lines, Points
+from termsel.measurements.features import BoolArray, FeatureSet, FloatArray, Lines, Points
 from termsel.models.base import LINE, SAMPLE
 from termsel.models.polynomial import Polynomial3D
 from termsel.models.rational import RationalFunctions

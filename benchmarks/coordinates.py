@@ -14,16 +14,16 @@ from functools import lru_cache
 from pathlib import Path
 from statistics import median
 
-from termsel.coordinates import SYSTEMS, fit_crs_of
-from termsel.features import FeatureSet, Points
-from termsel.fitting import fit
+from termsel.candidates.portfolio import choose
+from termsel.fits.fit import fit
+from termsel.measurements.features import FeatureSet, Points
+from termsel.measurements.scaling import scaling_of
 from termsel.models.base import SensorModel
 from termsel.models.polynomial import Affine, Polynomial3D
 from termsel.models.projective import DLT3D
-from termsel.scaling import scaling_of
+from termsel.runs.fit_crs import SYSTEMS, fit_crs_of
 from termsel.simulate import simulate_scene
 from termsel.simulate.scenes import SCENES
-from termsel.strategies.portfolio import choose
 
 COUNTS = (6, 8, 12, 16, 24, 40)
 MODELS: dict[str, SensorModel] = {

@@ -23,13 +23,14 @@ from statistics import median
 
 import numpy as np
 
-from termsel.features import FeatureSet, FloatArray, Points
-from termsel.io.reading import read
-from termsel.running import run
+from termsel.candidates import portfolio
+from termsel.candidates import shrunken as averaging
+from termsel.candidates.portfolio import choose, repeated
+from termsel.io.read import read
+from termsel.measurements.features import FeatureSet, FloatArray, Points
+from termsel.runs.run import run
 from termsel.simulate import simulate_scene
 from termsel.simulate.scenes import SCENES
-from termsel.strategies import averaging, portfolio
-from termsel.strategies.portfolio import choose, repeated
 
 ROOT = Path(__file__).parents[1]
 DATA = Path(os.environ.get("TERMSEL_DATA", ROOT.parent / "shared" / "data"))
@@ -327,8 +328,8 @@ points as check, {GA_SPLITS} of the splits at {', '.join(map(str, GA_COUNTS))} p
 ## Constants
 
 The median over splits of auto's independent RMSE by that of the best plain structure of the
-split, at 12, 20 and 40 points, with each constant of `termsel.strategies.averaging` and those
-of `termsel.strategies.portfolio` halved and doubled.
+split, at 12, 20 and 40 points, with each constant of `termsel.candidates.shrunken` and those
+of `termsel.candidates.portfolio` halved and doubled.
 
 {constants}
 

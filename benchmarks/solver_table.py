@@ -13,10 +13,11 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from termsel import TermselError, prepare, search
-from termsel.plugins.manager import registry
-from termsel.solvers.exact import count, prove
 from termsel.study import Standing, standings, trials
+
+from termsel import TermselError, prepare, search
+from termsel.plugins.registry import registry
+from termsel.solvers.exact import count, prove
 
 ALIKE = {"max_share": 1}
 """The same selections for all: solvers of papers have no cap by default, others have one."""

@@ -12,8 +12,8 @@ from typing import Any
 import altair as alt
 import numpy as np
 
-from termsel import running
-from termsel.result import Result
+from termsel.results.result import Result
+from termsel.runs import run as running
 from termsel.simulate import SCENES, scene_truth
 
 SCENE = "ikonos-hamedan"

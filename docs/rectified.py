@@ -20,8 +20,8 @@ from rasterio.errors import NotGeoreferencedWarning
 from scipy.ndimage import gaussian_filter
 
 import termsel
-from termsel.features import Points
-from termsel.io.csv_tables import write_points_csv
+from termsel.formats.readers.csv_tables import write_points_csv
+from termsel.measurements.features import Points
 from termsel.simulate import pushbroom_at
 from termsel.simulate.render import checkerboard, render
 from termsel.simulate.terrain import Terrain, hilly

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import termsel
-from termsel.features import BoolArray, FloatArray
+from termsel.measurements.features import BoolArray, FloatArray
 from termsel.problems.base import Genome, Segment
 from termsel.solvers.aco import AntColony, deposit, grafts, renew, settled
 from termsel.solvers.base import Generation

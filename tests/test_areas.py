@@ -15,12 +15,12 @@ from hypothesis import strategies as st
 from scipy.spatial import Delaunay
 
 import termsel
-from termsel.areas import Area, boundary, centroid, centroids
 from termsel.cli.main import cli
 from termsel.errors import TermselError
-from termsel.features import FloatArray, Points, join_points
-from termsel.io.areas_table import AreasCsv
-from termsel.io.csv_tables import write_lines_csv, write_points_csv, write_table
+from termsel.formats.readers.areas_table import AreasCsv
+from termsel.formats.readers.csv_tables import write_lines_csv, write_points_csv, write_table
+from termsel.measurements.areas import Area, boundary, centroid, centroids
+from termsel.measurements.features import FloatArray, Points, join_points
 from termsel.simulate import scene_truth, simulate_scene
 from termsel.testing import check_reader
 

@@ -74,7 +74,7 @@ def test_corners_land_in_their_places_by_rpc(chain: ModuleType, folder: Path, re
 
 def test_corners_land_in_their_places_by_geolocation_array(
         chain: ModuleType, folder: Path, result: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("termsel.io.rectifying.GOOD", -1.0)  # as if no RPC came near the model
+    monkeypatch.setattr("termsel.io.rectify.GOOD", -1.0)  # as if no RPC came near the model
     _require_in_place(_rectified(chain, folder, result, "array.tif"))
 
 

@@ -13,8 +13,8 @@ from click.testing import CliRunner
 
 import termsel
 from termsel.cli.main import cli
-from termsel.io.result_files import read_result, write_result
-from termsel.sealing import of_record
+from termsel.io.result_folder import read_result, write_result
+from termsel.results.checksums import of_record
 from termsel.testing import example_results
 
 
@@ -51,7 +51,7 @@ def test_export_writes_what_is_asked_for(folder: Path, tmp_path: Path) -> None:
 
 def test_export_in_python(folder: Path, tmp_path: Path) -> None:
     result = termsel.read_result(folder)
-    result.export("gcp-grid-vrt", tmp_path / "grid.vrt", height=1000.0, across=4)
+    termsel.export(result, "gcp-grid-vrt", tmp_path / "grid.vrt", height=1000.0, across=4)
     assert (tmp_path / "grid.vrt").read_text().count("<GCP ") == 25
 
 

@@ -10,11 +10,12 @@ from textwrap import dedent
 import pytest
 
 from termsel import __version__
-from termsel.cli import COMMANDS, tables
+from termsel.cli import tables
 from termsel.cli.main import cli
-from termsel.plugins import manager
+from termsel.plugins import registry as manager
+from termsel.plugins.commands import COMMANDS
 from termsel.plugins.kinds import KINDS
-from termsel.plugins.manager import Registry
+from termsel.plugins.registry import Registry
 
 PLUGIN = """
     import click

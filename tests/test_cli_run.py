@@ -16,7 +16,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from termsel.io.csv_tables import write_lines_csv, write_points_csv
+from termsel.formats.readers.csv_tables import write_lines_csv, write_points_csv
 from termsel.simulate import simulate_scene
 
 QUICK = ["--generations", "3", "--set", "population=30"]

@@ -11,26 +11,27 @@ import pytest
 from termsel.criteria import CheckRmse, Ebic, Huber, KFold, Median, Press
 from termsel.criteria.losses import LOSS
 from termsel.errors import TermselError
-from termsel.features import FeatureSet, FloatArray, Points
+from termsel.measurements.features import FeatureSet, FloatArray, Points
 from termsel.models.polynomial import Affine, Polynomial2D, Polynomial3D
 from termsel.models.projective import DLT2D, DLT3D, Projective2D
 from termsel.models.quotient import Blocks, RationalModel
 from termsel.models.rational import RationalFunctions
-from termsel.problems.selection import Inputs, SelectionProblem
+from termsel.problems.base import Inputs
+from termsel.problems.selection import SelectionProblem
 from termsel.solvers.aco import AntColony
-from termsel.solvers.baselines import AllTerms, RandomSearch
 from termsel.solvers.exact import Exact
 from termsel.solvers.ga import GeneticAlgorithm
 from termsel.solvers.ga_correlation import CorrelationSeededGA
 from termsel.solvers.ga_steady import SteadyStateGA
 from termsel.solvers.ga_transgenic import TransgenicGA
 from termsel.solvers.ica import ImperialistCompetition
-from termsel.solvers.local import Swap
-from termsel.solvers.nested import NestedRegression
+from termsel.solvers.nested_regression import NestedRegression
 from termsel.solvers.pareto import AgeMoea2, Nsga2, SmsEmoa, Spea2
 from termsel.solvers.pso import BinarySwarm
-from termsel.solvers.regression import Stepwise, TTest
-from termsel.solvers.shrinkage import Lasso, Ridge
+from termsel.solvers.ridge_lasso import Lasso, Ridge
+from termsel.solvers.stepwise import Stepwise, TTest
+from termsel.solvers.swap import Swap
+from termsel.solvers.yardsticks import AllTerms, RandomSearch
 from termsel.testing import (
     Check,
     check_criterion,

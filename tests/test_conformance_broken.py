@@ -13,17 +13,17 @@ import pytest
 from termsel.adjustment.equations import Equations
 from termsel.criteria import CheckRmse, Criterion, Fits
 from termsel.errors import TermselError
-from termsel.features import BoolArray, FeatureSet, FloatArray, IntArray
+from termsel.measurements.features import BoolArray, FeatureSet, FloatArray, IntArray
+from termsel.measurements.scaling import Scaling
 from termsel.models.polynomial import Affine, Polynomial2D
 from termsel.models.quotient import Blocks, RationalModel
 from termsel.models.rational import RationalFunctions
 from termsel.options import Option
 from termsel.problems.base import Evaluation, Problem
-from termsel.scaling import Scaling
-from termsel.searching import Ledger
 from termsel.solvers.base import Generation, Solver
-from termsel.solvers.baselines import RandomSearch
 from termsel.solvers.ga import GeneticAlgorithm
+from termsel.solvers.ledger import Ledger
+from termsel.solvers.yardsticks import RandomSearch
 from termsel.testing import (
     Check,
     check_model,

@@ -12,18 +12,17 @@ import numpy as np
 import pytest
 
 from termsel.errors import TermselError
-from termsel.features import FeatureSet, Lines, Points
-from termsel.io.atomic import write_text
-from termsel.io.base import Reader, Writer, read_text
-from termsel.io.csv_tables import LinesCsv, PointsCsv, write_lines_csv, write_points_csv
-from termsel.result import Result
-from termsel.testing import (
-    Check,
-    check_reader,
-    check_writer,
-    reader_checks,
-    writer_checks,
+from termsel.formats.atomic import write_text
+from termsel.formats.base import Reader, Writer, read_text
+from termsel.formats.readers.csv_tables import (
+    LinesCsv,
+    PointsCsv,
+    write_lines_csv,
+    write_points_csv,
 )
+from termsel.measurements.features import FeatureSet, Lines, Points
+from termsel.results.result import Result
+from termsel.testing import Check, check_reader, check_writer, reader_checks, writer_checks
 
 with TemporaryDirectory() as folder:
     _path, _rng = Path(folder) / "example.csv", np.random.default_rng(3)

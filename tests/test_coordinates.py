@@ -15,15 +15,15 @@ from click.testing import CliRunner
 
 import termsel
 from termsel.cli.main import cli
-from termsel.coordinates import fit_crs_of
-from termsel.crs import height_reference, is_geocentric, to_wgs84, transformation
 from termsel.errors import TermselError
-from termsel.features import FeatureSet, Lines, Points
-from termsel.fitting import fit
-from termsel.io.csv_tables import PointsCsv, write_points_csv
+from termsel.fits.fit import fit
+from termsel.fits.rpc_fit import rpc_of
+from termsel.formats.readers.csv_tables import PointsCsv, write_points_csv
+from termsel.measurements.crs import height_reference, is_geocentric, to_wgs84, transformation
+from termsel.measurements.features import FeatureSet, Lines, Points
+from termsel.measurements.scaling import Scaling, scaling_of
 from termsel.models.polynomial import Affine, Polynomial3D
-from termsel.rpc_fitting import rpc_of
-from termsel.scaling import Scaling, scaling_of
+from termsel.runs.fit_crs import fit_crs_of
 
 pyproj = pytest.importorskip("pyproj")
 
@@ -112,7 +112,7 @@ def test_results_stay_in_the_coordinates_given(scene: FeatureSet, choice: str,
     np.testing.assert_allclose(again.project(others), image, rtol=0, atol=1e-9)
     assert again.to_dict() == result.to_dict()
     assert ("Fitted in" in (tmp_path / "summary.txt").read_text()) == (crs != scene.crs)
-    result.export("points-csv", tmp_path / "export.csv")
+    termsel.export(result, "points-csv", tmp_path / "export.csv")
     table = PointsCsv().read(tmp_path / "export.csv")
     assert table.crs == "EPSG:32639"
     np.testing.assert_array_equal(table.points.ground, result.features.points.ground)
@@ -153,7 +153,7 @@ def test_an_rpc_from_each_system(scene: FeatureSet, caplog: pytest.LogCaptureFix
 
 
 def test_auto_takes_the_best_by_leave_one_out(scene: FeatureSet) -> None:
-    from termsel.strategies.portfolio import choose
+    from termsel.candidates.portfolio import choose
 
     few = scene.with_(points=scene.points.take(np.arange(36)))
     result = termsel.run("rfm-terms", features=few, strategy="auto", options={"fit_crs": "auto"})

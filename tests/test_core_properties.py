@@ -16,17 +16,19 @@ from termsel.adjustment.lines import row_weights
 from termsel.adjustment.solve import solve
 from termsel.criteria import CheckRmse
 from termsel.errors import TermselError
-from termsel.features import ROLES, BoolArray, FeatureSet, FloatArray, Lines, Points
+from termsel.measurements.features import ROLES, BoolArray, FeatureSet, FloatArray, Lines, Points
+from termsel.measurements.places import spatial_order
+from termsel.measurements.roles import ASSIGNABLE, assign
+from termsel.measurements.scaling import scaling_of
 from termsel.models.base import SensorModel
 from termsel.models.polynomial import Affine, Polynomial2D, Polynomial3D
 from termsel.models.quotient import Blocks, RationalModel
 from termsel.models.rational import RationalFunctions
-from termsel.problems.base import Evaluation, Genome, Problem, Segment
-from termsel.problems.selection import Inputs, SelectionProblem
-from termsel.roles import ASSIGNABLE, assign, spatial_order
-from termsel.scaling import scaling_of
-from termsel.searching import Ledger, _BudgetSpent, search
+from termsel.problems.base import Evaluation, Genome, Inputs, Problem, Segment
+from termsel.problems.selection import SelectionProblem
 from termsel.solvers.base import Generation, Solver
+from termsel.solvers.ledger import BudgetSpent, Ledger
+from termsel.solvers.search import search
 from termsel.testing.problems import Toy, Watched, kept, trap, twelve_terms
 from termsel.testing.scenes import imaged, random_coefficients
 
@@ -471,7 +473,7 @@ def test_ledger_counts_exactly(batches: list[int], limit: int, seed: int) -> Non
         if not allowed:
             continue
         if allowed < size:
-            with pytest.raises(_BudgetSpent):
+            with pytest.raises(BudgetSpent):
                 ledger.evaluate(genes)
         else:
             found = ledger.evaluate(genes)

@@ -16,26 +16,17 @@ import pytest
 import termsel
 from termsel.adjustment.equations import Equations, line_normals
 from termsel.adjustment.leave_out import leave_one_out
-from termsel.criteria import (
-    POLE_MARGIN,
-    CheckRmse,
-    Ebic,
-    Fits,
-    Huber,
-    KFold,
-    Median,
-    Press,
-)
+from termsel.criteria import CheckRmse, Ebic, Fits, Huber, KFold, Median, Press
 from termsel.criteria.losses import figure
-from termsel.features import FeatureSet, Points, no_lines, no_points
-from termsel.io.csv_tables import write_points_csv
+from termsel.formats.readers.csv_tables import write_points_csv
+from termsel.measurements.features import FeatureSet, Points, no_lines, no_points
+from termsel.measurements.scaling import scaling_of
 from termsel.models.base import SensorModel
+from termsel.models.poles import POLE_MARGIN
 from termsel.models.polynomial import Polynomial3D
 from termsel.models.quotient import RationalModel
-from termsel.problems.base import WORST
-from termsel.problems.selection import Inputs, SelectionProblem
-from termsel.report.text import summary
-from termsel.scaling import scaling_of
+from termsel.problems.base import WORST, Inputs
+from termsel.problems.selection import SelectionProblem
 from termsel.simulate import simulate_scene
 from termsel.solvers.exact import count, gap, prove
 
@@ -420,7 +411,7 @@ def test_control_and_check_points_are_used_together(criterion: str) -> None:
         assert result.rmse["check"] is None
         assert json.loads(result.to_json())["rmse"]["check"]["total"] is None
         assert "independent points" in result.judgement
-        assert "control: 48 points; 0 check points" in summary(result).lower()
+        assert "control: 48 points; 0 check points" in result.summary().lower()
         assert result.options["data"]["check_as"] == "control"
     # The points come in another order, of which the folds and rounding take notice.
     assert set(results[0].fit.control.ids) == set(results[1].fit.control.ids)

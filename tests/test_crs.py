@@ -8,7 +8,8 @@ from warnings import catch_warnings, simplefilter
 import numpy as np
 import pytest
 
-from termsel.crs import (
+from termsel.errors import TermselError
+from termsel.measurements.crs import (
     check_ground,
     height_reference,
     horizontal,
@@ -16,8 +17,7 @@ from termsel.crs import (
     normalise,
     to_wgs84,
 )
-from termsel.errors import TermselError
-from termsel.features import FeatureSet, Lines, Points, no_points
+from termsel.measurements.features import FeatureSet, Lines, Points, no_points
 
 
 def ground(crs: str, *xy: tuple[float, float]) -> FeatureSet:

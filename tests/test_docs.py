@@ -18,7 +18,7 @@ import termsel.testing
 from termsel.plugins import hookspecs
 from termsel.plugins.kinds import KINDS
 from termsel.plugins.loading import HOOKS
-from termsel.plugins.manager import registry
+from termsel.plugins.registry import registry
 
 ROOT = Path(__file__).parents[1]
 DOCS = sorted([*ROOT.glob("docs/*.md"), *ROOT.glob("docs/formats/*.md")])

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import termsel
-import termsel.report.text
-from termsel.assessing import assess
+import termsel.results.text
+from termsel.runs.assess import assess
 from termsel.solvers.exact import Exact, count, gap
 from termsel.solvers.ga import GeneticAlgorithm
 
@@ -104,7 +104,7 @@ def test_a_heuristic_states_its_gap() -> None:
     assert certificate["optimum"] == pytest.approx(best, rel=1e-9)
     assert certificate["gap"] == pytest.approx(result.objectives["check-rmse"] / best - 1)
     assert not certificate["optimal"]
-    assert "above the proven optimum" in termsel.report.text.summary(result)
+    assert "above the proven optimum" in result.summary()
 
 
 def test_a_large_space_has_no_gap() -> None:

@@ -20,16 +20,16 @@ from hypothesis import strategies as st
 
 import termsel
 from termsel.errors import TermselError
-from termsel.features import FeatureSet, Lines, Points
-from termsel.io.asp_gcp import AspGcp
-from termsel.io.base import read_file
-from termsel.io.envi_points import EnviPoints
-from termsel.io.gdal_gcps import GdalGcps
-from termsel.io.geojson_points import GeoJsonPoints
-from termsel.io.ground_lines import GeoJsonLines
-from termsel.io.qgis_points import QgisPoints
-from termsel.plugins.manager import registry
-from termsel.residuals import Residual, Residuals
+from termsel.fits.residuals import Residual, Residuals
+from termsel.formats.readers.asp_gcp import AspGcp
+from termsel.formats.readers.envi_points import EnviPoints
+from termsel.formats.readers.gdal_gcps import GdalGcps
+from termsel.formats.readers.geojson_points import GeoJsonPoints
+from termsel.formats.readers.ground_lines import GeoJsonLines
+from termsel.formats.readers.qgis_points import QgisPoints
+from termsel.io.read import read_file
+from termsel.measurements.features import FeatureSet, Lines, Points
+from termsel.plugins.registry import registry
 from termsel.testing import Check, check_reader, reader_checks
 
 UTM = ('PROJCRS["WGS 84 / UTM zone 31N",BASEGEOGCRS["WGS 84",DATUM["World Geodetic System 1984",'

@@ -10,10 +10,9 @@ from scipy.stats import mannwhitneyu, norm
 
 import termsel
 from termsel.errors import TermselError
-from termsel.features import BoolArray, FloatArray
+from termsel.measurements.features import BoolArray, FloatArray
 from termsel.models.base import LINE, SAMPLE
 from termsel.problems.base import WORST, Evaluation, Genome, Problem, Segment
-from termsel.searching import search
 from termsel.solvers.base import Solver
 from termsel.solvers.ga import GeneticAlgorithm
 from termsel.solvers.ga_correlation import (
@@ -30,6 +29,7 @@ from termsel.solvers.ga_steady import (
     set_crossover,
 )
 from termsel.solvers.ga_transgenic import TransgenicGA, qualification
+from termsel.solvers.search import search
 from termsel.testing.problems import narrow
 
 

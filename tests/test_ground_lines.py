@@ -14,8 +14,8 @@ import pytest
 
 import termsel
 from termsel.errors import TermselError
-from termsel.io.csv_tables import write_points_csv
-from termsel.io.ground_lines import VectorLines
+from termsel.formats.readers.csv_tables import write_points_csv
+from termsel.formats.readers.ground_lines import VectorLines
 from termsel.simulate import simulate_scene
 from termsel.testing import Check, reader_checks
 

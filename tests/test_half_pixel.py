@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 import termsel
-from termsel.features import FeatureSet, Points
-from termsel.io.grid_writers import GcpGridVrt, GeolocationVrt
-from termsel.io.rpc_writers import Rpb, RpcTxt, RpcVrt
-from termsel.io.selection_writers import GcpVrt
-from termsel.result import Result
+from termsel.formats.writers.grids import GcpGridVrt, GeolocationVrt
+from termsel.formats.writers.rpcs import Rpb, RpcTxt, RpcVrt
+from termsel.formats.writers.selections import GcpVrt
+from termsel.measurements.features import FeatureSet, Points
+from termsel.results.result import Result
 
 rasterio = pytest.importorskip("rasterio")
 from affine import Affine  # noqa: E402

@@ -14,10 +14,10 @@ import pytest
 
 import termsel
 from termsel.errors import TermselError
-from termsel.features import FeatureSet, FloatArray, Lines, Points
-from termsel.io import heights as module
-from termsel.io.csv_tables import write_lines_csv, write_points_csv
-from termsel.io.heights import open_dem, with_heights
+from termsel.formats import heights as module
+from termsel.formats.heights import open_dem, with_heights
+from termsel.formats.readers.csv_tables import write_lines_csv, write_points_csv
+from termsel.measurements.features import FeatureSet, FloatArray, Lines, Points
 from termsel.simulate import simulate_scene
 
 rasterio = pytest.importorskip("rasterio")

@@ -15,10 +15,16 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from termsel.errors import TermselError
-from termsel.features import ROLES, FeatureSet, Lines, Points
-from termsel.io.atomic import atomic_path, write_bytes, write_text
-from termsel.io.base import Reader, read_features, read_file
-from termsel.io.csv_tables import LinesCsv, PointsCsv, write_lines_csv, write_points_csv
+from termsel.formats.atomic import atomic_path, write_bytes, write_text
+from termsel.formats.base import Reader
+from termsel.formats.readers.csv_tables import (
+    LinesCsv,
+    PointsCsv,
+    write_lines_csv,
+    write_points_csv,
+)
+from termsel.io.read import read_features, read_file
+from termsel.measurements.features import ROLES, FeatureSet, Lines, Points
 
 DATA = Path(os.environ.get("TERMSEL_DATA", Path(__file__).parents[2] / "shared" / "data"))
 READERS: list[Reader] = [PointsCsv(), LinesCsv()]

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from termsel.adjustment import Equations, solve
 from termsel.adjustment.kernels import BLOCK, needs_compilation, solve_many
-from termsel.features import FeatureSet, Points
+from termsel.measurements.features import FeatureSet, Points
 from termsel.models.rational import RationalFunctions
 
 SYSTEMS = st.tuples(

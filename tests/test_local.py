@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 import termsel
 from termsel.problems.base import Genome, Segment
-from termsel.solvers import local
+from termsel.solvers import swap as local
 from termsel.solvers.exact import prove
 from termsel.testing.problems import kept
 

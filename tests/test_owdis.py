@@ -13,12 +13,12 @@ from scipy import stats
 
 import termsel
 from termsel.adjustment.equations import line_normals
-from termsel.diagnosis import correlations, doubts, orientation_spread, significance
-from termsel.features import Lines
-from termsel.fitting import fit
+from termsel.fits.diagnosis import correlations, doubts, orientation_spread, significance
+from termsel.fits.fit import fit
+from termsel.measurements.features import Lines
+from termsel.measurements.scaling import scaling_of
 from termsel.models.polynomial import Polynomial3D
-from termsel.rpc import Rpc
-from termsel.scaling import scaling_of
+from termsel.models.rpc import Rpc
 
 QUICK = {"population": 40, "polish": False}
 

@@ -10,14 +10,14 @@ from pymoo.algorithms.moo.age2 import AGEMOEA2Survival
 from scipy.spatial import ConvexHull, QhullError
 
 import termsel
-import termsel.report.text
+import termsel.results.text
 from termsel.adjustment.parts import independent_parts
-from termsel.assessing import recommended
-from termsel.features import FeatureSet, Points
+from termsel.measurements.features import FeatureSet, Points
+from termsel.problems.coverage import hull_areas, uncovered_share
 from termsel.problems.objectives import Chosen, max_correlation, uncovered, unevenness
-from termsel.problems.spread import hull_areas, uncovered_share
-from termsel.searching import Search
+from termsel.runs.recommend import recommended
 from termsel.solvers.pareto import _AgeSurvival
+from termsel.solvers.search import Search
 
 SOLVERS = ("nsga2", "age-moea2", "sms-emoa", "spea2")
 
@@ -103,7 +103,7 @@ def test_the_proven_front_is_recommended_from_where_a_rule_is_given() -> None:
         assert not found.certificate["optimal"]
         assert found.certificate["gap"] == pytest.approx(
             found.objectives["check-rmse"] / best.objectives["check-rmse"] - 1)
-        text = termsel.report.text.summary(found)
+        text = found.summary()
         assert f"recommended by the rule {rule}" in text
         assert "above the proven optimum" in text
         assert "--set recommend=best finds it" in text
@@ -151,7 +151,7 @@ class Hopeless(termsel.Problem):
 
 @pytest.mark.parametrize("solver", SOLVERS)
 def test_without_anything_feasible_the_least_violation_is_returned(solver: str) -> None:
-    from termsel.plugins.manager import registry
+    from termsel.plugins.registry import registry
 
     found = termsel.search(Hopeless(), registry().get("solvers", solver)(population=10),
                            generations=5)

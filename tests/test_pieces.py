@@ -8,9 +8,10 @@ import pytest
 import termsel
 from termsel.adjustment.equations import line_normals
 from termsel.criteria import CheckRmse, KFold, Press
-from termsel.features import FeatureSet, Lines, Points
+from termsel.measurements.features import FeatureSet, Lines, Points
 from termsel.models.polynomial import Affine, Polynomial3D
-from termsel.problems.selection import Inputs, SelectionProblem
+from termsel.problems.base import Inputs
+from termsel.problems.selection import SelectionProblem
 from termsel.testing.scenes import imaged, random_coefficients, seeded
 
 MODEL = Polynomial3D(degree=2)

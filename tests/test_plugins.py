@@ -14,7 +14,7 @@ from termsel.errors import TermselError
 from termsel.plugins import builtin, hookspecs
 from termsel.plugins.kinds import KINDS
 from termsel.plugins.loading import HOOKS
-from termsel.plugins.manager import Registry
+from termsel.plugins.registry import Registry
 
 BUILT_IN = {
     "problems": {"rfm-terms", "poly-terms", "owdis-points", "owdis-lines", "owdis-points-terms",

@@ -12,14 +12,20 @@ from scipy import stats
 
 import termsel
 from termsel.adjustment.equations import Equations
+from termsel.adjustment.ridge import Spectrum
 from termsel.adjustment.solve import solve
-from termsel.features import FeatureSet, Points
-from termsel.fitting import fit
+from termsel.fits.fit import fit
+from termsel.measurements.features import FeatureSet, Points
 from termsel.problems.base import Problem
 from termsel.simulate import simulate_scene
-from termsel.solvers.baselines import AllTerms
-from termsel.solvers.nested import NestedRegression, explained_share, rational_errors, rms
-from termsel.solvers.regression import (
+from termsel.solvers.nested_regression import (
+    NestedRegression,
+    explained_share,
+    rational_errors,
+    rms,
+)
+from termsel.solvers.ridge_lasso import Lasso, Piece, Ridge, lasso_path, shrink, standardise
+from termsel.solvers.stepwise import (
     Regression,
     Stepwise,
     TermRegression,
@@ -30,7 +36,7 @@ from termsel.solvers.regression import (
     regressions,
     significance,
 )
-from termsel.solvers.shrinkage import Lasso, Piece, Ridge, Spectrum, lasso_path, shrink, standardise
+from termsel.solvers.yardsticks import AllTerms
 
 SELECTORS = (Stepwise, TTest, NestedRegression, Lasso)
 SOLVERS = (*SELECTORS, Ridge)

@@ -12,10 +12,10 @@ import pytest
 
 import termsel
 from termsel.errors import TermselError
-from termsel.features import FeatureSet, Points
-from termsel.io.result_files import read_result, write_result
-from termsel.result import Result
-from termsel.sealing import of_record
+from termsel.io.result_folder import read_result, write_result
+from termsel.measurements.features import FeatureSet, Points
+from termsel.results.checksums import of_record
+from termsel.results.result import Result
 from termsel.testing import example_results
 
 

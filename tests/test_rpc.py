@@ -14,11 +14,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from termsel.errors import TermselError
-from termsel.features import FloatArray
-from termsel.io.rpc_files import read_rpc
-from termsel.io.rpc_text import rpb_text, rpc_items, rpc_txt_text
-from termsel.io.vrt import Picture, vrt_text
-from termsel.rpc import Rpc
+from termsel.formats.rpc_files import read_rpc, rpb_text, rpc_items, rpc_txt_text
+from termsel.formats.vrt import Picture, vrt_text
+from termsel.measurements.features import FloatArray
+from termsel.models.rpc import Rpc
 
 pytestmark = pytest.mark.filterwarnings("ignore:Dataset has no geotransform")
 

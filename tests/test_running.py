@@ -12,8 +12,7 @@ import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
 import termsel
-from termsel.features import FeatureSet, Points
-from termsel.report.text import summary
+from termsel.measurements.features import FeatureSet, Points
 from termsel.simulate import simulate_scene
 
 PROBLEMS = ("rfm-terms", "poly-terms", "owdis-points", "owdis-lines", "owdis-points-terms",
@@ -176,7 +175,7 @@ def test_out_holds_the_result_the_residuals_and_the_summary(tmp_path) -> None:
     assert stored["selection"]["n_features"] == len(result.selection.features)
     rows = (folder / "residuals.csv").read_text().splitlines()
     assert len(rows) == 1 + 2 * 120 + 24 + 26
-    assert (folder / "summary.txt").read_text() == summary(result)
+    assert (folder / "summary.txt").read_text() == result.summary()
     assert sorted(p.name for p in folder.iterdir()) == [
         "lines.csv", "points.csv", "residuals.csv", "result.json", "summary.txt"]
 
@@ -248,8 +247,8 @@ REAL = {
 
 @pytest.mark.parametrize("name", REAL)
 def test_real_data_run_and_make_sense(name: str, data_folder) -> None:
-    from termsel.io.base import read_features
-    from termsel.plugins.manager import registry
+    from termsel.io.read import read_features
+    from termsel.plugins.registry import registry
 
     folder = data_folder / name
     problem, options = REAL[name]

@@ -11,9 +11,9 @@ from click.testing import CliRunner
 
 import termsel
 from termsel.cli.main import cli
-from termsel.features import FeatureSet, Points
+from termsel.measurements.features import FeatureSet, Points
 from termsel.models.polynomial import Polynomial3D
-from termsel.stability import stability
+from termsel.runs.stability import stability
 
 QUICK = {"model": "poly3d", "solver": "exact", "criterion": "press", "repeats": 4,
          "options": {"degree": 2}}

@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 
 import termsel
-from termsel.features import FeatureSet, Points, no_lines
-from termsel.io.result_files import read_result
-from termsel.judging import TITLES
-from termsel.models.polynomial import graded_exponents, monomials
+from termsel.candidates.portfolio import SHRUNK, choose, repeated
+from termsel.candidates.selected import select_forward
+from termsel.candidates.shrunken import average
+from termsel.io.result_folder import read_result
+from termsel.measurements.features import FeatureSet, Points, no_lines
+from termsel.models.monomials import graded_exponents, monomials
+from termsel.runs.judge import TITLES
 from termsel.simulate import simulate_scene
-from termsel.strategies.averaging import average
-from termsel.strategies.forward import select_forward
-from termsel.strategies.portfolio import SHRUNK, choose, repeated
 
 CUBIC = graded_exponents(3, 3)
 

@@ -14,15 +14,9 @@ from hypothesis import strategies as st
 from termsel.adjustment import subsets
 from termsel.adjustment.equations import Equations
 from termsel.adjustment.solve import solve
-from termsel.adjustment.subset_system import Piece, stack
-from termsel.adjustment.subsets import (
-    SCORES,
-    SubsetResult,
-    SubsetSystem,
-    count_subsets,
-    estimate_seconds,
-    search,
-)
+from termsel.adjustment.subset_stack import stack
+from termsel.adjustment.subset_system import SCORES, Piece, SubsetSystem, count_subsets
+from termsel.adjustment.subsets import SubsetResult, estimate_seconds, search
 from termsel.errors import TermselError
 
 

@@ -13,23 +13,22 @@ import pytest
 
 import termsel
 from termsel.errors import TermselError
-from termsel.features import FeatureSet, Points
-from termsel.io.csv_tables import LinesCsv, PointsCsv
-from termsel.io.grid_writers import GcpGridVrt, GeolocationVrt
-from termsel.io.rasters import empty_tiff
-from termsel.io.residual_writer import ResidualsGeopackage
-from termsel.io.rpc_files import read_rpc
-from termsel.io.rpc_text import rpb_text
-from termsel.io.rpc_writers import Rpb, RpcTxt, RpcVrt, require_read_back
-from termsel.io.selection_writers import (
+from termsel.fits.rpc_fit import rpc_of
+from termsel.formats.rasters import empty_tiff
+from termsel.formats.readers.csv_tables import LinesCsv, PointsCsv
+from termsel.formats.rpc_files import read_rpc, rpb_text
+from termsel.formats.writers.grids import GcpGridVrt, GeolocationVrt
+from termsel.formats.writers.residuals import ResidualsGeopackage
+from termsel.formats.writers.rpcs import Rpb, RpcTxt, RpcVrt, require_read_back
+from termsel.formats.writers.selections import (
     GcpVrt,
     LinesTable,
     OrthorityGeojson,
     PointsTable,
     QgisPoints,
 )
-from termsel.result import Result
-from termsel.rpc_fitting import rpc_of
+from termsel.measurements.features import FeatureSet, Points
+from termsel.results.result import Result
 from termsel.testing import Check, example_results, writer_checks
 
 pytestmark = pytest.mark.filterwarnings("ignore:Dataset has no geotransform")

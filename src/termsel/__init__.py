@@ -9,76 +9,79 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-__version__ = "0.1.0"
+from termsel.version import __version__
 
 if TYPE_CHECKING:
     from termsel.adjustment import Equations, image_equations, line_normals, row_weights
     from termsel.criteria import Criterion, Fits
-    from termsel.datasets import DatasetSpec
     from termsel.errors import TermselError
-    from termsel.features import FeatureSet, Lines, Points
-    from termsel.io.base import Reader, Writer
-    from termsel.io.reading import read
-    from termsel.io.rectifying import rectify
-    from termsel.io.result_files import read_result
-    from termsel.io.rpc_files import read_rpc
+    from termsel.formats.base import Reader, Writer
+    from termsel.formats.rpc_files import read_rpc
+    from termsel.io.export import export
+    from termsel.io.read import read
+    from termsel.io.rectify import rectify
+    from termsel.io.result_folder import read_result
+    from termsel.measurements.datasets import DatasetSpec
+    from termsel.measurements.features import FeatureSet, Lines, Points
+    from termsel.measurements.scaling import Scaling
     from termsel.models import Blocks, Polynomial2D, RationalModel, SensorModel
+    from termsel.models.rpc import Rpc
     from termsel.options import Option
     from termsel.plugins import hookimpl
-    from termsel.problems.base import Evaluation, Genome, Problem, Segment, Selection
+    from termsel.problems.base import Evaluation, Genome, Inputs, Problem, Segment, Selection
     from termsel.problems.recipes import Recipe, feature_options
-    from termsel.problems.selection import Inputs, SelectionProblem
-    from termsel.result import Result
-    from termsel.rpc import Rpc
-    from termsel.running import Task, prepare, run
-    from termsel.scaling import Scaling
-    from termsel.searching import Search, search
+    from termsel.problems.selection import SelectionProblem
+    from termsel.results.result import Result
+    from termsel.runs.run import run
+    from termsel.runs.task import Task, prepare
     from termsel.simulate import simulate_scene
     from termsel.solvers import Generation, Solver
+    from termsel.solvers.search import Search, search
 
 _HOME = {
     "Blocks": "termsel.models",
     "Criterion": "termsel.criteria",
-    "DatasetSpec": "termsel.datasets",
+    "DatasetSpec": "termsel.measurements.datasets",
     "Equations": "termsel.adjustment",
     "Evaluation": "termsel.problems.base",
-    "FeatureSet": "termsel.features",
+    "FeatureSet": "termsel.measurements.features",
     "Fits": "termsel.criteria",
     "Generation": "termsel.solvers",
     "Genome": "termsel.problems.base",
-    "Inputs": "termsel.problems.selection",
-    "Lines": "termsel.features",
+    "Inputs": "termsel.problems.base",
+    "Lines": "termsel.measurements.features",
     "Option": "termsel.options",
-    "Points": "termsel.features",
+    "Points": "termsel.measurements.features",
     "Polynomial2D": "termsel.models",
     "Problem": "termsel.problems.base",
     "RationalModel": "termsel.models",
-    "Reader": "termsel.io.base",
+    "Reader": "termsel.formats.base",
     "Recipe": "termsel.problems.recipes",
-    "Result": "termsel.result",
-    "Rpc": "termsel.rpc",
-    "Scaling": "termsel.scaling",
-    "Search": "termsel.searching",
+    "Result": "termsel.results.result",
+    "Rpc": "termsel.models.rpc",
+    "Scaling": "termsel.measurements.scaling",
+    "Search": "termsel.solvers.search",
     "Segment": "termsel.problems.base",
     "Selection": "termsel.problems.base",
     "SelectionProblem": "termsel.problems.selection",
     "SensorModel": "termsel.models",
     "Solver": "termsel.solvers",
-    "Task": "termsel.running",
+    "Task": "termsel.runs.task",
     "TermselError": "termsel.errors",
-    "Writer": "termsel.io.base",
+    "Writer": "termsel.formats.base",
+    "export": "termsel.io.export",
     "feature_options": "termsel.problems.recipes",
     "hookimpl": "termsel.plugins",
     "image_equations": "termsel.adjustment",
     "line_normals": "termsel.adjustment",
-    "prepare": "termsel.running",
-    "read": "termsel.io.reading",
-    "read_result": "termsel.io.result_files",
-    "read_rpc": "termsel.io.rpc_files",
-    "rectify": "termsel.io.rectifying",
+    "prepare": "termsel.runs.task",
+    "read": "termsel.io.read",
+    "read_result": "termsel.io.result_folder",
+    "read_rpc": "termsel.formats.rpc_files",
+    "rectify": "termsel.io.rectify",
     "row_weights": "termsel.adjustment",
-    "run": "termsel.running",
-    "search": "termsel.searching",
+    "run": "termsel.runs.run",
+    "search": "termsel.solvers.search",
     "simulate_scene": "termsel.simulate",
 }
 
@@ -114,6 +117,7 @@ __all__ = [
     "TermselError",
     "Writer",
     "__version__",
+    "export",
     "feature_options",
     "hookimpl",
     "image_equations",

@@ -6,8 +6,8 @@ import os
 import sys
 from types import TracebackType
 
-from termsel import __version__
 from termsel.cli.main import cli
+from termsel.version import __version__
 
 FAULT = """\
 Error: termsel has failed: {what}. This is a fault of termsel, or of a plugin in use, and not

@@ -15,10 +15,9 @@ pytest.importorskip("termsel_hybrids", reason="termsel-hybrids is not installed:
 import termsel
 from termsel import FeatureSet, Lines, Points, SensorModel
 from termsel.adjustment import solve
-from termsel.fitting import fit
+from termsel.fits.fit import fit
 from termsel.models.projective import DLT2D
-from termsel.plugins.manager import registry
-from termsel.report.text import summary
+from termsel.plugins.registry import registry
 from termsel.testing import Check, model_checks
 from termsel_hybrids import Hybrid1, Hybrid3, Multiquadric, Pointwise
 
@@ -335,14 +334,14 @@ def test_leave_one_out_figures_stand_beside_those_of_the_control(name: str) -> N
     assert found["line"] == pytest.approx(line)
     assert found["sample"] == pytest.approx(sample)
     assert found["total"] == pytest.approx(np.hypot(line, sample))
-    [shown, _] = re.findall(r"^  leave-one-out +(\S+)$", summary(result), re.MULTILINE)
+    [shown, _] = re.findall(r"^  leave-one-out +(\S+)$", result.summary(), re.MULTILINE)
     assert shown == f"{found['total']:.3f}"
 
 
 def test_other_models_need_no_leave_one_out() -> None:
     result = termsel.run("hybrid-2", generations=1)
     assert list(result.to_dict()["rmse"]) == ["control", "check", "independent"]
-    assert "\n  leave-one-out" not in summary(result)
+    assert "\n  leave-one-out" not in result.summary()
 
 
 def test_a_line_is_left_out_as_a_whole() -> None:

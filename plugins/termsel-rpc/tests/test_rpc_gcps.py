@@ -15,8 +15,8 @@ pytest.importorskip("termsel_rpc", reason="termsel-rpc is not installed: "
 
 import termsel
 from termsel import FeatureSet, Fits, Points, TermselError, read_result, read_rpc
-from termsel.io.result_files import write_result
-from termsel.problems.spread import uncovered_share
+from termsel.io.result_folder import write_result
+from termsel.problems.coverage import uncovered_share
 from termsel.simulate import scene_truth, write_geometry
 from termsel_rpc import Ce90, RpcShift, candidates
 from termsel_rpc.simulated import CANDIDATES, RPC_FILE, SCENE, nominal_sensor, quality
@@ -202,7 +202,7 @@ def test_a_result_is_whole_without_the_vendors_file(
     again = read_result(tmp_path / "elsewhere")
     np.testing.assert_allclose(again.project(ground), result.project(ground), atol=1e-9)
     assert str(tmp_path) not in result.to_json()
-    again.export("rpc-txt", tmp_path / "scene_RPC.TXT")
+    termsel.export(again, "rpc-txt", tmp_path / "scene_RPC.TXT")
     np.testing.assert_allclose(read_rpc(tmp_path / "scene_RPC.TXT").project(ground),
                                result.project(ground), atol=0.01)
     write_result(again, tmp_path / "elsewhere")  # and once more

@@ -15,11 +15,11 @@ pytest.importorskip("termsel_rpc", reason="termsel-rpc is not installed: "
 
 import termsel
 from termsel import FeatureSet, Lines, Points, Rpc, Scaling, SensorModel, TermselError, read_rpc
-from termsel.fitting import Fit, fit
-from termsel.io.rpc_text import rpb_text
-from termsel.plugins.manager import registry
-from termsel.rpc_fitting import rpc_of
-from termsel.scaling import scaling_of
+from termsel.fits.fit import Fit, fit
+from termsel.fits.rpc_fit import rpc_of
+from termsel.formats.rpc_files import rpb_text
+from termsel.measurements.scaling import scaling_of
+from termsel.plugins.registry import registry
 from termsel.simulate import read_geometry, scene_truth, write_geometry
 from termsel.testing import Check, criterion_checks, model_checks
 from termsel_rpc import Ce90, PushbroomRefine, RpcAffine, RpcDrift, RpcShift

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from termsel.adjustment.compiled import compiled
-from termsel.features import BoolArray, IntArray
+from termsel.measurements.features import BoolArray, IntArray
 
 
 @compiled

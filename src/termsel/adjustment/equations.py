@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from termsel.features import BoolArray, FloatArray, IntArray, Lines
+from termsel.measurements.features import BoolArray, FloatArray, IntArray, Lines
 
 
 @dataclass(frozen=True, eq=False)

@@ -34,7 +34,7 @@ from termsel.adjustment.distinct import distinct
 from termsel.adjustment.equations import Equations
 from termsel.adjustment.reflections import LANES, apply_one, apply_two
 from termsel.adjustment.solve import TOLERANCE
-from termsel.features import BoolArray, FloatArray, IntArray
+from termsel.measurements.features import BoolArray, FloatArray, IntArray
 
 BLOCK = 192
 """Rows folded into a triangle at once."""

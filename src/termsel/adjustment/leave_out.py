@@ -25,7 +25,7 @@ import numpy as np
 from termsel.adjustment.equations import Equations
 from termsel.adjustment.reflections import LANES, apply_one
 from termsel.adjustment.solve import TOLERANCE
-from termsel.features import BoolArray, FloatArray, IntArray
+from termsel.measurements.features import BoolArray, FloatArray, IntArray
 
 Work = tuple[FloatArray, FloatArray, FloatArray]
 """Of the reflections: vectors, factors, and room that single reflections do not need."""

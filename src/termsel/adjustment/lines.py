@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from termsel.adjustment.equations import Equations, line_normals
-from termsel.features import FeatureSet, FloatArray
+from termsel.measurements.features import FeatureSet, FloatArray
 
 
 def approximate_image(features: FeatureSet, *, heights: bool = True) -> FloatArray:

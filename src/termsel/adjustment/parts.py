@@ -8,7 +8,7 @@ import numpy as np
 
 from termsel.adjustment.equations import Equations, row_axes
 from termsel.adjustment.kernels import solve_many
-from termsel.features import BoolArray, FloatArray, IntArray
+from termsel.measurements.features import BoolArray, FloatArray, IntArray
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,7 +8,7 @@ import numpy as np
 from scipy import linalg
 
 from termsel.adjustment.equations import Equations
-from termsel.features import BoolArray, FloatArray
+from termsel.measurements.features import BoolArray, FloatArray
 
 TOLERANCE = 1e-8
 """A column is dependent if this part of its length or less is left once the columns before

@@ -9,103 +9,19 @@ subset is a column at a depth: the columns in use there, and itself.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numba import njit
 
-from termsel.features import FloatArray, IntArray
+from termsel.adjustment.subset_arrays import Levels, Limits, Records
+from termsel.measurements.features import FloatArray, IntArray
 
 LINEAR, RATIONAL, PRESS, RSS = range(4)
 """Kinds of score: squares of errors, or of quotients of errors and denominators, or of
 leave-one-out errors, or of residuals."""
 
 _BOUND_FROM = 6  # columns to the right from which a bound is worth its cost
-
-
-class Levels(NamedTuple):
-    """The vectors of f systems in lockstep at every depth; depth 0 is given, the rest is room.
-
-    Column n, of infinite length and without a share, stands for no column.
-
-    Parameters
-    ----------
-    top : ndarray, shape (depths, f, n + r, rows)
-        Control rows, which span the inner products; columns, then targets.
-    extra : ndarray, shape (depths, f, n + r, rows)
-        Rows that take part. LINEAR: errors. RATIONAL: as many errors and denominators, these
-        with a minus sign, -1 - denominator x. PRESS: such denominators of the control rows.
-        RSS: none.
-    square : ndarray, shape (depths, f, n + 1)
-        Squared length of each column.
-    share : ndarray, shape (depths, f, n + 1, r)
-        Coefficient of each column in each target.
-    floor : ndarray, shape (f, n + 1)
-        A column whose squared length is at most this is dependent.
-    leverage, cross : ndarray, shape (depths, rows)
-        For PRESS: leverages of the rows, and their counterpart with the denominator.
-    """
-
-    top: FloatArray
-    extra: FloatArray
-    square: FloatArray
-    share: FloatArray
-    floor: FloatArray
-    leverage: FloatArray
-    cross: FloatArray
-
-
-class Limits(NamedTuple):
-    """Constants of a piece.
-
-    Parameters
-    ----------
-    margin, tolerance : float
-        Least denominator, least 1 - leverage.
-    offset, slack : float
-        Part of the score that no column can change, and rounding error of a residual sum of
-        squares.
-    size, room : int
-        Size of the subset in use already, and most columns to add.
-    """
-
-    margin: float
-    tolerance: float
-    offset: float
-    slack: float
-    size: int
-    room: int
-
-
-class Records(NamedTuple):
-    """What is sought.
-
-    Parameters
-    ----------
-    best, masks : ndarray, shape (sizes,)
-        Best score and mask of each size, updated in place. Of equal scores the smallest mask
-        as a number stays.
-    bits : ndarray of uint64, shape (n + 1,)
-        Mask of each column.
-    some_of : ndarray of uint64, shape (1,)
-        Columns of which a best subset has at least one; 0 for no such demand.
-    parents : ndarray of uint64, shape (k,) or (0,)
-        Mask of the columns without which a best subset does not have a column; none for no
-        such demand.
-    guard : ndarray, shape (n + 1, g)
-        Minus the denominators at guard points, of columns and target.
-    x, sums : ndarray, shape (depths,) and (g,)
-        Room for coefficients and denominators.
-    """
-
-    best: FloatArray
-    masks: Any
-    bits: Any
-    some_of: Any
-    parents: Any
-    guard: FloatArray
-    x: FloatArray
-    sums: FloatArray
 
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])

@@ -23,6 +23,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from termsel.adjustment.subset_stack import stack
 from termsel.adjustment.subset_system import (
     MAX_COLUMNS,
     SCORES,
@@ -30,9 +31,8 @@ from termsel.adjustment.subset_system import (
     SubsetSystem,
     Walked,
     count_subsets,
-    stack,
 )
-from termsel.features import BoolArray, FloatArray, IntArray
+from termsel.measurements.features import BoolArray, FloatArray, IntArray
 
 __all__ = ["MAX_COLUMNS", "SCORES", "SubsetResult", "SubsetSystem", "count_subsets",
            "estimate_seconds", "search"]

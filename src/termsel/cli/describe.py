@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from termsel.cli.names import complete
+from termsel.cli.completion import complete
 from termsel.cli.tables import print_table
 from termsel.errors import unknown_name
 
 if TYPE_CHECKING:
     from termsel.options import Option
-    from termsel.plugins.manager import Entry
+    from termsel.plugins.registry import Entry
 
 
 @click.command()
@@ -32,7 +32,7 @@ def describe(name: str) -> None:
       termsel describe ga
     """
     from termsel.plugins.kinds import KINDS
-    from termsel.plugins.manager import registry
+    from termsel.plugins.registry import registry
 
     names = registry()
     found = names.find(name)

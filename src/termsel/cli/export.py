@@ -6,8 +6,8 @@ from pathlib import Path
 
 import click
 
+from termsel.cli.completion import complete
 from termsel.cli.messages import show_messages
-from termsel.cli.names import complete
 from termsel.cli.run import parse_settings
 from termsel.errors import TermselError
 
@@ -46,9 +46,9 @@ def export(folder: Path, to: str, output: Path, image: str | None, dem: str | No
             options[name] = value
     show_messages()
 
-    from termsel.io.exporting import export as write
-    from termsel.io.exporting import writer_of
-    from termsel.io.result_files import read_result
+    from termsel.io.export import export as write
+    from termsel.io.export import writer_of
+    from termsel.io.result_folder import read_result
 
     writer_of(to, **options)  # a mistake in these is said before the folder is read
     write(read_result(folder), to, output, overwrite=overwrite, **options)

@@ -21,7 +21,7 @@ def list_(kind: str, as_json: bool) -> None:
       termsel list problems
       termsel list models --json
     """
-    from termsel.plugins.manager import registry
+    from termsel.plugins.registry import registry
 
     names = registry()
     entries = names.entries(kind)

@@ -15,9 +15,9 @@ from typing import Any
 
 import click
 
-from termsel import __version__
-from termsel.cli import COMMANDS
 from termsel.errors import TermselError, unknown_name
+from termsel.plugins.commands import COMMANDS
+from termsel.version import __version__
 
 MENDABLE, INTERRUPTED = 2, 130
 
@@ -62,7 +62,7 @@ class Commands(click.Group):
         """
         command = self.get_command(ctx, args[0])
         if command is None and not ctx.resilient_parsing:
-            from termsel.plugins.manager import registry
+            from termsel.plugins.registry import registry
 
             known = [*COMMANDS, *registry().names("commands")]
             raise unknown_name("command", args[0], known, registry().hint(args[0], "commands"))
@@ -119,7 +119,7 @@ class Commands(click.Group):
 
 
 def _plugin_command(name: str) -> click.Command | None:
-    from termsel.plugins.manager import registry
+    from termsel.plugins.registry import registry
 
     names = registry()
     for entry in names.entries("commands"):

@@ -24,7 +24,7 @@ def plugins(as_json: bool) -> None:
       termsel plugins
       TERMSEL_PLUGINS= termsel list models
     """
-    from termsel.plugins.manager import registry
+    from termsel.plugins.registry import registry
 
     names = registry()
     failures = names.failures()

@@ -35,9 +35,9 @@ def project(folder: Path, points: Path, inverse: bool, dem: Path | None, height:
     """
     show_messages()
 
-    from termsel.io.atomic import require_new, write_text
-    from termsel.io.projecting import project_table
-    from termsel.io.result_files import read_result
+    from termsel.formats.atomic import require_new, write_text
+    from termsel.io.project import project_table
+    from termsel.io.result_folder import read_result
 
     if output is not None and not overwrite:
         require_new(output)

@@ -46,8 +46,8 @@ def rectify(folder: Path, image: Path, output: Path, dem: Path | None, height: f
         raise TermselError("--dem and --height exclude each other", hint="Give one of them.")
     show_messages()
 
-    from termsel.io.rectifying import rectify as warp
-    from termsel.io.result_files import read_result
+    from termsel.io.rectify import rectify as warp
+    from termsel.io.result_folder import read_result
 
     result = read_result(folder)
     if dem is None and height is None and result.fit.model.uses_height:

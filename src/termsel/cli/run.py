@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from termsel.cli.completion import complete
 from termsel.cli.messages import show_messages
-from termsel.cli.names import complete
 from termsel.errors import TermselError
 
 if TYPE_CHECKING:
-    from termsel.features import FeatureSet
-    from termsel.searching import Progress
+    from termsel.measurements.features import FeatureSet
+    from termsel.solvers.ledger import Progress
 
 INTERRUPTED = 130
 
@@ -117,10 +117,9 @@ def run(
         raise TermselError("--export needs a folder to write to", hint="Give --out DIR.")
     show_messages()
 
-    from termsel import running
-    from termsel.io.exporting import export, writer_of
-    from termsel.plugins.manager import registry
-    from termsel.report.text import summary
+    from termsel.io.export import export, writer_of
+    from termsel.plugins.registry import registry
+    from termsel.runs import run as running
 
     # A name that is not known is said before a long search.
     exported = {to: f"result{writer_of(to).suffix or f'.{to}'}" for to in exports}
@@ -137,7 +136,7 @@ def run(
             model=model, solver=solver, criterion=criterion, options=options, seed=seed,
             generations=generations, evaluations=evaluations, seconds=seconds,
             observers=[observe] if observe else [], out=out)
-    click.echo(result.to_json() if as_json else summary(result), nl=False)
+    click.echo(result.to_json() if as_json else result.summary(), nl=False)
     if out is not None:
         click.echo(f"Written: {out}/result.json, residuals.csv, summary.txt", err=True)
         for to, name in exported.items():
@@ -172,8 +171,8 @@ def parse_settings(settings: tuple[str, ...]) -> dict[str, str]:
 def _read(points: Path | None, lines: Path | None, settings: dict[str, str],
           **given: Any) -> FeatureSet:
     """Read the files, with those settings that are options of readers, which are taken out."""
-    from termsel.io.reading import read
-    from termsel.plugins.manager import registry
+    from termsel.io.read import read
+    from termsel.plugins.registry import registry
 
     known = {option.name for entry in registry().entries("readers")
              for option in entry.object.declared_options}

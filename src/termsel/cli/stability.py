@@ -6,8 +6,8 @@ from pathlib import Path
 
 import click
 
+from termsel.cli.completion import complete
 from termsel.cli.messages import show_messages
-from termsel.cli.names import complete
 from termsel.cli.run import parse_settings
 from termsel.cli.tables import print_json, print_table
 
@@ -49,8 +49,8 @@ def stability(
     """
     show_messages()
 
-    from termsel import stability as module
-    from termsel.io.reading import read
+    from termsel.io.read import read
+    from termsel.runs import stability as module
 
     found = module.stability(
         problem, repeats=repeats, threshold=threshold, seed=seed, evaluations=evaluations,

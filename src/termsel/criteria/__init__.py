@@ -1,9 +1,10 @@
 """Criteria: how good a population of fitted models is."""
 
-from termsel.criteria.base import POLE_MARGIN, CheckRmse, Criterion, Fits
+from termsel.criteria.base import CheckRmse, Criterion, Fits
 from termsel.criteria.cross_validation import KFold, Press
 from termsel.criteria.information import Ebic
 from termsel.criteria.robust import Huber, Median
+from termsel.models.poles import POLE_MARGIN
 
 __all__ = ["POLE_MARGIN", "CheckRmse", "Criterion", "Ebic", "Fits", "Huber", "KFold", "Median",
            "Press"]

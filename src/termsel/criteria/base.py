@@ -12,7 +12,7 @@ import numpy as np
 from termsel.adjustment.equations import line_normals
 from termsel.adjustment.parts import Part
 from termsel.criteria.losses import SQUARES, figure
-from termsel.features import (
+from termsel.measurements.features import (
     BoolArray,
     FeatureSet,
     FloatArray,
@@ -22,14 +22,12 @@ from termsel.features import (
     no_lines,
 )
 from termsel.models.base import SensorModel
+from termsel.models.poles import POLE_MARGIN
 from termsel.models.quotient import RationalModel
 from termsel.options import Configurable
 
 if TYPE_CHECKING:
     from termsel.adjustment.subset_system import SubsetSystem
-
-POLE_MARGIN = 0.1
-"""Least value of a denominator over the scene; vendor RPCs stay within some hundredths of 1."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,9 +10,9 @@ from termsel.adjustment.leave_out import leave_one_out
 from termsel.adjustment.parts import solve_parts
 from termsel.criteria.base import Criterion, Fits
 from termsel.criteria.losses import LOSS, SQUARES, THRESHOLD
-from termsel.features import FloatArray, IntArray, Lines, Points, no_lines
+from termsel.measurements.features import FloatArray, IntArray, Lines, Points, no_lines
+from termsel.measurements.places import spatial_order
 from termsel.options import Option
-from termsel.roles import spatial_order
 
 _SOLUTIONS = 1 << 22
 """Coefficients of leave-one-out solutions held at once: 32 MB."""

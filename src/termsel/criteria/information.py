@@ -10,7 +10,7 @@ import numpy as np
 from termsel.adjustment.parts import Part
 from termsel.criteria.base import Criterion, Fits
 from termsel.errors import TermselError
-from termsel.features import FloatArray, IntArray
+from termsel.measurements.features import FloatArray, IntArray
 from termsel.options import Option
 
 if TYPE_CHECKING:

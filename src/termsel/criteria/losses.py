@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from termsel.features import BoolArray, FloatArray
+from termsel.measurements.features import BoolArray, FloatArray
 from termsel.options import Option
 
 SQUARES, HUBER, MEDIAN = "squares", "huber", "median"

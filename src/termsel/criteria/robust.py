@@ -6,7 +6,7 @@ import numpy as np
 
 from termsel.criteria.base import Criterion, Fits
 from termsel.criteria.losses import HUBER, MEDIAN, THRESHOLD, figure
-from termsel.features import FloatArray
+from termsel.measurements.features import FloatArray
 
 
 def _figure(fits: Fits, loss: str, threshold: float = THRESHOLD.default) -> FloatArray:

@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, ClassVar, Self
 import numpy as np
 
 from termsel.adjustment.equations import Equations
-from termsel.crs import to_wgs84
 from termsel.errors import TermselError
-from termsel.features import FeatureSet, FloatArray, IntArray
+from termsel.measurements.crs import to_wgs84
+from termsel.measurements.features import FeatureSet, FloatArray, IntArray
+from termsel.measurements.scaling import Scaling
 from termsel.options import Configurable
-from termsel.scaling import Scaling
 
 if TYPE_CHECKING:
-    from termsel.rpc import Rpc
+    from termsel.models.rpc import Rpc
 
 LINE, SAMPLE, BOTH = 0, 1, 2
 """Image axis a term acts on."""
@@ -26,8 +26,8 @@ class SensorModel(Configurable, ABC):
     """A mapping from ground to image whose terms can be switched on and off.
 
     A model works in scaled coordinates: image and ground within about [-1, 1] (see
-    `termsel.scaling`). One that must know where on Earth it is finds that in `scaling` and
-    `crs`, or asks `geographic`.
+    `termsel.measurements.scaling`). One that must know where on Earth it is finds that in
+    `scaling` and `crs`, or asks `geographic`.
     """
 
     uses_height: ClassVar[bool] = True

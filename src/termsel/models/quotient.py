@@ -12,7 +12,7 @@ import numpy as np
 from termsel.adjustment.equations import Equations, line_normals
 from termsel.adjustment.lines import approximate_image, image_equations
 from termsel.errors import TermselError
-from termsel.features import FeatureSet, FloatArray, IntArray
+from termsel.measurements.features import FeatureSet, FloatArray, IntArray
 from termsel.models.base import BOTH, LINE, SAMPLE, SensorModel
 
 

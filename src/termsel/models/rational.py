@@ -8,17 +8,10 @@ from functools import cached_property
 import numpy as np
 
 from termsel.adjustment.equations import Equations
-from termsel.features import FeatureSet, FloatArray
-from termsel.models.polynomial import Exponents, monomial_name, monomials
+from termsel.measurements.features import FeatureSet, FloatArray
+from termsel.models.monomials import RPC00B, Exponents, monomial_name, monomials
 from termsel.models.quotient import Blocks, RationalModel
 from termsel.options import Option
-
-# X, Y, Z stand for longitude, latitude and height, or whatever the ground coordinates are.
-RPC00B: Exponents = (
-    (0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1), (1, 1, 0), (1, 0, 1), (0, 1, 1), (2, 0, 0),
-    (0, 2, 0), (0, 0, 2), (1, 1, 1), (3, 0, 0), (1, 2, 0), (1, 0, 2), (2, 1, 0), (0, 3, 0),
-    (0, 1, 2), (2, 0, 1), (0, 2, 1), (0, 0, 3))
-"""Exponents of X, Y, Z of the 20 monomials in RPC00B order."""
 
 _TERMS_OF_ORDER = {1: 4, 2: 10, 3: 20}
 

@@ -12,8 +12,8 @@ from termsel.plugins.hookspecs import hookimpl
 
 if TYPE_CHECKING:
     from termsel.criteria import Criterion
-    from termsel.datasets import DatasetSpec
-    from termsel.io.base import Reader, Writer
+    from termsel.formats.base import Reader, Writer
+    from termsel.measurements.datasets import DatasetSpec
     from termsel.models import SensorModel
     from termsel.problems.recipes import Recipe
     from termsel.solvers import Solver
@@ -49,19 +49,19 @@ def termsel_criteria() -> Iterable[Criterion]:
 def termsel_solvers() -> Iterable[type[Solver]]:
     """Return the built-in solvers."""
     from termsel.solvers.aco import AntColony
-    from termsel.solvers.baselines import AllTerms, RandomSearch
     from termsel.solvers.exact import Exact
     from termsel.solvers.ga import GeneticAlgorithm
     from termsel.solvers.ga_correlation import CorrelationSeededGA
     from termsel.solvers.ga_steady import SteadyStateGA
     from termsel.solvers.ga_transgenic import TransgenicGA
     from termsel.solvers.ica import ImperialistCompetition
-    from termsel.solvers.local import Swap
-    from termsel.solvers.nested import NestedRegression
+    from termsel.solvers.nested_regression import NestedRegression
     from termsel.solvers.pareto import AgeMoea2, Nsga2, SmsEmoa, Spea2
     from termsel.solvers.pso import BinarySwarm
-    from termsel.solvers.regression import Stepwise, TTest
-    from termsel.solvers.shrinkage import Lasso, Ridge
+    from termsel.solvers.ridge_lasso import Lasso, Ridge
+    from termsel.solvers.stepwise import Stepwise, TTest
+    from termsel.solvers.swap import Swap
+    from termsel.solvers.yardsticks import AllTerms, RandomSearch
 
     return [GeneticAlgorithm, CorrelationSeededGA, SteadyStateGA, TransgenicGA,
             ImperialistCompetition, BinarySwarm, AntColony,
@@ -80,14 +80,14 @@ def termsel_datasets() -> Iterable[DatasetSpec]:
 @hookimpl
 def termsel_readers() -> Iterable[Reader]:
     """Return the built-in readers."""
-    from termsel.io.areas_table import AreasCsv
-    from termsel.io.asp_gcp import AspGcp
-    from termsel.io.csv_tables import LinesCsv, PointsCsv
-    from termsel.io.envi_points import EnviPoints
-    from termsel.io.gdal_gcps import GdalGcps
-    from termsel.io.geojson_points import GeoJsonPoints
-    from termsel.io.ground_lines import GeoJsonLines, VectorLines
-    from termsel.io.qgis_points import QgisPoints
+    from termsel.formats.readers.areas_table import AreasCsv
+    from termsel.formats.readers.asp_gcp import AspGcp
+    from termsel.formats.readers.csv_tables import LinesCsv, PointsCsv
+    from termsel.formats.readers.envi_points import EnviPoints
+    from termsel.formats.readers.gdal_gcps import GdalGcps
+    from termsel.formats.readers.geojson_points import GeoJsonPoints
+    from termsel.formats.readers.ground_lines import GeoJsonLines, VectorLines
+    from termsel.formats.readers.qgis_points import QgisPoints
 
     # A table of corners has all columns of points, so it is asked for first.
     return [AreasCsv(), PointsCsv(), LinesCsv(), QgisPoints(), GeoJsonPoints(), GeoJsonLines(),
@@ -97,10 +97,10 @@ def termsel_readers() -> Iterable[Reader]:
 @hookimpl
 def termsel_writers() -> Iterable[Writer]:
     """Return the built-in writers."""
-    from termsel.io.grid_writers import GcpGridVrt, GeolocationVrt
-    from termsel.io.residual_writer import ResidualsGeopackage
-    from termsel.io.rpc_writers import Rpb, RpcTxt, RpcVrt
-    from termsel.io.selection_writers import (
+    from termsel.formats.writers.grids import GcpGridVrt, GeolocationVrt
+    from termsel.formats.writers.residuals import ResidualsGeopackage
+    from termsel.formats.writers.rpcs import Rpb, RpcTxt, RpcVrt
+    from termsel.formats.writers.selections import (
         GcpVrt,
         LinesTable,
         OrthorityGeojson,

@@ -32,11 +32,11 @@ if TYPE_CHECKING:
     import click
 
     from termsel.criteria import Criterion
-    from termsel.datasets import DatasetSpec
-    from termsel.io.base import Reader, Writer
+    from termsel.formats.base import Reader, Writer
+    from termsel.measurements.datasets import DatasetSpec
     from termsel.models import SensorModel
     from termsel.problems.recipes import Recipe
-    from termsel.result import Result
+    from termsel.results.result import Result
     from termsel.solvers import Solver
 
 PROJECT = "termsel"

@@ -66,9 +66,9 @@ KINDS = {
     "models": Kind("model", "termsel.models", "SensorModel", classes=True),
     "solvers": Kind("solver", "termsel.solvers", "Solver", classes=True),
     "criteria": Kind("criterion", "termsel.criteria", "Criterion"),
-    "datasets": Kind("data set", "termsel.datasets", "DatasetSpec"),
-    "readers": Kind("reader", "termsel.io.base", "Reader"),
-    "writers": Kind("writer", "termsel.io.base", "Writer"),
+    "datasets": Kind("data set", "termsel.measurements.datasets", "DatasetSpec"),
+    "readers": Kind("reader", "termsel.formats.base", "Reader"),
+    "writers": Kind("writer", "termsel.formats.base", "Writer"),
 }
 """By the plural, which is also the last part of the hook's name."""
 

@@ -15,10 +15,10 @@ from typing import Any, TypeVar
 
 import pluggy
 
-from termsel import __version__
 from termsel.errors import unknown_name
 from termsel.plugins import builtin, hookspecs
 from termsel.plugins.hookspecs import PROJECT
+from termsel.version import __version__
 
 T = TypeVar("T")
 
@@ -110,7 +110,7 @@ class Loader:
     Parameters
     ----------
     entry_points : iterable of importlib.metadata.EntryPoint, optional
-        As in `termsel.plugins.manager.Registry`.
+        As in `termsel.plugins.registry.Registry`.
     """
 
     def __init__(self, entry_points: Iterable[EntryPoint] | None = None) -> None:

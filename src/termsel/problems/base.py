@@ -4,13 +4,21 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from termsel.criteria import Criterion
 from termsel.errors import TermselError, unknown_name
-from termsel.features import BoolArray, FloatArray, IntArray
+from termsel.measurements.features import (
+    BoolArray,
+    FeatureSet,
+    FloatArray,
+    IntArray,
+    Points,
+)
+from termsel.models.base import SensorModel
 
 if TYPE_CHECKING:
     from termsel.adjustment.subset_system import SubsetSystem
@@ -235,3 +243,28 @@ class Problem(ABC):
         """
         raise TermselError("this problem has no design matrix with a column for every gene",
                            hint="Choose a solver that needs none, such as --solver ga.")
+
+@dataclass(frozen=True, eq=False)
+class Inputs:
+    """What a problem is made of.
+
+    Parameters
+    ----------
+    model : SensorModel
+    control : FeatureSet
+        Control features in scaled coordinates.
+    check : Points
+        Check points in scaled coordinates.
+    pixels : float
+        Pixels per scaled image unit.
+    criterion : Criterion
+    options : dict
+        Values of the recipe's options.
+    """
+
+    model: SensorModel
+    control: FeatureSet
+    check: Points
+    pixels: float
+    criterion: Criterion
+    options: dict[str, Any] = field(default_factory=dict)

@@ -11,13 +11,20 @@ import numpy as np
 from termsel.adjustment.equations import Equations, row_axes
 from termsel.adjustment.subset_system import SubsetSystem
 from termsel.errors import TermselError
-from termsel.features import BoolArray, FeatureSet, FloatArray, IntArray, Points, no_lines
+from termsel.measurements.features import (
+    BoolArray,
+    FeatureSet,
+    FloatArray,
+    IntArray,
+    Points,
+    no_lines,
+)
 from termsel.models.base import LINE, SAMPLE
 from termsel.models.quotient import RationalModel
 from termsel.problems.base import EnumerablePart, Genome
 
 if TYPE_CHECKING:
-    from termsel.problems.selection import Inputs
+    from termsel.problems.base import Inputs
 
 
 def enumerable_parts(inputs: Inputs, equations: Equations, genome: Genome,

@@ -9,8 +9,9 @@ import numpy as np
 
 from termsel.adjustment.equations import Equations
 from termsel.adjustment.parts import Part
-from termsel.features import BoolArray, FeatureSet, FloatArray
-from termsel.problems.spread import uncovered_share
+from termsel.measurements.features import BoolArray, FeatureSet, FloatArray
+from termsel.measurements.places import centres
+from termsel.problems.coverage import uncovered_share
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,12 +86,6 @@ def log_condition(chosen: Chosen) -> FloatArray:
 
 
 _SINGULAR = 16.0
-
-
-def centres(control: FeatureSet) -> FloatArray:
-    """Return the image position of each feature, of lines the middle, shape (f, 2)."""
-    lines = control.lines
-    return np.concatenate([control.points.image, lines.by_feature(lines.image.mean(axis=1))])
 
 
 def uncovered(chosen: Chosen) -> FloatArray:

@@ -7,9 +7,9 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from termsel.options import Option
-from termsel.problems.base import Problem
-from termsel.problems.selection import Inputs, SelectionProblem
-from termsel.problems.wishes import FORCED, WISHES
+from termsel.problems.base import Inputs, Problem
+from termsel.problems.constraints import FORCED, WISHES
+from termsel.problems.selection import SelectionProblem
 
 
 @dataclass(frozen=True)

@@ -3,64 +3,36 @@
 from __future__ import annotations
 
 from copy import copy
-from dataclasses import dataclass, field, replace
-from typing import Any
+from dataclasses import replace
 
 import numpy as np
 
 from termsel.adjustment.parts import independent_parts, solve_parts
-from termsel.criteria import POLE_MARGIN, Criterion, Fits
-from termsel.crs import is_geocentric
+from termsel.criteria import Criterion, Fits
 from termsel.errors import TermselError, unknown_name
-from termsel.features import BoolArray, FeatureSet, FloatArray, IntArray, Points, select
-from termsel.models.base import LINE, SAMPLE, SensorModel
+from termsel.measurements.features import (
+    BoolArray,
+    FloatArray,
+    IntArray,
+    select,
+)
+from termsel.measurements.places import centres
+from termsel.models.base import LINE, SAMPLE
+from termsel.models.poles import POLE_MARGIN, guard_points, pole_violation
 from termsel.problems.base import (
     WORST,
     EnumerablePart,
     Evaluation,
     Genome,
+    Inputs,
     Problem,
     Segment,
     Selection,
 )
+from termsel.problems.constraints import capped, excess, forced, listed, orphans, parents
+from termsel.problems.coverage import uncovered_share
 from termsel.problems.enumeration import enumerable_parts
-from termsel.problems.objectives import OBJECTIVES, Chosen, centres
-from termsel.problems.redundancy import capped, excess
-from termsel.problems.spread import uncovered_share
-from termsel.problems.wishes import forced, listed, orphans, parents
-from termsel.roles import spatial_order
-
-GUARDED = 100
-"""Features at which denominators are looked at beside the grid; polynomials of third order
-have no room for a pole between so many."""
-
-_GRID = np.stack(np.meshgrid(*[np.linspace(-1.0, 1.0, n) for n in (5, 5, 3)]), -1).reshape(-1, 3)
-
-
-@dataclass(frozen=True, eq=False)
-class Inputs:
-    """What a problem is made of.
-
-    Parameters
-    ----------
-    model : SensorModel
-    control : FeatureSet
-        Control features in scaled coordinates.
-    check : Points
-        Check points in scaled coordinates.
-    pixels : float
-        Pixels per scaled image unit.
-    criterion : Criterion
-    options : dict
-        Values of the recipe's options.
-    """
-
-    model: SensorModel
-    control: FeatureSet
-    check: Points
-    pixels: float
-    criterion: Criterion
-    options: dict[str, Any] = field(default_factory=dict)
+from termsel.problems.objectives import OBJECTIVES, Chosen
 
 
 class SelectionProblem(Problem):
@@ -291,35 +263,6 @@ def _feature_counts(inputs: Inputs) -> tuple[int, int | None]:
         raise TermselError(f"option 'min_features' is {least} and 'max_features' {most}",
                            hint="Give at most as many for min_features as for max_features.")
     return least or 0, most
-
-
-def guard_points(control: FeatureSet, check: Points) -> FloatArray:
-    """Return scaled ground points at which denominators must stay positive.
-
-    A grid over the box of X, Y, Z of control and check features, and features themselves:
-    all of them up to GUARDED, of more an even choice over the scene. In geocentric coordinates,
-    where X, Y, Z are not along and across the ground, the box is turned to the features.
-    """
-    vertices = np.concatenate([control.ground_vertices(), check.ground])
-    axes = np.eye(3)
-    if control.fit_crs and is_geocentric(control.fit_crs):
-        axes = np.linalg.svd(vertices - vertices.mean(axis=0), full_matrices=False)[2].T
-    low, high = (vertices @ axes).min(axis=0), (vertices @ axes).max(axis=0)
-    if len(vertices) > GUARDED:
-        even = np.linspace(0, len(vertices) - 1, GUARDED).astype(int)
-        vertices = vertices[spatial_order(vertices[:, :2])[even]]
-    grid = (low + high) / 2 + _GRID * (high - low) / 2
-    return np.concatenate([vertices, grid @ axes.T])
-
-
-def pole_violation(model: SensorModel, coefficients: FloatArray,
-                   ground: FloatArray) -> FloatArray:
-    """Return by how much denominators fall short of POLE_MARGIN, shape (p,); 0 is safe."""
-    below = model.denominators(coefficients, ground)
-    if below is None:
-        return np.zeros(len(coefficients))
-    least = np.nan_to_num(below, nan=-WORST).min(axis=(1, 2))
-    return np.asarray(np.clip(POLE_MARGIN - least, 0.0, WORST))
 
 
 def _term_segments(names: tuple[str, ...], axis: IntArray, mask: str,

@@ -6,14 +6,9 @@ from termsel.simulate.geometry_files import (
     read_geometry,
     write_geometry,
 )
-from termsel.simulate.pushbroom import Angle, Pushbroom, pushbroom_at
-from termsel.simulate.scenes import (
-    DATASETS,
-    SCENES,
-    SceneTruth,
-    scene_truth,
-    simulate_scene,
-)
+from termsel.simulate.orbit import pushbroom_at
+from termsel.simulate.pushbroom import Angle, Pushbroom
+from termsel.simulate.scenes import DATASETS, SCENES, SceneTruth, scene_truth, simulate_scene
 from termsel.simulate.terrain import Terrain
 
 __all__ = [

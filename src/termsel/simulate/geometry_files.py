@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from termsel.errors import TermselError
-from termsel.io.atomic import write_text
-from termsel.io.base import located, read_head, read_text
+from termsel.formats.atomic import write_text
+from termsel.formats.base import located, read_head, read_text
 from termsel.simulate.pushbroom import Angle, Pushbroom
 
 SCHEMA = "termsel-pushbroom-1"

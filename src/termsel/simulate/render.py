@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 from scipy.ndimage import map_coordinates
 
-from termsel.features import FloatArray
+from termsel.measurements.features import FloatArray
 from termsel.simulate.pushbroom import Pushbroom
 
 Heights = Callable[[FloatArray], FloatArray]

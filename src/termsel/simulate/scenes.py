@@ -14,10 +14,19 @@ from functools import lru_cache, partial
 import numpy as np
 from numpy.random import Generator
 
-from termsel.datasets import DatasetSpec
 from termsel.errors import TermselError, unknown_name
-from termsel.features import FeatureSet, FloatArray, IntArray, Lines, Points, no_lines, no_points
-from termsel.simulate.pushbroom import Angle, Pushbroom, pushbroom_at
+from termsel.measurements.datasets import DatasetSpec
+from termsel.measurements.features import (
+    FeatureSet,
+    FloatArray,
+    IntArray,
+    Lines,
+    Points,
+    no_lines,
+    no_points,
+)
+from termsel.simulate.orbit import pushbroom_at
+from termsel.simulate.pushbroom import Angle, Pushbroom
 from termsel.simulate.terrain import Terrain, hilly
 from termsel.simulate.wgs84 import SEMI_MAJOR
 

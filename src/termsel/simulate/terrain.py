@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from termsel.features import FloatArray
+from termsel.measurements.features import FloatArray
 from termsel.simulate.wgs84 import SEMI_MAJOR
 
 _WAVES = 16

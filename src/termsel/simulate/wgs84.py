@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from termsel.features import FloatArray
+from termsel.measurements.features import FloatArray
 
 # NGA.STND.0036: metres, metres^3/s^2, radians/s.
 SEMI_MAJOR = 6378137.0

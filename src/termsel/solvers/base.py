@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from termsel.features import BoolArray
+from termsel.measurements.features import BoolArray
 from termsel.options import Configurable, Option
 from termsel.problems.base import Evaluation, Problem
 

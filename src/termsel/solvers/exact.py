@@ -14,7 +14,7 @@ import numpy as np
 from termsel.adjustment import subsets
 from termsel.adjustment.subsets import SubsetResult
 from termsel.errors import TermselError
-from termsel.features import BoolArray
+from termsel.measurements.features import BoolArray
 from termsel.options import Option
 from termsel.problems.base import EnumerablePart, Problem
 from termsel.solvers.base import Generation, Solver

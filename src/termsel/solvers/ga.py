@@ -8,7 +8,7 @@ from typing import ClassVar
 import numpy as np
 from deap import base
 
-from termsel.features import BoolArray, IntArray
+from termsel.measurements.features import BoolArray, IntArray
 from termsel.options import Option
 from termsel.problems.base import Evaluation, Problem
 from termsel.solvers.base import POLISH, Generation, Solver

@@ -8,7 +8,7 @@ import numpy as np
 from deap import base
 
 from termsel.errors import TermselError
-from termsel.features import BoolArray, FloatArray
+from termsel.measurements.features import BoolArray, FloatArray
 from termsel.options import Option
 from termsel.problems.base import Problem
 from termsel.solvers.ga import GeneticAlgorithm

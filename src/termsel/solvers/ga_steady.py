@@ -9,7 +9,7 @@ import numpy as np
 from deap import base
 
 from termsel.errors import TermselError
-from termsel.features import BoolArray, IntArray
+from termsel.measurements.features import BoolArray, IntArray
 from termsel.options import Option
 from termsel.problems.base import Evaluation, Genome, Problem
 from termsel.solvers.base import POLISH

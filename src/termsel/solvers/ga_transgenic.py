@@ -8,7 +8,7 @@ from typing import ClassVar
 import numpy as np
 from deap import base
 
-from termsel.features import BoolArray, FloatArray
+from termsel.measurements.features import BoolArray, FloatArray
 from termsel.options import Option
 from termsel.problems.base import Evaluation
 from termsel.solvers.ga import GeneticAlgorithm

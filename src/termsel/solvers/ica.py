@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from termsel.features import BoolArray, FloatArray, IntArray
+from termsel.measurements.features import BoolArray, FloatArray, IntArray
 from termsel.options import Option
 from termsel.problems.base import Evaluation, Problem
 from termsel.solvers.base import POLISH, Generation, Solver

@@ -19,7 +19,7 @@ from pymoo.core.termination import NoTermination
 from pymoo.operators.crossover.ux import UX
 from pymoo.operators.mutation.bitflip import BitflipMutation
 
-from termsel.features import BoolArray, FloatArray
+from termsel.measurements.features import BoolArray, FloatArray
 from termsel.options import Option
 from termsel.problems.base import Evaluation, Genome, Problem
 from termsel.solvers.base import POLISH, Generation, Solver

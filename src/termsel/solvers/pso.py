@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from termsel.features import BoolArray, FloatArray, IntArray
+from termsel.measurements.features import BoolArray, FloatArray, IntArray
 from termsel.options import Option
 from termsel.problems.base import Evaluation, Problem
 from termsel.solvers.base import POLISH, Generation, Solver

@@ -7,9 +7,10 @@ from collections.abc import Mapping
 import numpy as np
 
 from termsel.criteria import Criterion, Fits
-from termsel.features import BoolArray, FloatArray, Points
+from termsel.measurements.features import BoolArray, FloatArray, Points
 from termsel.models.polynomial import Polynomial3D
-from termsel.problems.selection import Inputs, SelectionProblem
+from termsel.problems.base import Inputs
+from termsel.problems.selection import SelectionProblem
 from termsel.testing.checks import (
     Case,
     Check,

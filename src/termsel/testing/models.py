@@ -10,14 +10,12 @@ from typing import Any
 
 import numpy as np
 
-from termsel.adjustment.solve import solve
 from termsel.criteria import CheckRmse
-from termsel.errors import TermselError
-from termsel.features import FeatureSet, FloatArray, Points
+from termsel.measurements.features import FeatureSet, FloatArray
+from termsel.measurements.scaling import Scaling
 from termsel.models.base import SensorModel
-from termsel.models.quotient import RationalModel
-from termsel.problems.selection import Inputs, SelectionProblem
-from termsel.scaling import Scaling
+from termsel.problems.base import Inputs
+from termsel.problems.selection import SelectionProblem
 from termsel.testing.checks import (
     Case,
     Check,
@@ -28,23 +26,21 @@ from termsel.testing.checks import (
     require,
     run_all,
 )
+from termsel.testing.model_equations import (
+    control_kinds,
+    equations,
+    exact_recovery,
+    recovery_from_lines,
+    translation,
+)
 from termsel.testing.scenes import (
-    MIXES,
     accepted_scenes,
-    experiment,
-    fitted,
     flattened,
     imaged,
     random_coefficients,
     random_ground,
     seeded,
 )
-
-EXACT = 1e-6
-"""Error allowed where a model is fitted to what it computed itself, in scaled units."""
-
-FIRST_ORDER = 0.01
-"""Median error allowed where line equations hold to first order, as a share of the image."""
 
 PLACE = Scaling((48.5, 34.8, 1850.0), (0.05, 0.04, 150.0), (3500.0, 4000.0), 4000.0), "EPSG:4979"
 """Scaling and CRS that models are prepared for."""
@@ -88,46 +84,6 @@ def axis(model: SensorModel) -> None:
                     f"project() gives other {name}s without it")
 
 
-def control_kinds(model: SensorModel) -> None:
-    """It takes control from points, from lines and from both.
-
-    A model that cannot refuses with a TermselError, and has this check among its expected
-    failures; the others are then run on what it takes.
-    """
-    for mix, name in zip(MIXES, ("points alone", "lines alone", "points and lines"), strict=True):
-        try:
-            model.equations(experiment(model, *mix)[0])
-        except TermselError as error:
-            raise AssertionError(f"it refuses control from {name}: {error}") from error
-
-
-def equations(model: SensorModel) -> None:
-    """Points and lines give two finite rows each, points first, over all terms."""
-    k = len(model.terms)
-    for features in accepted_scenes(model):
-        if len(features.lines):
-            features = _in_pieces(features)
-        n, m = len(features.points), len(features.lines)
-        found = model.equations(features)
-        of = f"of {n} points and {m} lines in {len(features) - n} features"
-        rows = 2 * (n + m)
-        for name, value, shape in (("A", found.A, (rows, k)), ("b", found.b, (rows,)),
-                                   ("feature", found.feature, (rows,))):
-            require(np.shape(value) == shape, f"equations {of}: {name} must have shape {shape}, "
-                    f"two rows a point or line, not {np.shape(value)}")
-        require(np.isfinite(found.A).all() and np.isfinite(found.b).all(),
-                f"equations {of}: A and b must be finite")
-        require(np.array_equal(found.feature, np.repeat(features.feature, 2)),
-                f"equations {of}: feature must number the features each row belongs to, points "
-                "first and then lines, as np.repeat(features.feature, 2) does")
-
-
-def _in_pieces(features: FeatureSet) -> FeatureSet:
-    """Return the features with the last line as a piece of the one before it."""
-    ids = features.lines.ids
-    return features.with_(lines=replace(features.lines, ids=(*ids[:-1], ids[-2])))
-
-
 def inputs_unchanged(model: SensorModel) -> None:
     """It writes to nothing it is given."""
     coefficients, ground = random_coefficients(model, seeded()), random_ground(seeded(), 9)
@@ -142,59 +98,6 @@ def inputs_unchanged(model: SensorModel) -> None:
     for name, old, array in zip(("the coefficients", "the ground points", *4 * ("the features",)),
                                 before, given, strict=True):
         require(np.array_equal(old, array), f"it changes {name} it is given; work on a copy")
-
-
-def exact_recovery(model: SensorModel) -> None:
-    """Fitted to points it computed itself, it computes other points right.
-
-    Standard deviations, which weight the points, make no difference.
-    """
-    features, truth, ground = experiment(model, 1, 0)
-    _require_recovered(model, features, truth, ground, "points")
-    points = features.points
-    sigma = seeded().uniform(0.5, 2.0, (len(points), 2))
-    weighted = Points(points.ids, points.image, points.ground, sigma)
-    _require_recovered(model, features.with_(points=weighted), truth, ground,
-                       "points with standard deviations")
-
-
-def recovery_from_lines(model: SensorModel) -> None:
-    """Fitted to lines it computed itself, it computes points right.
-
-    With a denominator for each axis, the equations of lines hold to first order and so does
-    this. Other models than a RationalModel are asked for points and lines together, as lines
-    alone may not suffice them, if they take any.
-    """
-    if not any(len(features.lines) for features in accepted_scenes(model)):
-        return
-    separate = _has_separate_denominators(model)
-    points = 0 if isinstance(model, RationalModel) else 1
-    features, truth, ground = experiment(model, points, 1, shrink=0.1 if separate else 1.0)
-    if not separate:
-        _require_recovered(model, features, truth, ground, "lines")
-        return
-    image = model.project(truth, ground)
-    allowed = FIRST_ORDER * float(np.ptp(image))
-    # A search has the equations alone; a fit goes on from them and may mend what is wrong in them.
-    alone = solve(model.equations(features)).coefficients
-    for how, found in (("by equations()", model.predict(alone, features, ground)),
-                       ("by a fit", fitted(model, features, ground))):
-        error = float(np.median(np.abs(found - image)))
-        require(error <= allowed,
-                f"fitted to lines without noise {how}, it misses points by {error:.1g} (median, "
-                f"scaled units); at most {allowed:.1g} is to be expected")
-
-
-def translation(model: SensorModel) -> None:
-    """Image coordinates that are all shifted alike shift its prediction by as much."""
-    features, truth, ground = experiment(model, 1, 0)
-    shift = np.array([0.1, -0.05])
-    points = features.points
-    moved = features.with_(points=Points(points.ids, points.image + shift, points.ground))
-    error = np.abs(fitted(model, moved, ground) - model.project(truth, ground) - shift).max()
-    require(error <= EXACT, f"with all image coordinates shifted by {shift}, its prediction is "
-                            f"not shifted by as much but {error:.1g} beside; has it a constant "
-                            "term for line and for sample?")
 
 
 def project_shapes(model: SensorModel) -> None:
@@ -406,22 +309,6 @@ def _choices(model: type[SensorModel]) -> list[dict[str, Any]]:
         choices = (True, False) if option.type is bool else map(option.parse, option.choices)
         others += [{option.name: choice} for choice in choices if choice != option.default]
     return others
-
-
-def _require_recovered(model: SensorModel, features: FeatureSet, truth: FloatArray,
-                       ground: FloatArray, kind: str) -> None:
-    error = np.abs(fitted(model, features, ground) - model.project(truth, ground)).max()
-    require(error <= EXACT,
-            f"fitted to {kind} without noise that project() gave, it misses other points by "
-            f"{error:.1g} (scaled units); equations() and project() do not say the same")
-
-
-def _has_separate_denominators(model: SensorModel) -> bool:
-    if not isinstance(model, RationalModel):
-        return False
-    blocks = model.blocks(np.zeros((1, 3)))
-    return any(block is not None and block.shape[1]
-               for block in (blocks.line_denominator, blocks.sample_denominator))
 
 
 def _problems(model: SensorModel, features: FeatureSet) -> list[tuple[str, SelectionProblem]]:

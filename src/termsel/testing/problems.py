@@ -7,18 +7,19 @@ from collections.abc import Callable
 import numpy as np
 
 from termsel.criteria import CheckRmse
-from termsel.features import BoolArray, FeatureSet, FloatArray, Points, select
+from termsel.measurements.features import BoolArray, FeatureSet, FloatArray, Points, select
 from termsel.models.polynomial import Polynomial2D
 from termsel.problems.base import (
     WORST,
     EnumerablePart,
     Evaluation,
     Genome,
+    Inputs,
     Problem,
     Segment,
     Selection,
 )
-from termsel.problems.selection import Inputs, SelectionProblem
+from termsel.problems.selection import SelectionProblem
 from termsel.testing.checks import require
 from termsel.testing.scenes import imaged
 

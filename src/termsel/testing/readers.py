@@ -10,8 +10,8 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from termsel.errors import TermselError
-from termsel.features import FeatureSet
-from termsel.io.base import Reader
+from termsel.formats.base import Reader
+from termsel.measurements.features import FeatureSet
 from termsel.testing.checks import Case, Check, assemble, check_declaration, require, run_all
 
 HEAD = 65536

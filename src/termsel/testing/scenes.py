@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from termsel.errors import TermselError
-from termsel.features import FeatureSet, FloatArray, Lines, Points, no_lines, no_points
-from termsel.fitting import adjust
+from termsel.fits.fit import adjust
+from termsel.measurements.features import FeatureSet, FloatArray, Lines, Points, no_lines, no_points
 from termsel.models.base import SensorModel
 
 LEAST_DENOMINATOR = 0.5

@@ -13,18 +13,10 @@ import numpy as np
 
 from termsel.errors import TermselError
 from termsel.problems.base import Evaluation, Problem
-from termsel.searching import Progress
 from termsel.solvers.base import Generation, Solver
+from termsel.solvers.ledger import Progress
 from termsel.testing import problems
-from termsel.testing.checks import (
-    Case,
-    Check,
-    assemble,
-    check_declaration,
-    label,
-    require,
-    run_all,
-)
+from termsel.testing.checks import Case, Check, assemble, check_declaration, label, require, run_all
 from termsel.testing.problems import Watched, require_genes
 from termsel.testing.trial import Trial, global_states, global_states_kept
 
@@ -336,7 +328,7 @@ def solver_checks(
 
     Examples
     --------
-    >>> from termsel.solvers.baselines import AllTerms
+    >>> from termsel.solvers.yardsticks import AllTerms
     >>> solver_checks(AllTerms)[1].name
     'generations_hold'
     """

@@ -12,10 +12,11 @@ from typing import Any
 import numpy as np
 
 from termsel.errors import TermselError
-from termsel.features import BoolArray
+from termsel.measurements.features import BoolArray
 from termsel.problems.base import Evaluation, Problem, Selection
-from termsel.searching import Progress, Search, search
 from termsel.solvers.base import Generation, Solver
+from termsel.solvers.ledger import Progress
+from termsel.solvers.search import Search, search
 
 FEW = 4
 """Generations looked at where more would show no more."""

@@ -10,14 +10,14 @@ from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from termsel.assessing import assess
 from termsel.errors import TermselError
-from termsel.features import FeatureSet, Points
-from termsel.io.base import Writer
+from termsel.formats.base import Writer
+from termsel.measurements.features import FeatureSet, Points
 from termsel.models.rational import RationalFunctions
-from termsel.result import Result
-from termsel.running import prepare
-from termsel.searching import search
+from termsel.results.result import Result
+from termsel.runs.assess import assess
+from termsel.runs.task import prepare
+from termsel.solvers.search import search
 from termsel.testing.checks import Case, Check, assemble, check_declaration, require, run_all
 from termsel.testing.scenes import imaged, random_coefficients, seeded
 
@@ -244,13 +244,14 @@ def _refused(export: Export, result: Result, path: Path, what: str) -> None:
         return
     except Exception as error:
         raise AssertionError(f"{what} raises {type(error).__name__}: {error}; write through "
-                             "termsel.io.atomic, or raise TermselError(..., file=path)") from error
+                             "termsel.formats.atomic, or raise TermselError(..., "
+                             "file=path)") from error
     raise AssertionError(f"{what} goes unnoticed; raise TermselError(..., file=path)")
 
 
 def _require_old(path: Path, what: str) -> None:
     require(path.read_bytes() == OLD, f"after {what} the file that was there before is lost; "
-                                      "write through termsel.io.atomic")
+                                      "write through termsel.formats.atomic")
     _require_tidy(path)
 
 

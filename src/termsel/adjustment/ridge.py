@@ -1,0 +1,96 @@
+"""Penalised least squares along the singular values of a design matrix."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from termsel.adjustment.solve import TOLERANCE
+from termsel.measurements.features import FloatArray
+
+LEVEL = 1e-6
+"""Figures that differ by less than this share are taken for one."""
+
+
+@dataclass(frozen=True, eq=False)
+class Spectrum:
+    """A regression in terms of its singular values.
+
+    Parameters
+    ----------
+    values : ndarray, shape (p,)
+        Singular values that are not rounding error, from the largest.
+    inner : ndarray, shape (p,)
+        Length of the target, over all its right-hand sides, along each left singular vector.
+    outside : float
+        Square of the target's part that no column reaches.
+    freedom : int
+        Rows less unpenalised columns.
+    """
+
+    values: FloatArray
+    inner: FloatArray
+    outside: float
+    freedom: int
+
+    def penalties(self, least: float) -> FloatArray:
+        """Return penalties from the largest singular value down to `least` of it."""
+        return np.asarray(self.values[0] * np.geomspace(1.0, least, 401))
+
+    def _left(self, penalty: FloatArray) -> FloatArray:
+        """Return 1 - s^2 / (s^2 + penalty^2), shape (n, p)."""
+        square = penalty[:, None] ** 2
+        return np.asarray(square / (self.values**2 + square))
+
+    def gcv(self, penalty: FloatArray) -> FloatArray:
+        """Return the generalised cross-validation, up to a factor (Golub et al. 1979, eq. 1.4).
+
+        Parameters
+        ----------
+        penalty : ndarray, shape (n,)
+        """
+        left = self._left(penalty)
+        square = ((left * self.inner) ** 2).sum(axis=1) + self.outside
+        freedom = left.sum(axis=1) + (self.freedom - len(self.values))
+        return np.asarray(square / freedom**2)
+
+    def curvature(self, penalty: FloatArray) -> FloatArray:
+        """Return the curvature of the L-curve, (log |residuals|, log |x|).
+
+        With rho and eta, the squares of residuals and coefficients, it needs the slope of eta
+        alone, since d rho = -penalty^2 d eta (Hansen 2001, section 3). Positive in a corner.
+
+        Parameters
+        ----------
+        penalty : ndarray, shape (n,)
+        """
+        left = self._left(penalty)
+        part = ((1.0 - left) * self.inner / self.values) ** 2
+        eta = part.sum(axis=1)
+        rho = ((left * self.inner) ** 2).sum(axis=1) + self.outside
+        slope = -4.0 / penalty * (left * part).sum(axis=1)
+        square = penalty**2
+        return np.asarray(
+            -2.0 * eta * rho / slope
+            * (square * slope * rho + 2.0 * penalty * eta * rho + square**2 * eta * slope)
+            / (square**2 * eta**2 + rho**2) ** 1.5)
+
+
+def choose_penalty(spectrum: Spectrum, choice: str) -> float:
+    """Return the penalty of the least GCV, or at the corner of the L-curve.
+
+    Parameters
+    ----------
+    spectrum : Spectrum
+    choice : {"gcv", "l-curve"}
+    """
+    if choice == "gcv":
+        penalties = spectrum.penalties(TOLERANCE)
+        gcv = spectrum.gcv(penalties)
+        # Towards no penalty GCV is often level; the first of its least values is reproducible.
+        return float(penalties[np.argmax(gcv <= gcv.min() * (1 + LEVEL))])
+    # Below the least singular value the L-curve stands still (Hansen, O'Leary 1993).
+    penalties = spectrum.penalties(spectrum.values[-1] / spectrum.values[0])
+    curvature = spectrum.curvature(penalties)
+    return float(penalties[curvature.argmax() if curvature.max() > 0.0 else -1])

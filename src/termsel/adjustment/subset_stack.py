@@ -1,0 +1,272 @@
+"""A system of equations laid out for the walk through all subsets."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cache, cached_property
+
+import numpy as np
+
+from termsel.adjustment.solve import TOLERANCE
+from termsel.adjustment.subset_arrays import Levels, Limits, Records
+from termsel.adjustment.subset_kernels import LINEAR, PRESS, RATIONAL, RSS, largest_open, walk
+from termsel.adjustment.subset_system import BITS, SCORES, Masks, Piece, SubsetSystem, Walked
+from termsel.errors import TermselError, unknown_name
+from termsel.measurements.features import FloatArray, IntArray
+
+
+@dataclass(frozen=True, eq=False)
+class Rows:
+    """Rows of one system, by column and, at the end, target.
+
+    Parameters
+    ----------
+    control : ndarray, shape (m, k + r)
+        Rows of the adjustment.
+    extra : ndarray, shape (e, k + r)
+        Rows that take part, as `Levels` has them.
+    guard : ndarray, shape (g, k + r)
+        Denominators at the guard points.
+    """
+
+    control: FloatArray
+    extra: FloatArray
+    guard: FloatArray
+
+    @cached_property
+    def lengths(self) -> FloatArray:
+        """Lengths of the control columns, shape (k + r,)."""
+        return np.asarray(np.linalg.norm(self.control, axis=0))
+
+
+@dataclass(frozen=True, eq=False)
+class Stack:
+    """The systems of a score, in lockstep, and the columns to choose from."""
+
+    kind: int
+    k: int
+    systems: list[Rows]
+    margin: float
+    some_of: np.uint64
+    parents: Masks
+    everything: Piece
+
+    @cached_property
+    def _targets(self) -> IntArray:
+        return np.arange(self.k, self.systems[0].control.shape[1])
+
+    @cached_property
+    def _slack(self) -> float:
+        """Rounding error to allow in a residual sum of squares."""
+        return 1e-13 * float((self.systems[0].control[:, self.k:] ** 2).sum())
+
+    @property
+    def starts(self) -> list[Piece]:
+        """Single subsets, each of which may well be the best of its size: bounds need some."""
+        if self.kind != RSS:
+            return []
+        used, rest, room = self.everything.used, self.everything.rest, self.everything.room
+        return [Piece(np.concatenate([used, rest[:n]]), rest[:0], 0) for n in range(room + 1)]
+
+    def trimmed(self, piece: Piece, best: FloatArray) -> Piece:
+        """Return what of a piece may still hold a best subset; perhaps nothing.
+
+        No subset has a lower residual sum of squares than all its columns and the rest.
+        """
+        if self.kind != RSS:
+            return piece
+        size, n = len(piece.used), len(piece.used) + len(piece.rest)
+        columns = np.concatenate([piece.used, piece.rest, self._targets])
+        bound = _triangle(self.systems[0].control[:, columns], n)[1]
+        most = largest_open(bound, best, size, size + piece.room, self._slack)
+        return replace(piece, room=most - size)
+
+    def walk(self, piece: Piece, best: FloatArray, masks: Masks) -> Walked:
+        """Decide the subsets of a piece, given the best ones so far.
+
+        The columns in use are taken out here, by LAPACK; what is left needs fewer rows.
+        """
+        n, used, p = len(piece.rest), piece.used, len(piece.used)
+        room = min(n, piece.room)
+        kept = np.concatenate([piece.rest, self._targets])
+        tops, extras, guards = [], [], []
+        floor = np.zeros((len(self.systems), n + 1))
+        leverage = cross = np.zeros(0)
+        offset = 0.0
+        for rows, least in zip(self.systems, floor, strict=True):
+            least[:n] = (TOLERANCE * rows.lengths[piece.rest]) ** 2
+            q, triangle = np.linalg.qr(rows.control[:, np.concatenate([used, kept])])
+            if len(triangle) < p or (
+                    np.abs(np.diag(triangle)[:p]) <= TOLERANCE * rows.lengths[used]).any():
+                return Walked(best, masks, piece.count, 0)
+            share = np.linalg.solve(triangle[:p, :p], triangle[:p, p:])
+            extra, guard = (part[:, kept] - part[:, used] @ share
+                            for part in (rows.extra, rows.guard))
+            if self.kind == PRESS:
+                top, q = q[:, p:] @ triangle[p:, p:], q[:, :p]
+                leverage = (q**2).sum(axis=1)
+                cross = (q * np.linalg.solve(triangle[:p, :p].T, rows.extra[:, used].T).T).sum(
+                    axis=1)
+            else:
+                top = triangle[p:p + n, p:]
+            if self.kind == RSS:
+                offset += float((triangle[p + n:, p + n:] ** 2).sum())
+            if self.kind == LINEAR:
+                extra, rest = _triangle(extra, n)
+                offset += rest
+            tops.append(top)
+            extras.append(extra)
+            guards.append(guard)
+        levels = _levels(tops, extras, floor, leverage, cross, max(room, 1))
+        guard = np.ascontiguousarray(guards[0].T)
+        best, masks = best.copy(), masks.copy()
+        depths, _, vectors, height = levels.top.shape
+        infeasible, pruned = walk(
+            self.kind, levels,
+            Limits(self.margin, TOLERANCE, offset, self._slack, len(used), room),
+            Records(best, masks, np.append(BITS[piece.rest], np.uint64(0)),
+                    np.array([self.some_of]), self.parents, guard, np.empty(depths),
+                    np.empty(guard.shape[1])),
+            BITS[used].sum(), _counts(n, room), np.zeros(depths, dtype=np.intp),
+            np.zeros(depths, dtype=np.intp), np.zeros(depths, dtype=np.uint64),
+            np.empty((vectors, height)), None if levels.share[0].size == n + 1 else False)
+        return Walked(best, masks, infeasible, pruned)
+
+
+@cache
+def _counts(columns: int, room: int) -> IntArray:
+    """Return the number of subsets of 0 to `columns` with at most 0 to `room` members."""
+    counts = np.ones((columns + 1, room + 1), dtype=np.intp)
+    for n in range(1, columns + 1):
+        counts[n, 1:] = counts[n - 1, 1:] + counts[n - 1, :-1]
+    return counts
+
+
+def _levels(tops: list[FloatArray], extras: list[FloatArray], floor: FloatArray,
+            leverage: FloatArray, cross: FloatArray, depths: int) -> Levels:
+    """Return the vectors at depth 0, and room for the other depths."""
+    n = floor.shape[1] - 1
+    top, extra = (np.zeros((depths, len(blocks), blocks[0].shape[1], max(map(len, blocks))))
+                  for blocks in (tops, extras))
+    for room, blocks in ((top, tops), (extra, extras)):
+        for f, block in enumerate(blocks):
+            room[0, f, :, :len(block)] = block.T
+    square = np.full((depths, *floor.shape), np.inf)
+    square[0, :, :n] = (top[0, :, :n] ** 2).sum(axis=2)
+    share = np.zeros((*square.shape, top.shape[2] - n))
+    products = top[0, :, :n] @ top[0, :, n:].swapaxes(1, 2)
+    np.divide(products, square[0, :, :n, None], out=share[0, :, :n],
+              where=square[0, :, :n, None] > 0)
+    grown = np.zeros((2, depths, len(leverage)))
+    grown[:, 0] = leverage, cross
+    return Levels(top, extra, square, share, floor, grown[0], grown[1])
+
+
+def stack(system: SubsetSystem, score: str, folds: Sequence[IntArray],
+          max_terms: int | None) -> Stack:
+    """Return the systems of a score (see `subsets.search` for what it raises)."""
+    if score not in SCORES:
+        raise unknown_name("score", score, SCORES)
+    k = system.design.shape[1]
+    forced, barred, some_of = (
+        np.zeros(k, dtype=bool) if mask is None else np.asarray(mask, dtype=bool)
+        for mask in (system.forced, system.forbidden, system.some_of))
+    if (forced & barred).any():
+        raise TermselError(f"{int((forced & barred).sum())} terms are both forced and forbidden")
+    used, free = np.flatnonzero(forced), np.flatnonzero(~forced & ~barred)
+    if max_terms is not None and max_terms < len(used):
+        raise TermselError(f"{len(used)} terms are forced and at most {max_terms} may be in use",
+                           hint="Force fewer terms or raise the limit.")
+    control = np.column_stack([system.design, system.target])
+    guard = _below(system.guard_denominator, control[:0], k)
+    below = _below(system.denominator, control, k)
+    rational = (system.check_denominator if score == "check" else system.denominator) is not None
+    kind = {"rss": RSS, "press": PRESS}.get(score, RATIONAL if rational else LINEAR)
+    everyone = np.ones(len(control), dtype=bool)
+    if score == "check":
+        if system.check_design is None or system.check_target is None:
+            raise ValueError("score 'check' needs check_design and check_target")
+        errors = np.column_stack([system.check_design, system.check_target])
+        held = [(everyone, errors, _below(system.check_denominator, errors, k))]
+    elif score == "kfold":
+        if not len(folds):
+            raise ValueError("score 'kfold' needs folds")
+        # The whole system takes part for its own rank and its coefficients at the guard points.
+        held = [(everyone, control[:0], below[:0])]
+        for fold in folds:
+            kept = everyone.copy()
+            kept[fold] = False
+            held.append((kept, control[~kept], below[~kept]))
+    else:
+        held = [(everyone, control[:0], below[:0])]
+    height = max(len(errors) for _, errors, _ in held)
+    systems = []
+    for kept, errors, denominators in held:
+        if kind == RATIONAL:  # made equally high by rows without error
+            blank = np.zeros((height - len(errors), control.shape[1]))
+            extra = np.concatenate([errors, blank, denominators, _below(None, blank, k)])
+        else:
+            extra = below if kind == PRESS else errors
+        systems.append(Rows(control if kind == PRESS else _fewer(control[kept]),
+                            _fewer(extra) if kind == LINEAR else extra,
+                            guard if kept is everyone else guard[:0]))
+    if kind == RSS:
+        free = _by_gain(control, used, free, k)
+    room = len(free) if max_terms is None else min(len(free), max_terms - len(used))
+    parents = np.zeros((0, k), dtype=bool) if system.parents is None else system.parents
+    return Stack(kind, k, systems, float(system.margin), BITS[:k][some_of].sum(),
+                 np.where(parents, BITS[:k], np.uint64(0)).sum(axis=1, dtype=np.uint64),
+                 Piece(used, free, room))
+
+
+def _below(linear: FloatArray | None, rows: FloatArray, k: int) -> FloatArray:
+    """Return rows [denominator, -1 of each target]; the denominator is 1 where none is given."""
+    below = np.zeros((len(rows) if linear is None else len(linear), rows.shape[1]))
+    below[:, k:] = -1.0
+    if linear is not None:
+        below[:, :k] = linear
+    return below
+
+
+def _triangle(rows: FloatArray, n: int) -> tuple[FloatArray, float]:
+    """Return n rows with the same inner products of the n columns with all vectors.
+
+    What is lost is the part of the targets that is orthogonal to all columns; its sum of
+    squares comes along.
+    """
+    triangle = np.asarray(np.linalg.qr(rows, mode="r")) if len(rows) > n else rows
+    return triangle[:n], float((triangle[n:, n:] ** 2).sum())
+
+
+def _fewer(rows: FloatArray) -> FloatArray:
+    """Return as many rows as columns, or fewer, with the same inner products."""
+    return np.asarray(np.linalg.qr(rows, mode="r")) if len(rows) > rows.shape[1] else rows
+
+
+def _by_gain(control: FloatArray, forced: IntArray, free: IntArray, k: int) -> IntArray:
+    """Return columns by what each explains beside those before it.
+
+    Subsets that lack the first of them then have a high bound.
+    """
+    rest = control
+    least = (TOLERANCE * np.linalg.norm(control, axis=0)) ** 2
+    for j in forced:
+        rest = _without(rest, j)
+    waiting = free.tolist()
+    order: list[int] = []
+    while waiting:
+        squares = (rest[:, waiting] ** 2).sum(axis=0)
+        gains = ((rest[:, waiting].T @ rest[:, k:]) ** 2).sum(axis=1)
+        gains = np.divide(gains, squares, out=np.zeros_like(gains), where=squares > least[waiting])
+        order.append(waiting.pop(int(gains.argmax())))
+        rest = _without(rest, order[-1])
+    return np.array(order, dtype=np.intp)
+
+
+def _without(rows: FloatArray, j: int) -> FloatArray:
+    """Return the columns orthogonal to column j."""
+    square = rows[:, j] @ rows[:, j]
+    if square == 0.0:
+        return rows
+    return np.asarray(rows - np.outer(rows[:, j], rows[:, j] @ rows / square))

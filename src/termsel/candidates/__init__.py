@@ -1,0 +1,1 @@
+"""Models fitted without a search, and the choice among them."""

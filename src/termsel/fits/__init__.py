@@ -1,0 +1,1 @@
+"""One fitted model: adjustment, figures, residuals, diagnosis."""

@@ -1,0 +1,179 @@
+"""What a fit says about its terms and about the features it was offered."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import stdtr
+
+from termsel.adjustment.equations import line_normals
+from termsel.adjustment.lines import relative_deviations
+from termsel.fits.fit import Fit
+from termsel.measurements.features import FloatArray, Lines, select
+
+BEYOND = 3.0
+"""Standard deviations beyond which a measurement is called probably wrong."""
+
+NORMAL_MEDIAN = 0.6745
+"""Median absolute value of a standard normal variable."""
+
+CORRELATED = 0.95
+"""Absolute correlation of two coefficients from which on they are named."""
+
+PARALLEL = 0.05
+"""Orientation spread from which on lines fix both image axes; that of lines within 13 degrees."""
+
+
+@dataclass(frozen=True)
+class Doubts:
+    """Control features against the final model.
+
+    Parameters
+    ----------
+    sigma : float
+        Standard deviation of a measured coordinate [pixel], from the median error of all control
+        features on offer, those in use enlarged by what the adjustment takes from them; few
+        wrong ones, used or not, do not move it. Where deviations are given, it is that of a
+        feature with the median one.
+    wrong : mapping
+        Features whose error is beyond 3 sigma, with that error [pixel]: probably measured or
+        matched wrongly.
+    in_use : tuple of str
+        Those of them that the selection uses all the same.
+    spare : tuple of str
+        Features left out that fit: they were not needed.
+    """
+
+    sigma: float
+    wrong: Mapping[str, float]
+    in_use: tuple[str, ...]
+    spare: tuple[str, ...]
+
+
+def doubts(fit: Fit) -> Doubts | None:
+    """Return which features are probably wrong, and which merely were not needed.
+
+    The error of a point is the larger of those in line and sample, that of a line the largest
+    distance of a projected vertex from the image line. Yavari et al. 2018 remark that OWDIS
+    leaves wrong lines out; to tell them from superfluous ones is termsel's own.
+
+    Parameters
+    ----------
+    fit : Fit
+
+    Returns
+    -------
+    Doubts or None
+        None where all features are in use.
+    """
+    if fit.used.all():
+        return None
+    points, lines = fit.control.points, fit.control.lines
+    rows = np.abs(fit.errors(points))
+    if len(lines):
+        rows = np.concatenate([rows, np.linalg.norm(fit.line_errors(), axis=2)])
+    feature = fit.control.feature
+    errors, relative = np.zeros((2, len(fit.control)))
+    np.maximum.at(errors, feature, rows.max(axis=1))
+    rows /= relative_deviations(fit.control)
+    np.maximum.at(relative, feature, rows.max(axis=1))
+    left = fit.adjustment.redundancy / fit.adjustment.n_equations
+    enlarged = rows / np.sqrt(np.where(fit.used[feature], max(left, 0.1), 1.0))[:, None]
+    sigma = float(np.median(enlarged)) / NORMAL_MEDIAN
+    beyond = relative > BEYOND * sigma
+    ids = fit.control.ids
+    return Doubts(sigma, {ids[i]: float(errors[i]) for i in np.flatnonzero(beyond)},
+                  select(ids, beyond & fit.used), select(ids, ~beyond & ~fit.used))
+
+
+@dataclass(frozen=True)
+class Significance:
+    """A coefficient against zero.
+
+    Parameters
+    ----------
+    t : float
+        The coefficient over its standard deviation.
+    p : float
+        Chance of as large a t were the coefficient zero (two-sided Student test).
+    """
+
+    t: float
+    p: float
+
+
+def significance(fit: Fit) -> dict[str, Significance]:
+    """Return the significance of each term in use; empty without redundancy.
+
+    It is that of the adjustment as if the terms had been given. After a search among many it
+    is too favourable.
+    """
+    adjustment = fit.adjustment
+    if not adjustment.feasible or adjustment.redundancy <= 0:
+        return {}
+    with np.errstate(divide="ignore", invalid="ignore"):
+        t = np.abs(adjustment.coefficients) / adjustment.deviations
+    p = 2.0 * stdtr(adjustment.redundancy, -t)
+    return {name: Significance(float(t[i]), float(p[i]))
+            for i, name in enumerate(fit.model.terms) if fit.terms[i] and np.isfinite(t[i])}
+
+
+def correlations(fit: Fit) -> Iterator[tuple[str, str, float]]:
+    """Yield pairs of terms whose coefficients correlate by CORRELATED or more, highest first."""
+    matrix = fit.adjustment.correlations
+    if matrix is None:
+        return
+    names = select(fit.model.terms, fit.terms)
+    high = np.argwhere(np.triu(np.abs(matrix) >= CORRELATED, 1))
+    for i, j in sorted(high.tolist(), key=lambda pair: -abs(matrix[pair[0], pair[1]])):
+        yield names[i], names[j], float(matrix[i, j])
+
+
+@dataclass(frozen=True, eq=False)
+class Diagnosis:
+    """What a fit says about its terms and about the features it was offered.
+
+    Parameters
+    ----------
+    significance : mapping
+        Of each term in use, by its name.
+    correlations : tuple of (str, str, float)
+        Pairs of terms whose coefficients correlate by CORRELATED or more, highest first.
+    doubts : Doubts or None
+    orientation_spread : float or None
+        Of the lines in use; None without lines.
+    """
+
+    significance: Mapping[str, Significance]
+    correlations: tuple[tuple[str, str, float], ...]
+    doubts: Doubts | None
+    orientation_spread: float | None
+
+
+def diagnose(fit: Fit) -> Diagnosis:
+    """Return the diagnosis of a fit.
+
+    Parameters
+    ----------
+    fit : Fit
+    """
+    lines = fit.control.take(fit.used).lines
+    return Diagnosis(significance(fit), tuple(correlations(fit)), doubts(fit),
+                     orientation_spread(lines) if len(lines) else None)
+
+
+def orientation_spread(lines: Lines) -> float:
+    """Return how widely the directions of image lines spread.
+
+    Twice the smaller eigenvalue of the mean of n n^T over the unit normals n: 1 where all
+    directions occur alike, 0 where all lines are parallel and fix one image axis alone.
+
+    Parameters
+    ----------
+    lines : Lines
+        At least one.
+    """
+    normal: FloatArray = line_normals(lines)[0]
+    return float(max(0.0, 2.0 * np.linalg.eigvalsh(normal.T @ normal / len(normal))[0]))

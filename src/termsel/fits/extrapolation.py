@@ -1,0 +1,48 @@
+"""How far the places a model is used at lie outside the control it was fitted to."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from termsel.measurements.features import BoolArray, FeatureSet, Points
+from termsel.measurements.places import beyond, centres
+
+FAR = 0.5
+"""Distance from the hull of the control, by the hull's longer side, from which on a place counts
+as far outside: a quadratic term is then 4 times what it is at the hull's edge."""
+
+
+def warnings_of(control: FeatureSet, used: BoolArray, check: Points) -> Iterator[str]:
+    """Yield what is to be said of check points and image corners far outside the control.
+
+    Parameters
+    ----------
+    control : FeatureSet
+    used : ndarray of bool, shape (len(control),)
+        Features in the adjustment.
+    check : Points
+    """
+    mine = centres(control)[used]
+    found = []
+    if len(check):
+        far = beyond(mine, check.image) > FAR
+        if far.any():
+            found.append(f"{far.sum()} of {len(far)} check points")
+    if control.image_size is not None:
+        lines, samples = control.image_size
+        corners = np.array([(i, j) for i in (0.0, lines - 1.0) for j in (0.0, samples - 1.0)])
+        far = beyond(mine, corners) > FAR
+        if far.any():
+            found.append(f"{far.sum()} of 4 corners of the image")
+    if found:
+        yield (f"Extrapolation: {' and '.join(found)} lie far outside the control in use. The "
+               "accuracy given does not hold there.")
+    heights, others = control.ground_vertices()[:, 2], check.ground[:, 2]
+    span = float(np.ptp(heights))
+    if len(others) and span > 0:
+        above = np.maximum(others - heights.max(), heights.min() - others)
+        if (above > FAR * span).any():
+            yield (f"Extrapolation: {(above > FAR * span).sum()} check points lie far above or "
+                   "below the control.")

@@ -1,0 +1,106 @@
+"""Figures of a fit: RMSE by role, and baselines."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from termsel.fits.fit import Fit, Rmse
+
+if TYPE_CHECKING:
+    pass
+from termsel.measurements.roles import Observations
+
+ROLES = ("control", "check", "independent")
+
+
+LEAVE_ONE_OUT = "leave-one-out"
+"""Key of a further RMSE of the control, under models that correct predictions by it."""
+
+
+Rmses = Mapping[str, Rmse | None]
+
+
+@dataclass(frozen=True)
+class Baseline:
+    """A fit without any search, beside which the selection is shown.
+
+    Parameters
+    ----------
+    name : str
+    n_terms : int
+        Terms of both axes together.
+    fitted_to : tuple of str
+        Roles whose features took part in the adjustment.
+    determined : bool
+        False if the control does not determine the terms; the figures are then those of
+        the least-norm solution.
+    rmse : mapping
+        By role; None where there are no points, or where the model is not determined.
+    predicted : float, optional
+        RMSE by leave-one-out over the features it was fitted to [pixel].
+    """
+
+    name: str
+    n_terms: int
+    fitted_to: tuple[str, ...]
+    determined: bool
+    rmse: Rmses
+    predicted: float | None = None
+
+
+def plain_rmse(rmse: Rmses) -> dict[str, Any]:
+    """Return RMSE by role as result.json holds them; null where there are no points.
+
+    That by leave-one-out stands beside them, if there is one.
+    """
+    nothing = {"line": None, "sample": None, "total": None, "n": 0}
+    return {role: nothing if value is None else
+            {k: finite_or_none(v) if k != "n" else v for k, v in asdict(value).items()}
+            for role, value in ((role, rmse.get(role)) for role in dict.fromkeys((*ROLES, *rmse)))}
+
+
+def finite_or_none(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None
+
+
+BOTH = ("control", "check")
+
+
+def baseline(name: str, fitted: Fit, predicted: float | None, observations: Observations,
+             roles: tuple[str, ...] = BOTH) -> Baseline:
+    """Return the figures of a fit.
+
+    Parameters
+    ----------
+    name : str
+    fitted : Fit
+    predicted : float or None
+        RMSE by leave-one-out [pixel].
+    observations : Observations
+    roles : tuple of str
+        What it was fitted to.
+    """
+    return Baseline(name, int(fitted.terms.sum()), roles,
+                    name == "ridge" or fitted.adjustment.feasible,
+                    figures(in_role(fitted, observations), observations), predicted)
+
+
+def in_role(fitted: Fit, observations: Observations) -> Fit:
+    """Return a fit whose control figures are of the control alone, whatever it was fitted to."""
+    control = observations.control
+    if fitted.control is control:
+        return fitted
+    return replace(fitted, control=control, used=np.ones(len(control), dtype=bool))
+
+
+def figures(fitted: Fit, observations: Observations) -> dict[str, Rmse | None]:
+    """Return the RMSE by role, and where control corrects itself, leave-one-out beside it."""
+    found = {"control": fitted.control_rmse(), "check": fitted.rmse(observations.check),
+             "independent": fitted.rmse(observations.independent)}
+    if fitted.model.corrects:
+        found[LEAVE_ONE_OUT] = fitted.leave_one_out_rmse()
+    return found

@@ -1,0 +1,117 @@
+"""What is left at every feature once a model is fitted."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Iterator
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+import numpy as np
+
+from termsel.fits.fit import Fit
+from termsel.measurements.features import FloatArray, IntArray, Lines, select
+from termsel.measurements.roles import Observations
+
+
+@dataclass(frozen=True)
+class Residual:
+    """What is left at one point, or at one ground vertex of a control line.
+
+    Parameters
+    ----------
+    id : str
+    kind : str
+        "point", or "vertex 1" and "vertex 2" of a line and of its further pieces from 3 on.
+    role : str
+    used : bool
+        Whether the feature took part in the adjustment.
+    line, sample : float
+        Measured minus computed [pixel]; for a vertex, from its projection to the image line.
+    x, y, z : float
+        Ground coordinates; NaN for a height that is not known.
+    distance : float
+        Length of that vector [pixel].
+    """
+
+    id: str
+    kind: str
+    role: str
+    used: bool
+    line: float
+    sample: float
+    x: float
+    y: float
+    z: float
+    distance: float = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "distance", float(np.hypot(self.line, self.sample)))
+
+
+class Residuals(tuple[Residual, ...]):
+    """Residuals as a table.
+
+    ``pandas.DataFrame(residuals)`` gives a row for each, ``geopandas.GeoDataFrame.from_features(
+    residuals)`` also its point on the ground.
+    """
+
+    __slots__ = ()
+
+    @property
+    def __geo_interface__(self) -> dict[str, Any]:
+        """The residuals as a GeoJSON feature collection, in the CRS of the ground coordinates."""
+        return {"type": "FeatureCollection", "features": [
+            {"type": "Feature", "id": i, "properties": asdict(residual),
+             "geometry": {"type": "Point", "coordinates": [
+                 value for value in (residual.x, residual.y, residual.z) if value == value]}}
+            for i, residual in enumerate(self)]}
+
+
+def residuals_of(chosen: Fit, observations: Observations, *,
+                 check_used: bool = False) -> Residuals:
+    """Return the residuals of all features that have a role.
+
+    Parameters
+    ----------
+    chosen : Fit
+        Fitted to the control of the observations.
+    observations : Observations
+    check_used : bool
+        Whether the check points took part in the adjustment too.
+    """
+    return Residuals(_each(chosen, observations, check_used))
+
+
+def _each(chosen: Fit, observations: Observations, check_used: bool) -> Iterator[Residual]:
+    points, lines = observations.control.points, observations.control.lines
+    used = tuple(bool(on) for on in chosen.used)
+    yield from _rows(points.ids, chosen.errors(points), points.ground, "control",
+                     used[:len(points)])
+    errors, piece = chosen.line_errors(), _pieces(lines)
+    for i in range(piece.max(initial=-1) + 1):
+        which = piece == i
+        features = len(points) + lines.feature[which]
+        for vertex in (0, 1):
+            yield from _rows(select(lines.ids, which), errors[which, vertex],
+                             lines.ground[which, vertex], "control",
+                             tuple(used[f] for f in features), f"vertex {2 * i + vertex + 1}")
+    for role, others in (("check", observations.check), ("independent", observations.independent)):
+        yield from _rows(others.ids, chosen.errors(others), others.ground, role,
+                         (check_used and role == "check",) * len(others))
+
+
+def _rows(ids: tuple[str, ...], errors: FloatArray, ground: FloatArray, role: str,
+          used: Iterable[bool], kind: str = "point") -> Iterator[Residual]:
+    for name, on, error, place in zip(ids, used, errors.tolist(), ground.tolist(), strict=True):
+        yield Residual(name, kind, role, on, *error, *place)
+
+
+def _pieces(lines: Lines) -> IntArray:
+    """Return which piece of its feature each line is, counted from 0."""
+    seen: Counter[str] = Counter()
+    piece = np.empty(len(lines), dtype=np.intp)
+    for i, name in enumerate(lines.ids):
+        piece[i] = seen[name]
+        seen[name] += 1
+    return piece

@@ -1,0 +1,1 @@
+"""File formats: readers, writers and what they share."""

@@ -1,0 +1,193 @@
+"""What every file format shares: the interfaces, and finding the reader for a file."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from pathlib import Path
+from typing import TYPE_CHECKING, ClassVar
+
+from termsel.errors import TermselError
+from termsel.measurements.features import FeatureSet
+from termsel.options import Configurable
+
+if TYPE_CHECKING:
+    from termsel.results.result import Result
+
+_HEAD = 65536  # bytes shown to sniff(): room for a long comment before a header
+_UTF16 = (b"\xff\xfe", b"\xfe\xff")
+
+
+class Reader(Configurable, ABC):
+    """Reads one format of ground control features.
+
+    The options a reader declares are given by ``--set``, or to `termsel.read`.
+
+    Attributes
+    ----------
+    name : str
+        As in ``termsel list readers``.
+    summary : str
+        One line that says what a file of this format holds and how it begins.
+    areas : bool
+        Whether what it returns as points or lines are areas, which ``--areas`` takes. Such a
+        reader has the option `areas_as`: "boundary" for lines, "centroid" for points.
+    """
+
+    name: ClassVar[str]
+    summary: ClassVar[str]
+    areas: ClassVar[bool] = False
+
+    @abstractmethod
+    def sniff(self, path: Path, head: bytes) -> bool:
+        """Return True if the file is of this format, judged by its content.
+
+        Parameters
+        ----------
+        path : pathlib.Path
+        head : bytes
+            The first 64 KiB of the file.
+        """
+
+    @abstractmethod
+    def read(self, path: Path) -> FeatureSet:
+        """Return the features of a file.
+
+        Parameters
+        ----------
+        path : pathlib.Path
+
+        Returns
+        -------
+        FeatureSet
+            Image coordinates as line and sample with the centre of the upper-left pixel at
+            (0, 0); `crs` is "" where the file does not declare one.
+
+        Raises
+        ------
+        TermselError
+            Naming file, line and column, for anything in the file the user must mend.
+        """
+
+
+class Writer(Configurable, ABC):
+    """Writes a result in one format.
+
+    The options a writer declares are given by ``--image``, ``--dem`` and ``--set``.
+
+    Attributes
+    ----------
+    name : str
+        As in ``termsel export --to``.
+    summary : str
+        One line that says what is written and who reads it.
+    suffix : str
+        What the names of such files end with, as ``termsel run --export`` names them.
+    """
+
+    name: ClassVar[str]
+    summary: ClassVar[str]
+    suffix: ClassVar[str] = ""
+
+    @abstractmethod
+    def accepts(self, result: Result) -> bool:
+        """Return True if this format can hold `result`."""
+
+    def files(self, path: Path) -> tuple[Path, ...]:
+        """Return all files that are written for `path`, none of which is replaced unasked."""
+        return (path,)
+
+    @abstractmethod
+    def write(self, result: Result, path: Path) -> None:
+        """Write `result` to `path`, whole or not at all (`termsel.formats.atomic`).
+
+        Raises
+        ------
+        TermselError
+            If the result does not fit the format or the file cannot be written.
+        """
+
+
+def located(error: TermselError, file: Path, line: int | None = None,
+            column: str | None = None) -> TermselError:
+    """Return `error` with the place it was found at.
+
+    Parameters
+    ----------
+    error : TermselError
+    file : pathlib.Path
+    line, column : optional
+        Kept as they are in `error` where not given.
+    """
+    return TermselError(error.what, hint=error.hint, file=file, line=line or error.line,
+                        column=column or error.column, ids=error.ids)
+
+
+def read_text(path: Path) -> str:
+    """Return the text of a UTF-8 file, without a byte order mark, line ends as they are.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+
+    Raises
+    ------
+    TermselError
+        If the file cannot be read, is binary or is in another encoding.
+    """
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise _unreadable(path, error) from error
+    if is_utf16(data):
+        raise utf16_error(path)
+    if b"\0" in data:
+        raise TermselError("this is a binary file, expected UTF-8 text", file=path)
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = error.object[:error.start].count(b"\n") + 1
+        raise TermselError("this text is not UTF-8", file=path, line=line,
+                           hint="Save it again with the encoding UTF-8.") from error
+
+
+def read_head(path: Path, expected: str) -> bytes:
+    """Return the first 64 KiB of a file.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+    expected : str
+        A sentence on what the file should be.
+
+    Raises
+    ------
+    TermselError
+        If the file is missing, empty, a folder or not readable.
+    """
+    if path.is_dir():
+        raise TermselError("this is a folder, expected a file", file=path, hint=expected)
+    try:
+        with path.open("rb") as file:
+            head = file.read(_HEAD)
+    except FileNotFoundError as error:
+        raise TermselError("there is no such file", file=path,
+                           hint="Check the name and the folder it is given from.") from error
+    except OSError as error:
+        raise _unreadable(path, error) from error
+    if not head.strip():
+        raise TermselError("the file is empty", file=path, hint=expected)
+    return head
+
+
+def _unreadable(path: Path, error: OSError) -> TermselError:
+    return TermselError(f"cannot read this file: {error.strerror or error}", file=path)
+
+
+def is_utf16(head: bytes) -> bool:
+    """Return True for text that begins with the byte order mark of UTF-16."""
+    return head.startswith(_UTF16)
+
+
+def utf16_error(path: Path) -> TermselError:
+    return TermselError("this text is UTF-16, expected UTF-8", file=path,
+                        hint="Save it again with the encoding UTF-8.")

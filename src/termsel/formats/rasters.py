@@ -1,0 +1,107 @@
+"""Rasters through rasterio and its GDAL, which are optional."""
+
+from __future__ import annotations
+
+import logging
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from termsel.errors import TermselError
+from termsel.measurements.features import FloatArray
+
+
+def require_rasterio() -> Any:
+    """Return the package rasterio.
+
+    Raises
+    ------
+    TermselError
+        If it is not installed, with the command that installs it.
+    """
+    try:
+        import rasterio
+    except ImportError:
+        raise TermselError("this needs the packages for rasters, and rasterio is not installed",
+                           hint='Install them: pip install "termsel[gis]".') from None
+    # GDAL's errors come as exceptions, and termsel says what they mean; the log says them twice.
+    logging.getLogger("rasterio").addHandler(logging.NullHandler())
+    return rasterio
+
+
+def empty_tiff() -> bytes:
+    """Return a GeoTIFF of one pixel, for files that GDAL reads only beside an image."""
+    return tiff_bytes(np.zeros((1, 1, 1), dtype=np.uint8))
+
+
+def tiff_bytes(pixels: Any, **profile: Any) -> bytes:
+    """Return a GeoTIFF of pixels, shape (bands, lines, samples), made in memory.
+
+    A file that is written as bytes is known to be whole; GDAL may not say that a disk was full.
+    """
+    rasterio = require_rasterio()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
+        with rasterio.MemoryFile() as memory:
+            with memory.open(driver="GTiff", count=pixels.shape[0], height=pixels.shape[1],
+                             width=pixels.shape[2], dtype=pixels.dtype.name, **profile) as raster:
+                raster.write(pixels)
+            return bytes(memory.read())
+
+
+@contextmanager
+def open_raster(path: Path | str) -> Iterator[Any]:
+    """Open a raster for reading.
+
+    Parameters
+    ----------
+    path : path-like
+
+    Yields
+    ------
+    rasterio.DatasetReader
+
+    Raises
+    ------
+    TermselError
+        If rasterio is not installed, or GDAL cannot open or read the file.
+    """
+    rasterio = require_rasterio()
+    try:
+        with warnings.catch_warnings():
+            # An image that is to be georeferenced has no geotransform.
+            warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
+            raster = rasterio.open(path)
+        with raster:
+            yield raster
+    except (rasterio.errors.RasterioError, rasterio.errors.RasterioIOError) as error:
+        if not Path(path).exists():
+            raise TermselError("there is no such file", file=path,
+                               hint="Check the name and the folder it is given from.") from error
+        # What rasterio says of a failed read is only that its cause says more.
+        reason = str(error.__cause__ or error).rstrip(".")
+        raise TermselError(f"GDAL cannot read this raster: {reason}", file=path,
+                           hint="Is it whole, and an image?") from error
+
+
+def positions(raster: Any, x: FloatArray, y: FloatArray) -> FloatArray:
+    """Return line and sample, shape (n, 2), of coordinates in the CRS of a raster.
+
+    Parameters
+    ----------
+    raster : rasterio.DatasetReader
+        With a geotransform.
+    x, y : ndarray, shape (n,)
+
+    Returns
+    -------
+    ndarray, shape (n, 2)
+        The centre of the upper-left pixel is (0, 0).
+    """
+    to_pixel = ~raster.transform
+    return np.stack([to_pixel.d * x + to_pixel.e * y + to_pixel.f,
+                     to_pixel.a * x + to_pixel.b * y + to_pixel.c], axis=1) - 0.5

@@ -1,0 +1,1 @@
+"""Readers of ground control features."""

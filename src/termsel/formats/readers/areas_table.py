@@ -1,0 +1,85 @@
+"""Areas as a table of their corners."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from pathlib import Path
+
+from termsel.errors import TermselError
+from termsel.formats.base import Reader, located
+from termsel.formats.readers.csv_tables import COORDINATES
+from termsel.formats.readers.tables import (
+    COLUMNS,
+    USE,
+    Aliases,
+    Table,
+    declared,
+    read_table,
+    sniff_table,
+)
+from termsel.measurements.areas import FORMS, Area, CornerError, boundary, centroids
+from termsel.measurements.features import FeatureSet
+from termsel.options import Option
+
+_AREAS = USE | COORDINATES | {"corner": ("corner", "vertex")}
+
+
+class AreasCsv(Reader):
+    """Areas by their corners, as the edges or the centroids of polygons."""
+
+    name = "areas-csv"
+    summary = "areas as a table of corners headed id,corner,line,sample,x,y,z"
+    areas = True
+    declared_options = (COLUMNS, Option(
+        "areas_as", "boundary", "What areas become: the edges of each as lines that are pieces "
+        "of one feature, or its centroid as a point.", choices=FORMS))
+
+    def sniff(self, path: Path, head: bytes) -> bool:
+        """Return True if a header names at least three columns of points, and corners."""
+        return sniff_table(head, self._aliases(), needed=("corner",))
+
+    def _aliases(self) -> Aliases:
+        return declared(_AREAS, self.options["columns"])
+
+    def read(self, path: Path) -> FeatureSet:
+        """Return the areas as lines or points; errors name file, line and column."""
+        table = read_table(path, self._aliases())
+        rows = _rows_of_areas(table)
+        image, ground = table.stack("line", "sample"), table.stack("x", "y", "z")
+        roles = table.roles()
+        areas = []
+        for name, own in rows.items():
+            role = next((roles[row] for row in own if roles[row]), "")
+            for row in own:
+                if roles[row] not in ("", role):
+                    raise table.error(f"area {name!r} has the roles {role!r} and {roles[row]!r}",
+                                      row, "role" if "role" in table.names else "enabled",
+                                      "Give it one.")
+            try:
+                areas.append(Area(name, image[own], ground[own], role))
+            except CornerError as error:
+                raise table.error(error.what, own[error.corner],
+                                  "line" if error.where == "image" else "x", error.hint) from error
+        try:
+            if self.options["areas_as"] == "boundary":
+                return FeatureSet(lines=boundary(areas), crs=table.crs)
+            return FeatureSet(centroids(areas), crs=table.crs)
+        except TermselError as error:
+            first = rows[error.ids[0]][0] if error.ids else 0
+            raise located(error, path, table.lines[first]) from error
+
+
+def _rows_of_areas(table: Table) -> dict[str, list[int]]:
+    """Return the rows of each area in the order of its corners."""
+    rows: dict[str, list[int]] = {}
+    for row, name in enumerate(table.ids()):
+        rows.setdefault(name, []).append(row)
+    number = table.stack("corner")[:, 0]
+    for name, own in rows.items():
+        own.sort(key=lambda row: float(number[row]))
+        for one, other in pairwise(own):
+            if number[one] == number[other]:
+                raise table.error(f"corner {number[one]:g} of area {name!r} stands on line "
+                                  f"{table.lines[one]} already", other, "corner",
+                                  "Number the corners in their order around the area.")
+    return rows

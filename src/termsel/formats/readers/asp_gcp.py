@@ -1,0 +1,96 @@
+"""Ground control points of the Ames Stereo Pipeline: text files that end in ``.gcp``.
+
+From its manual, section "Ground control points" of `bundle_adjust`: one row a point, cells between
+spaces or commas: id, latitude, longitude, height above a datum that is stated elsewhere, their
+three standard deviations [m]; then for each image its name, column and row counted from 0, and
+their standard deviations [pixel].
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+from termsel.errors import TermselError
+from termsel.formats.base import Reader, read_text
+from termsel.formats.readers.tables import Table
+from termsel.measurements.features import FeatureSet
+from termsel.options import Option
+
+_GROUND = ("id", "lat", "lon", "height", "sigma_x", "sigma_y", "sigma_z")
+_IMAGE = ("image", "column", "row", "sigma_column", "sigma_row")
+_READ = {"id": "id", "y": "lat", "x": "lon", "z": "height", "sample": "column", "line": "row",
+         "sigma_sample": "sigma_column", "sigma_line": "sigma_row"}
+
+
+class AspGcp(Reader):
+    """Points of the Ames Stereo Pipeline, latitude before longitude.
+
+    The datum of the heights is not in the file, so the CRS must be stated: ``--crs EPSG:4979``
+    for WGS84. Centres of pixels are taken to have whole numbers.
+    """
+
+    name = "asp-gcp"
+    summary = "Ames Stereo Pipeline .gcp: id lat lon height 3 sigmas, image col row 2 sigmas"
+    declared_options = (
+        Option("image_name", None, "Name of the image, in files of several images."),
+    )
+
+    def sniff(self, path: Path, head: bytes) -> bool:
+        """Return True if the first row that is not a comment has the cells of a point."""
+        text = head.decode("utf-8-sig", errors="replace")
+        first = next((line for line in text.splitlines() if not _idle(line)), "")
+        cells = _cells(first)
+        return (_fits(cells) and all(map(_is_number, cells[:7] + cells[8:12]))
+                and not _is_number(cells[7]))
+
+    def read(self, path: Path) -> FeatureSet:
+        """Return the points; errors name file, line and column."""
+        rows: list[list[str]] = []
+        lines: list[int] = []
+        others: set[str] = set()
+        for number, text in enumerate(read_text(path).splitlines(), 1):
+            if _idle(text):
+                continue
+            cells = _cells(text)
+            if not _fits(cells):
+                raise TermselError(
+                    f"the row has {len(cells)} cells, expected 7 and 5 for each image", file=path,
+                    line=number, hint=f"They are {' '.join(_GROUND)}, and {' '.join(_IMAGE)}.")
+            images = {cells[i]: cells[i + 1:i + 5] for i in range(7, len(cells), 5)}
+            others |= images.keys()
+            name = self.options["image_name"] or next(iter(images))
+            if name in images:
+                rows.append(cells[:7] + [name] + images[name])
+                lines.append(number)
+        if (self.options["image_name"] is None and len(others) > 1) or (not rows and others):
+            raise TermselError(f"the file holds points of the images {', '.join(sorted(others))}",
+                               file=path, hint="Choose one with --set image_name=NAME.")
+        if not rows:
+            raise TermselError("the file holds no points", file=path,
+                               hint="Add one row for each.")
+        cells_of = dict(zip(_GROUND + _IMAGE, zip(*rows, strict=True), strict=True))
+        table = Table(path, "", _READ, {key: cells_of[name] for key, name in _READ.items()},
+                      lines, decimal_comma=False)
+        return FeatureSet(table.points(table.stack("line", "sample"), table.stack("x", "y", "z"),
+                                       table.sigma("sigma_line", "sigma_sample"), ()), crs="")
+
+
+def _idle(line: str) -> bool:
+    return not line.strip() or line.lstrip().startswith("#")
+
+
+def _cells(line: str) -> list[str]:
+    return [cell for cell in re.split(r"[\s,]+", line.strip()) if cell]
+
+
+def _fits(cells: list[str]) -> bool:
+    return len(cells) >= 12 and (len(cells) - 7) % 5 == 0
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        float(cell)
+    except ValueError:
+        return False
+    return True

@@ -1,0 +1,183 @@
+"""Points and lines as tables: comma, semicolon or tab separated values.
+
+Comment lines begin with ``#``; ``# crs: EPSG:4979`` declares the CRS and ``# units: degrees``
+or ``# units: metres`` the units of the ground coordinates. The centre of the upper-left pixel
+is (0, 0), whatever the image columns are called.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+
+from termsel.errors import TermselError
+from termsel.formats.atomic import write_text
+from termsel.formats.base import Reader
+from termsel.formats.readers.tables import COLUMNS, USE, Aliases, declared, read_table, sniff_table
+from termsel.measurements.features import FeatureSet, FloatArray, Lines, Points
+
+COORDINATES = {
+    "line": ("line", "row", "y_px"),
+    "sample": ("sample", "col", "column", "x_px", "pixel"),
+    "x": ("x", "lon", "longitude", "easting"),
+    "y": ("y", "lat", "latitude", "northing"),
+    "z": ("z", "h", "height", "elevation", "altitude"),
+}
+_POINTS = USE | COORDINATES | {
+    "sigma_line": ("sigma_line", "sigma_px"), "sigma_sample": ("sigma_sample", "sigma_px")}
+LINES = USE | {"sigma": ("sigma", "sigma_px")} | {
+    f"{meaning}{end}": tuple(f"{alias}{end}" for alias in aliases)
+    for end in "12" for meaning, aliases in COORDINATES.items()}
+
+
+class PointsCsv(Reader):
+    """Points with line and sample, ground coordinates, and optionally role and sigma."""
+
+    name = "points-csv"
+    summary = "points as a table headed id,role,line,sample,x,y,z[,sigma_line,sigma_sample]"
+    declared_options = (COLUMNS,)
+
+    def sniff(self, path: Path, head: bytes) -> bool:
+        """Return True if a header names at least three columns of points."""
+        return sniff_table(head, self._aliases())
+
+    def _aliases(self) -> Aliases:
+        return declared(_POINTS, self.options["columns"])
+
+    def read(self, path: Path) -> FeatureSet:
+        """Return the points of a table; errors name file, line and column."""
+        table = read_table(path, self._aliases())
+        image, ground = table.stack("line", "sample"), table.stack("x", "y", "z")
+        return FeatureSet(table.points(image, ground, table.sigma("sigma_line", "sigma_sample"),
+                                       table.roles()),
+                          crs=table.crs)
+
+
+class LinesCsv(Reader):
+    """Lines by two image points and two ground vertices, which are not conjugate."""
+
+    name = "lines-csv"
+    summary = "lines as a table headed id,line1,sample1,line2,sample2,x1,y1,z1,x2,y2,z2[,sigma]"
+    declared_options = (COLUMNS,)
+
+    def sniff(self, path: Path, head: bytes) -> bool:
+        """Return True if a header names at least three columns of lines."""
+        return sniff_table(head, self._aliases())
+
+    def _aliases(self) -> Aliases:
+        return declared(LINES, self.options["columns"])
+
+    def read(self, path: Path) -> FeatureSet:
+        """Return the lines of a table that are not off; errors name file, line and column."""
+        table = read_table(path, self._aliases())
+        roles = table.roles()
+        for row, role in enumerate(roles):
+            if role in ("check", "independent"):
+                raise table.error(f"a line cannot have the role {role!r}", row, "role",
+                                  "Lines are control features: control, off or blank.")
+        ids = table.ids()
+        image = table.stack("line1", "sample1", "line2", "sample2").reshape(-1, 2, 2)
+        ground = table.stack("x1", "y1", "z1", "x2", "y2", "z2").reshape(-1, 2, 3)
+        sigma = table.sigma("sigma")
+        try:
+            lines = Lines(tuple(ids), image, ground, None if sigma is None else sigma[:, 0])
+        except TermselError as error:
+            raise table.placed(error) from error
+        if "off" in roles:
+            lines = lines.take([role != "off" for role in roles])
+        return FeatureSet(lines=lines, crs=table.crs)
+
+
+def write_points_csv(points: Points, path: Path | str, crs: str = "") -> None:
+    """Write points as a table that `PointsCsv` reads back exactly.
+
+    Parameters
+    ----------
+    points : Points
+    path : path-like
+    crs : str, optional
+        Declared in a comment line.
+
+    Raises
+    ------
+    TermselError
+        If the file cannot be written.
+    """
+    header = ["id", "role", "line", "sample", "x", "y", "z"]
+    columns = [points.image, points.ground]
+    if points.sigma is not None:
+        header += ["sigma_line", "sigma_sample"]
+        columns.append(points.sigma)
+    texts = [[name, role] for name, role in zip(points.ids, points.roles, strict=True)]
+    write_table(path, crs, header, texts, np.concatenate(columns, axis=1))
+
+
+def write_lines_csv(lines: Lines, path: Path | str, crs: str = "") -> None:
+    """Write lines as a table that `LinesCsv` reads back exactly.
+
+    Parameters
+    ----------
+    lines : Lines
+    path : path-like
+    crs : str, optional
+        Declared in a comment line.
+
+    Raises
+    ------
+    TermselError
+        If the file cannot be written.
+    """
+    header, values = line_columns(lines)
+    write_table(path, crs, ["id", *header], [[name] for name in lines.ids], values)
+
+
+def line_columns(lines: Lines) -> tuple[list[str], FloatArray]:
+    """Return the columns of numbers that hold lines in a table, headings and values."""
+    header = ["line1", "sample1", "line2", "sample2", "x1", "y1", "z1", "x2", "y2", "z2"]
+    columns = [lines.image.reshape(-1, 4), lines.ground.reshape(-1, 6)]
+    if lines.sigma is not None:
+        header.append("sigma")
+        columns.append(lines.sigma[:, None])
+    return header, np.concatenate(columns, axis=1)
+
+
+def write_table(path: Path | str, crs: str, header: list[str], texts: list[list[str]],
+                values: FloatArray) -> None:
+    """Write a table with the CRS in a comment line.
+
+    Parameters
+    ----------
+    path : path-like
+    crs : str
+        "" for none.
+    header : list of str
+    texts : list of list of str
+        First cells of each row.
+    values : ndarray, shape (rows, columns)
+        The cells behind them; NaN becomes a blank one.
+
+    Raises
+    ------
+    TermselError
+        If the file cannot be written.
+    """
+    write_text(path, table_text(crs, header, texts, values))
+
+
+def table_text(crs: str, header: list[str], texts: list[list[str]], values: FloatArray) -> str:
+    """Return the text of a table; see `write_table`."""
+    # repr() gives the fewest digits, 17 at most, that are read back to the same number.
+    rows = [",".join([_quoted(text) for text in row] + ["" if v != v else repr(v) for v in numbers])
+            for row, numbers in zip(texts, values.tolist(), strict=True)]
+    # WKT may span lines, a comment may not.
+    declared = [f"# crs: {' '.join(crs.split())}"] if crs else []
+    return "\n".join([*declared, ",".join(header), *rows]) + "\n"
+
+
+def _quoted(text: str) -> str:
+    # Unquoted, a line that begins with # would be a comment; csv.writer does not see to that.
+    if re.search(r'[,;\t"\r\n#]', text):
+        return '"' + text.replace('"', '""') + '"'
+    return text

@@ -1,0 +1,122 @@
+"""Ground control points of ENVI: text files that end in ``.pts``.
+
+From the vendor's page "GCP File Formats": comments begin with a semicolon; the columns depend on
+the tool that wrote the file; the upper-left corner of the first pixel is (1, 1); the coordinates
+of a subset include its offset in the whole image.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+
+from termsel.errors import TermselError
+from termsel.formats.base import Reader, read_text
+from termsel.formats.readers.tables import Table
+from termsel.measurements.features import FeatureSet
+from termsel.options import Option
+
+_COLUMNS = {
+    4: ("x", "y", "sample", "line"),
+    5: ("x", "y", "z", "sample", "line"),
+    6: ("image", "x", "y", "z", "sample", "line"),
+    7: ("sample", "line", "other sample", "other line", "x", "y", "z"),
+}
+"""By their number: of a map, of RPCs and exterior orientation, of rigorous orthorectification with
+several images, of a stereo pair."""
+
+_TITLE = re.compile(r";[^\n]*\b(ENVI\b[^\n]*\b(GCP|Ground Control|Points)\b|Image\s*\(x)",
+                    re.IGNORECASE)
+_PROJECTION = re.compile(r";\s*projection info\s*=\s*\{(.*)\}", re.IGNORECASE)
+_CORNER = 1.5  # what the centre of the first pixel is called
+
+
+class EnviPoints(Reader):
+    """Points of ENVI: to a map, of RPCs, of rigorous orthorectification or a stereo pair.
+
+    UTM on WGS84, and longitude and latitude on WGS84, are understood as CRS; any other must be
+    stated. Of a stereo pair the left image is read.
+    """
+
+    name = "envi-pts"
+    summary = "ENVI .pts: comments that begin with ; ENVI, then map and image coordinates"
+    declared_options = (
+        Option("image_number", None, "Number of the image, in files of several images.", int, 0),
+    )
+
+    def sniff(self, path: Path, head: bytes) -> bool:
+        """Return True if the file begins with a comment of ENVI."""
+        text = head.decode("utf-8-sig", errors="replace")
+        comments = re.match(r"(\s*;[^\n]*\n)+", text)
+        return comments is not None and bool(_TITLE.search(comments[0]))
+
+    def read(self, path: Path) -> FeatureSet:
+        """Return the points; errors name file, line and column."""
+        rows, lines, crs = _rows(path)
+        width = len(rows[0])
+        table = Table(path, crs, {name: name for name in _COLUMNS[width]},
+                      dict(zip(_COLUMNS[width], zip(*rows, strict=True), strict=True)), lines,
+                      decimal_comma=False)
+        if "image" in table.columns:
+            table = table.take(self._of_image(table))
+        image = table.stack("line", "sample") - _CORNER
+        ground = (table.stack("x", "y", "z") if "z" in table.columns else
+                  np.column_stack([table.stack("x", "y"), np.full(len(image), np.nan)]))
+        return FeatureSet(table.points(image, ground, None, ()), crs=crs)
+
+    def _of_image(self, table: Table) -> list[int]:
+        """Return the rows of the one image that is meant."""
+        numbers = table.stack("image")[:, 0].tolist()
+        known = sorted(set(numbers))
+        wanted = self.options["image_number"]
+        if wanted is None and len(known) == 1:
+            wanted = known[0]
+        if wanted not in known:
+            raise TermselError("the file holds points of the images "
+                               + ", ".join(f"{number:g}" for number in known), file=table.path,
+                               hint="Choose one with --set image_number=N.")
+        return [row for row, number in enumerate(numbers) if number == wanted]
+
+
+def _rows(path: Path) -> tuple[list[list[str]], list[int], str]:
+    """Return rows of cells, their lines, and the CRS of the comments."""
+    rows: list[list[str]] = []
+    lines: list[int] = []
+    crs = ""
+    for number, text in enumerate(read_text(path).splitlines(), 1):
+        if re.match(r"\s*;", text):
+            if re.search(r"image to image|base\s+image", text, re.IGNORECASE):
+                raise TermselError("these are points between two images, without ground "
+                                   "coordinates", file=path, line=number,
+                                   hint="Give points of type image to map.")
+            found = _PROJECTION.search(text)
+            crs = _crs(found[1]) if found else crs
+        elif text.strip():
+            rows.append(text.split())
+            lines.append(number)
+    if not rows:
+        raise TermselError("the file holds no points", file=path,
+                           hint="Add one row for each below the comments.")
+    for row, number in zip(rows, lines, strict=True):
+        if len(row) not in _COLUMNS or len(row) != len(rows[0]):
+            raise TermselError(
+                f"the row has {len(row)} numbers, expected "
+                + (f"{len(rows[0])} as in the first" if len(rows[0]) in _COLUMNS else
+                   f"one of {', '.join(map(str, _COLUMNS))}"), file=path, line=number,
+                hint="Decimal commas are not read." if "," in "".join(row) else None)
+    return rows, lines, crs
+
+
+def _crs(projection: str) -> str:
+    """Return the CRS of a projection as ENVI describes it, "" where it is another."""
+    parts = [part.strip().lower() for part in projection.split(",")]
+    if "wgs-84" not in parts:
+        return ""
+    if parts[0].startswith("geographic"):
+        return "EPSG:4326"
+    utm = re.search(r"^utm,\s*(\d{1,2}),\s*(north|south)", projection.strip(), re.IGNORECASE)
+    if utm is None or not 1 <= int(utm[1]) <= 60:
+        return ""
+    return f"EPSG:32{'6' if utm[2].lower() == 'north' else '7'}{int(utm[1]):02d}"

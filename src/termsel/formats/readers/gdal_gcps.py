@@ -1,0 +1,64 @@
+"""Ground control points that rasters carry, through rasterio and its GDAL."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from termsel.errors import TermselError
+from termsel.formats.base import Reader, located, read_head
+from termsel.formats.rasters import open_raster
+from termsel.measurements.features import FeatureSet, Points
+from termsel.options import Option
+
+_MAGIC = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+",  # TIFF, BigTIFF
+          b"\x89PNG", b"\xff\xd8\xff", b"\0\0\0\x0cjP  ", b"\xff\x4f\xff\x51",  # JPEG, JPEG 2000
+          b"EHFA_HEADER_TAG", b"NITF", b"NSIF", b"CDF\x01", b"CDF\x02", b"\x89HDF")
+
+
+class GdalGcps(Reader):
+    """Ground control points in a GeoTIFF, a VRT or any other raster GDAL knows.
+
+    GDAL counts pixels from the corner of the first one, but leaves the meaning of a point to
+    who wrote it. Heights that are all 0 count as unknown, as GDAL cannot leave them out.
+    """
+
+    name = "gdal-gcps"
+    summary = "a raster or VRT with ground control points as GDAL reads them (needs rasterio)"
+    declared_options = (
+        Option("gcp_origin", "corner", "Which place in the first pixel has the coordinates 0, 0.",
+               choices=("corner", "centre")),
+    )
+
+    def sniff(self, path: Path, head: bytes) -> bool:
+        """Return True for a VRT, or a file that begins as the usual rasters do."""
+        text = head.removeprefix(b"\xef\xbb\xbf").lstrip()
+        return text.startswith(b"<VRTDataset") or head.startswith(_MAGIC)
+
+    def read(self, path: Path) -> FeatureSet:
+        """Return the points; errors name the file."""
+        read_head(path, "Expected a raster.")
+        with open_raster(path) as raster:
+            gcps, crs = raster.gcps
+            size = raster.shape
+        if not gcps:
+            raise TermselError("this raster has no ground control points", file=path,
+                               hint="gdalinfo lists them. Points in a file of their own are given "
+                                    "as that file.")
+        ground = np.array([[gcp.x, gcp.y, np.nan if gcp.z is None else gcp.z] for gcp in gcps])
+        if not np.nan_to_num(ground[:, 2]).any():
+            ground[:, 2] = np.nan
+        image = np.array([[gcp.row, gcp.col] for gcp in gcps], dtype=np.float64)
+        if self.options["gcp_origin"] == "corner":
+            image -= 0.5
+        ids = [str(gcp.id or "").strip() for gcp in gcps]
+        if len({*ids} - {""}) < len(ids):
+            ids = [f"P{i + 1}" for i in range(len(gcps))]
+        try:
+            points = Points(tuple(ids), image, ground)
+        except TermselError as error:
+            raise located(error, path) from error
+        epsg = crs.to_epsg() if crs else None
+        wkt = crs.to_wkt() if crs else ""
+        return FeatureSet(points, crs=wkt if epsg is None else f"EPSG:{epsg}", image_size=size)

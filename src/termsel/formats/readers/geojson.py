@@ -1,0 +1,154 @@
+"""GeoJSON as RFC 7946 has it, with the "crs" that GDAL and QGIS still write."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from math import isfinite
+from pathlib import Path
+from typing import Any
+
+from termsel.errors import TermselError
+from termsel.formats.base import located, read_text
+from termsel.measurements.crs import normalise
+
+
+@dataclass(frozen=True)
+class Feature:
+    """A feature of a collection.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+    number : int
+        Its place in the collection, from 1.
+    properties : mapping
+    parts : list of list of list of float
+        Lines of vertices x, y and perhaps z; a point is one line of one vertex.
+    """
+
+    path: Path
+    number: int
+    properties: Mapping[str, Any]
+    parts: list[list[list[float]]]
+
+    def error(self, what: str, column: str | None = None, hint: str | None = None) -> TermselError:
+        """Return an error that says where the feature is."""
+        return TermselError(f"feature {self.number}: {what}", file=self.path, column=column,
+                            hint=hint)
+
+    def text(self, name: str) -> str:
+        """Return a property as text, "" where it is missing or null."""
+        value = self.properties.get(name)
+        return "" if value is None else str(value).strip()
+
+    def pixels(self, name: str = "ji") -> Any:
+        """Return a property of lists of numbers, which GDAL hands on as their JSON."""
+        value = self.properties.get(name)
+        if isinstance(value, str):
+            with suppress(ValueError, RecursionError):
+                value = json.loads(value)
+        return value
+
+
+def sniff_geojson(head: bytes, geometry: str) -> bool:
+    """Return True if the text begins as a collection with a geometry of this type.
+
+    Parameters
+    ----------
+    head : bytes
+    geometry : str
+        Pattern of the type, such as "Point".
+    """
+    text = head.decode("utf-8-sig", errors="replace")
+    return (text.lstrip()[:1] == "{" and '"FeatureCollection"' in text
+            and re.search(rf'"type"\s*:\s*"{geometry}"', text) is not None)
+
+
+def read_geojson(path: Path, kinds: Mapping[str, int]) -> tuple[list[Feature], str]:
+    """Return the features of a collection, and the CRS it declares, "" for none.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+    kinds : mapping
+        Types of geometry that are read, and how deep lists of vertices lie in them.
+
+    Raises
+    ------
+    TermselError
+        If this is no such collection, or a feature has another geometry.
+    """
+    try:
+        found = json.loads(read_text(path))
+    except json.JSONDecodeError as error:
+        raise TermselError(f"this is not JSON: {error.msg}", file=path, line=error.lineno,
+                           hint="Is the file whole?") from error
+    except (RecursionError, ValueError) as error:  # lists too deep, numbers too long
+        raise TermselError(f"this is not GeoJSON: {error}", file=path) from error
+    if not isinstance(found, dict) or not isinstance(found.get("features"), list):
+        raise TermselError("this is not a FeatureCollection of GeoJSON", file=path,
+                           hint='It must have the members "type" and "features".')
+    if not found["features"]:
+        raise TermselError("the collection holds no features", file=path)
+    features = [_feature(path, number, item, kinds)
+                for number, item in enumerate(found["features"], 1)]
+    return features, _crs(path, found.get("crs"))
+
+
+def _feature(path: Path, number: int, item: Any, kinds: Mapping[str, int]) -> Feature:
+    item = item if isinstance(item, dict) else {}
+    properties, geometry = item.get("properties"), item.get("geometry")
+    properties = properties if isinstance(properties, dict) else {}
+    if "id" in item:
+        properties = {"id": item["id"], **properties}
+    feature = Feature(path, number, properties, [])
+    geometry = geometry if isinstance(geometry, dict) else {}
+    kind = str(geometry.get("type", "missing"))
+    if kind not in kinds:
+        raise feature.error(f"its geometry is {kind}, expected " + " or ".join(kinds), "geometry")
+    coordinates: Any = geometry.get("coordinates")
+    for _ in range(2 - kinds[kind]):
+        coordinates = [coordinates]
+    if not numbers_at(coordinates, 2, (2, 3)):
+        raise feature.error("its coordinates are not those of a " + kind, "coordinates",
+                            "Vertices are lists of two or three finite numbers.")
+    return Feature(path, number, properties, coordinates)
+
+
+def numbers_at(value: Any, depth: int, lengths: tuple[int, ...]) -> bool:
+    """Return True if lists of this depth hold lists of so many finite numbers."""
+    if not isinstance(value, list):
+        return False
+    if depth:
+        return bool(value) and all(numbers_at(part, depth - 1, lengths) for part in value)
+    return len(value) in lengths and all(
+        isinstance(number, int | float) and not isinstance(number, bool) and _finite(number)
+        for number in value)
+
+
+def _finite(number: float) -> bool:
+    try:
+        return isfinite(number)
+    except OverflowError:  # a whole number beyond any float
+        return False
+
+
+def _crs(path: Path, member: Any) -> str:
+    try:
+        name = member["properties"]["name"]
+    except (TypeError, KeyError):
+        return ""
+    try:
+        return normalise(str(name))
+    except TermselError as error:
+        raise located(error, path, column="crs") from error
+
+
+def vertices(feature: Feature) -> Iterator[list[tuple[float, float, float]]]:
+    """Yield the lines of a feature as vertices x, y, z; NaN for a missing z."""
+    for part in feature.parts:
+        yield [(v[0], v[1], v[2] if len(v) > 2 else float("nan")) for v in part]

@@ -1,0 +1,221 @@
+"""Ground lines of a GIS, joined with the image lines that were measured for them."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from termsel.errors import TermselError
+from termsel.formats.base import Reader, located, read_head
+from termsel.formats.readers.csv_tables import LINES
+from termsel.formats.readers.geojson import (
+    Feature,
+    numbers_at,
+    read_geojson,
+    sniff_geojson,
+    vertices,
+)
+from termsel.formats.readers.tables import read_table
+from termsel.measurements.features import FeatureSet, FloatArray, Lines
+from termsel.options import Option
+
+log = logging.getLogger(__name__)
+
+_IMAGE = {name: LINES[name] for name in ("id", "line1", "sample1", "line2", "sample2")}
+_GEOMETRIES = {"LineString": 1, "MultiLineString": 2}
+_NAMED = 10  # ids in a message
+
+_JOIN = (
+    Option("image_lines", None, "Table of image lines: id,line1,sample1,line2,sample2; pieces of "
+           "one line in rows of one id."),
+    Option("join", "id", "Property or column of the ground lines that holds the id."),
+)
+
+
+class GeoJsonLines(Reader):
+    """Ground lines as GeoJSON, joined with image lines.
+
+    The image lines are a table, or the property `ji` of each ground line: a list of [column, row]
+    along it, which need not be conjugate to the ground vertices. See the page on ground lines
+    for how polylines are joined. Without a "crs" of its own the file is in WGS84.
+    """
+
+    name = "geojson-lines"
+    summary = "GeoJSON ground lines; image lines as the property ji or in a table (--image-lines)"
+    declared_options = _JOIN
+
+    def sniff(self, path: Path, head: bytes) -> bool:
+        """Return True for a collection of lines."""
+        return sniff_geojson(head, "(Multi)?LineString")
+
+    def read(self, path: Path) -> FeatureSet:
+        """Return the lines; errors name file, feature and property."""
+        features, crs = read_geojson(path, _GEOMETRIES)
+        return _joined(path, features, crs or "EPSG:4326", **self.options)
+
+
+class VectorLines(Reader):
+    """Ground lines of a GeoPackage or Shapefile, joined with image lines as those of GeoJSON."""
+
+    name = "vector-lines"
+    summary = "GeoPackage or Shapefile of ground lines; needs --image-lines, and pyogrio"
+    declared_options = (
+        *_JOIN,
+        Option("layer", None, "Layer of the ground lines; the first one by default."),
+    )
+
+    def sniff(self, path: Path, head: bytes) -> bool:
+        """Return True for the first bytes of a GeoPackage or Shapefile."""
+        return (head.startswith(b"SQLite format 3\0") and head[68:70] == b"GP") or \
+            head.startswith(b"\0\0\x27\x0a")
+
+    def read(self, path: Path) -> FeatureSet:
+        """Return the lines; errors name file and feature."""
+        read_head(path, "Expected a GeoPackage or Shapefile.")
+        options = dict(self.options)
+        features, crs = _read_layer(path, options.pop("layer"))
+        return _joined(path, features, crs, **options)
+
+
+def _read_layer(path: Path, layer: str | None) -> tuple[list[Feature], str]:
+    """Return the features of a layer, and its CRS."""
+    try:
+        from pyogrio.errors import DataLayerError, DataSourceError
+        from pyogrio.raw import read
+        from shapely import GEOSException, from_wkb, get_coordinates, get_parts
+    except ImportError:
+        raise TermselError("this needs the packages for vector files, pyogrio and shapely, which "
+                           "are not installed", file=path,
+                           hint='Install them: pip install "termsel[gis]".') from None
+    try:
+        meta, _, geometries, columns = read(path, layer=layer)
+        shapes = from_wkb(geometries)
+    except (DataSourceError, DataLayerError, GEOSException, ValueError) as error:
+        raise TermselError(f"GDAL cannot read this file: {error}", file=path,
+                           hint="Is it whole? A Shapefile needs its .shx and .dbf beside it."
+                           ) from error
+    names = list(meta["fields"])
+    if not len(shapes):
+        raise TermselError("the layer holds no features", file=path)
+    features = []
+    for number, shape in enumerate(shapes, 1):
+        properties = {name: _plain(values[number - 1])
+                      for name, values in zip(names, columns, strict=True)}
+        feature = Feature(path, number, properties, [])
+        kind = "missing" if shape is None or shape.is_empty else shape.geom_type
+        if kind not in _GEOMETRIES:
+            raise feature.error(f"its geometry is {kind}, expected " + " or ".join(_GEOMETRIES))
+        parts = [get_coordinates(part, include_z=True).tolist() for part in get_parts(shape)]
+        features.append(Feature(path, number, properties, parts))
+    return features, str(meta["crs"] or "")
+
+
+def _plain(value: Any) -> Any:
+    """Return a cell as a number or text; whole numbers, which ids often are, without a point."""
+    if isinstance(value, float | np.floating):
+        number = float(value)
+        return None if np.isnan(number) else int(number) if number.is_integer() else number
+    return value
+
+
+def _joined(path: Path, features: list[Feature], crs: str, image_lines: str | None,
+            join: str) -> FeatureSet:
+    """Return ground lines with their image lines, pieces of one feature under its id."""
+    if not any(join in feature.properties for feature in features):
+        known = dict.fromkeys(name for feature in features for name in feature.properties)
+        raise TermselError(f"the ground lines have no {join!r}", file=path, column=join,
+                           hint=f"They have {', '.join(known) or 'no properties'}: choose one "
+                                "with --set join=NAME.")
+    ground: dict[str, list[FloatArray]] = {}
+    image = {} if image_lines is None else _read_image_lines(Path(image_lines))
+    for feature in features:
+        name = feature.text(join)
+        if image_lines is None:
+            if not name:
+                raise feature.error("its id is blank", join, "Give every line an id.")
+            image.setdefault(name, []).extend(_from_ji(feature))
+        if name in image:
+            ground.setdefault(name, []).extend(
+                _distinct(np.array(part)) for part in vertices(feature))
+    missing = [name for name in image if name not in ground]
+    if missing:
+        named = ", ".join(missing[:_NAMED]) + (" ..." if len(missing) > _NAMED else "")
+        raise TermselError(f"there is no ground line for {len(missing)} of {len(image)} image "
+                           f"lines: {named}", file=path, column=join,
+                           hint="Look at the ids, or choose their column with --set join=NAME.")
+    idle = len({feature.text(join) for feature in features}) - len(image)
+    if idle:
+        log.info("Lines: %d of %s were not measured in the image and stay out.", idle, path.name)
+    ids: list[str] = []
+    pieces: list[tuple[FloatArray, FloatArray]] = []
+    for name, measured in image.items():
+        try:
+            own = list(_pieces(name, measured, ground[name]))
+        except TermselError as error:
+            raise located(error, path) from error
+        ids += [name] * len(own)
+        pieces += own
+    try:
+        lines = Lines(tuple(ids), np.stack([one for one, _ in pieces]),
+                      np.stack([other for _, other in pieces]))
+    except TermselError as error:
+        raise located(error, path) from error
+    return FeatureSet(lines=lines, crs=crs)
+
+
+def _pieces(name: str, image: list[FloatArray], ground: list[FloatArray],
+            ) -> Iterable[tuple[FloatArray, FloatArray]]:
+    """Yield image and ground of the pieces of one feature.
+
+    On a single image line all ground vertices lie, whatever their number: they are taken in
+    pairs, each vertex once, but for an odd one that shares the last pair. Several image lines
+    are those of the ground segments, in order.
+    """
+    if any(len(part) < 2 for part in ground):
+        raise TermselError(f"line {name!r} has zero length on the ground", ids=[name],
+                           hint="A control line needs two different points.")
+    if len(image) == 1:
+        for part in ground:
+            for start in range(0, len(part), 2):
+                start = min(start, len(part) - 2)
+                yield image[0], part[start:start + 2]
+        return
+    segments = [part[i:i + 2] for part in ground for i in range(len(part) - 1)]
+    if len(segments) != len(image):
+        raise TermselError(
+            f"line {name!r} has {len(image)} pieces in the image and {len(segments)} on the ground",
+            ids=[name], hint="Measure one image line for all of a straight line, or one for each "
+                             "segment of the ground line, in their order.")
+    yield from zip(image, segments, strict=True)
+
+
+def _distinct(part: FloatArray) -> FloatArray:
+    """Return vertices without those that repeat the one before."""
+    moved = (part[1:, :2] != part[:-1, :2]).any(axis=1)
+    return np.asarray(part[np.concatenate([[True], moved])])
+
+
+def _read_image_lines(path: Path) -> dict[str, list[FloatArray]]:
+    """Return the image lines by id, each (2, 2) line and sample, in the order of the rows."""
+    read_head(path, "Expected a table headed id,line1,sample1,line2,sample2.")
+    table = read_table(path, _IMAGE)
+    image: dict[str, list[FloatArray]] = {}
+    for name, ends in zip(table.ids(), table.stack("line1", "sample1", "line2", "sample2"),
+                          strict=True):
+        image.setdefault(name, []).append(ends.reshape(2, 2))
+    return image
+
+
+def _from_ji(feature: Feature) -> list[FloatArray]:
+    """Return the image lines along the property ji."""
+    ji = feature.pixels()
+    if not numbers_at(ji, 1, (2,)) or len(ji) < 2:
+        raise feature.error(
+            "it has no image line", "ji", "Give a table of image lines with --image-lines FILE, or "
+            "the property ji as a list of [column, row].")
+    along = np.array(ji, dtype=np.float64)[:, ::-1]
+    return [along[i:i + 2] for i in range(len(along) - 1)]

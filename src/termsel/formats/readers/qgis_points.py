@@ -1,0 +1,88 @@
+"""Points of the QGIS Georeferencer: files that end in ``.points``.
+
+From the source of QGIS (class QgsGCPList, its `saveGcps` and `loadGcps`): an optional first line
+``#CRS: WKT``, a header, and rows ``mapX,mapY,sourceX,sourceY,enable,dX,dY,residual``; before 3.26
+the columns were called pixelX and pixelY, and before that there were four of them between tabs.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from termsel.errors import TermselError
+from termsel.formats.base import Reader
+from termsel.formats.rasters import open_raster, positions
+from termsel.formats.readers.tables import Table, read_table, sniff_table
+from termsel.measurements.features import FeatureSet, FloatArray
+from termsel.options import Option
+
+_COLUMNS = {
+    "x": ("mapx",), "y": ("mapy",),
+    "source_x": ("sourcex", "pixelx"), "source_y": ("sourcey", "pixely"),
+    "enabled": ("enable", "enabled"),
+}
+_SMALL = 20.0  # pixels: no image to be georeferenced has all its points within so few
+_FAR = 10.0  # times their extent: points of an image lie about as far from its corner as apart
+
+
+class QgisPoints(Reader):
+    """Points of the QGIS Georeferencer.
+
+    Pixels are counted from the corner of the first one, down as negative numbers. Points of a
+    raster that was georeferenced already hold coordinates of that raster instead, and then it is
+    needed. There are no heights; points that are not enabled have the role "off".
+    """
+
+    name = "qgis-points"
+    summary = "QGIS .points: a header mapX,mapY,sourceX,sourceY,enable, or pixelX,pixelY"
+    declared_options = (
+        Option("raster", None, "The image the points were measured in, where it was georeferenced "
+               "already."),
+        Option("disabled", "off", "Role of points that are not enabled.",
+               choices=("off", "check", "independent")),
+    )
+
+    def sniff(self, path: Path, head: bytes) -> bool:
+        """Return True if a header names mapX and mapY beside pixels or sources."""
+        return sniff_table(head, _COLUMNS)
+
+    def read(self, path: Path) -> FeatureSet:
+        """Return the points; errors name file, line and column."""
+        table = read_table(path, _COLUMNS)
+        x, y = table.stack("x", "y").T
+        image, size = self._image(table)
+        roles = [self.options["disabled"] if role else "" for role in table.roles()]
+        ground = np.column_stack([x, y, np.full(len(x), np.nan)])
+        return FeatureSet(table.points(image, ground, None, roles), crs=table.crs,
+                          image_size=size)
+
+    def _image(self, table: Table) -> tuple[FloatArray, tuple[int, int] | None]:
+        """Return line and sample, and the size of the image where it is known."""
+        source = table.stack("source_x", "source_y")
+        pixels = source[:, ::-1] * [-1.0, 1.0] - 0.5
+        if self.options["raster"] is None:
+            _refuse_layer(table, source)
+            return pixels, None
+        with open_raster(Path(self.options["raster"])) as raster:
+            if not raster.transform.is_identity:
+                pixels = positions(raster, *source.T)
+            rows, columns = raster.shape
+        near = (np.abs(pixels - [rows / 2, columns / 2]) <= [rows, columns]).all(axis=1)
+        if not near.any():
+            raise TermselError(f"no point lies in the image {self.options['raster']}",
+                               file=table.path,
+                               hint="Is it the image these points were measured in?")
+        return pixels, (rows, columns)
+
+
+def _refuse_layer(table: Table, source: FloatArray) -> None:
+    """Refuse sources that are no pixels, as those of a georeferenced raster."""
+    extent = np.ptp(source, axis=0)
+    upwards = (source[:, 1] > 0).mean() > 0.5
+    if (upwards or (len(source) > 1 and (extent < _SMALL).all())
+            or (np.abs(source).min(axis=0) > _FAR * np.maximum(extent, _SMALL)).all()):
+        raise table.error(
+            "these look like map coordinates of a raster that was georeferenced already, not "
+            "like pixels", 0, "source_x", "Give the image with --raster FILE.")

@@ -1,0 +1,226 @@
+"""Read RPCs: RPB, _RPC.TXT, DIMAP and DigitalGlobe XML, VRT, and any raster GDAL knows."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from xml.etree import ElementTree
+
+from termsel.errors import TermselError
+from termsel.formats.base import is_utf16, located, read_head, read_text
+from termsel.formats.rasters import open_raster
+from termsel.models.rpc import N_COEFFICIENTS, Rpc
+
+RPB_NAMES = {
+    "LINE_OFF": "lineOffset", "SAMP_OFF": "sampOffset", "LAT_OFF": "latOffset",
+    "LONG_OFF": "longOffset", "HEIGHT_OFF": "heightOffset", "LINE_SCALE": "lineScale",
+    "SAMP_SCALE": "sampScale", "LAT_SCALE": "latScale", "LONG_SCALE": "longScale",
+    "HEIGHT_SCALE": "heightScale", "LINE_NUM_COEFF": "lineNumCoef",
+    "LINE_DEN_COEFF": "lineDenCoef", "SAMP_NUM_COEFF": "sampNumCoef",
+    "SAMP_DEN_COEFF": "sampDenCoef"}
+"""What an RPB file calls the items of GDAL's RPC domain, in the order of the file."""
+
+ERROR_NAMES = {"ERR_BIAS": "errBias", "ERR_RAND": "errRand"}
+
+KNOWN = ("RPB, _RPC.TXT, DIMAP XML, DigitalGlobe XML, VRT or .aux.xml with an RPC domain, or an "
+         "image that has an RPC")
+
+_ENTRY = re.compile(r"^[ \t]*(\w+)[ \t]*[:=][ \t]*(\(.*?\)|[^;\r\n]*)", re.MULTILINE | re.DOTALL)
+_NUMBERS = re.compile(r"[^\s,();]+")
+
+
+def read_rpc(path: Path | str) -> Rpc:
+    """Return the RPC of a file, whose format is recognised by its content.
+
+    Parameters
+    ----------
+    path : path-like
+        RPB, _RPC.TXT, DIMAP version 1 to 3, DigitalGlobe XML, VRT or PAM (.aux.xml), or an
+        image with an RPC in its tags or in a file beside it, which GDAL reads (extra `gis`).
+
+    Raises
+    ------
+    TermselError
+        If the file is in none of these formats, lacks an item, or has one that is not a number.
+    """
+    path = Path(path)
+    head = read_head(path, f"Expected {KNOWN}.")
+    try:
+        return _read(path, head)
+    except TermselError as error:
+        raise (error if error.file is not None else located(error, path)) from error
+
+
+def _read(path: Path, head: bytes) -> Rpc:
+    if b"\0" in head and not is_utf16(head):
+        with open_raster(path) as raster:
+            items: dict[str, str] = raster.tags(ns="RPC")
+        if not items:
+            raise TermselError("this image has no RPC", file=path,
+                               hint=f"Expected {KNOWN}.")
+        return from_items(items)
+    if head.removeprefix(b"\xef\xbb\xbf").lstrip().startswith(b"<"):
+        return _from_xml(path)
+    text = read_text(path)
+    # In an RPB the values follow "=", in a _RPC.TXT ":".
+    entries = {match[1]: (match[2], text.count("\n", 0, match.start(1)) + 1)
+               for match in _ENTRY.finditer(text)}
+    own = {rpb: name for name, rpb in (RPB_NAMES | ERROR_NAMES).items()}
+    items = {}
+    for name, (value, line) in entries.items():
+        item = own.get(name, name)
+        if item.startswith((*RPB_NAMES, *ERROR_NAMES)):
+            for number in (_NUMBERS.findall(value) if "(" in value else value.split()[:1]):
+                _number(number, name, line)
+            items[item] = value
+    if not items.keys() & (RPB_NAMES.keys() | {"LINE_NUM_COEFF_1"}):
+        raise TermselError("this file holds no RPC", file=path, hint=f"Expected {KNOWN}.")
+    return from_items(items)
+
+
+def from_items(items: Mapping[str, str]) -> Rpc:
+    """Return the RPC of what GDAL calls the RPC domain.
+
+    Parameters
+    ----------
+    items : mapping of str to str
+        Such as LINE_OFF; coefficients as LINE_NUM_COEFF with 20 numbers or as LINE_NUM_COEFF_1
+        and so on. Units behind numbers are disregarded.
+
+    Raises
+    ------
+    TermselError
+        For items that are missing or not numbers.
+    """
+    def one(name: str) -> float:
+        if not (found := items.get(name, "").split()):
+            raise TermselError(f"the RPC lacks {name}", hint="Is the file whole?")
+        return _number(found[0], name)
+
+    def twenty(name: str) -> tuple[float, ...]:
+        if name in items:
+            found = tuple(_number(text, name) for text in _NUMBERS.findall(items[name]))
+            if len(found) != N_COEFFICIENTS:
+                raise TermselError(f"{name} has {len(found)} numbers, expected {N_COEFFICIENTS}",
+                                   hint="Is the file whole?")
+            return found
+        return tuple(one(f"{name}_{i + 1}") for i in range(N_COEFFICIENTS))
+
+    bias, random = (one(name) if items.get(name) else None for name in ERROR_NAMES)
+    return Rpc(
+        (one("LINE_OFF"), one("SAMP_OFF")), (one("LINE_SCALE"), one("SAMP_SCALE")),
+        (one("LONG_OFF"), one("LAT_OFF"), one("HEIGHT_OFF")),
+        (one("LONG_SCALE"), one("LAT_SCALE"), one("HEIGHT_SCALE")),
+        twenty("LINE_NUM_COEFF"), twenty("LINE_DEN_COEFF"), twenty("SAMP_NUM_COEFF"),
+        twenty("SAMP_DEN_COEFF"), *(None if error is None or error < 0 else error
+                                    for error in (bias, random)))
+
+
+def _number(text: str, name: str, line: int | None = None) -> float:
+    try:
+        return float(text.replace("_", "?"))  # Python reads 1_000, no other program does
+    except ValueError:
+        hint = "Write a decimal point." if "," in text else None
+        raise TermselError(f"{name} is {text!r}, which is not a number", line=line,
+                           hint=hint) from None
+
+
+def _from_xml(path: Path) -> Rpc:
+    try:
+        root = ElementTree.fromstring(path.read_bytes())
+    except ElementTree.ParseError as error:
+        raise TermselError(f"this XML cannot be read: {error}", file=path,
+                           line=error.position[0], hint="Is the file whole?") from error
+    if root.tag == "Dimap_Document":
+        return _from_dimap(root)
+    items = {item.get("key", ""): item.text or "" for domain in root.iter("Metadata")
+             if domain.get("domain") == "RPC" for item in domain.iter("MDI")}
+    if not items:
+        digital_globe = {rpb.upper(): name for name, rpb in (RPB_NAMES | ERROR_NAMES).items()}
+        items = {digital_globe[name]: text for name, text in _texts(root) if name in digital_globe}
+    if not items:
+        raise TermselError(f"this XML <{root.tag}> holds no RPC", file=path,
+                           hint=f"Expected {KNOWN}.")
+    return from_items(items)
+
+
+def _from_dimap(root: ElementTree.Element) -> Rpc:
+    """Return the RPC from ground to image of a DIMAP file, as GDAL takes it.
+
+    In versions 1 and 2 the centre of the first pixel is (1, 1). Version 3 states its first
+    column, and GDAL subtracts it from both offsets.
+    """
+    model, domain = root.find(".//Global_RFM"), root.find(".//RFM_Validity")
+    if model is None or domain is None:
+        raise TermselError("this DIMAP file has no Global_RFM with its RFM_Validity",
+                           hint="The RPC of an image is in the file RPC_*.XML beside it.")
+    values = model.find("GroundtoImage_Values")
+    first = "1"
+    if values is None:
+        values = model.find("Inverse_Model")
+    else:
+        first = domain.findtext(".//ImagetoGround_Validity_Domain/FIRST_COL", "")
+    if values is None:
+        raise TermselError("this DIMAP file has no model from ground to image",
+                           hint="Expected Inverse_Model or GroundtoImage_Values in Global_RFM.")
+    items = dict(_texts(domain)) | dict(_texts(values))
+    origin = _number(first, "FIRST_COL")
+    for name in ("LINE_OFF", "SAMP_OFF"):
+        if name in items:
+            items[name] = repr(_number(items[name].strip(), name) - origin)
+    return from_items({name: text for name, text in items.items() if name not in ERROR_NAMES})
+
+
+def _texts(element: ElementTree.Element) -> Iterator[tuple[str, str]]:
+    for part in element.iter():
+        if part.text and part.text.strip():
+            yield part.tag, part.text
+
+
+_UNKNOWN = -1.0  # what GDAL and vendors write for an error that is not known
+
+
+def rpb_text(rpc: Rpc) -> str:
+    """Return the text of an RPB file.
+
+    Numbers keep all their digits, so that reading gives the same RPC.
+    """
+    lines = ['satId = "";', 'bandId = "";', 'SpecId = "RPC00B";', "BEGIN_GROUP = IMAGE"]
+    for name, value in _values(rpc).items():
+        rpb = (ERROR_NAMES | RPB_NAMES)[name]
+        if isinstance(value, tuple):
+            numbers = ",\n".join(f"\t\t\t{number!r}" for number in value)
+            lines.append(f"\t{rpb} = (\n{numbers});")
+        else:
+            lines.append(f"\t{rpb} = {value!r};")
+    return "\n".join([*lines, "END_GROUP = IMAGE", "END;", ""])
+
+
+def rpc_txt_text(rpc: Rpc) -> str:
+    """Return the text of a _RPC.TXT file; numbers keep all their digits."""
+    lines = []
+    for name, value in _values(rpc).items():
+        if isinstance(value, tuple):
+            lines += [f"{name}_{i}: {number!r}" for i, number in enumerate(value, 1)]
+        else:
+            lines.append(f"{name}: {value!r}")
+    return "\n".join([*lines, ""])
+
+
+def rpc_items(rpc: Rpc) -> dict[str, str]:
+    """Return the items of GDAL's RPC domain, as in a VRT; numbers keep all their digits."""
+    return {name: " ".join(map(repr, value)) if isinstance(value, tuple) else repr(value)
+            for name, value in _values(rpc).items()}
+
+
+def _values(rpc: Rpc) -> dict[str, float | tuple[float, ...]]:
+    """Return numbers by GDAL's names."""
+    (line, sample), (line_scale, sample_scale) = rpc.image_offset, rpc.image_scale
+    (lon, lat, height), (lon_scale, lat_scale, height_scale) = rpc.ground_offset, rpc.ground_scale
+    values = (line, sample, lat, lon, height, line_scale, sample_scale, lat_scale, lon_scale,
+              height_scale, rpc.line_numerator, rpc.line_denominator, rpc.sample_numerator,
+              rpc.sample_denominator)
+    errors = (_UNKNOWN if error is None else error
+              for error in (rpc.error_bias, rpc.error_random))
+    return dict(zip((*ERROR_NAMES, *RPB_NAMES), (*errors, *values), strict=True))

@@ -1,0 +1,179 @@
+"""The text of GDAL's virtual rasters: an image as it is, with georeferencing of its own."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from xml.sax.saxutils import escape, quoteattr
+
+from termsel.errors import TermselError
+from termsel.formats.rasters import open_raster
+from termsel.options import Option
+from termsel.results.result import Result
+
+IMAGE = Option("image", None, "The image; without it the VRT has its size and no pixels.")
+"""Option of every writer of a VRT."""
+
+_DATA_TYPES = {
+    "uint8": "Byte", "int8": "Int8", "uint16": "UInt16", "int16": "Int16", "uint32": "UInt32",
+    "int32": "Int32", "uint64": "UInt64", "int64": "Int64", "float32": "Float32",
+    "float64": "Float64", "complex64": "CFloat32", "complex128": "CFloat64",
+    "complex_int16": "CInt16"}
+
+
+@dataclass(frozen=True)
+class Gcp:
+    """A ground control point as GDAL has it.
+
+    Parameters
+    ----------
+    id : str
+    line, sample : float
+        [pixel]; the centre of the upper-left pixel is (0, 0).
+    x, y, z : float
+    """
+
+    id: str
+    line: float
+    sample: float
+    x: float
+    y: float
+    z: float
+
+
+@dataclass(frozen=True)
+class Picture:
+    """What a VRT must know of an image.
+
+    Parameters
+    ----------
+    size : tuple of int
+        Lines and samples.
+    path : pathlib.Path, optional
+        The image; None for a VRT that has a size and no pixels.
+    types : tuple of str
+        Data type of each band, as in a VRT.
+    nodata : tuple of float or None
+        For each band.
+    colours : tuple of str
+        Colour interpretation of each band.
+    """
+
+    size: tuple[int, int]
+    path: Path | None = None
+    types: tuple[str, ...] = ("Byte",)
+    nodata: tuple[float | None, ...] = (None,)
+    colours: tuple[str, ...] = ("Gray",)
+
+
+def picture_for(result: Result, image: Path | str | None) -> Picture:
+    """Return what a VRT must know of the image of a result.
+
+    Parameters
+    ----------
+    result : Result
+    image : path-like, optional
+        Without it the size is that of the image, where it is known, or of the measured points.
+
+    Raises
+    ------
+    TermselError
+        If GDAL cannot read the image, or it has another size than the result's.
+    """
+    known = result.features.image_size
+    if image is None:
+        bottom, right = result.fit.image_box()[1]
+        return Picture(known or (max(1, int(bottom) + 1), max(1, int(right) + 1)))
+    picture = picture_of(Path(image))
+    bottom, right = result.features.image_vertices().max(axis=0)
+    if known is None and (bottom > picture.size[0] or right > picture.size[1]):
+        raise TermselError(f"the image has {picture.size[0]} lines and {picture.size[1]} samples, "
+                           f"and features were measured up to line {bottom:g} and sample "
+                           f"{right:g}", file=image,
+                           hint="Give the image the features were measured in.")
+    if known is not None and picture.size != known:
+        raise TermselError(f"the image has {picture.size[0]} lines and {picture.size[1]} samples, "
+                           f"that of the result has {known[0]} and {known[1]}", file=image,
+                           hint="Give the image the features were measured in.")
+    return picture
+
+
+def picture_of(image: Path) -> Picture:
+    """Return what a VRT must know of an image.
+
+    Raises
+    ------
+    TermselError
+        If rasterio is not installed or GDAL cannot read the image.
+    """
+    with open_raster(image) as raster:
+        return Picture(raster.shape, image, tuple(_DATA_TYPES[t] for t in raster.dtypes),
+                       tuple(raster.nodatavals),
+                       tuple(colour.name.capitalize() for colour in raster.colorinterp))
+
+
+def vrt_text(
+    picture: Picture,
+    folder: Path,
+    *,
+    domains: Mapping[str, Mapping[str, str]] | None = None,
+    gcps: Sequence[Gcp] = (),
+    crs: str = "",
+) -> str:
+    """Return the text of a VRT.
+
+    Parameters
+    ----------
+    picture : Picture
+    folder : pathlib.Path
+        Where the VRT will be; the image is named from there.
+    domains : mapping, optional
+        Metadata items by domain, such as "RPC".
+    gcps : sequence of Gcp, optional
+        Half a pixel is added, as GDAL counts from the corner of the upper-left pixel.
+    crs : str
+        Of the GCPs: a code or WKT.
+    """
+    lines, samples = picture.size
+    parts = [f'<VRTDataset rasterXSize="{samples}" rasterYSize="{lines}">']
+    for domain, items in (domains or {}).items():
+        parts.append(f"  <Metadata domain={quoteattr(domain)}>")
+        parts += [f"    <MDI key={quoteattr(key)}>{escape(value)}</MDI>"
+                  for key, value in items.items()]
+        parts.append("  </Metadata>")
+    if gcps:
+        parts.append(f"  <GCPList Projection={quoteattr(crs)}>")
+        parts += [
+            f'    <GCP Id={quoteattr(gcp.id)} Info="" Pixel="{gcp.sample + 0.5!r}" '
+            f'Line="{gcp.line + 0.5!r}" X="{gcp.x!r}" Y="{gcp.y!r}" Z="{gcp.z!r}"/>'
+            for gcp in gcps]
+        parts.append("  </GCPList>")
+    for band, (kind, nodata, colour) in enumerate(
+            zip(picture.types, picture.nodata, picture.colours, strict=True), 1):
+        parts.append(f'  <VRTRasterBand dataType="{kind}" band="{band}">')
+        if nodata is not None:
+            parts.append(f"    <NoDataValue>{nodata!r}</NoDataValue>")
+        parts.append(f"    <ColorInterp>{colour}</ColorInterp>")
+        if picture.path is not None:
+            name = relative(picture.path, folder)
+            size = f'xSize="{samples}" ySize="{lines}"'
+            parts += [
+                "    <SimpleSource>",
+                f'      <SourceFilename relativeToVRT="{int(not os.path.isabs(name))}">'
+                f"{escape(name)}</SourceFilename>",
+                f"      <SourceBand>{band}</SourceBand>",
+                f'      <SrcRect xOff="0" yOff="0" {size}/>',
+                f'      <DstRect xOff="0" yOff="0" {size}/>',
+                "    </SimpleSource>"]
+        parts.append("  </VRTRasterBand>")
+    return "\n".join([*parts, "</VRTDataset>", ""])
+
+
+def relative(path: Path, folder: Path) -> str:
+    """Return the name of a file as seen from a folder; absolute where there is no way."""
+    try:
+        return os.path.relpath(path.resolve(), folder.resolve())
+    except ValueError:  # on another drive
+        return str(path.resolve())

@@ -1,0 +1,156 @@
+"""Any fitted model as a grid that GDAL warps by: GCPs, or a geolocation array."""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+from typing import ClassVar
+
+import numpy as np
+
+from termsel.errors import TermselError
+from termsel.fits.fit import Fit
+from termsel.formats.atomic import atomic_path, write_bytes, write_text
+from termsel.formats.base import Writer
+from termsel.formats.heights import surface_of
+from termsel.formats.rasters import require_rasterio, tiff_bytes
+from termsel.formats.vrt import IMAGE, Gcp, picture_for, relative, vrt_text
+from termsel.measurements.crs import horizontal
+from termsel.measurements.features import FloatArray
+from termsel.options import Option
+from termsel.results.result import Result
+
+log = logging.getLogger(__name__)
+
+_CLOSE = 1.0  # pixels by which interpolation may miss the model without a warning
+
+_GROUND = (
+    Option("dem", None, "Raster of heights the rays of the grid are followed to."),
+    Option("height", None, "Height of the ground where no raster is given; that of the middle of "
+           "the control by default.", float))
+
+
+class GridWriter(Writer):
+    """Common to the forms of grids."""
+
+    def accepts(self, result: Result) -> bool:
+        """Return True: every model can be put on a grid."""
+        return True
+
+    def ground(self, result: Result, lines: FloatArray, samples: FloatArray) -> FloatArray:
+        """Return the ground seen at a grid of image places, shape (lines, samples, 3)."""
+        fitted, height = result.fit, self.options["height"]
+        if height is None:
+            height = float(fitted.ground_box()[0][2])
+            if fitted.model.uses_height and self.options["dem"] is None:
+                log.warning("Warning: without a raster of heights (--dem) the ground is taken as "
+                            "level, at the height %.6g.", height)
+        image = np.stack(np.meshgrid(lines, samples, indexing="ij"), axis=-1)
+        with surface_of(self.options["dem"], fitted.control.crs, height) as surface:
+            ground = fitted.locate(image.reshape(-1, 2), surface).reshape(*image.shape[:2], 3)
+        unseen = int(np.isnan(ground).any(axis=-1).sum())
+        if unseen > image[..., 0].size - 3:
+            raise TermselError(
+                "less than three places of the grid see ground", file=self.options["dem"],
+                hint="Give the image, a raster of heights that covers it, or a plainer model.")
+        if unseen:
+            log.warning("Warning: for %d of %d places of the grid no ground is found; what lies "
+                        "around them stays empty.", unseen, image[..., 0].size)
+        self._say_loss(fitted, image, ground)
+        return ground
+
+    def _say_loss(self, fitted: Fit, image: FloatArray, ground: FloatArray) -> None:
+        """Say how far the middles of the grid's meshes are from where the model has them."""
+        middle = (ground[1:, 1:] + ground[:-1, 1:] + ground[1:, :-1] + ground[:-1, :-1]) / 4
+        place = (image[1:, 1:] + image[:-1, :-1]) / 2
+        seen = np.isfinite(middle).all(axis=-1)
+        apart = np.linalg.norm(fitted.project(middle[seen]) - place[seen], axis=1)
+        if apart.size:
+            worst = apart.max()
+            log.log(logging.INFO if worst <= _CLOSE else logging.WARNING,
+                    "%sBetween the places of the grid GDAL interpolates: by at most %.2g px from "
+                    "the model (95 %% within %.2g px), but for relief.",
+                    "" if worst <= _CLOSE else "Warning: ", worst, np.quantile(apart, 0.95))
+
+
+class GcpGridVrt(GridWriter):
+    """A grid of GCPs computed by the fitted model, in a virtual raster of the image."""
+
+    name = "gcp-grid-vrt"
+    summary = "any model as a grid of computed GCPs in a VRT of the image, for gdalwarp -tps"
+    suffix = "_grid.vrt"
+    declared_options: ClassVar[tuple[Option, ...]] = (
+        IMAGE, *_GROUND, Option("across", 20, "Meshes along either side of the image.", int, 1, 60))
+
+    def write(self, result: Result, path: Path) -> None:
+        """Write a VRT with a list of GCPs.
+
+        Raises
+        ------
+        TermselError
+            If less than three places of the grid see ground; as `open_dem`; if the file
+            cannot be written.
+        """
+        picture = picture_for(result, self.options["image"])
+        lines, samples = (np.linspace(0.0, size - 1.0, self.options["across"] + 1)
+                          for size in picture.size)
+        ground = self.ground(result, lines, samples)
+        gcps = [Gcp(f"{i}-{j}", float(line), float(sample), *ground[i, j].tolist())
+                for i, line in enumerate(lines) for j, sample in enumerate(samples)
+                if np.isfinite(ground[i, j]).all()]
+        write_text(path, vrt_text(picture, path.parent, gcps=gcps,
+                                  crs=horizontal(result.fit.control.crs)))
+
+
+class GeolocationVrt(GridWriter):
+    """A geolocation array computed by the fitted model, beside a virtual raster of the image."""
+
+    name = "geolocation-vrt"
+    summary = "any model as a geolocation array (GeoTIFF) with a VRT of the image, for gdalwarp"
+    suffix = "_geolocation.vrt"
+    declared_options: ClassVar[tuple[Option, ...]] = (
+        IMAGE, *_GROUND,
+        Option("step", None, "Pixels from one place of the array to the next; by default so that "
+               "there are about 500 along the longer side.", int, 1))
+
+    def files(self, path: Path) -> tuple[Path, ...]:
+        """Return the VRT and the array beside it."""
+        return path, path.with_name(f"{path.stem}_xy.tif")
+
+    def write(self, result: Result, path: Path) -> None:
+        """Write a VRT and, beside it, FILE_xy.tif with longitudes or eastings and so on.
+
+        Raises
+        ------
+        TermselError
+            If rasterio is not installed; if less than three places of the array see ground;
+            as `open_dem`; if a file cannot be written.
+        """
+        rasterio = require_rasterio()
+        picture = picture_for(result, self.options["image"])
+        step = self.options["step"] or max(1, round(max(picture.size) / 500))
+        # Places beyond the edges, so that the outermost half pixels are inside.
+        lines, samples = (np.arange(-step, size + 2 * step, step, dtype=np.float64)
+                          for size in picture.size)
+        ground = self.ground(result, lines, samples)
+        crs = horizontal(result.fit.control.crs)
+        array = self.files(path)[1]
+        domain = {
+            "X_DATASET": relative(array, path.parent), "X_BAND": "1",
+            "X_DATASET_RELATIVE_TO_SOURCE": "YES",
+            "Y_DATASET": relative(array, path.parent), "Y_BAND": "2",
+            "Y_DATASET_RELATIVE_TO_SOURCE": "YES",
+            # Counted from the centre of the upper-left pixel, in pixels of the image.
+            "PIXEL_OFFSET": str(-step), "LINE_OFFSET": str(-step), "PIXEL_STEP": str(step),
+            "LINE_STEP": str(step), "GEOREFERENCING_CONVENTION": "PIXEL_CENTER",
+            "SRS": rasterio.CRS.from_user_input(crs).to_wkt() if crs else ""}
+        values = np.nan_to_num(ground[..., :2], nan=_NODATA)
+        content = tiff_bytes(np.moveaxis(values, -1, 0), nodata=_NODATA, compress="deflate",
+                             predictor=3)
+        with atomic_path(path) as temporary:
+            temporary.write_text(vrt_text(picture, path.parent, domains={"GEOLOCATION": domain}),
+                                 encoding="utf-8")
+            write_bytes(array, content)
+
+
+_NODATA = -1e10

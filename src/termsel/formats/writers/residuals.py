@@ -1,0 +1,95 @@
+"""Residuals as a GeoPackage, for a map."""
+
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, ClassVar
+
+import numpy as np
+
+from termsel.errors import TermselError
+from termsel.formats.atomic import write_bytes
+from termsel.formats.base import Writer
+from termsel.measurements.crs import horizontal
+from termsel.measurements.features import FloatArray
+from termsel.options import Option
+from termsel.results.result import Result
+
+_SHARE = 0.03  # of the map's extent, for the median vector
+
+
+class ResidualsGeopackage(Writer):
+    """Residuals of all features as points, and as vectors drawn larger, in a GeoPackage.
+
+    A vector leads from where a feature is on the ground to where the model would have it, seen
+    at the measured place at the feature's height.
+    """
+
+    name = "residuals-gpkg"
+    summary = "residuals as GeoPackage: layers of points and of vectors, for a map in a GIS"
+    suffix = "_residuals.gpkg"
+    declared_options: ClassVar[tuple[Option, ...]] = (
+        Option("exaggeration", None, "How many times longer vectors are drawn; by default so that "
+               "the median one has 3 % of the extent.", float, 0),)
+
+    def accepts(self, result: Result) -> bool:
+        """Return True: every result has residuals."""
+        return True
+
+    def write(self, result: Result, path: Path) -> None:
+        """Write the layers residuals and vectors; needs the extra `gis`.
+
+        Raises
+        ------
+        TermselError
+            If pyogrio or shapely is not installed, or the file cannot be written.
+        """
+        try:
+            import shapely
+            from pyogrio import read_info
+            from pyogrio.errors import DataLayerError, DataSourceError
+            from pyogrio.raw import write
+        except ImportError:
+            raise TermselError("this format needs the packages pyogrio and shapely", file=path,
+                               hint='Install them: pip install "termsel[gis]".') from None
+        residuals = result.residuals
+        columns: dict[str, Any] = {
+            name: np.array([getattr(r, name) for r in residuals]) for name in (
+                "id", "kind", "role", "used", "line", "sample", "distance")}
+        ground = np.array([(r.x, r.y, r.z) for r in residuals])
+        ends, exaggeration = self._ends(result, ground)
+        layers = {
+            "residuals": shapely.points(ground[:, :2]),
+            "vectors": shapely.linestrings(np.stack([ground[:, :2], ends], axis=1))}
+        columns["exaggeration"] = np.full(len(residuals), exaggeration)
+        fields = [np.asarray(column, dtype=object) if column.dtype.kind == "U" else column
+                  for column in columns.values()]
+        with TemporaryDirectory() as folder, warnings.catch_warnings():
+            whole = Path(folder) / "residuals.gpkg"
+            warnings.filterwarnings("ignore", "'crs' was not provided")  # plane coordinates
+            try:
+                for layer, shapes in layers.items():
+                    write(str(whole), shapely.to_wkb(shapes), fields, list(columns), layer=layer,
+                          driver="GPKG", geometry_type="Point" if layer == "residuals"
+                          else "LineString", crs=horizontal(result.features.crs) or None,
+                          append=whole.exists())
+                    if read_info(whole, layer=layer)["features"] != len(residuals):
+                        raise DataLayerError("not all of it was written")  # noqa: TRY301
+            except (DataSourceError, DataLayerError) as error:
+                raise TermselError(f"the GeoPackage cannot be made: {error}", file=path,
+                                   hint="Is there room for temporary files?") from error
+            write_bytes(path, whole.read_bytes())
+
+    def _ends(self, result: Result, ground: FloatArray) -> tuple[FloatArray, float]:
+        """Return the ends of the vectors, and their exaggeration."""
+        errors = np.array([(r.line, r.sample) for r in result.residuals])
+        there = result.fit.locate(result.project(ground) + errors, ground[:, 2])[:, :2]
+        vectors = np.nan_to_num(there - ground[:, :2])
+        exaggeration = self.options["exaggeration"]
+        if exaggeration is None:
+            length = float(np.median(np.linalg.norm(vectors, axis=1)))
+            extent = float(np.ptp(ground[:, :2], axis=0).max())
+            exaggeration = float(f"{_SHARE * extent / length:.1g}") if length > 0 else 1.0
+        return ground[:, :2] + exaggeration * vectors, float(exaggeration)

@@ -1,0 +1,194 @@
+"""The selected features in the formats of other programs, with their residuals."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import ClassVar
+
+import numpy as np
+
+from termsel.errors import TermselError
+from termsel.formats.atomic import write_text
+from termsel.formats.base import Writer
+from termsel.formats.readers.csv_tables import line_columns, write_table
+from termsel.formats.vrt import IMAGE, Gcp, picture_for, vrt_text
+from termsel.measurements.crs import LOCAL, horizontal, normalise, to_wgs84
+from termsel.measurements.features import BoolArray, FloatArray
+from termsel.options import Option
+from termsel.results.result import Result
+
+
+class SelectionWriter(Writer):
+    """Common to the forms of control points."""
+
+    def accepts(self, result: Result) -> bool:
+        """Return True if the control has points."""
+        return bool(len(result.fit.control.points))
+
+
+def _require_accepted(writer: Writer, result: Result, path: Path, hint: str) -> None:
+    if not writer.accepts(result):
+        raise TermselError(f"this result cannot be written as {writer.name}", file=path, hint=hint)
+
+
+def _used(result: Result) -> set[str]:
+    """Return the features in the adjustment, check points too where a strategy adds them."""
+    return {residual.id for residual in result.residuals if residual.used}
+
+
+def _chosen(result: Result) -> BoolArray:
+    """Return which of all points are in the adjustment."""
+    return np.isin(result.features.points.ids, list(_used(result)))
+
+
+def _errors(result: Result) -> FloatArray:
+    """Return measured minus computed line and sample of all points; NaN where not computed."""
+    points = result.features.points
+    errors = np.asarray(result.fit.errors(points))
+    if result.fit.model.uses_height:
+        errors[np.isnan(points.ground[:, 2])] = np.nan
+    return errors
+
+
+_NO_POINTS = "It has no control points; residuals-gpkg and lines-csv take control lines."
+
+
+class QgisPoints(SelectionWriter):
+    """All points, the selected ones enabled, with residuals, as QGIS's georeferencer saves them.
+
+    Heights have no place in this format.
+    """
+
+    name = "qgis-points"
+    summary = "points of QGIS's georeferencer, the selected ones enabled, residuals filled in"
+    suffix = ".points"
+
+    def write(self, result: Result, path: Path) -> None:
+        """Write a .points file; dX, dY are computed minus measured, right and up, as in QGIS."""
+        _require_accepted(self, result, path, _NO_POINTS)
+        points = result.features.points
+        rows = []
+        for (x, y, _), (line, sample), chosen, (dl, ds) in zip(
+                points.ground.tolist(), points.image.tolist(), _chosen(result),
+                np.nan_to_num(_errors(result)).tolist(), strict=True):
+            # Pixel edges are whole numbers, and y points up.
+            values = (x, y, sample + 0.5, -line - 0.5, int(chosen), -ds, dl, math.hypot(dl, ds))
+            rows.append(",".join(map(repr, values)))
+        crs = horizontal(result.features.crs)
+        declared = [f"#CRS: {wkt(crs)}"] if crs else []
+        write_text(path, "\n".join([
+            *declared, "mapX,mapY,sourceX,sourceY,enable,dX,dY,residual", *rows, ""]))
+
+
+class OrthorityGeojson(SelectionWriter):
+    """The selected control points as Orthority's GeoJSON, which GIS programs also open."""
+
+    name = "orthority-geojson"
+    summary = "selected control points as GeoJSON, which Orthority and GIS programs read"
+    suffix = "_gcps.geojson"
+    declared_options: ClassVar[tuple[Option, ...]] = (
+        Option("image", None, "The image, whose name stands with each point."),)
+
+    def accepts(self, result: Result) -> bool:
+        """Return True for control points with heights and a CRS."""
+        points = result.fit.control.points
+        return (super().accepts(result) and normalise(result.features.crs) != LOCAL
+                and not np.isnan(points.ground[:, 2]).any())
+
+    def write(self, result: Result, path: Path) -> None:
+        """Write a feature collection of 3D points in WGS84."""
+        _require_accepted(self, result, path, "It needs control points with heights, in a CRS.")
+        chosen = _chosen(result)
+        points = result.features.points.take(chosen)
+        errors = _errors(result)[chosen]
+        ground = to_wgs84(result.features.crs)(points.ground)
+        image = self.options["image"]
+        features = []
+        for i, name in enumerate(points.ids):
+            line, sample = points.image[i].tolist()
+            features.append({
+                "type": "Feature",
+                "properties": {
+                    "filename": Path(image).name if image is not None else "",
+                    "id": name, "ji": [sample, line], "info": "", "role": points.roles[i],
+                    "residual": errors[i, ::-1].tolist()},
+                "geometry": {"type": "Point", "coordinates": ground[i].tolist()}})
+        collection = {"type": "FeatureCollection", "features": features}
+        write_text(path, json.dumps(collection, ensure_ascii=False, indent=1, allow_nan=False)
+                   + "\n")
+
+
+class GcpVrt(SelectionWriter):
+    """The selected control points as GCPs in a virtual raster of the image."""
+
+    name = "gcp-vrt"
+    summary = "selected control points as GCPs in a VRT of the image, for gdalwarp -tps or -order"
+    suffix = "_gcps.vrt"
+    declared_options: ClassVar[tuple[Option, ...]] = (IMAGE,)
+
+    def write(self, result: Result, path: Path) -> None:
+        """Write a VRT with a list of GCPs."""
+        _require_accepted(self, result, path, _NO_POINTS)
+        points = result.features.points.take(_chosen(result))
+        gcps = [Gcp(name, *image, *ground) for name, image, ground in zip(
+            points.ids, points.image.tolist(), np.nan_to_num(points.ground).tolist(),
+            strict=True)]
+        write_text(path, vrt_text(picture_for(result, self.options["image"]), path.parent,
+                                  gcps=gcps, crs=horizontal(result.features.crs)))
+
+
+class PointsTable(SelectionWriter):
+    """All points as a table that termsel reads, with computed places and residuals."""
+
+    name = "points-csv"
+    summary = "all points as CSV with computed line and sample and residuals; termsel reads it"
+    suffix = "_points.csv"
+
+    def write(self, result: Result, path: Path) -> None:
+        """Write a table; control points that were not selected have 0 in the column enabled."""
+        _require_accepted(self, result, path, _NO_POINTS)
+        points, chosen, errors = result.features.points, _chosen(result), _errors(result)
+        header = ["id", "role", "enabled", "line", "sample", "x", "y", "z"]
+        columns = [points.image, points.ground]
+        if points.sigma is not None:
+            header += ["sigma_line", "sigma_sample"]
+            columns.append(points.sigma)
+        header += ["computed_line", "computed_sample", "residual_line", "residual_sample"]
+        values = np.concatenate([*columns, points.image - errors, errors], axis=1)
+        texts = [[name, role, str(int(on or role != "control"))]
+                 for name, role, on in zip(points.ids, points.roles, chosen, strict=True)]
+        write_table(path, result.features.crs, header, texts, values)
+
+
+class LinesTable(Writer):
+    """All control lines as a table that termsel reads, with residuals."""
+
+    name = "lines-csv"
+    summary = "all control lines as CSV with the residuals of both vertices; termsel reads it"
+    suffix = "_lines.csv"
+
+    def accepts(self, result: Result) -> bool:
+        """Return True if the control has lines."""
+        return bool(len(result.fit.control.lines))
+
+    def write(self, result: Result, path: Path) -> None:
+        """Write a table; lines that were not selected have 0 in the column enabled."""
+        _require_accepted(self, result, path, "It has no control lines; points-csv takes points.")
+        lines, chosen = result.fit.control.lines, _used(result)
+        header, values = line_columns(lines)
+        distances = np.linalg.norm(result.fit.line_errors(), axis=-1)
+        texts = [[name, "control", str(int(name in chosen))] for name in lines.ids]
+        write_table(path, result.features.crs,
+                    ["id", "role", "enabled", *header, "residual1", "residual2"], texts,
+                    np.concatenate([values, distances], axis=1))
+
+
+def wkt(crs: str) -> str:
+    """Return the WKT of a CRS in one line; without pyproj what it was given."""
+    try:
+        from pyproj import CRS
+    except ImportError:
+        return " ".join(crs.split())
+    return str(CRS.from_user_input(crs).to_wkt())

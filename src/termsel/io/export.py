@@ -1,0 +1,68 @@
+"""Write a result in a format known by name."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from termsel.errors import TermselError
+from termsel.formats.atomic import require_new
+from termsel.plugins.registry import registry
+
+if TYPE_CHECKING:
+    from termsel.formats.base import Writer
+    from termsel.results.result import Result
+
+
+def writer_of(to: str, **options: Any) -> Writer:
+    """Return the writer of a format.
+
+    Parameters
+    ----------
+    to : str
+        Its name, as in ``termsel list writers``.
+    **options
+        Options it declares.
+
+    Raises
+    ------
+    TermselError
+        For an unknown name or option.
+    """
+    writer: Writer = registry().get("writers", to)
+    return type(writer)(**options) if options else writer
+
+
+def export(result: Result, to: str, path: Path | str, *, overwrite: bool = False,
+           **options: Any) -> None:
+    """Write a result in a format known by name.
+
+    Parameters
+    ----------
+    result : Result
+    to : str
+        As in ``termsel list writers``.
+    path : path-like
+    overwrite : bool
+        Whether a file that is there may be replaced, such as a vendor's RPC.
+    **options
+        Options of the writer, such as `image`.
+
+    Raises
+    ------
+    TermselError
+        If there is no such format or option, the format does not hold this result, the file
+        exists and may not be replaced, or it cannot be written.
+    """
+    path = Path(path)
+    writer = writer_of(to, **options)
+    if not writer.accepts(result):
+        others = ", ".join(entry.name for entry in registry().entries("writers")
+                           if entry.object.accepts(result))
+        raise TermselError(f"the format {to} does not hold this result",
+                           hint=f"termsel describe {to} says what it needs. Formats that do: "
+                                f"{others}.")
+    if not overwrite:
+        for file in writer.files(path):
+            require_new(file)
+    writer.write(result, path)

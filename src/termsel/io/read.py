@@ -1,0 +1,248 @@
+"""Files of ground control features, read by whatever reader is installed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from itertools import zip_longest
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from termsel.errors import TermselError, unknown_name
+from termsel.formats.base import Reader, is_utf16, located, read_head, utf16_error
+from termsel.measurements.crs import EXAMPLES, check_ground, normalise
+from termsel.measurements.features import FeatureSet, join_lines, join_points, no_lines, no_points
+
+if TYPE_CHECKING:
+    pass
+
+
+from termsel.plugins.registry import registry
+
+
+def read(
+    points: Path | str | None = None,
+    lines: Path | str | None = None,
+    *,
+    areas: Path | str | None = None,
+    crs: str | None = None,
+    format: str | Sequence[str] = (),
+    dem: Path | str | None = None,
+    **options: Any,
+) -> FeatureSet:
+    """Return the control features of files of points, of lines and of areas.
+
+    Parameters
+    ----------
+    points, lines, areas : path-like, optional
+        At least one of them. Areas become lines or, with ``areas_as="centroid"``, points.
+    crs : str, optional
+        CRS of the ground coordinates, where no file declares it: "EPSG:n", WKT, or "local".
+    format : str or sequence of str, optional
+        Names of readers, in the order of the files, instead of judging by the content.
+    dem : path-like, optional
+        Raster of heights, from which unknown ones are taken; see
+        `termsel.formats.heights.with_heights`.
+    **options
+        Options of the readers, such as `raster` of "qgis-points".
+
+    Returns
+    -------
+    FeatureSet
+
+    Raises
+    ------
+    TermselError
+        Naming file, line and column, for anything the user can mend.
+    """
+    paths = [None if path is None else Path(path) for path in (points, lines, areas)]
+    features = read_features(
+        *paths[:2], areas=paths[2], crs=crs,
+        readers=[entry.object for entry in registry().entries("readers")],
+        formats=[format] if isinstance(format, str) else format,
+        options={key: value for key, value in options.items() if value is not None})
+    if dem is None:
+        return features
+    from termsel.formats.heights import with_heights
+
+    return with_heights(features, Path(dem))
+
+def read_file(path: Path, readers: Iterable[Reader], format: str | None = None,
+              options: Mapping[str, Any] | None = None) -> FeatureSet:
+    """Return the features of a file, with the first reader that recognises its content.
+
+    Parameters
+    ----------
+    path, readers, format, options
+        As `find_reader`.
+
+    Raises
+    ------
+    TermselError
+        As `find_reader`, or if the content is at fault.
+    """
+    return find_reader(path, readers, format, options).read(path)
+
+
+def find_reader(path: Path, readers: Iterable[Reader], format: str | None = None,
+                options: Mapping[str, Any] | None = None) -> Reader:
+    """Return the first reader that recognises the content of a file.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+    readers : iterable of Reader
+        In the order they are asked.
+    format : str, optional
+        The name of the reader to use, whatever the content looks like.
+    options : mapping, optional
+        Each reader takes those it declares.
+
+    Raises
+    ------
+    TermselError
+        If there is no such reader, an option does not take its value, the file is missing,
+        empty, a folder or not readable, or no reader recognises it.
+    """
+    known = [_with_options(reader, options or {}) for reader in readers]
+    chosen = [reader for reader in known if reader.name == format]
+    if format is not None and not chosen:
+        raise unknown_name("file format", format, [reader.name for reader in known])
+    expected = "Expected one of: " + "; ".join(f"{r.name}: {r.summary}" for r in known) + "."
+    head = read_head(path, expected)
+    for reader in chosen or known:
+        if chosen or reader.sniff(path, head):
+            return reader
+    if is_utf16(head):
+        raise utf16_error(path)
+    kind = "binary file" if b"\0" in head else "file"
+    raise TermselError(f"this {kind} is in no format termsel knows", file=path, hint=expected)
+
+
+def _with_options(reader: Reader, given: Mapping[str, Any]) -> Reader:
+    own = {o.name: given[o.name] for o in reader.declared_options if o.name in given}
+    return type(reader)(**{**reader.options, **own}) if own else reader
+
+
+def read_features(points: Path | None, lines: Path | None, *, areas: Path | None = None,
+                  crs: str | None, readers: Iterable[Reader], formats: Sequence[str] = (),
+                  options: Mapping[str, Any] | None = None) -> FeatureSet:
+    """Return the points, lines and areas of a file each, in one CRS.
+
+    Parameters
+    ----------
+    points, lines, areas : pathlib.Path, optional
+        At least one of them. A file that holds points and lines is given as both. Areas become
+        points or lines.
+    crs : str, optional
+        What the user states; needed where no file declares one.
+    readers : iterable of Reader
+    formats : sequence of str
+        Names of the readers of the files, in their order, as far as they are to be forced.
+    options : mapping, optional
+        Options of the readers.
+
+    Raises
+    ------
+    TermselError
+        As `read_file`; if no file's reader has such an option; if a file holds no features of
+        its kind, or others that were not asked for; if the CRS is not known or stated twice
+        and differently; if coordinates cannot be in it; if features of two kinds have one id.
+    """
+    if points is None and lines is None and areas is None:
+        raise TermselError("no file of features is given",
+                           hint="Give --points FILE, --lines FILE or --areas FILE.")
+    known = list(readers)
+    stated = None if crs is None else normalise(crs)
+    paths = list(dict.fromkeys(path for path in (points, lines, areas) if path is not None))
+    if len(formats) > len(paths):
+        raise TermselError(f"{len(formats)} formats are given for {len(paths)} files",
+                           hint="Give --format once for each file, that of the points first.")
+    chosen = {path: find_reader(path, known, name, options)
+              for path, name in zip_longest(paths, formats)}
+    _refuse_idle(options or {}, chosen)
+    sets = {path: reader.read(path) for path, reader in chosen.items()}
+    for path, features in sets.items():
+        if chosen[path].areas or path == areas:
+            _check_areas(path, chosen[path], path == areas and path not in (points, lines))
+            continue
+        counts = {"points": len(features.points), "lines": len(features.lines)}
+        _check_kinds(path, counts, {"points": path == points, "lines": path == lines})
+    measured = FeatureSet(
+        no_points() if points is None else sets[points].points,
+        no_lines() if lines is None else sets[lines].lines,
+        _agreed_crs(sets, stated),
+        next((one.image_size for one in sets.values() if one.image_size), None))
+    if areas is not None:
+        measured = _with_areas(measured, sets[areas], areas)
+    try:
+        check_ground(measured)
+    except TermselError as error:
+        place = next(path for path, one in sets.items() if error.ids[0] in one.ids)
+        raise located(error, place) from error
+    return measured
+
+
+def _check_areas(path: Path, reader: Reader, asked: bool) -> None:
+    if not reader.areas:
+        raise TermselError(f"the file holds no areas: it is read as {reader.name}", file=path,
+                           hint="Give points with --points and lines with --lines.")
+    if not asked:
+        raise TermselError("the file holds areas", file=path, hint="Give it with --areas alone.")
+
+
+def _with_areas(features: FeatureSet, areas: FeatureSet, path: Path) -> FeatureSet:
+    """Return the features with areas among them, each as what it was read as."""
+    both = set(features.ids) & set(areas.ids)
+    if both:
+        raise TermselError(f"{min(both)!r} is the id of an area and of a point or line",
+                           file=path, hint="Give every feature an id of its own.", ids=both)
+    try:
+        return features.with_(points=join_points(features.points, areas.points),
+                              lines=join_lines(features.lines, areas.lines))
+    except TermselError as error:
+        raise located(error, path) from error
+
+
+def _refuse_idle(options: Mapping[str, Any], chosen: Mapping[Path, Reader]) -> None:
+    for key in options:
+        if not any(key in reader.options for reader in chosen.values()):
+            raise TermselError(
+                f"option {key!r} means nothing to " + " and ".join(
+                    f"{reader.name}, the format of {path}" for path, reader in chosen.items()),
+                hint="Leave it out, or force another format with --format.")
+
+
+def _check_kinds(path: Path, counts: dict[str, int], asked: dict[str, bool]) -> None:
+    there = [kind for kind, count in counts.items() if count]
+    for kind in counts:
+        if asked[kind] and kind not in there:
+            raise TermselError(f"the file holds no {kind}", file=path, hint=" ".join(
+                f"It holds {other}: give it with --{other}." for other in there) or None)
+    for kind in there:
+        if not asked[kind]:
+            raise TermselError(f"the file also holds {kind}", file=path,
+                               hint=f"Give it with --{kind} too, or keep points and lines in "
+                                    "files of their own.")
+
+
+def _agreed_crs(sets: dict[Path, FeatureSet], stated: str | None) -> str:
+    agreed, source = stated, "--crs"
+    for path, features in sets.items():
+        if not features.crs:
+            continue
+        try:
+            declared = normalise(features.crs)
+        except TermselError as error:
+            raise located(error, path) from error
+        if agreed is None:
+            agreed, source = declared, str(path)
+        # EPSG:4979 only adds the meaning of the heights to EPSG:4326, as the user may.
+        elif declared != agreed and (stated, declared) != ("EPSG:4979", "EPSG:4326"):
+            raise TermselError(
+                f"the file declares the CRS {declared}, but {source} says {agreed}", file=path,
+                hint="Mend the one that is wrong; termsel does not transform coordinates.")
+    if agreed is None:
+        raise TermselError("the CRS of the ground coordinates is not known",
+                           file=" and ".join(str(path) for path in sets),
+                           hint=f"State it with --crs: {EXAMPLES}.")
+    return agreed

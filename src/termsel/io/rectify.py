@@ -1,0 +1,261 @@
+"""Images resampled to a map by GDAL's warper, through a fitted model."""
+
+from __future__ import annotations
+
+import logging
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from termsel.errors import TermselError
+from termsel.fits.rpc_fit import GOOD, RpcFit, rpc_of
+from termsel.formats.atomic import atomic_path, require_new, write_text
+from termsel.formats.heights import surface_of
+from termsel.formats.rasters import open_raster, require_rasterio
+from termsel.formats.rpc_files import rpc_items
+from termsel.formats.vrt import Picture, picture_for, vrt_text
+from termsel.formats.writers.grids import GeolocationVrt
+from termsel.measurements.crs import LOCAL, horizontal, normalise
+from termsel.measurements.features import FloatArray
+
+if TYPE_CHECKING:
+    from termsel.results.result import Result
+
+log = logging.getLogger(__name__)
+
+RESAMPLING = ("nearest", "bilinear", "cubic", "cubic_spline", "lanczos", "average")
+
+_TILE = 1024  # pixels of the map along either side that are warped at once
+_NARROW = 128  # across, where GDAL interpolates places along lines between ends and middle
+_OUTLINE = 33  # places along either side of the image its extent on the map is found by
+_LARGEST = 2e5  # pixels along either side of a map; more is a mistake in --res
+
+
+def rectify(
+    result: Result,
+    image: Path | str,
+    output: Path | str,
+    *,
+    dem: Path | str | None = None,
+    height: float | None = None,
+    crs: str | None = None,
+    resolution: float | None = None,
+    resampling: str = "bilinear",
+    nodata: float | None = None,
+    overwrite: bool = False,
+    progress: Callable[[float], None] | None = None,
+) -> None:
+    """Resample an image to a map.
+
+    A fit that an RPC stands for within 0.05 pixel is warped as RPC, with the heights of the
+    raster looked up for every pixel of the map; any other by a geolocation array whose rays
+    meet the raster.
+
+    Parameters
+    ----------
+    result : Result
+    image : path-like
+        The image the features were measured in.
+    output : path-like
+        Cloud-optimised GeoTIFF.
+    dem : path-like, optional
+        Raster of heights, as those of the control.
+    height : float, optional
+        Of the ground, where no raster is given; that of the middle of the control by default.
+    crs : str, optional
+        Of the map; that of the control by default.
+    resolution : float, optional
+        Size of a pixel of the map [units of its CRS]; that of the image on the ground by default.
+    resampling : str
+        One of `RESAMPLING`.
+    nodata : float, optional
+        Where the image shows nothing; that of the image by default, else 0, or NaN for numbers
+        with a fraction.
+    overwrite : bool
+        Whether a file that is there may be replaced.
+    progress : callable, optional
+        Told the share that is done, 0 to 1.
+
+    Raises
+    ------
+    TermselError
+        If rasterio is not installed; if image or raster of heights cannot be read or do not
+        fit the result; if the image lies nowhere on the map; if the file exists and may not be
+        replaced, or cannot be written.
+    """
+    require_rasterio()
+    image, output = Path(image), Path(output)
+    if not overwrite:
+        require_new(output)
+    if normalise(result.features.crs) == LOCAL:
+        raise TermselError("plane coordinates without a CRS give no map",
+                           hint="State the CRS of the ground coordinates when you run termsel.")
+    if resampling not in RESAMPLING:
+        raise TermselError(f"unknown resampling {resampling!r}",
+                           hint=f"Known: {', '.join(RESAMPLING)}.")
+    for name, value in (("height", height), ("resolution", resolution)):
+        if value is not None and not np.isfinite(value):
+            raise TermselError(f"the {name} of a map cannot be {value}", hint="Give a number.")
+    target = horizontal(crs if crs is not None else result.features.crs)
+    if not target:
+        raise TermselError("a map needs a CRS", hint="Give --crs, such as EPSG:32631.")
+    picture = picture_for(result, image)
+    result = result.of_image(picture.size)
+    level = float(result.fit.ground_box()[0][2]) if height is None else height
+    with TemporaryDirectory() as folder:
+        source, options = _source(result, picture, Path(folder) / "scene.vrt", dem, level)
+        shape, transform = _map(result, dem, level, target, resolution)
+        with open_raster(source) as raster, atomic_path(output) as temporary:
+            empty = _nodata(raster) if nodata is None else _held(nodata, raster.dtypes[0])
+            _warp(raster, temporary, shape, transform, target, empty, progress,
+                  resampling=resampling, **options)
+
+
+def _source(result: Result, picture: Picture, vrt: Path, dem: Path | str | None, height: float,
+            ) -> tuple[Path, dict[str, Any]]:
+    """Write the virtual raster that is warped; return it and the options of the warper."""
+    found = _rpc(result)
+    if found is None:
+        log.info("Warping by a geolocation array.")
+        writer = GeolocationVrt(image=str(picture.path), dem=None if dem is None else str(dem),
+                                height=height)
+        writer.write(result, vrt)
+        return vrt, {}
+    write_text(vrt, vrt_text(picture, vrt.parent, domains={"RPC": rpc_items(found.rpc)}))
+    if dem is None:
+        return vrt, {"RPC_HEIGHT": height}
+    # Heights are those of the control: no change of datum behind the back of the fit.
+    return vrt, {"RPC_DEM": str(Path(dem).resolve()), "RPC_DEM_APPLY_VDATUM_SHIFT": "FALSE"}
+
+
+def _rpc(result: Result) -> RpcFit | None:
+    """Return the RPC of a result, or None if it is too far from the model."""
+    try:
+        found = rpc_of(result.fit)
+    except TermselError as error:
+        log.info("%s.", error.what)
+        return None
+    return found if found.worst <= GOOD else None
+
+
+def _map(result: Result, dem: Path | str | None, height: float, target: str,
+         resolution: float | None) -> tuple[tuple[int, int], Any]:
+    """Return lines and samples of the map, and its geotransform."""
+    from affine import Affine
+
+    outline = _ground(result, dem, height, target)
+    known = outline[np.isfinite(outline).all(axis=-1)]
+    if not len(known):
+        raise TermselError("the image lies nowhere on the raster of heights", file=dem,
+                           hint="Give one that covers the image.")
+    if resolution is None:
+        (top, left), (bottom, right) = result.fit.image_box()
+        along, across = (np.linalg.norm(np.diff(outline, axis=axis), axis=-1) for axis in (0, 1))
+        pixels = [np.nanmedian(along) * (_OUTLINE - 1) / max(bottom - top, 1.0),
+                  np.nanmedian(across) * (_OUTLINE - 1) / max(right - left, 1.0)]
+        resolution = float(f"{min(pixels):.2g}")
+    # Edges on multiples of the pixel size, so that maps of neighbouring images fit together.
+    low = np.floor(known.min(axis=0) / resolution) - 1
+    high = np.ceil(known.max(axis=0) / resolution) + 1
+    width, lines = high - low
+    if max(width, lines) > _LARGEST:
+        raise TermselError(f"with pixels of {resolution:g} the map would have {lines:.0f} lines "
+                           f"and {width:.0f} samples", hint="Give --res in the units of --crs.")
+    west, north = low[0] * resolution, high[1] * resolution
+    return (int(lines), int(width)), Affine(resolution, 0.0, west, 0.0, -resolution, north)
+
+
+def _ground(result: Result, dem: Path | str | None, height: float, target: str,
+            ) -> FloatArray:
+    """Return where on the map a grid of image places is, shape (_OUTLINE, _OUTLINE, 2)."""
+    from pyproj import Transformer
+
+    (top, left), (bottom, right) = result.fit.image_box()
+    # From the outer edges of the outermost pixels.
+    image = np.stack(np.meshgrid(np.linspace(top - 0.5, bottom + 0.5, _OUTLINE),
+                                 np.linspace(left - 0.5, right + 0.5, _OUTLINE), indexing="ij"),
+                     axis=-1).reshape(-1, 2)
+    own = result.features.crs
+    with surface_of(dem, own, height) as surface:
+        ground = result.fit.locate(image, surface)
+    turn = Transformer.from_crs(horizontal(own), target, always_xy=True)
+    x, y = turn.transform(ground[:, 0], ground[:, 1])
+    places = np.stack([x, y], axis=-1)
+    places[~np.isfinite(places).all(axis=1)] = np.nan
+    return np.asarray(places.reshape(_OUTLINE, _OUTLINE, 2))
+
+
+def _held(nodata: float, dtype: str) -> float:
+    """Return a value for empty pixels, refusing what pixels of this type cannot hold."""
+    from rasterio.dtypes import in_dtype_range
+
+    if not in_dtype_range(nodata, dtype) or (np.dtype(dtype).kind in "iu"
+                                             and nodata != int(nodata)):
+        raise TermselError(f"pixels of the type {dtype} cannot hold the value {nodata:g}",
+                           hint="Give another --nodata.")
+    return nodata
+
+
+def _nodata(raster: Any) -> float:
+    if raster.nodata is not None:
+        return float(raster.nodata)
+    return float("nan") if raster.dtypes[0].startswith(("float", "complex")) else 0.0
+
+
+def _warp(raster: Any, output: Path, shape: tuple[int, int], transform: Any, crs: str,
+          nodata: float, progress: Callable[[float], None] | None, *, resampling: str,
+          **options: Any) -> None:
+    """Warp tile by tile into a GeoTIFF, and make that cloud-optimised."""
+    import rasterio
+    from rasterio.enums import Resampling
+    from rasterio.shutil import copy
+    from rasterio.warp import reproject
+
+    plain = output.with_name(f"{output.stem}-tiles.tif")
+    profile = {"driver": "GTiff", "height": shape[0], "width": shape[1], "count": raster.count,
+               "dtype": raster.dtypes[0], "crs": crs, "transform": transform, "nodata": nodata,
+               "tiled": True, "compress": "deflate", "bigtiff": "if_safer"}
+    across = _TILE if raster.rpcs else _NARROW
+    tiles = [(row, column) for row in range(0, shape[0], _TILE)
+             for column in range(0, shape[1], across)]
+    bands = list(range(1, raster.count + 1))
+    try:
+        with _gdal_faults(output), rasterio.open(plain, "w", **profile) as tiled:
+            tiled.colorinterp = raster.colorinterp
+            for done, (row, column) in enumerate(tiles):
+                window = rasterio.windows.Window(
+                    column, row, min(across, shape[1] - column), min(_TILE, shape[0] - row))
+                pixels = np.full((raster.count, window.height, window.width), nodata,
+                                 dtype=raster.dtypes[0])
+                # Only where RPCs are named here does rasterio let GDAL compute every pixel's place
+                # rather than interpolate along lines, which does not hold in relief.
+                reproject(rasterio.band(raster, bands), pixels, dst_crs=crs, dst_nodata=nodata,
+                          dst_transform=tiled.window_transform(window), rpcs=raster.rpcs,
+                          resampling=Resampling[resampling], **options)
+                tiled.write(pixels, window=window)
+                if progress is not None:
+                    progress((done + 1) / len(tiles))
+        with _gdal_faults(output):
+            copy(plain, output, driver="COG", compress="deflate", bigtiff="if_safer")
+    finally:
+        plain.unlink(missing_ok=True)
+
+
+@contextmanager
+def _gdal_faults(output: Path) -> Iterator[None]:
+    from rasterio._err import CPLE_BaseError
+    from rasterio.errors import NotGeoreferencedWarning, RasterioError
+
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", NotGeoreferencedWarning)
+            yield
+    except (RasterioError, CPLE_BaseError) as error:
+        raise TermselError(f"GDAL cannot make this map: {error}", file=output,
+                           hint="Look at the image, the raster of heights, and the room on the "
+                                "disk.") from error

@@ -1,0 +1,255 @@
+"""The folder of a result: result.json, what it was made of, and tables for people."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import os
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from termsel.errors import TermselError
+from termsel.fits.diagnosis import Diagnosis, Doubts, Significance
+from termsel.fits.figures import Baseline
+from termsel.fits.fit import Fit, Rmse, fit
+from termsel.fits.residuals import residuals_of
+from termsel.formats.atomic import write_text
+from termsel.formats.base import located, read_text
+from termsel.formats.readers.csv_tables import (
+    LinesCsv,
+    PointsCsv,
+    write_lines_csv,
+    write_points_csv,
+)
+from termsel.measurements.crs import normalise
+from termsel.measurements.features import FeatureSet, no_lines, no_points
+from termsel.measurements.roles import by_roles
+from termsel.measurements.scaling import Scaling
+from termsel.models.base import SensorModel
+from termsel.plugins.registry import registry
+from termsel.problems.base import Selection
+from termsel.results.checksums import SEALS, of_features, of_record
+from termsel.results.result import SCHEMA, Result
+
+RECORD, POINTS, LINES = "result.json", "points.csv", "lines.csv"
+RESIDUAL_COLUMNS = ("id", "kind", "role", "used", "residual_line", "residual_sample", "distance")
+
+
+def claim_folder(folder: Path) -> None:
+    """Make the folder, and refuse it now rather than after a long search.
+
+    Raises
+    ------
+    TermselError
+        If it cannot be made or written to, or holds features that are not those of a result and
+        would be replaced.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise TermselError(f"cannot make the folder {folder}: {error.strerror}",
+                           hint="Choose another --out.") from error
+    if not os.access(folder, os.W_OK | os.X_OK):
+        raise TermselError(f"cannot write to the folder {folder}", hint="Choose another --out.")
+    for name in (POINTS, LINES):
+        if (folder / name).exists() and not (folder / RECORD).exists():
+            raise TermselError("the result would replace this file, which is of no result",
+                               file=folder / name, hint="Choose another --out.")
+
+
+def write_result(result: Result, folder: Path) -> None:
+    """Write result.json, residuals.csv, summary.txt and the features, each whole or not at all.
+
+    With points.csv and lines.csv the folder says all there is to know of the result, wherever
+    the files are by then that the features came from.
+
+    Parameters
+    ----------
+    result : Result
+    folder : Path
+        One that exists; files of an earlier result are replaced.
+    """
+    features = result.features
+    if len(features.points):
+        write_points_csv(features.points, folder / POINTS, features.crs)
+    if len(features.lines):
+        write_lines_csv(features.lines, folder / LINES, features.crs)
+    write_text(folder / "residuals.csv", residuals_csv(result))
+    write_text(folder / "summary.txt", result.summary())
+    write_text(folder / RECORD, result.to_json())
+
+
+def read_result(folder: Path | str) -> Result:
+    """Return the result a run has written to a folder.
+
+    Parameters
+    ----------
+    folder : path-like
+        As given to ``--out``.
+
+    Returns
+    -------
+    Result
+        As the run returned it.
+
+    Raises
+    ------
+    TermselError
+        If there is no result, a file of it is missing, was changed or is of another version, or
+        its model is of a plugin that is not installed.
+    """
+    path = Path(folder) / RECORD
+    if not path.is_file():
+        raise TermselError("there is no result here", file=path,
+                           hint="Give the folder of a run, as in termsel run --out DIR.")
+    try:
+        record = json.loads(read_text(path))
+    except json.JSONDecodeError as error:
+        raise TermselError(f"this is not JSON: {error.msg}", file=path, line=error.lineno,
+                           hint="Run the search again.") from error
+    except (RecursionError, ValueError) as error:  # lists too deep, numbers too long
+        raise TermselError(f"this is not a result: {error}", file=path,
+                           hint="Run the search again.") from error
+    if not isinstance(record, dict) or record.get("schema") != SCHEMA:
+        raise TermselError(f"this is not a result of the form {SCHEMA}", file=path,
+                           hint="Run the search again with this version of termsel.")
+    try:
+        seals = record[SEALS]
+        _refuse_changed(seals["record"] != of_record(record), path)
+        features = _read_features(Path(folder), record)
+        files = [name for name, part in ((POINTS, features.points), (LINES, features.lines))
+                 if len(part)]
+        _refuse_changed(seals["features"] != of_features(features),
+                        path.with_name(" or ".join(files)))
+        return result_from(record, features)
+    except TermselError as error:
+        raise (error if error.file is not None else located(error, path)) from error
+    except (AttributeError, LookupError, TypeError, ValueError) as error:  # edited by hand
+        raise TermselError(f"this result is damaged: {type(error).__name__}: {error}", file=path,
+                           hint="Run the search again.") from error
+
+
+def _read_features(folder: Path, record: Mapping[str, Any]) -> FeatureSet:
+    """Return the features of a result, refusing other features than it was made of."""
+    data = record.get("data", {})
+    size = data.get("image_size")
+    normalise(data["crs"])
+    # By the record: an earlier result in the same folder may have left a file that this has not.
+    counts = dict(data["counts"])
+    lines = LinesCsv().read(folder / LINES).lines if counts.pop("lines") else no_lines()
+    points = PointsCsv().read(folder / POINTS).points if any(counts.values()) else no_points()
+    features = FeatureSet(points, lines, data["crs"], size and (int(size[0]), int(size[1])),
+                          data.get("noise"), data.get("heights") or "",
+                          record.get("scaling", {}).get("fit_crs", ""))
+    observations = by_roles(features)
+    roles = {"control": observations.control.ids, "check": observations.check.ids,
+             "independent": observations.independent.ids, "off": observations.off}
+    for role, ids in roles.items():
+        if set(ids) != set(data.get("roles", {}).get(role, ())):
+            raise TermselError(f"{POINTS} and {LINES} do not hold the features in the role {role} "
+                               f"that {RECORD} names", file=folder,
+                               hint="Leave the files of a result as they are; run the search "
+                                    "again.")
+    return features
+
+
+def _refuse_changed(changed: bool, path: Path) -> None:
+    """Refuse a file that is not as the run left it."""
+    if changed:
+        raise TermselError("this is not what the run wrote: the file was changed since", file=path,
+                           hint="Leave the files of a result as they are; run the search again.")
+
+
+def residuals_csv(result: Result) -> str:
+    """Return the residuals of all features [pixel] as CSV."""
+    text = io.StringIO()
+    table = csv.writer(text, lineterminator="\n")
+    table.writerow(RESIDUAL_COLUMNS)
+    for r in result.residuals:
+        table.writerow([r.id, r.kind, r.role, "yes" if r.used else "no", f"{r.line:.6g}",
+                        f"{r.sample:.6g}", f"{r.distance:.6g}"])
+    return text.getvalue()
+
+
+def result_from(record: Mapping[str, Any], features: FeatureSet) -> Result:
+    """Return the result of a record and the features it speaks of.
+
+    Parameters
+    ----------
+    record : mapping
+        The content of result.json.
+    features : FeatureSet
+        Each point has the role it played.
+
+    Raises
+    ------
+    TermselError
+        If the model is not known here or its options are not.
+    KeyError, TypeError, ValueError
+        If the record is not one that `Result.to_dict` has made.
+    """
+    fitted, chosen = _fit(record, features), record["selection"]
+    residuals = residuals_of(fitted, by_roles(features), check_used=record["strategy"] is not None)
+    return Result(
+        **{name: record[name] for name in (
+            "problem", "model", "solver", "criterion", "seed", "options", "data", "feasible",
+            "judgement", "objectives", "evaluations", "lookups", "generations", "seconds",
+            "interrupted", "polish", "versions", "certificate", "strategy")},
+        selection=Selection(tuple(chosen["terms"]), tuple(chosen["features"])),
+        rmse=_rmse(record["rmse"]),
+        baselines=tuple(Baseline(b["name"], b["n_terms"], tuple(b["fitted_to"]), b["determined"],
+                                 _rmse(b["rmse"]), b["predicted"]) for b in record["baselines"]),
+        notes=tuple(record["notes"]), fit=fitted, residuals=residuals,
+        diagnosis=_diagnosis(record), features=features,
+        front=tuple(record["front"]))
+
+
+def _fit(record: Mapping[str, Any], features: FeatureSet) -> Fit:
+    model_type = registry().get("models", record["model"])
+    model: SensorModel = model_type(**record["options"]["model"])
+    scaling = Scaling.from_dict(record["scaling"])
+    coefficients, deviations = np.zeros(len(model.terms)), np.zeros(len(model.terms))
+    for name, value in record["coefficients"].items():
+        term = model.terms.index(name)
+        coefficients[term] = value
+        deviations[term] = _float(record["standard_deviations"][name])
+    sizes = (*scaling.ground_offset, *scaling.ground_scale, *scaling.image_offset,
+             scaling.image_scale)
+    if not np.isfinite([*sizes, *coefficients]).all():
+        raise ValueError("a coefficient or the scaling is not a finite number")
+    control = by_roles(features).control
+    terms = np.array([name in record["coefficients"] for name in model.terms])
+    used = np.isin(control.ids, record["selection"]["features"])
+    fitted, said = fit(model, control, scaling, terms, used), record["adjustment"]
+    if not np.allclose(fitted.adjustment.coefficients, coefficients):
+        fitted = fitted.with_coefficients(coefficients)  # a solver's own, such as those of ridge
+    # The figures of the record, whatever the rounding of this machine.
+    return replace(fitted, adjustment=replace(
+        fitted.adjustment, coefficients=coefficients, deviations=deviations,
+        n_terms=said["terms"], n_equations=said["equations"], rank=said["rank"],
+        condition=float("inf") if said["condition"] is None else said["condition"],
+        sigma0=_float(said["sigma0"]) / scaling.image_scale))
+
+
+def _diagnosis(record: Mapping[str, Any]) -> Diagnosis:
+    doubts = record["doubts"]
+    return Diagnosis(
+        {name: Significance(**one) for name, one in record["significance"].items()},
+        tuple((*pair["terms"], pair["correlation"]) for pair in record["correlations"]),
+        None if doubts is None else Doubts(doubts["sigma"], doubts["wrong"],
+                                           tuple(doubts["in_use"]), tuple(doubts["spare"])),
+        record["adjustment"]["orientation_spread"])
+
+
+def _rmse(plain: Mapping[str, Any]) -> dict[str, Rmse | None]:
+    return {role: Rmse(_float(one["line"]), _float(one["sample"]), _float(one["total"]), one["n"])
+            if one["n"] else None for role, one in plain.items()}
+
+
+def _float(value: float | None) -> float:
+    return float("nan") if value is None else value

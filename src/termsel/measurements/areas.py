@@ -1,0 +1,233 @@
+"""Areas as control features: a polygon's edges as conjugate lines, or its centroid as a point."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from termsel.errors import TermselError
+from termsel.measurements.features import FloatArray, Lines, Points
+
+FORMS = ("boundary", "centroid")
+
+_FLAT = 1e-9  # area over the square of the extent; rounding of metres in a UTM zone is below
+_MANY = 1000  # corners beyond which crossing edges, a matter of their square, are not looked for
+
+
+class CornerError(TermselError):
+    """An area that is none, and the corner at which that is seen.
+
+    Parameters
+    ----------
+    what : str
+    corner : int
+        Counted from 0.
+    where : {"image", "ground"}
+    hint : str
+    """
+
+    def __init__(self, what: str, corner: int, where: str, hint: str) -> None:
+        super().__init__(what, hint=hint)
+        self.corner = corner
+        self.where = where
+
+
+@dataclass(frozen=True, eq=False)
+class Area:
+    """A polygon given by its corners, in the image and on the ground.
+
+    Parameters
+    ----------
+    id : str
+    image : array_like, shape (n, 2)
+        Line and sample [pixel] of at least three corners, in order around the area. The first
+        may be repeated at the end.
+    ground : array_like, shape (n, 3)
+        X, Y, Z of the same corners; NaN for heights that are not known.
+    role : str
+        "control", "check", "independent", "off" or "".
+
+    Raises
+    ------
+    TermselError
+        If image and ground have different numbers of corners; a `CornerError` for fewer than
+        three, for one that comes twice, for corners on one straight line and for edges that
+        cross.
+    """
+
+    id: str
+    image: FloatArray
+    ground: FloatArray
+    role: str = ""
+
+    def __post_init__(self) -> None:
+        image, ground = (np.array(ring, dtype=np.float64) for ring in (self.image, self.ground))
+        n = len(image)
+        if image.shape != (n, 2) or ground.shape != (n, 3):
+            raise TermselError(
+                f"area {self.id!r} has corners of the shapes {image.shape} in the image and "
+                f"{ground.shape} on the ground, expected (n, 2) and (n, 3)", ids=[self.id],
+                hint="Measure each corner in both.")
+        if n > 1 and (image[0] == image[-1]).all() and (ground[0, :2] == ground[-1, :2]).all():
+            image, ground = image[:-1], ground[:-1]
+        object.__setattr__(self, "image", image)
+        object.__setattr__(self, "ground", ground)
+        _refuse_bad(self.id, image, "image")
+        _refuse_bad(self.id, ground[:, :2], "ground")
+
+
+def boundary(areas: Sequence[Area]) -> Lines:
+    """Return the edges of areas as lines, those of one area under its id.
+
+    Parameters
+    ----------
+    areas : sequence of Area
+        Those in the role "off" stay out.
+
+    Returns
+    -------
+    Lines
+        Those of one area are pieces of one feature. An edge that neighbours share, with the same
+        X and Y at its ends, is taken once, by the one that has fewer so far: each keeps some.
+
+    Raises
+    ------
+    TermselError
+        For an area in the role check or independent, which lines cannot have; for one whose
+        edges others have all taken; and as `Lines`.
+
+    Notes
+    -----
+    Yavari, Valadan Zoej and Salehi (2018) name areas beside points and lines as control
+    features; that an area enters by its boundary or its centroid is termsel's own formulation.
+    """
+    for area in areas:
+        if area.role in ("check", "independent"):
+            raise TermselError(
+                f"the boundary of area {area.id!r} cannot have the role {area.role!r}",
+                hint="Lines are control features: control, off or blank. Centroids take all "
+                     "roles (--set areas_as=centroid).", ids=[area.id])
+    on = [area for area in areas if area.role != "off"]
+    own = _own_edges(on)
+    for area, edges in zip(on, own, strict=True):
+        if not edges:
+            raise TermselError(f"all edges of area {area.id!r} are edges of other areas that lie "
+                               "on the same side", ids=[area.id], hint="Leave one of them out.")
+    return Lines(tuple(area.id for area, edges in zip(on, own, strict=True) for _ in edges),
+                 np.concatenate([np.empty((0, 2, 2)), *(
+                     _edges(area.image)[edges] for area, edges in zip(on, own, strict=True))]),
+                 np.concatenate([np.empty((0, 2, 3)), *(
+                     _edges(area.ground)[edges] for area, edges in zip(on, own, strict=True))]))
+
+
+def centroids(areas: Sequence[Area]) -> Points:
+    """Return the centroids of areas as points.
+
+    Parameters
+    ----------
+    areas : sequence of Area
+        Without a role they become control.
+
+    Returns
+    -------
+    Points
+
+    Notes
+    -----
+    The image of a centroid is the centroid of the image where the area is plane and so small
+    that the projection is affine across it.
+    """
+    return Points(tuple(area.id for area in areas),
+                  np.reshape([centroid(area.image) for area in areas], (-1, 2)),
+                  np.reshape([centroid(area.ground) for area in areas], (-1, 3)),
+                  roles=tuple(area.role or "control" for area in areas))
+
+
+def centroid(ring: ArrayLike) -> FloatArray:
+    """Return the centroid of the area a ring bounds.
+
+    Parameters
+    ----------
+    ring : array_like, shape (n, 2) or (n, 3)
+        Corners in order, in either direction, without the first repeated.
+
+    Returns
+    -------
+    ndarray, shape (2,) or (3,)
+        By the area in the plane of the first two coordinates, from the triangles between the
+        mean corner and each edge. The third coordinate is the mean over that area; NaN where
+        one is unknown.
+    """
+    corners = np.asarray(ring, dtype=np.float64)
+    # About the mean corner, so that large coordinates do not cancel.
+    middle = corners.mean(axis=0)
+    edges = _edges(corners - middle)
+    twice = _cross(edges[:, 0], edges[:, 1])
+    return np.asarray(middle + twice @ edges.sum(axis=1) / (3 * twice.sum()))
+
+
+def _own_edges(areas: Sequence[Area]) -> list[list[int]]:
+    """Return the numbers of each area's edges, without those that another area takes."""
+    # By its ends: the first area on either side of an edge, and the number it has there.
+    sides: dict[frozenset[tuple[float, ...]], dict[bool, tuple[int, int]]] = {}
+    for i, area in enumerate(areas):
+        ring = _edges(area.ground[:, :2])
+        around = _cross(*np.moveaxis(ring - ring.mean(axis=(0, 1)), 1, 0)).sum() > 0
+        for j, (one, other) in enumerate(ring.tolist()):
+            ends = frozenset((tuple(one), tuple(other)))
+            sides.setdefault(ends, {}).setdefault((one < other) == around, (i, j))
+    own: list[list[int]] = [[] for _ in areas]
+    # To the one with fewer. Every area lies on either side of some of its edges, so that the
+    # rule for equal numbers leaves none without.
+    for on_either in sorted(sides.values(), key=len):
+        i, j = on_either[min(on_either, key=lambda side: (len(own[on_either[side][0]]), not side))]
+        own[i].append(j)
+    return [sorted(edges) for edges in own]
+
+
+def _edges(ring: FloatArray) -> FloatArray:
+    return np.stack([ring, np.roll(ring, -1, axis=0)], axis=1)
+
+
+def _cross(first: FloatArray, second: FloatArray) -> FloatArray:
+    return np.asarray(first[..., 0] * second[..., 1] - first[..., 1] * second[..., 0])
+
+
+def _refuse_bad(name: str, ring: FloatArray, where: str) -> None:
+    """Raise a CornerError if a ring, shape (n, 2), bounds no area."""
+    n = len(ring)
+    place = "in the image" if where == "image" else "on the ground"
+    if n < 3:
+        raise CornerError(f"area {name!r} has {n} corner" + "s" * (n != 1), max(n - 1, 0), where,
+                          "An area needs at least three.")
+    _, first, inverse = np.unique(ring, axis=0, return_index=True, return_inverse=True)
+    before = first[inverse.ravel()]
+    if (before != np.arange(n)).any():
+        corner = int(np.argmax(before != np.arange(n)))
+        raise CornerError(f"corner {corner + 1} of area {name!r} is {place} where its corner "
+                          f"{before[corner] + 1} is", corner, where,
+                          "Give every corner once; only the first may be repeated at the end, "
+                          "both in the image and on the ground.")
+    edges = _edges(ring - ring.mean(axis=0))
+    if abs(_cross(edges[:, 0], edges[:, 1]).sum()) <= _FLAT * float(np.ptp(ring, axis=0).max())**2:
+        raise CornerError(f"area {name!r} has no extent {place}", 0, where,
+                          "Its corners lie on one straight line, or its edges cross.")
+    crossed = _crossing(edges) if n <= _MANY else None
+    if crossed is not None:
+        one, other = crossed
+        raise CornerError(f"the edges from corners {one + 1} and {other + 1} of area {name!r} "
+                          f"cross {place}", other, where,
+                          "Give the corners in order around the area.")
+
+
+def _crossing(edges: FloatArray) -> tuple[int, int] | None:
+    """Return the first two edges, shape (n, 2, 2), that cross, or None."""
+    along = edges[:, 1] - edges[:, 0]
+    # On which side of edge i the ends of edge j are; zero for an end the two share.
+    start, end = (_cross(along[:, None], edges[None, :, k] - edges[:, None, 0]) for k in (0, 1))
+    parts = start * end < 0
+    pairs = np.argwhere(np.triu(parts & parts.T))
+    return (int(pairs[0, 0]), int(pairs[0, 1])) if len(pairs) else None

@@ -1,0 +1,70 @@
+"""Places of features in the image and on the ground."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from termsel.measurements.features import (
+    FeatureSet,
+    FloatArray,
+    IntArray,
+)
+
+
+def spatial_order(xy: ArrayLike) -> IntArray:
+    """Return an order of points in which neighbours in the list are neighbours in the plane.
+
+    The points are halved at the median of their longer side, again and again; the order is
+    that of the leaves.
+
+    Parameters
+    ----------
+    xy : array_like, shape (n, 2)
+        Plane positions.
+
+    Returns
+    -------
+    ndarray of int, shape (n,)
+    """
+    xy = np.asarray(xy, dtype=np.float64)
+
+    def halve(index: IntArray) -> list[int]:
+        if len(index) <= 2:
+            return [int(i) for i in index]
+        side = int(np.argmax(np.ptp(xy[index], axis=0)))
+        index = index[np.argsort(xy[index, side], kind="stable")]
+        middle = len(index) // 2
+        return halve(index[:middle]) + halve(index[middle:])
+
+    return np.array(halve(np.arange(len(xy))), dtype=np.intp)
+
+
+def centres(control: FeatureSet) -> FloatArray:
+    """Return the image position of each feature, of lines the middle, shape (f, 2)."""
+    lines = control.lines
+    return np.concatenate([control.points.image, lines.by_feature(lines.image.mean(axis=1))])
+
+
+def beyond(control: FloatArray, places: FloatArray) -> FloatArray:
+    """Return how far places are outside the convex hull of the control.
+
+    Parameters
+    ----------
+    control : ndarray, shape (n, 2)
+    places : ndarray, shape (m, 2)
+
+    Returns
+    -------
+    ndarray, shape (m,)
+        The largest distance from a side of the hull, by the longer side of the control's box; 0
+        inside, infinite where the control has no hull.
+    """
+    from scipy.spatial import ConvexHull, QhullError
+
+    try:
+        sides = ConvexHull(control).equations
+    except (QhullError, ValueError):  # fewer than three, or on one line
+        return np.full(len(places), np.inf)
+    outside = (places @ sides[:, :2].T + sides[:, 2]).max(axis=1)
+    return np.asarray(np.maximum(outside, 0.0) / np.ptp(control, axis=0).max())

@@ -1,0 +1,200 @@
+"""Roles of points: control fits the model, check judges a choice, independent the result."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from termsel.errors import TermselError
+from termsel.measurements.features import (
+    FeatureSet,
+    FloatArray,
+    Points,
+    join_points,
+    no_lines,
+    no_points,
+)
+from termsel.measurements.places import spatial_order
+
+ASSIGNABLE = ("control", "check", "independent")
+THIRDS = (1 / 3, 1 / 3, 1 / 3)
+
+
+@dataclass(frozen=True)
+class Observations:
+    """Measured features, each in the one role it plays in a run.
+
+    Parameters
+    ----------
+    control : FeatureSet
+        Control points and control lines; lines are always control.
+    check : Points
+        Judge the fitness of a choice.
+    independent : Points
+        Judge the result; no choice ever sees them.
+    off : tuple of str
+        Ids of points that take no part.
+    """
+
+    control: FeatureSet
+    check: Points
+    independent: Points
+    off: tuple[str, ...] = ()
+
+
+def assign(
+    xy: ArrayLike,
+    *,
+    how: str = "stratified",
+    fractions: Sequence[float] = THIRDS,
+    rng: np.random.Generator,
+) -> tuple[str, ...]:
+    """Share out the roles control, check and independent.
+
+    Parameters
+    ----------
+    xy : array_like, shape (n, 2)
+        Where the points are, on the ground or in the image.
+    how : {"stratified", "random"}
+        "stratified" gives neighbouring points different roles, so that each role covers
+        the scene; "random" draws without regard to place.
+    fractions : sequence of 3 floats
+        Shares of control, check and independent points; scaled to a sum of one.
+    rng : numpy.random.Generator
+
+    Returns
+    -------
+    tuple of str, length n
+
+    Raises
+    ------
+    TermselError
+        For fractions that are negative or without control points.
+    """
+    shares = np.asarray(fractions, dtype=np.float64)
+    if shares.shape != (3,) or not np.isfinite(shares).all() or (shares < 0).any() or not shares[0]:
+        raise TermselError(f"fractions {list(fractions)} do not share out the points",
+                           hint="Give three numbers: control (above 0), check, independent.")
+    xy = np.asarray(xy, dtype=np.float64)
+    n = len(xy)
+    shares = shares / shares.max()  # the sum of huge ones is infinite
+    shares = shares / shares.sum()
+    order = rng.permutation(n) if how == "random" else spatial_order(xy)
+    # Each place in the order goes to the role that lags most behind its share; among roles
+    # that lag alike the draw decides, so that different seeds give different splits.
+    given = np.zeros(3)
+    roles = np.empty(n, dtype=object)
+    for place, i in enumerate(order):
+        lag = shares * (place + 1) - given
+        lag = np.where(shares > 0, lag + rng.uniform(0.0, 0.5, 3), -np.inf)
+        role = int(np.argmax(lag))
+        given[role] += 1
+        roles[i] = ASSIGNABLE[role]
+    return tuple(roles)
+
+
+def observe(
+    features: FeatureSet,
+    *,
+    control: str = "points",
+    how: str = "file",
+    fractions: Sequence[float] = THIRDS,
+    rng: np.random.Generator,
+) -> Observations:
+    """Give every measured feature its role.
+
+    Parameters
+    ----------
+    features : FeatureSet
+    control : {"points", "lines", "both"}
+        Which features are control. With "lines", control points stay out.
+    how : {"file", "stratified", "random"}
+        "file" keeps the roles that the file gives and shares out the blank ones by
+        stratification; the others disregard the file's roles, except "off".
+    fractions : sequence of 3 floats
+        Shares of control, check and independent among the points to be shared out. With
+        control from lines alone, all of them become check and independent points.
+    rng : numpy.random.Generator
+
+    Raises
+    ------
+    TermselError
+        If the control that is asked for is not there.
+    """
+    points = features.points
+    if control == "points" and not len(points):
+        raise TermselError("the problem needs control points and there are none",
+                           hint="Give a points file, or choose a problem over lines.")
+    if control in ("lines", "both") and not len(features.lines):
+        raise TermselError(
+            "the problem needs control lines and there are none",
+            hint="Give them with --lines FILE, or leave mixed=true out." if control == "both"
+            else "Give them with --lines FILE, or choose a problem over points.")
+    roles = np.array(points.roles, dtype=object)
+    if how != "file":
+        roles[roles != "off"] = ""
+    blank = np.flatnonzero(roles == "")
+    if blank.size:
+        shares = (0.0, *fractions[1:]) if control == "lines" else tuple(fractions)
+        # By the ground, so that what an independent point's image coordinates are changes no role.
+        roles[blank] = _share_out(points.ground[blank, :2], shares, how, rng)
+    keep_control = roles == "control" if control != "lines" else np.zeros(len(points), dtype=bool)
+    off = (roles == "off") | ((roles == "control") & ~keep_control)
+    return Observations(
+        control=features.with_(points=points.take(keep_control) if keep_control.any()
+                               else no_points(),
+                               lines=no_lines() if control == "points" else features.lines),
+        check=points.take(roles == "check"),
+        independent=points.take(roles == "independent"),
+        off=tuple(points.ids[i] for i in np.flatnonzero(off)))
+
+
+def together(observations: Observations) -> FeatureSet:
+    """Return control and check points as control."""
+    control = observations.control
+    return control.with_(points=join_points(control.points, observations.check))
+
+
+def with_roles(features: FeatureSet, observations: Observations) -> FeatureSet:
+    """Return the features, each point with the role it has in the observations.
+
+    Parameters
+    ----------
+    features : FeatureSet
+        What the observations were made of. Lines that are not control are left out.
+    observations : Observations
+    """
+    role = {name: role for role, ids in (
+        ("control", observations.control.points.ids), ("check", observations.check.ids),
+        ("independent", observations.independent.ids), ("off", observations.off)) for name in ids}
+    points = replace(features.points, roles=tuple(role[name] for name in features.points.ids))
+    return features.with_(points=points, lines=observations.control.lines)
+
+
+def by_roles(features: FeatureSet) -> Observations:
+    """Return the observations of features whose points all have a role.
+
+    Parameters
+    ----------
+    features : FeatureSet
+        As from `with_roles`.
+    """
+    points, roles = features.points, np.array(features.points.roles, dtype=object)
+    control, check, independent = (points.take(roles == role) if (roles == role).any()
+                                   else no_points() for role in ASSIGNABLE)
+    return Observations(features.with_(points=control), check, independent,
+                        tuple(points.ids[i] for i in np.flatnonzero(roles == "off")))
+
+
+def _share_out(xy: FloatArray, shares: Sequence[float], how: str,
+               rng: np.random.Generator) -> tuple[str, ...]:
+    how = "stratified" if how == "file" else how
+    if shares[0] > 0:
+        return assign(xy, how=how, fractions=shares, rng=rng)
+    # Lines are the control: the points are shared between check and independent.
+    as_control = {"control": "check", "check": "independent"}
+    drawn = assign(xy, how=how, fractions=(shares[1], shares[2], 0.0), rng=rng)
+    return tuple(as_control[role] for role in drawn)

@@ -1,0 +1,139 @@
+"""Offsets and half-ranges that bring control features to [-1, 1], in the CRS of the fit."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from termsel.measurements.crs import transformation
+from termsel.measurements.features import FeatureSet, FloatArray, Lines, Points
+
+
+@dataclass(frozen=True)
+class Scaling:
+    """Ground and image offsets and scales.
+
+    Line and sample share one scale, so that a residual in scaled units is the same number
+    of pixels along either axis and the normal of an image line keeps unit length.
+
+    Parameters
+    ----------
+    ground_offset, ground_scale : tuple of 3 floats
+        Mid-range and half-range of X, Y, Z, in the CRS of the fit.
+    image_offset : tuple of 2 floats
+        Mid-range of line and sample [pixel].
+    image_scale : float
+        The larger half-range of line and sample [pixel].
+    crs, fit_crs : str
+        Of the ground coordinates, and of those a model is fitted in, where it is another; else
+        both are empty.
+    """
+
+    ground_offset: tuple[float, float, float]
+    ground_scale: tuple[float, float, float]
+    image_offset: tuple[float, float]
+    image_scale: float
+    crs: str = ""
+    fit_crs: str = ""
+
+    def ground(self, ground: ArrayLike) -> FloatArray:
+        """Return scaled ground coordinates; unknown heights become 0."""
+        fitted = in_fit_crs(np.asarray(ground, dtype=np.float64), self.crs, self.fit_crs)
+        scaled = (fitted - self.ground_offset) / self.ground_scale
+        # Places without coordinates in the CRS of the fit are seen nowhere near the image.
+        return np.nan_to_num(scaled, nan=0.0, posinf=_FAR, neginf=-_FAR)
+
+    def unscaled(self, ground: ArrayLike) -> FloatArray:
+        """Return ground coordinates from scaled ones."""
+        fitted = np.asarray(ground) * self.ground_scale + self.ground_offset
+        return in_fit_crs(fitted, self.fit_crs, self.crs)
+
+    def image(self, image: ArrayLike) -> FloatArray:
+        """Return scaled image coordinates."""
+        return np.asarray((np.asarray(image) - self.image_offset) / self.image_scale)
+
+    def pixels(self, scaled: ArrayLike) -> FloatArray:
+        """Return image coordinates [pixel] from scaled ones."""
+        return np.asarray(np.asarray(scaled) * self.image_scale + self.image_offset)
+
+    def points(self, points: Points) -> Points:
+        """Return the points in scaled coordinates."""
+        return Points(points.ids, self.image(points.image), self.ground(points.ground),
+                      None if points.sigma is None else points.sigma / self.image_scale,
+                      points.roles)
+
+    def lines(self, lines: Lines) -> Lines:
+        """Return the lines in scaled coordinates."""
+        return Lines(lines.ids, self.image(lines.image), self.ground(lines.ground),
+                     None if lines.sigma is None else lines.sigma / self.image_scale)
+
+    def features(self, features: FeatureSet) -> FeatureSet:
+        """Return the features in scaled coordinates."""
+        return replace(features, points=self.points(features.points),
+                       lines=self.lines(features.lines))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the scaling as plain numbers for result.json."""
+        return {
+            "line_offset": self.image_offset[0], "line_scale": self.image_scale,
+            "sample_offset": self.image_offset[1], "sample_scale": self.image_scale,
+            **{f"{axis}_{part}": getattr(self, f"ground_{part}")[i]
+               for part in ("offset", "scale") for i, axis in enumerate("xyz")},
+            **({"crs": self.crs, "fit_crs": self.fit_crs} if self.fit_crs else {})}
+
+    @classmethod
+    def from_dict(cls, values: Mapping[str, Any]) -> Scaling:
+        """Return the scaling that `to_dict` gave these numbers for."""
+        offset, scale = (tuple(values[f"{axis}_{part}"] for axis in "xyz")
+                         for part in ("offset", "scale"))
+        return cls((offset[0], offset[1], offset[2]), (scale[0], scale[1], scale[2]),
+                   (values["line_offset"], values["sample_offset"]), values["line_scale"],
+                   values.get("crs", ""), values.get("fit_crs", ""))
+
+
+_FAR = 1e6
+
+
+def in_fit_crs(ground: FloatArray, crs: str, fit_crs: str) -> FloatArray:
+    """Return ground coordinates in the CRS a model is fitted in.
+
+    Parameters
+    ----------
+    ground : ndarray, shape (..., 3)
+        Unknown heights, NaN, stay unknown.
+    crs, fit_crs : str
+        If either is empty, the coordinates are those of the fit as they are.
+    """
+    if not (crs and fit_crs):
+        return ground
+    flat = ground.reshape(-1, 3)
+    fitted = np.array(transformation(crs, fit_crs, strict=False)(flat))
+    fitted[np.isnan(flat)] = np.nan
+    return fitted.reshape(ground.shape)
+
+
+def scaling_of(features: FeatureSet) -> Scaling:
+    """Return the scaling that brings these features to [-1, 1].
+
+    Parameters
+    ----------
+    features : FeatureSet
+        The control features.
+    """
+    own = (features.crs, features.fit_crs) if features.fit_crs else ("", "")
+    ground, image = in_fit_crs(features.ground_vertices(), *own), features.image_vertices()
+    known = np.where(np.isnan(ground), np.nanmin(ground[:, :2]), ground)
+    if np.isnan(ground[:, 2]).any():
+        known[:, 2] = 0.0
+    low, high = known.min(axis=0), known.max(axis=0)
+    half = (high - low) / 2
+    middle, image_half = (image.max(axis=0) + image.min(axis=0)) / 2, np.ptp(image, axis=0) / 2
+    scale = float(image_half.max())
+    gx, gy, gz = ((low + high) / 2).tolist()
+    sx, sy, sz = np.where(half > 0, half, 1.0).tolist()
+    return Scaling((gx, gy, gz), (sx, sy, sz), (float(middle[0]), float(middle[1])),
+                   scale if scale > 0 else 1.0, *own)

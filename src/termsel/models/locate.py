@@ -1,0 +1,150 @@
+"""From the image to the ground: where the rays of image points meet heights or terrain."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from termsel.errors import TermselError
+from termsel.measurements.features import FloatArray, IntArray
+
+Projection = Callable[[FloatArray], FloatArray]
+"""Line and sample, shape (n, 2), of ground points, shape (n, 3)."""
+
+Surface = Callable[[FloatArray], FloatArray]
+"""Heights, shape (n,), of plane ground coordinates, shape (n, 2); NaN where there are none."""
+
+TOLERANCE = 1e-6
+"""How near [pixel] the projection of what was found must come to the image point."""
+
+_STEPS, _KEPT = 24, 3
+_SECANTS, _HALVINGS = 20, 40
+_AT_SURFACE, _CLOSE = 1e-6, 1e-3  # in the unit of height; both far less than a pixel
+_FAR = 5.0  # half-ranges
+_DIFFERENCE = 1e-4  # of the half-range: central differences leave about 1e-8 of a derivative
+
+
+def locate(
+    project: Projection,
+    image: ArrayLike,
+    height: ArrayLike | Surface,
+    *,
+    centre: ArrayLike,
+    scale: ArrayLike,
+) -> FloatArray:
+    """Return where the rays of image points reach given heights, or a surface.
+
+    Parameters
+    ----------
+    project : callable
+        From ground to image.
+    image : array_like, shape (n, 2)
+        Line and sample [pixel].
+    height : array_like, shape (n,), a number, or callable
+        Heights, or a surface that gives them for x and y.
+    centre, scale : array_like, shape (3,)
+        Middle and half-range of the ground coordinates; the search starts in the middle.
+
+    Returns
+    -------
+    ndarray, shape (n, 3)
+        Ground coordinates; NaN where no ground point is seen at the image point, or the
+        surface has no height there.
+
+    Raises
+    ------
+    TermselError
+        If the image points are not of this shape.
+
+    Notes
+    -----
+    Newton's method at fixed heights, with derivatives that are kept for some steps. On a
+    surface, the height found where a ray reaches one height is the next to try; the secant
+    method finds the one that repeats itself. Of several places where a ray meets a steep
+    surface it gives one, not always the one that is seen.
+    """
+    image = np.asarray(image, dtype=np.float64)
+    if image.ndim != 2 or image.shape[1] != 2:
+        raise TermselError(f"image points have shape {image.shape}, expected (n, 2)")
+    middle, unit = np.asarray(centre, dtype=np.float64), np.asarray(scale, dtype=np.float64)
+    ground = np.tile(middle, (len(image), 1))
+    if not callable(height):
+        ground[:, 2] = height
+    inverse = _inverse(project, ground, unit)
+    ground = _newton(project, image, ground, unit, inverse)
+    if callable(height):
+        ground = _meet(project, image, height, ground, unit, inverse)
+    # Higher polynomials have other places, far away, that would be seen there too.
+    ground[(np.abs(ground[:, :2] - middle[:2]) > _FAR * unit[:2]).any(axis=1)] = np.nan
+    return ground
+
+
+def _newton(project: Projection, image: FloatArray, ground: FloatArray, unit: FloatArray,
+            inverse: FloatArray) -> FloatArray:
+    """Return ground points at the heights they have, moved to where the image points are.
+
+    `inverse`, the moves on the ground for a pixel, hardly changes over an image: it is renewed
+    only for points that do not arrive.
+    """
+    ground = ground.copy()
+    with np.errstate(all="ignore"):
+        error = image - project(ground)
+        for step in range(_STEPS):
+            going = np.flatnonzero(np.abs(error).max(axis=1) > TOLERANCE / 100)
+            if not going.size:
+                break
+            moves = (_inverse(project, ground[going], unit) if step and not step % _KEPT
+                     else inverse[going])
+            ground[going, :2] += np.einsum("nij,nj->ni", moves, error[going])
+            error[going] = image[going] - project(ground[going])
+    ground[~(np.abs(error).max(axis=1) <= TOLERANCE)] = np.nan
+    return ground
+
+
+def _inverse(project: Projection, ground: FloatArray, unit: FloatArray) -> FloatArray:
+    """Return the moves in x and y for a pixel of line and of sample, shape (n, 2, 2)."""
+    with np.errstate(all="ignore"):
+        steps = np.diag(_DIFFERENCE * unit)[:2]
+        (lx, sx), (ly, sy) = (((project(ground + step) - project(ground - step)) / 2).T
+                              for step in steps)
+        moves = np.stack([np.stack([sy, -ly], axis=-1), np.stack([-sx, lx], axis=-1)], axis=-2)
+        moves /= (lx * sy - ly * sx)[:, None, None]
+    return np.asarray(moves * (_DIFFERENCE * unit[:2])[:, None])
+
+
+def _meet(project: Projection, image: FloatArray, surface: Surface, ground: FloatArray,
+          unit: FloatArray, inverse: FloatArray) -> FloatArray:
+    """Return ground points moved along their rays onto the surface."""
+    def moved(rays: IntArray, height: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return places of rays at heights, and how far the surface lies above them."""
+        places = ground[rays]
+        places[:, 2] = height
+        places = _newton(project, image[rays], places, unit, inverse[rays])
+        return places, surface(places[:, :2]) - places[:, 2]
+
+    above = surface(ground[:, :2]) - ground[:, 2]
+    low, high = ground[:, 2].copy(), ground[:, 2].copy()
+    slope = np.zeros(len(ground))  # of the surface's height over the height of the ray
+    for _ in range(_SECANTS):
+        going = np.flatnonzero(np.abs(above) > _AT_SURFACE)
+        if not going.size:
+            break
+        before = above[going]
+        step = before / (1.0 - np.clip(slope[going], -3.0, 0.7))
+        ground[going], above[going] = moved(going, ground[going, 2] + step)
+        low, high = np.fmin(low, ground[:, 2]), np.fmax(high, ground[:, 2])
+        with np.errstate(all="ignore"):
+            slope[going] = np.nan_to_num(1.0 + (above[going] - before) / step)
+    # What is left is too steep for that: halve the heights between which the surface is crossed.
+    going = np.flatnonzero(~(np.abs(above) <= _AT_SURFACE))
+    below = np.full(len(going), np.fmin.reduce(low, initial=np.nan))
+    over = np.full(len(going), np.fmax.reduce(high, initial=np.nan))
+    for _ in range(_HALVINGS if going.size else 0):
+        middle = (below + over) / 2
+        ground[going], above[going] = moved(going, middle)
+        rises = above[going] > 0
+        below, over = np.where(rises, middle, below), np.where(rises, over, middle)
+    ground[~(np.abs(above) <= _CLOSE)] = np.nan
+    return ground

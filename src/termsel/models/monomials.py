@@ -1,0 +1,72 @@
+"""Monomials of ground coordinates, their names and their order in an RPC."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from termsel.measurements.features import FloatArray
+
+Exponents = tuple[tuple[int, int, int], ...]
+
+
+def graded_exponents(degree: int, variables: int) -> Exponents:
+    """Return the exponents of all monomials up to a total degree.
+
+    Lower degrees come first; within a degree X comes before Y before Z.
+
+    Parameters
+    ----------
+    degree : int
+    variables : {2, 3}
+        2 for X and Y, 3 for X, Y and Z.
+
+    Examples
+    --------
+    >>> [monomial_name(e) for e in graded_exponents(2, 2)]
+    ['1', 'X', 'Y', 'X2', 'XY', 'Y2']
+    """
+    return tuple(
+        (i, j, total - i - j)
+        for total in range(degree + 1)
+        for i in range(total, -1, -1)
+        for j in range(total - i, -1, -1)
+        if variables == 3 or i + j == total)
+
+
+def monomial_name(exponent: tuple[int, int, int]) -> str:
+    """Return the name of a monomial, such as "X2Y"; "1" for the constant."""
+    name = "".join(f"{letter}{power if power > 1 else ''}"
+                   for letter, power in zip("XYZ", exponent, strict=True) if power)
+    return name or "1"
+
+
+def monomials(ground: FloatArray, exponents: Exponents) -> FloatArray:
+    """Return the monomials at ground points.
+
+    Parameters
+    ----------
+    ground : ndarray, shape (n, 3)
+    exponents : k exponents of X, Y, Z
+
+    Returns
+    -------
+    ndarray, shape (n, k)
+    """
+    highest = max(max(e) for e in exponents)
+    powers = np.ones((highest + 1, *ground.shape))
+    for i in range(1, highest + 1):
+        powers[i] = powers[i - 1] * ground
+    columns = np.ones((len(exponents), len(ground)))
+    for column, exponent in zip(columns, exponents, strict=True):
+        for variable, power in enumerate(exponent):
+            if power:
+                column *= powers[power, :, variable]
+    return columns.T
+
+
+# X, Y, Z stand for longitude, latitude and height, or whatever the ground coordinates are.
+RPC00B: Exponents = (
+    (0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1), (1, 1, 0), (1, 0, 1), (0, 1, 1), (2, 0, 0),
+    (0, 2, 0), (0, 0, 2), (1, 1, 1), (3, 0, 0), (1, 2, 0), (1, 0, 2), (2, 1, 0), (0, 3, 0),
+    (0, 1, 2), (2, 0, 1), (0, 2, 1), (0, 0, 3))
+"""Exponents of X, Y, Z of the 20 monomials in RPC00B order."""

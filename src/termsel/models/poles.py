@@ -1,0 +1,57 @@
+"""Poles: places in the scene where a denominator falls short."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from termsel.measurements.crs import is_geocentric
+from termsel.measurements.features import (
+    FeatureSet,
+    FloatArray,
+    Points,
+)
+from termsel.measurements.places import spatial_order
+from termsel.models.base import SensorModel
+
+POLE_MARGIN = 0.1
+"""Least value of a denominator over the scene; vendor RPCs stay within some hundredths of 1."""
+
+
+HOPELESS = 1e9
+"""Largest shortfall of a denominator; finite, so that it can be compared."""
+
+GUARDED = 100
+"""Features at which denominators are looked at beside the grid; polynomials of third order
+have no room for a pole between so many."""
+
+
+_GRID = np.stack(np.meshgrid(*[np.linspace(-1.0, 1.0, n) for n in (5, 5, 3)]), -1).reshape(-1, 3)
+
+
+def guard_points(control: FeatureSet, check: Points) -> FloatArray:
+    """Return scaled ground points at which denominators must stay positive.
+
+    A grid over the box of X, Y, Z of control and check features, and features themselves:
+    all of them up to GUARDED, of more an even choice over the scene. In geocentric coordinates,
+    where X, Y, Z are not along and across the ground, the box is turned to the features.
+    """
+    vertices = np.concatenate([control.ground_vertices(), check.ground])
+    axes = np.eye(3)
+    if control.fit_crs and is_geocentric(control.fit_crs):
+        axes = np.linalg.svd(vertices - vertices.mean(axis=0), full_matrices=False)[2].T
+    low, high = (vertices @ axes).min(axis=0), (vertices @ axes).max(axis=0)
+    if len(vertices) > GUARDED:
+        even = np.linspace(0, len(vertices) - 1, GUARDED).astype(int)
+        vertices = vertices[spatial_order(vertices[:, :2])[even]]
+    grid = (low + high) / 2 + _GRID * (high - low) / 2
+    return np.concatenate([vertices, grid @ axes.T])
+
+
+def pole_violation(model: SensorModel, coefficients: FloatArray,
+                   ground: FloatArray) -> FloatArray:
+    """Return by how much denominators fall short of POLE_MARGIN, shape (p,); 0 is safe."""
+    below = model.denominators(coefficients, ground)
+    if below is None:
+        return np.zeros(len(coefficients))
+    least = np.nan_to_num(below, nan=-HOPELESS).min(axis=(1, 2))
+    return np.asarray(np.clip(POLE_MARGIN - least, 0.0, HOPELESS))

@@ -1,0 +1,123 @@
+"""Rational polynomial coefficients (RPC), as vendors deliver them and GDAL reads them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from termsel.errors import TermselError
+from termsel.measurements.features import FloatArray
+from termsel.models.locate import Surface, locate
+from termsel.models.monomials import RPC00B, monomials
+
+Coefficients = tuple[float, ...]
+
+N_COEFFICIENTS = len(RPC00B)
+
+
+@dataclass(frozen=True)
+class Rpc:
+    """Line and sample as quotients of cubic polynomials of longitude, latitude and height.
+
+    With X, Y, Z = (ground - ground_offset) / ground_scale, line = image_offset[0] +
+    image_scale[0] * P(X, Y, Z) / Q(X, Y, Z), and sample likewise.
+
+    Parameters
+    ----------
+    image_offset, image_scale : tuple of 2 floats
+        Of line and sample [pixel]; the centre of the upper-left pixel is (0, 0), as in RPB
+        and _RPC.TXT files.
+    ground_offset, ground_scale : tuple of 3 floats
+        Of WGS84 longitude, latitude [deg] and ellipsoidal height [m].
+    line_numerator, line_denominator, sample_numerator, sample_denominator : tuple of 20 floats
+        In RPC00B order.
+    error_bias, error_random : float, optional
+        Root mean square of bias and of random error [m], where the vendor states them.
+
+    Raises
+    ------
+    TermselError
+        For coefficients that are not 20, values that are not finite, scales of 0, or a
+        denominator of zeros.
+
+    Notes
+    -----
+    NGA STDI-0002-1, appendix E, "RPC00B". Evaluated as GDAL does, for which longitudes that
+    differ by a full turn are the same.
+    """
+
+    image_offset: tuple[float, float]
+    image_scale: tuple[float, float]
+    ground_offset: tuple[float, float, float]
+    ground_scale: tuple[float, float, float]
+    line_numerator: Coefficients
+    line_denominator: Coefficients
+    sample_numerator: Coefficients
+    sample_denominator: Coefficients
+    error_bias: float | None = None
+    error_random: float | None = None
+
+    def __post_init__(self) -> None:
+        for name, given in vars(self).items():
+            if isinstance(given, tuple):  # numpy's numbers have another repr, which is written
+                object.__setattr__(self, name, tuple(map(float, given)))
+        for name in ("line_numerator", "line_denominator", "sample_numerator",
+                     "sample_denominator"):
+            values = getattr(self, name)
+            if len(values) != N_COEFFICIENTS:
+                raise TermselError(f"the RPC has {len(values)} coefficients as "
+                                   f"{name.replace('_', ' ')}, expected {N_COEFFICIENTS}")
+            _require_finite(values, name)
+            if name.endswith("denominator") and not any(values):
+                raise TermselError(f"all coefficients of the RPC's {name.replace('_', ' ')} are 0",
+                                   hint="A denominator usually begins with 1.")
+        for name in ("image_offset", "image_scale", "ground_offset", "ground_scale"):
+            _require_finite(getattr(self, name), name)
+            if name.endswith("scale") and not all(getattr(self, name)):
+                raise TermselError(f"a scale of the RPC is 0: {getattr(self, name)}")
+
+    def project(self, ground: ArrayLike) -> FloatArray:
+        """Return where ground points are seen.
+
+        Parameters
+        ----------
+        ground : array_like, shape (n, 3)
+            WGS84 longitude, latitude [deg] and ellipsoidal height [m].
+
+        Returns
+        -------
+        ndarray, shape (n, 2)
+            Line and sample [pixel].
+        """
+        away = np.asarray(ground, dtype=np.float64) - self.ground_offset
+        away[:, 0] -= 360.0 * ((away[:, 0] > 270).astype(float) - (away[:, 0] < -270))
+        columns = monomials(away / self.ground_scale, RPC00B)
+        quotients = [(columns @ above) / (columns @ below) for above, below in (
+            (self.line_numerator, self.line_denominator),
+            (self.sample_numerator, self.sample_denominator))]
+        return np.asarray(np.stack(quotients, axis=1) * self.image_scale + self.image_offset)
+
+    def locate(self, image: ArrayLike, height: ArrayLike | Surface) -> FloatArray:
+        """Return where the rays of image points reach heights or a surface.
+
+        Parameters
+        ----------
+        image : array_like, shape (n, 2)
+            Line and sample [pixel].
+        height : array_like, shape (n,), a number, or callable
+            Ellipsoidal heights [m], or what gives them for longitudes and latitudes, (n, 2).
+
+        Returns
+        -------
+        ndarray, shape (n, 3)
+            WGS84 longitude, latitude and ellipsoidal height; NaN where a ray reaches none.
+        """
+        return locate(self.project, image, height, centre=self.ground_offset,
+                      scale=np.abs(self.ground_scale))
+
+
+def _require_finite(values: tuple[float, ...], name: str) -> None:
+    if not np.isfinite(values).all():
+        raise TermselError(f"the RPC's {name.replace('_', ' ')} is not finite: {values}")

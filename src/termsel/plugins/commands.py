@@ -1,0 +1,24 @@
+"""Built-in commands.
+
+They are all that ``termsel --help`` reads: modules of commands, and plugins, are imported when a
+command is used.
+"""
+
+COMMANDS = {
+    "run": ("termsel.cli.run:run", "Search for the terms or control features that serve best."),
+    "stability": ("termsel.cli.stability:stability",
+                  "Show how often each term is selected when points are shared out anew."),
+    "export": ("termsel.cli.export:export",
+               "Write a result for GDAL, QGIS, OTB, Orthority and others."),
+    "project": ("termsel.cli.project:project",
+                "Compute image positions of ground points, or ground positions of image points."),
+    "rectify": ("termsel.cli.rectify:rectify",
+                "Resample an image to a map, by GDAL's warper through the fitted model."),
+    "list": ("termsel.cli.list:list_", "List what can be asked for by name."),
+    "describe": ("termsel.cli.describe:describe",
+                 "Describe a problem, model, solver or anything else that has a name."),
+    "plugins": ("termsel.cli.plugins:plugins", "List plugins, and what is wrong with them."),
+    "completion": ("termsel.cli.completion:completion",
+                   "Print a script that completes commands and names in a shell."),
+}
+"""Built-in commands by name: where the command is, as "module:attribute", and its summary."""

@@ -1,0 +1,230 @@
+"""The registry: everything built in and everything plugins provide, by kind and name."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+from functools import cache, partial
+from importlib.metadata import EntryPoint
+from typing import TYPE_CHECKING, Any
+
+from termsel.errors import unknown_name
+from termsel.plugins.commands import COMMANDS
+from termsel.plugins.hookspecs import PROJECT
+from termsel.plugins.kinds import KINDS, summary
+from termsel.plugins.loading import Loader, Plugin, PluginFailure, attempt, canonical
+
+if TYPE_CHECKING:
+    from termsel.results.result import Result
+
+_PACKAGES = {
+    "termsel-hybrids": ("multiquadric", "pointwise", "hybrid-1", "hybrid-3"),
+    "termsel-rpc": ("rpc-gcps", "rpc-shift", "rpc-drift", "rpc-affine", "pushbroom-refine"),
+}
+"""What the packages beside termsel provide, for whoever asks for it without having them."""
+
+
+@dataclass(frozen=True)
+class Entry:
+    """Something that can be asked for by name.
+
+    Parameters
+    ----------
+    name : str
+        Its name; ``distribution:name`` where another thing has the bare name.
+    summary : str
+        One line about it.
+    provided_by : str
+        The distribution it comes from.
+    object : object
+        The class or instance itself.
+    """
+
+    name: str
+    summary: str
+    provided_by: str
+    object: Any
+
+    def answers_to(self, name: str) -> bool:
+        """Return True for the entry's name, bare or with its distribution before it."""
+        distribution, _, bare = name.rpartition(":")
+        return name == self.name or (canonical(distribution) == self.provided_by
+                                     and bare == self.name.rpartition(":")[2])
+
+
+class Registry:
+    """Everything that can be asked for by name.
+
+    Plugins are loaded at once; each is asked for things of a kind when that kind is wanted.
+
+    Parameters
+    ----------
+    entry_points : iterable of importlib.metadata.EntryPoint, optional
+        The plugins besides termsel's own. By default those that are installed, restricted to
+        the distributions that the environment variable ``TERMSEL_PLUGINS`` lists, separated
+        by commas, where it is set.
+    """
+
+    def __init__(self, entry_points: Iterable[EntryPoint] | None = None) -> None:
+        self._loader = Loader(entry_points)
+        self._provided: dict[str, tuple[list[Entry], list[PluginFailure]]] = {}
+
+    @property
+    def plugins(self) -> tuple[Plugin, ...]:
+        """All plugins, the built-in one first, also those that could not be loaded."""
+        return tuple(self._loader.plugins)
+
+    def entries(self, kind: str) -> list[Entry]:
+        """Return everything of a kind.
+
+        Parameters
+        ----------
+        kind : str
+            One of `KINDS`: "problems", "models", "solvers", "criteria", "datasets",
+            "readers" or "writers"; or "commands", those that plugins add.
+        """
+        return list(self._collect(kind)[0])
+
+    def names(self, kind: str) -> list[str]:
+        """Return the names of everything of a kind."""
+        return [entry.name for entry in self.entries(kind)]
+
+    def get(self, kind: str, name: str) -> Any:
+        """Return the thing of a kind that has a name.
+
+        Parameters
+        ----------
+        kind : str
+            One of `KINDS`.
+        name : str
+            The name, or ``distribution:name``.
+
+        Raises
+        ------
+        TermselError
+            If there is none, with the names there are.
+        """
+        for entry in self.entries(kind):
+            if entry.answers_to(name):
+                return entry.object
+        raise unknown_name(KINDS[kind].word, name, self.names(kind), self.hint(name, kind))
+
+    def find(self, name: str) -> list[tuple[str, Entry]]:
+        """Return kind and entry of everything that has a name."""
+        return [(kind, entry) for kind in KINDS for entry in self.entries(kind)
+                if entry.answers_to(name)]
+
+    def failures(self, *kinds: str) -> list[PluginFailure]:
+        """Return what does not work: plugins that cannot be loaded, then things of the kinds.
+
+        Parameters
+        ----------
+        *kinds : str
+            As for `entries`; all of them by default.
+        """
+        found = list(self._loader.failures)
+        for kind in kinds or (*KINDS, "commands"):
+            found += self._collect(kind)[1]
+        return found
+
+    def hint(self, name: str, *kinds: str) -> str:
+        """Return where an unknown name may belong, as a sentence, or nothing."""
+        installed = {plugin.distribution for plugin in self.plugins}
+        for package, names in _PACKAGES.items():
+            if name in names and package not in installed:
+                return f"It comes with the package {package}, which is not installed."
+        broken = sorted({failure.distribution for failure in self.failures(*kinds)})
+        if not broken:
+            return ""
+        return (f"It may come from a plugin that does not work ({', '.join(broken)}): "
+                "see termsel plugins.")
+
+    def notify_run_finished(self, result: Result) -> None:
+        """Tell every plugin that a run is finished; warn on stderr of those that fail."""
+        hook = f"{PROJECT}_run_finished"
+        for plugin, call in self._loader.implementations(hook):
+            _, reason = attempt(partial(call, result=result))
+            if reason is not None:
+                print(f"Warning: {plugin.failure(f'{hook}: {reason}')}", file=sys.stderr)
+
+    def _collect(self, kind: str) -> tuple[list[Entry], list[PluginFailure]]:
+        """Return the entries of a kind and what is wrong with others, asking plugins once."""
+        if kind not in self._provided:
+            hook = f"{PROJECT}_{kind}"
+            entries: list[Entry] = []
+            failures: list[PluginFailure] = []
+            for plugin, call in self._loader.implementations(hook):
+                offered, faults = (_things(kind, plugin, call) if kind in KINDS
+                                   else _commands(plugin, call))
+                for entry in offered:
+                    clash = _add(entries, entry, kind)
+                    if clash is not None:
+                        faults.append(clash)
+                failures += [plugin.failure(f"{hook}: {fault}") for fault in faults]
+            self._provided[kind] = entries, failures
+        return self._provided[kind]
+
+
+@cache
+def registry() -> Registry:
+    """Return the registry of this process, with all installed plugins."""
+    return Registry()
+
+
+def _things(
+    kind: str, plugin: Plugin, call: Callable[..., Any]
+) -> tuple[list[Entry], list[str]]:
+    """Return what a plugin offers of a kind, and what is wrong with the rest."""
+    things, reason = attempt(partial(_listed, call))
+    faults = [] if reason is None else [reason]
+    entries = []
+    for thing in things or ():
+        entry, reason = attempt(partial(_entry, kind, plugin, thing))
+        if entry is not None:
+            entries.append(entry)
+        if reason is not None:
+            faults.append(reason)
+    return entries, faults
+
+
+def _listed(call: Callable[..., Any]) -> list[Any]:
+    value = call()
+    if isinstance(value, str | type) or not isinstance(value, Iterable):
+        raise TypeError(f"returned {value!r}, not a list")
+    return list(value)
+
+
+def _entry(kind: str, plugin: Plugin, thing: Any) -> Entry:
+    made = KINDS[kind].made(thing)
+    return Entry(made.name, summary(made), plugin.distribution, made)
+
+
+def _commands(plugin: Plugin, call: Callable[..., Any]) -> tuple[list[Entry], list[str]]:
+    """Return the commands a plugin adds, and what is wrong."""
+    import click
+
+    # A group of its own, so that it is known whose commands they are and none is replaced.
+    group = click.Group()
+    _, reason = attempt(partial(call, cli=group))
+    return ([Entry(name, command.get_short_help_str(), plugin.distribution, command)
+             for name, command in group.commands.items()],
+            [] if reason is None else [reason])
+
+
+def _add(entries: list[Entry], entry: Entry, kind: str) -> str | None:
+    """Append an entry, by its full name where its name is taken; return how it clashes."""
+    owners = {other.name: other.provided_by for other in entries}
+    if kind == "commands":
+        owners |= dict.fromkeys(COMMANDS, PROJECT)
+    owner = owners.get(entry.name)
+    if owner is None:
+        entries.append(entry)
+        return None
+    word = KINDS[kind].word if kind in KINDS else "command"
+    full = f"{entry.provided_by}:{entry.name}"
+    if owner == entry.provided_by or full in owners:
+        return f"provides the {word} {entry.name!r} twice; only the first is kept"
+    entries.append(replace(entry, name=full))
+    return (f"provides the {word} {entry.name!r}, a name that {owner} has too; "
+            f"{full!r} selects this one")

@@ -1,0 +1,75 @@
+"""How widely chosen features lie over the image."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from termsel.adjustment.compiled import compiled
+from termsel.measurements.features import BoolArray, FloatArray
+
+
+@compiled
+def _areas(x: FloatArray, y: FloatArray, masks: BoolArray, areas: FloatArray) -> None:
+    """Write the area of the hull of each selection of points in ascending order of x, then y."""
+    hull = np.empty(2 * len(x) + 1, dtype=np.intp)
+    for one in range(len(masks)):
+        size = 0
+        # Andrew's monotone chain: the lower side forward, the upper side backward.
+        for side in range(2):
+            base = size
+            for step in range(len(x)):
+                i = step if side == 0 else len(x) - 1 - step
+                if not masks[one, i]:
+                    continue
+                while size - base >= 2:
+                    a, b = hull[size - 2], hull[size - 1]
+                    if (x[b] - x[a]) * (y[i] - y[a]) > (y[b] - y[a]) * (x[i] - x[a]):
+                        break
+                    size -= 1
+                hull[size] = i
+                size += 1
+            if size > base:
+                size -= 1  # the other side begins with this point
+        area = 0.0
+        for k in range(size):
+            i, j = hull[k], hull[(k + 1) % size]
+            area += x[i] * y[j] - x[j] * y[i]
+        areas[one] = 0.5 * abs(area)
+
+
+def hull_areas(points: FloatArray, masks: BoolArray) -> FloatArray:
+    """Return the area of the convex hull of each selection of points.
+
+    Parameters
+    ----------
+    points : ndarray, shape (n, 2)
+    masks : ndarray of bool, shape (p, n)
+
+    Returns
+    -------
+    ndarray, shape (p,)
+        0 for fewer than three points, and for points on one line.
+    """
+    order = np.lexsort((points[:, 1], points[:, 0]))
+    centred = np.ascontiguousarray((points - points.mean(axis=0))[order].T)
+    areas = np.zeros(len(masks))
+    _areas(centred[0], centred[1], np.ascontiguousarray(masks[:, order]), areas)
+    return areas
+
+
+def uncovered_share(points: FloatArray, masks: BoolArray) -> FloatArray:
+    """Return the share of the image that the hull of each selection leaves out, shape (p,).
+
+    The image is the smallest rectangle around all points on offer. (Covered area as an
+    objective: Konugurthi et al. 2016; their formula could not be consulted.)
+
+    Parameters
+    ----------
+    points : ndarray, shape (n, 2)
+        Where the features lie in the image.
+    masks : ndarray of bool, shape (p, n)
+    """
+    area = float(np.prod(np.ptp(points, axis=0)))
+    if area <= 0:
+        return np.ones(len(masks))
+    return np.asarray(1.0 - np.minimum(hull_areas(points, masks) / area, 1.0))

@@ -1,0 +1,57 @@
+"""Checksums by which a result that was changed since its run is told from what the run wrote."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from termsel.measurements.features import FeatureSet
+
+SEALS = "checksums"
+"""Key of the checksums in result.json."""
+
+
+def of_features(features: FeatureSet) -> str:
+    """Return a checksum of ids, coordinates, roles, standard deviations and CRS.
+
+    Parameters
+    ----------
+    features : FeatureSet
+    """
+    digest = hashlib.sha256(features.crs.encode())
+    digest.update("\n".join(features.points.roles).encode())
+    for sigma in (features.points.sigma, features.lines.sigma):
+        if sigma is not None:
+            digest.update(sigma.tobytes())
+    for part in (features.points, features.lines):
+        digest.update("\n".join(part.ids).encode())
+        digest.update(part.image.tobytes())
+        digest.update(np.where(np.isnan(part.ground), np.nan, part.ground).tobytes())
+    return digest.hexdigest()
+
+
+def of_record(record: Mapping[str, Any]) -> str:
+    """Return a checksum of the content of result.json, whatever its layout, without checksums.
+
+    Parameters
+    ----------
+    record : mapping
+    """
+    plain = json.dumps({key: value for key, value in record.items() if key != SEALS},
+                       sort_keys=True)
+    return hashlib.sha256(plain.encode()).hexdigest()
+
+
+def sealed(record: Mapping[str, Any], features: FeatureSet) -> dict[str, Any]:
+    """Return the content of result.json with checksums of itself and of the features beside it.
+
+    Parameters
+    ----------
+    record : mapping
+    features : FeatureSet
+    """
+    return {**record, SEALS: {"record": of_record(record), "features": of_features(features)}}

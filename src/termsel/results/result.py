@@ -1,0 +1,243 @@
+"""The record of a run: result.json and its figures."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
+from html import escape
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from termsel.errors import TermselError
+from termsel.fits.diagnosis import Diagnosis
+from termsel.fits.figures import Baseline, Rmses, finite_or_none, plain_rmse
+from termsel.fits.fit import Fit
+from termsel.fits.residuals import Residuals
+from termsel.measurements.features import FeatureSet, FloatArray
+from termsel.models.locate import Surface
+from termsel.problems.base import Selection
+from termsel.results.checksums import sealed
+from termsel.results.text import summary
+
+if TYPE_CHECKING:
+    from termsel.models.rpc import Rpc
+
+SCHEMA = "termsel-result-1"
+
+
+@dataclass(frozen=True, eq=False)
+class Result:
+    """What a run found, with the accuracy it has on points no choice has seen.
+
+    Parameters
+    ----------
+    problem, model, solver, criterion : str
+    seed : int
+    options : mapping
+        Options of problem, model, solver, criterion and data.
+    data : mapping
+        Source, checksum, counts, and noise where it is known.
+    selection : Selection
+    feasible : bool
+        False if no selection satisfied all conditions.
+    rmse : mapping
+        By role. "check" is the fitness, "independent" the accuracy.
+    baselines : tuple of Baseline
+    judgement : str
+        A plain sentence on what the selection is worth.
+    notes : tuple of str
+        What else the reader must know.
+    objectives : mapping
+        The search's objectives at the selection.
+    evaluations, lookups, generations : int
+    seconds : float
+    interrupted : bool
+    polish : mapping, optional
+        First objective as the solver found it and after the polish, and the evaluations of
+        the polish, which come on top of the solver's.
+    fit : Fit
+        The fitted model.
+    residuals : Residuals
+        Of all features, as a table.
+    diagnosis : Diagnosis
+        What the fit says about its terms and about the features it was offered.
+    features : FeatureSet
+        What was measured; each point has the role it played.
+    versions : mapping
+    front : tuple
+        Non-dominated selections of a search with several objectives.
+    certificate : mapping, optional
+        What was proven.
+    strategy : mapping, optional
+        Of a choice by the strategy "auto": what was chosen, the accuracy it predicts, and all
+        candidates with theirs.
+    """
+
+    problem: str
+    model: str
+    solver: str
+    criterion: str
+    seed: int
+    options: Mapping[str, Any]
+    data: Mapping[str, Any]
+    selection: Selection
+    feasible: bool
+    rmse: Rmses
+    baselines: tuple[Baseline, ...]
+    judgement: str
+    notes: tuple[str, ...]
+    objectives: Mapping[str, float]
+    evaluations: int
+    lookups: int
+    generations: int
+    seconds: float
+    interrupted: bool
+    polish: Mapping[str, float] | None
+    fit: Fit
+    residuals: Residuals
+    diagnosis: Diagnosis
+    features: FeatureSet
+    versions: Mapping[str, str]
+    front: tuple[Mapping[str, Any], ...] = ()
+    certificate: Mapping[str, Any] | None = None
+    strategy: Mapping[str, Any] | None = None
+
+    @property
+    def hit_rate(self) -> float:
+        """Share of all evaluations, with those of the polish, that were looked up."""
+        polish = self.polish or {"lookups": 0, "evaluations": 0}
+        return float((self.lookups + polish["lookups"])
+                     / (self.evaluations + polish["evaluations"]))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the content of result.json."""
+        adjustment = self.fit.adjustment
+        terms = self.fit.model.terms
+        chosen = [i for i, on in enumerate(self.fit.terms) if on]
+        return {
+            "schema": SCHEMA,
+            "problem": self.problem, "model": self.model, "solver": self.solver,
+            "criterion": self.criterion, "seed": self.seed, "options": dict(self.options),
+            "data": dict(self.data),
+            "selection": {
+                "terms": list(self.selection.terms), "features": list(self.selection.features),
+                "n_terms": len(self.selection.terms),
+                "n_features": len(self.selection.features)},
+            "offered": {"n_terms": len(terms), "n_features": len(self.fit.control)},
+            "feasible": self.feasible,
+            "objectives": {k: finite_or_none(v) for k, v in self.objectives.items()},
+            "rmse": plain_rmse(self.rmse),
+            "baselines": [
+                {"name": b.name, "n_terms": b.n_terms, "fitted_to": list(b.fitted_to),
+                 "determined": b.determined, "predicted": b.predicted, "rmse": plain_rmse(b.rmse)}
+                for b in self.baselines],
+            "judgement": self.judgement, "notes": list(self.notes),
+            "front": list(self.front), "certificate": self.certificate, "strategy": self.strategy,
+            "evaluations": self.evaluations, "lookups": self.lookups,
+            "hit_rate": self.hit_rate,
+            "generations": self.generations, "seconds": self.seconds,
+            "interrupted": self.interrupted, "polish": self.polish,
+            "coefficients": {terms[i]: float(adjustment.coefficients[i]) for i in chosen},
+            "standard_deviations": {
+                terms[i]: finite_or_none(adjustment.deviations[i]) for i in chosen},
+            "adjustment": {
+                "equations": adjustment.n_equations, "terms": adjustment.n_terms,
+                "redundancy": adjustment.redundancy, "rank": adjustment.rank,
+                "condition": finite_or_none(adjustment.condition),
+                "sigma0": finite_or_none(adjustment.sigma0 * self.fit.scaling.image_scale),
+                "orientation_spread": self.diagnosis.orientation_spread},
+            "significance": {name: asdict(one)
+                             for name, one in self.diagnosis.significance.items()},
+            "correlations": [{"terms": [one, other], "correlation": value}
+                             for one, other, value in self.diagnosis.correlations],
+            "doubts": asdict(self.diagnosis.doubts) if self.diagnosis.doubts else None,
+            "scaling": self.fit.scaling.to_dict(),
+            "versions": dict(self.versions)}
+
+    def of_image(self, size: tuple[int, int]) -> Result:
+        """Return the result with the size of its image, which files of points do not state.
+
+        Parameters
+        ----------
+        size : tuple of int
+            Lines and samples [pixel].
+        """
+        control = replace(self.fit.control, image_size=size)
+        return replace(self, features=replace(self.features, image_size=size),
+                       fit=replace(self.fit, control=control))
+
+    def project(self, ground: ArrayLike) -> FloatArray:
+        """Return where the fitted model sees ground points.
+
+        Parameters
+        ----------
+        ground : array_like, shape (n, 3)
+            In the CRS of the control; NaN for heights a plane model does without.
+
+        Returns
+        -------
+        ndarray, shape (n, 2)
+            Line and sample [pixel]; NaN where a coordinate that the model uses is not finite.
+
+        Raises
+        ------
+        TermselError
+            If the array has another shape.
+        """
+        places = np.asarray(ground, dtype=np.float64)
+        if places.ndim != 2 or places.shape[1] != 3:
+            raise TermselError(f"ground points have shape {places.shape}, expected (n, 3)")
+        image = self.fit.project(places)
+        needed = places if self.fit.model.uses_height else places[:, :2]
+        image[~np.isfinite(needed).all(axis=1)] = np.nan
+        return image
+
+    def locate(self, image: ArrayLike, height: ArrayLike | Surface) -> FloatArray:
+        """Return the ground points seen at image points, by the fitted model.
+
+        Parameters
+        ----------
+        image : array_like, shape (n, 2)
+            Line and sample [pixel].
+        height : array_like, shape (n,), a number, or callable
+            Heights, or what gives them for x and y, shape (n, 2), such as a DEM.
+
+        Returns
+        -------
+        ndarray, shape (n, 3)
+            In the CRS of the control; NaN where there is none.
+        """
+        return self.fit.locate(image, height)
+
+    def to_rpc(self) -> Rpc:
+        """Return the fitted model as RPC.
+
+        Rational functions and polynomials to the third degree of WGS84 longitude, latitude and
+        ellipsoidal height are RPCs as they are. Any other fit is replaced by the RPC next to
+        it, and what that costs is logged; `termsel.fits.rpc_fit.rpc_of` returns it.
+
+        Raises
+        ------
+        TermselError
+            If the ground coordinates cannot be turned into longitude and latitude, or no RPC
+            comes near the fit.
+        """
+        from termsel.fits.rpc_fit import rpc_of
+
+        return rpc_of(self.fit).rpc
+
+    def to_json(self) -> str:
+        """Return result.json as text: `to_dict` and its checksums."""
+        record = sealed(self.to_dict(), self.features)
+        return json.dumps(record, indent=1, allow_nan=False) + "\n"
+
+    def summary(self) -> str:
+        """Return a page that a person reads (see `termsel.results.text.summary`)."""
+        return summary(self.to_dict())
+
+    def _repr_html_(self) -> str:
+        """Return the summary for a notebook."""
+        return f"<pre>{escape(self.summary())}</pre>"

@@ -1,0 +1,215 @@
+"""A record as a page of text."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Iterable, Iterator, Mapping
+from typing import Any
+
+from termsel.fits.diagnosis import BEYOND, CORRELATED
+from termsel.fits.figures import LEAVE_ONE_OUT, ROLES
+
+_WIDTH = 88
+_LONGEST_FRONT = 40
+_TITLES = {"all-terms": "conventional (all)", "dlt": "DLT", "rfm-2": "second-order RFM",
+           "rfm-3": "full RFM", "ridge": "full RFM, ridge", "selected": "selected cubic",
+           "shrunken-quadratic": "shrunken quadratic", "shrunken-cubic": "shrunken cubic"}
+
+
+Record = Mapping[str, Any]
+
+
+def summary(record: Record) -> str:
+    """Return a page that a person reads: what was selected, how good it is, what it is worth.
+
+    Parameters
+    ----------
+    record : mapping
+        The content of result.json.
+    """
+    return "\n".join([*_head(record), "", *_table(record), "", *_front(record), *_foot(record)]
+                     ) + "\n"
+
+
+def _offered(record: Record) -> tuple[int, int]:
+    """Return how many terms and control features there were to select from."""
+    offered = record.get("offered")
+    if offered is None:  # a record of version 0.1
+        counts, selection = record["data"]["counts"], record["selection"]
+        return (max(b["n_terms"] for b in (selection, *record["baselines"])
+                    if b is selection or b["name"] == "all-terms"),
+                counts["control"] + counts["lines"])
+    return offered["n_terms"], offered["n_features"]
+
+
+def _head(record: Record) -> Iterator[str]:
+    data, strategy, selection = record["data"], record["strategy"], record["selection"]
+    counts = data["counts"]
+    yield (f"{record['problem']}: model {record['model']}, "
+           + (f"strategy {strategy['name']}" if strategy else
+              f"solver {record['solver']}, criterion {record['criterion']}, "
+              f"seed {record['seed']}"))
+    yield f"Data: {data['source']}"
+    if data["fit_crs"] != data["crs"]:
+        yield (f"Fitted in {data['fit_crs']}; coordinates are given in {data['crs']}, heights "
+               f"{data['heights']}")
+    control = [f"{counts[key]} {word}" for key, word in (("control", "points"), ("lines", "lines"))
+               if counts[key]]
+    yield (f"Control: {' and '.join(control)}; {counts['check']} check points; "
+           f"{counts['independent']} independent points")
+    if strategy:
+        yield from _strategy(strategy, record["seconds"])
+        return
+    terms, features = _offered(record)
+    yield (f"Selected: {_share(selection['n_features'], features)} control features, "
+           f"{_share(selection['n_terms'], terms)} terms; "
+           f"redundancy {record['adjustment']['redundancy']}")
+    share = record["options"]["problem"].get("max_share", 1.0)
+    if share < 1:
+        yield (f"Terms are {100 * share:.0f} % of their equations at most; --set max_share=1 lifts "
+               "this")
+    yield (f"Search: {record['evaluations']} evaluations ({record['lookups']} looked up), "
+           f"{record['generations']} generations, {record['seconds']:.1f} s")
+    if polish := record["polish"]:
+        yield (f"Polish: {record['criterion']} {polish['found']:.4g} as {record['solver']} found "
+               f"it, {polish['polished']:.4g} after {polish['evaluations']} evaluations more")
+    if record["certificate"]:
+        exact = "--set recommend=best" if record["solver"] == "exact" else \
+            "--solver exact" + " --set max_share=1" * (share == 1.0)
+        yield _certificate(record["certificate"], exact)
+
+
+def _strategy(strategy: Mapping[str, Any], seconds: float) -> Iterator[str]:
+    """Yield the candidates with their predicted accuracy, the chosen one marked."""
+    chosen = strategy["chosen"]
+    predicted = strategy["predicted"]
+    yield (f"Chosen: {_TITLES.get(chosen, chosen)}, fitted to control and check together; "
+           + (f"predicted accuracy {predicted:.3f} pixel; " if predicted is not None else "")
+           + f"{seconds:.1f} s")
+    yield ""
+    yield f"{'candidate':<24}{'terms':>6}{'free in effect':>16}{'leave-one-out':>16}"
+    for one in strategy["candidates"]:
+        mark = " <-" if one["name"] == chosen else ""
+        yield (f"{_TITLES.get(one['name'], one['name']):<24}{one['n_terms']:>6}"
+               f"{one['effective']:>16.1f}{one['predicted']:>16.3f}{mark}")
+    yield (f"the predicted accuracy is that of the whole choice, repeated in {strategy['folds']} "
+           "folds")
+
+
+def _certificate(certificate: Mapping[str, Any], exact: str) -> str:
+    proven = f"{certificate['subsets']:,} subsets decided, {certificate['space']}"
+    if certificate["optimal"]:
+        return f"Proven: no selection has a better criterion ({proven})"
+    if certificate.get("gap") is not None:
+        return (f"Gap: {100 * certificate['gap']:.2f} % above the proven optimum "
+                f"{certificate['optimum']:.4g} ({proven}); {exact} finds it")
+    if "optimum" in certificate:
+        return (f"The proven optimum is {certificate['optimum']:.4g}, below this ({proven}); "
+                f"{exact} finds it")
+    return f"Not proven: {certificate['subsets']:,} of {certificate['of']:,} subsets decided"
+
+
+def _share(chosen: int, offered: int) -> str:
+    return f"all {offered}" if chosen == offered else f"{chosen} of {offered}"
+
+
+def _table(record: Record) -> Iterator[str]:
+    yield f"{'RMSE [pixel]':<24}{'terms':>6}{'control':>12}{'check':>12}{'independent':>14}"
+    strategy, baselines = record["strategy"], record["baselines"]
+    rows = [("selection" + " *" * bool(strategy), record["selection"]["n_terms"], record["rmse"])]
+    rows += [(_TITLES.get(b["name"], b["name"]) + " *" * ("check" in b["fitted_to"]), b["n_terms"],
+              b["rmse"]) for b in baselines]
+    for name, n_terms, rmse in rows:
+        control, check, independent = (_figure(rmse[role]) for role in ROLES)
+        yield f"{name:<24}{n_terms:>6}{control:>12}{check:>12}{independent:>14}"
+        if LEAVE_ONE_OUT in rmse:
+            yield f"{'  ' + LEAVE_ONE_OUT:<30}{_figure(rmse[LEAVE_ONE_OUT]):>12}"
+    if LEAVE_ONE_OUT in record["rmse"]:
+        yield (f"{LEAVE_ONE_OUT}: each control feature by the fit without it, as "
+               f"{record['model']} corrects by control")
+    if any("check" in b["fitted_to"] for b in baselines):
+        yield "* fitted to control and check together; its check figure is a fit"
+    if any(not any(one["n"] for one in b["rmse"].values()) for b in baselines):
+        yield "- not determined with redundancy"
+    if strategy:
+        yield "independent = the accuracy"
+    elif record["criterion"] == "check-rmse":
+        yield "check = the fitness the search drove down; independent = the accuracy"
+    else:
+        yield f"the search drove down {record['criterion']}; independent = the accuracy"
+
+
+def _front(record: Record) -> Iterator[str]:
+    """Yield the front, the recommended member marked."""
+    front, selection = record["front"], record["selection"]
+    if not front:
+        return
+    names = list(front[0]["objectives"])
+    yield "Front: " + "".join(f"{name:>16}" for name in names) + f"{'independent':>14}"
+    if len(front) > _LONGEST_FRONT:
+        yield f"       {len(front)} members; all of them stand in result.json"
+        return
+    for member in front:
+        total = member["rmse"]["independent"]["total"]
+        chosen = all(member["selection"][key] == selection[key] for key in ("terms", "features"))
+        yield ("    -> " if chosen else " " * 7) + "".join(
+            f"{member['objectives'][name]:>16.5g}" for name in names
+        ) + f"{'-' if total is None else f'{total:.3f}':>14}"
+    rule = record["options"]["problem"].get("recommend")
+    if rule and (len(record["objectives"]) > 1 or rule != "best"):
+        yield f"-> the selection, recommended by the rule {rule} (--set recommend=...)"
+    yield ""
+
+
+def _figure(rmse: Record) -> str:
+    total = rmse["total"]
+    if total is None:
+        return "-"
+    return f"{total:.3f}" if 0.01 <= total < 1e5 else f"{total:.2e}"
+
+
+def _foot(record: Record) -> Iterator[str]:
+    yield from textwrap.wrap(record["judgement"], _WIDTH)
+    for note in record["notes"]:
+        yield from textwrap.wrap(note, _WIDTH, initial_indent="Note: ", subsequent_indent="      ")
+    yield from _doubts(record["doubts"])
+    yield from _coefficients(record)
+    terms, features = _offered(record)
+    selection = record["selection"]
+    if selection["n_features"] < features:
+        yield from _names("Features", selection["features"])
+    if selection["n_terms"] < terms:
+        yield from _names("Terms", selection["terms"])
+
+
+def _doubts(doubts: Record | None) -> Iterator[str]:
+    """Yield which features are probably wrong."""
+    if doubts is None:
+        return
+    wrong, in_use, spare = doubts["wrong"], doubts["in_use"], doubts["spare"]
+    if wrong:
+        title = f"Probably wrong (beyond {BEYOND:g} sigma, {BEYOND * doubts['sigma']:.2g} px)"
+        yield from _names(title, (
+            f"{name} ({wrong[name]:.1f} px{', in use' * (name in in_use)})"
+            for name in sorted(wrong, key=lambda name: -wrong[name])))
+    if in_use:
+        yield f"  leave out those in use by --set force_off={','.join(in_use)} and run again"
+    if spare:
+        yield f"Left out though they fit: {len(spare)}; they were not needed"
+
+
+def _coefficients(record: Record) -> Iterator[str]:
+    """Yield which terms are not significant, and how coefficients correlate."""
+    weak = [name for name, one in record["significance"].items() if one["p"] > 0.05]
+    if weak:
+        yield from _names("Not significant (5 %)", weak)
+    pairs = record["correlations"]
+    if pairs:
+        one, other = pairs[0]["terms"]
+        yield (f"Correlations of coefficients of {CORRELATED} or more: {len(pairs)}, highest "
+               f"{pairs[0]['correlation']:.4f} ({one}, {other})")
+
+
+def _names(title: str, names: Iterable[str]) -> Iterator[str]:
+    yield from textwrap.wrap(f"{title}: {' '.join(names)}", _WIDTH, subsequent_indent="  ",
+                             break_on_hyphens=False)

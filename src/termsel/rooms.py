@@ -1,0 +1,33 @@
+"""The order of the rooms: which part of termsel may import which.
+
+`ROOMS` is the one place that states it. A room imports from those below it and never from one
+above; the tests read every import and hold it against this list.
+"""
+
+from __future__ import annotations
+
+ROOMS = {
+    "__main__": "entry of the command line",
+    "cli": "commands, one module each",
+    "testing": "conformance suites for models, solvers, criteria, readers and writers",
+    "runs": "one run: task, search, choice, assessment, judgement; stability over many",
+    "io": "verbs on files: read, export, project, rectify, the folder of a result",
+    "plugins": "hooks, kinds of things, loading, registry, what is built in",
+    "simulate": "scenes with known truth",
+    "formats": "file formats: readers, writers and what they share",
+    "results": "the record of a run, its checksums, its summary in text",
+    "solvers": "search: ledger, budget, and the solvers",
+    "problems": "genes to objectives: selection, constraints, enumeration, recipes",
+    "candidates": "models fitted without a search, and the choice among them",
+    "criteria": "figures of merit of a population of fits",
+    "fits": "one fitted model: figures, residuals, diagnosis, the RPC next to it",
+    "models": "ground to image as named terms; inversion, poles",
+    "adjustment": "equations, least squares, kernels, subsets",
+    "measurements": "features, roles, areas, coordinates, scaling, data sets",
+    "options": "typed, documented options",
+    "threads": "threads of linear algebra",
+    "errors": "what the user can correct",
+    "version": "the version of termsel",
+    "rooms": "this list",
+}
+"""Rooms from top to bottom, with what each holds."""

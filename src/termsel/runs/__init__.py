@@ -1,0 +1,1 @@
+"""One run: task, search, assessment."""

@@ -1,0 +1,158 @@
+"""What a search found: its figures, its front, and what it is to be compared with."""
+
+from __future__ import annotations
+
+import platform
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, replace
+from importlib.metadata import version
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from termsel.candidates.compare import compare
+from termsel.candidates.ridge import shrunken_coefficients
+from termsel.fits.diagnosis import diagnose
+from termsel.fits.figures import LEAVE_ONE_OUT, baseline, figures, plain_rmse
+from termsel.fits.fit import Fit, fit
+from termsel.fits.residuals import residuals_of
+from termsel.measurements.crs import height_reference
+from termsel.measurements.features import BoolArray
+from termsel.measurements.roles import with_roles
+from termsel.models.poles import guard_points, pole_violation
+from termsel.problems.base import Selection
+from termsel.results.checksums import of_features
+from termsel.results.result import Result
+from termsel.runs.judge import judge, name_conventional, notes_on
+from termsel.solvers.exact import gap
+from termsel.solvers.search import Search
+
+if TYPE_CHECKING:
+    from termsel.runs.task import Task
+
+
+def assess(task: Task, found: Search) -> Result:
+    """Return the figures of what a search found.
+
+    This is where independent points are looked at, for the first and only time.
+
+    Parameters
+    ----------
+    task : Task
+    found : Search
+    """
+    observations = task.observations
+    selection = task.problem.decode(found.genes)
+    chosen = fit_of(task, selection)
+    objectives, feasible = found.objectives.tolist(), found.violation == 0
+    if task.options["problem"].get("shrink"):
+        found = replace(found, coefficients=shrunken_coefficients(
+            task.model, task.scaling.features(observations.control), chosen.terms, chosen.used))
+    if found.coefficients is not None:
+        chosen = chosen.with_coefficients(found.coefficients)
+        feasible = True  # whatever least squares leave undetermined
+        objectives = []  # those of least squares are not those of these coefficients
+    # The coefficients may be others than those the search saw, so poles are looked for again.
+    feasible = feasible and not _has_pole(task, chosen)
+    rmse = figures(chosen, observations)
+    if found.coefficients is not None:
+        rmse.pop(LEAVE_ONE_OUT, None)  # that would be of least squares too
+    everything = fit(task.model, observations.control, task.scaling)
+    comparison = compare(observations)
+    baselines = (baseline("all-terms", everything, None, observations, ("control",)),
+                 *comparison.baselines)
+    return Result(
+        problem=task.recipe.name, model=task.model.name, solver=task.solver.name,
+        criterion=task.criterion.name, seed=found.seed,
+        options={**task.options, "model": task.model.options, "solver": task.solver.options,
+                 "criterion": task.criterion.options},
+        data=data_of(task), selection=selection, feasible=feasible, rmse=rmse,
+        baselines=baselines,
+        judgement=judge(name_conventional(task.problem.genome, observations),
+                        task.criterion.name, rmse, baselines, comparison.reference, feasible,
+                        task.features.noise),
+        notes=tuple(notes_on(observations, task.criterion, found, chosen)),
+        objectives=dict(zip(task.problem.objectives, objectives, strict=False)),
+        evaluations=found.evaluations, lookups=found.lookups, generations=found.generations,
+        seconds=found.seconds, interrupted=found.interrupted,
+        polish=asdict(found.polish) if found.polish else None, fit=chosen,
+        residuals=residuals_of(chosen, observations),
+        diagnosis=diagnose(chosen),
+        features=with_roles(task.features, observations), versions=versions(),
+        front=tuple(_front(task, found)), certificate=_certificate(task, found))
+
+
+def _certificate(task: Task, found: Search) -> Mapping[str, Any] | None:
+    """Return what the solver proved, or how far its find is from the proven optimum."""
+    if (found.certificate is not None or found.violation or found.interrupted
+            or found.coefficients is not None
+            or len(found.objectives) > 1):
+        return found.certificate
+    return gap(task.problem, float(found.objectives[0]))
+
+
+def _front(task: Task, found: Search) -> Iterable[Mapping[str, Any]]:
+    """Yield the members of a front with their RMSE on all roles."""
+    observations = task.observations
+    for genes in found.front:
+        selection = task.problem.decode(genes)
+        member = fit_of(task, selection)
+        values = task.problem.evaluate(genes[None]).objectives[0].tolist()
+        size = len(selection.features if task.recipe.second == "n_features" else selection.terms)
+        yield {"objectives": {task.recipe.second: size,
+                              **dict(zip(task.problem.objectives, values, strict=True))},
+               "selection": {"terms": list(selection.terms),
+                             "features": list(selection.features),
+                             "n_terms": len(selection.terms),
+                             "n_features": len(selection.features)},
+               "rmse": plain_rmse({"control": member.control_rmse(),
+                                 "check": member.rmse(observations.check),
+                                 "independent": member.rmse(observations.independent)})}
+
+
+def fit_of(task: Task, selection: Selection) -> Fit:
+    """Return the model fitted with the terms and features of a selection.
+
+    Where the iteration for lines under separate denominators ends with a pole in the scene,
+    the solution it began with, which the search judged, is taken.
+    """
+    control = task.observations.control
+    terms, used = _mask(task.model.terms, selection.terms), _mask(control.ids, selection.features)
+    chosen = fit(task.model, control, task.scaling, terms, used)
+    return fit(task.model, control, task.scaling, terms, used, iterated=False) \
+        if _has_pole(task, chosen) else chosen
+
+
+def _has_pole(task: Task, chosen: Fit) -> bool:
+    """Return whether a denominator falls short somewhere in the scene."""
+    guard = guard_points(task.scaling.features(task.observations.control),
+                         task.scaling.points(task.observations.check))
+    return bool(pole_violation(task.model, chosen.adjustment.coefficients[None], guard).any())
+
+
+def _mask(names: tuple[str, ...], chosen: Iterable[str]) -> BoolArray:
+    wanted = set(chosen)
+    return np.array([name in wanted for name in names], dtype=bool)
+
+
+def data_of(task: Task) -> dict[str, Any]:
+    """Return what a result says of the features it was made of."""
+    observations = task.observations
+    return {
+        "source": task.source, "sha256": of_features(task.features), "crs": task.features.crs,
+        "fit_crs": task.features.fit_crs or task.features.crs,
+        "heights": task.features.heights or height_reference(task.features.crs) or None,
+        "noise": task.features.noise,
+        "image_size": task.features.image_size and list(task.features.image_size),
+        "counts": {"control": len(observations.control.points), "check": len(observations.check),
+                   "independent": len(observations.independent),
+                   "lines": len(observations.control.lines.features), "off": len(observations.off)},
+        "roles": {"control": list(observations.control.ids), "off": list(observations.off),
+                  "check": list(observations.check.ids),
+                  "independent": list(observations.independent.ids)}}
+
+
+def versions() -> dict[str, str]:
+    """Return the versions of termsel and what it computes with."""
+    packages = ("termsel", "numpy", "scipy", "numba", "deap", "pymoo")
+    return {"python": platform.python_version(), **{name: version(name) for name in packages}}

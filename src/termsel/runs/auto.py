@@ -1,0 +1,155 @@
+"""The strategy "auto": the best model of the points, with an accuracy that can be believed."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from termsel.adjustment.lines import relative_deviations
+from termsel.candidates.compare import compare, has_heights
+from termsel.candidates.portfolio import MAX_FOLDS, portfolio, repeated
+from termsel.errors import TermselError
+from termsel.fits.diagnosis import NORMAL_MEDIAN, diagnose
+from termsel.fits.extrapolation import warnings_of
+from termsel.fits.figures import figures, in_role
+from termsel.fits.residuals import residuals_of
+from termsel.measurements.features import FeatureSet, FloatArray, no_points, select
+from termsel.measurements.roles import together, with_roles
+from termsel.problems.base import Selection
+from termsel.problems.recipes import Recipe
+from termsel.results.result import Result
+from termsel.runs.assess import data_of, versions
+from termsel.runs.judge import PLAIN, judge_choice
+
+if TYPE_CHECKING:
+    from termsel.runs.task import Task
+
+NAMES = ("auto", "as-asked")
+
+FAR, FROM = 8.0, 30
+"""Robust standard deviations of all predictions, each by its point's own deviation where one is
+given, beyond which a point is named as perhaps wrong, and the number of points from which on: of
+fewer, each may be hard to predict from the others."""
+
+ROUNDING = 1e-6
+"""Errors that are none [pixel]."""
+
+
+def wanted(strategy: str | None, recipe: Recipe, asked: Mapping[str, Any]) -> bool:
+    """Return whether a run is to choose its method by itself.
+
+    Parameters
+    ----------
+    strategy : {"auto", "as-asked"} or None
+        None means "auto" for problems that a portfolio can answer and where nothing of a method
+        is asked for.
+    recipe : Recipe
+    asked : mapping
+        What the user has named of a method, by what it is called; None or empty counts as not
+        named.
+
+    Raises
+    ------
+    TermselError
+        If "auto" is asked for and so is a method, or the problem is not one for it.
+    """
+    if strategy is not None and strategy not in NAMES:
+        raise TermselError(f"there is no strategy {strategy!r}",
+                           hint=f"Choose {' or '.join(NAMES)}.")
+    named = [name for name, value in asked.items() if value]
+    if strategy != "auto":
+        return strategy is None and recipe.portfolio and not named
+    if not recipe.portfolio:
+        raise TermselError(f"the strategy auto is not for the problem {recipe.name}",
+                           hint="It chooses among models of points: rfm-terms, poly-terms.")
+    if named:
+        raise TermselError(
+            f"the strategy auto chooses the method itself, and {named[0]} is asked for",
+            hint="Leave one of them out; --strategy as-asked runs a method as it is.")
+    return True
+
+
+def choose_for(task: Task, seed: int) -> Result:
+    """Return the choice from the portfolio as a result.
+
+    Parameters
+    ----------
+    task : Task
+        Whose observations are taken; its model and solver are not.
+    seed : int
+        For the record: nothing is drawn.
+
+    Returns
+    -------
+    Result
+
+    Raises
+    ------
+    TermselError
+        If control and check points together determine no candidate with redundancy.
+    """
+    start = time.perf_counter()
+    observations = task.observations
+    both, heights = together(observations), has_heights(observations)
+    comparison = compare(observations)
+    if comparison.choice is None:
+        raise TermselError(
+            f"{len(both)} control and check points are too few for any model with redundancy, or "
+            "lie badly", hint="Measure more, spread over the scene: an affine model needs 5.")
+    chosen, candidates = comparison.choice.chosen, comparison.choice.fitted
+    errors = repeated(both, heights)
+    predicted = None if errors is None else float(np.sqrt((errors**2).sum(axis=1).mean()))
+    fitted = in_role(chosen.fit, observations)
+    model = fitted.model
+    rmse = figures(fitted, observations)
+    # The chosen one is the selection, and is not shown twice unless it is plain.
+    baselines = tuple(b for b in comparison.baselines if b.name in PLAIN or b.name != chosen.name)
+    folds = min(MAX_FOLDS, len(both))
+    return Result(
+        problem=task.recipe.name, model=model.name, solver="auto", criterion="press", seed=seed,
+        options={"problem": {}, "data": task.options["data"], "model": model.options,
+                 "solver": {}, "criterion": {}},
+        data=data_of(task),
+        selection=Selection(select(model.terms, fitted.terms), observations.control.ids),
+        feasible=True, rmse=rmse, baselines=baselines,
+        judgement=judge_choice(chosen.name, predicted, rmse, baselines, task.features.noise),
+        notes=tuple(_notes(task, both, errors)), objectives={"press": chosen.predicted},
+        evaluations=len(portfolio(heights)) * (1 + folds), lookups=0, generations=0,
+        seconds=time.perf_counter() - start, interrupted=False, polish=None, fit=fitted,
+        residuals=residuals_of(fitted, observations, check_used=True),
+        diagnosis=diagnose(fitted),
+        features=with_roles(task.features, observations), versions=versions(),
+        strategy={
+            "name": "auto", "chosen": chosen.name, "predicted": predicted, "folds": folds,
+            "fitted_to": ["control", "check"],
+            "candidates": [
+                {"name": one.name, "model": one.fit.model.name,
+                 "n_terms": int(one.fit.terms.sum()), "effective": one.effective,
+                 "predicted": one.predicted} for one in candidates]})
+
+
+def _notes(task: Task, both: FeatureSet, errors: FloatArray | None) -> list[str]:
+    notes = [*warnings_of(both, np.ones(len(both), dtype=bool), no_points())]
+    if errors is None:
+        notes.append("The points are too few to repeat the choice without some of them, so it "
+                     "predicts no accuracy.")
+    elif far := _far(both, errors):
+        notes.append(f"Far from where the others predict them: {far}. Where one is measured "
+                     "wrongly, give it the role off and run again.")
+    if has_heights(task.observations) and not task.model.uses_height:
+        notes.append(f"Heights are known and were used. --model {task.model.name} keeps to a "
+                     "plane model.")
+    return notes
+
+
+def _far(both: FeatureSet, errors: FloatArray) -> str:
+    """Return the points whose predictions by the others fail by far, the worst first."""
+    own = np.abs(errors) / relative_deviations(both)
+    beyond = FAR * float(np.median(own)) / NORMAL_MEDIAN
+    worst = np.abs(errors).max(axis=1)
+    order = [i for i in np.argsort(-worst)
+             if own[i].max() > beyond and worst[i] > ROUNDING and len(both) >= FROM]
+    return ", ".join(f"{both.ids[i]} ({worst[i]:.3g} px)" for i in order)

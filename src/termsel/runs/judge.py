@@ -1,0 +1,210 @@
+"""Plain words on what a selection is worth."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from termsel.criteria import Criterion
+from termsel.fits.diagnosis import PARALLEL, orientation_spread
+from termsel.fits.extrapolation import warnings_of
+from termsel.fits.fit import Fit, Rmse, fit
+from termsel.measurements.roles import Observations
+from termsel.problems.base import Genome
+from termsel.solvers.search import Search
+
+if TYPE_CHECKING:
+    from termsel.fits.figures import Baseline
+
+ALIKE = 1.05
+"""Two RMSE whose ratio is below this are called alike: with a few dozen independent points
+an RMSE is itself uncertain by more."""
+
+TITLES = {
+    "affine": "an affine polynomial", "dlt": "a DLT", "projective": "a projective transformation",
+    "quadratic": "a quadratic polynomial", "cubic": "a cubic polynomial",
+    "rfm-2": "a second-order RFM", "rfm-3": "a third-order RFM",
+    "selected": "a cubic polynomial of selected terms",
+    "shrunken-quadratic": "a shrunken quadratic polynomial",
+    "shrunken-cubic": "a shrunken cubic polynomial"}
+"""Baselines among which leave-one-out chooses, in words."""
+
+PLAIN = ("affine", "dlt", "projective", "quadratic", "cubic", "rfm-2")
+"""Those that need neither selection nor shrinkage."""
+
+
+def judge(conventional: str, criterion: str, rmse: Mapping[str, Rmse | None],
+          baselines: tuple[Baseline, ...], reference: str, feasible: bool,
+          noise: float | None) -> str:
+    """Return one or two sentences that compare the selection with what needs no search.
+
+    Parameters
+    ----------
+    conventional : str
+        What the conventional fit uses, such as "all lines".
+    criterion : str
+        Name of what the search minimised.
+    rmse : mapping
+        Of the selection, by role.
+    baselines : tuple of Baseline
+        The conventional fit first.
+    reference : str
+        Name of the baseline that leave-one-out over control and check chooses; may be empty.
+    feasible : bool
+    noise : float or None
+        Standard deviation of the measurements [pixel], where it is known.
+    """
+    if not feasible:
+        return ("This does not satisfy all conditions: it has undetermined or too many terms, an "
+                "axis without terms or a pole in the scene, and no better was found. Do not use "
+                "it; give more control or a smaller model.")
+    mine = rmse["independent"]
+    if mine is None:
+        return ("There are no independent points, so the accuracy of this selection is not "
+                f"known: {criterion} is what the search drove down.")
+    sentences = [_compare("The selection is", mine.total, baselines[0], conventional)
+                 + f" on {mine.n} independent points."]
+    best = next((b for b in baselines if b.name == reference), None)
+    if best is not None:
+        title = (f"{TITLES[reference]} over control and check together, which leave-one-out "
+                 "chooses,")
+        ratio = _ratio(mine.total, _independent(best))
+        if ratio > ALIKE:
+            advice = ("Use --strategy auto instead" if reference not in PLAIN else
+                      "Use something plainer")
+            sentences.append(f"{advice}: {title} is {_times(ratio)} better "
+                             f"({_px(_independent(best))}).")
+        elif ratio > 1 / ALIKE:
+            sentences.append(f"It is no better than {title} ({_px(_independent(best))}).")
+        else:
+            sentences.append(f"It beats {title} by {_times(1 / ratio)} "
+                             f"({_px(_independent(best))}).")
+    else:
+        sentences.append("No plain polynomial is determined by control and check together.")
+    if noise is not None:
+        sentences.append(f"Measurement noise alone gives {_px(noise * np.sqrt(2))}.")
+    return " ".join(sentences)
+
+
+def judge_choice(chosen: str, predicted: float | None, rmse: Mapping[str, Rmse | None],
+                 baselines: tuple[Baseline, ...], noise: float | None) -> str:
+    """Return some sentences on what the choice of a strategy is worth.
+
+    Parameters
+    ----------
+    chosen : str
+        Name of the candidate.
+    predicted : float or None
+        RMSE of the choice repeated in folds [pixel].
+    rmse : mapping
+        Of the choice, by role.
+    baselines : tuple of Baseline
+    noise : float or None
+        Standard deviation of the measurements [pixel], where it is known.
+    """
+    mine = rmse["independent"]
+    expected = "" if predicted is None else f" and predicts {_px(predicted)}"
+    start = f"Leave-one-out over control and check chooses {TITLES[chosen]}{expected}."
+    if mine is None:
+        return f"{start} There are no independent points to confirm it."
+    sentences = [start, f"{mine.n} independent points, which took no part, say "
+                        f"{_px(mine.total)}."]
+    others = [b for b in baselines
+              if b.predicted is not None and b.name in PLAIN and b.name != chosen]
+    if others:
+        best = min(others, key=_predicted)
+        sentences.append(_compare("That is", mine.total, best, f"{TITLES[best.name]}, the best "
+                                  "of the other plain structures by leave-one-out") + ".")
+    if noise is not None:
+        sentences.append(f"Measurement noise alone gives {_px(noise * np.sqrt(2))}.")
+    return " ".join(sentences)
+
+
+def name_conventional(genome: Genome, observations: Observations) -> str:
+    """Return in words what a fit uses that leaves out nothing of what could be selected."""
+    lines, points = len(observations.control.lines), len(observations.control.points)
+    features = ("all points and lines" if lines and points else
+                "all lines" if lines else "all control points")
+    segments = [segment.name for segment in genome.segments]
+    terms = any(name.startswith("terms") for name in segments)
+    if "features" not in segments:
+        return "all terms"
+    return f"{features} with all terms" if terms else features
+
+
+def _predicted(baseline: Baseline) -> float:
+    return float("inf") if baseline.predicted is None else baseline.predicted
+
+
+def _independent(baseline: Baseline) -> float:
+    value = baseline.rmse["independent"]
+    return float("inf") if value is None else value.total
+
+
+def _ratio(one: float, other: float) -> float:
+    return one / other if other > 0 else 1.0 if one == 0 else float("inf")
+
+
+def _px(value: float) -> str:
+    return f"{value:.2f} px" if value >= 0.1 else f"{value:.2g} px"
+
+
+def _times(ratio: float) -> str:
+    return f"{ratio:.1f} times" if ratio < 10 else f"{ratio:,.0f} times"
+
+
+def _compare(start: str, mine: float, other: Baseline, title: str) -> str:
+    theirs = _independent(other)
+    figures = f"({_px(mine)} against {_px(theirs)}"
+    figures += ")" if other.determined else \
+        ", which the control does not even determine: least-norm solution)"
+    ratio = _ratio(theirs, mine)
+    if ratio > ALIKE:
+        return f"{start} {_times(ratio)} better than {title} {figures}"
+    if ratio > 1 / ALIKE:
+        return f"{start} no better than {title} {figures}"
+    return f"{start} {_times(1 / ratio)} worse than {title} {figures}"
+
+
+def notes_on(observations: Observations, criterion: Criterion, found: Search,
+             chosen: Fit) -> Iterator[str]:
+    """Yield what else the reader of a result must know."""
+    yield from found.notes
+    if len(observations.control.lines) and not len(observations.control.points):
+        idle = len(observations.off)
+        if idle:
+            yield (f"{idle} control points of the file stay out, as lines are the control here; "
+                   "--set mixed=true uses both.")
+    lines = chosen.control.take(chosen.used).lines
+    if len(lines) and not len(observations.control.points):
+        spread = orientation_spread(lines)
+        if spread < PARALLEL:
+            yield (f"The lines in use run nearly alike (orientation spread {spread:.2g} of 1): "
+                   "along them the model is hardly fixed.")
+    prior = chosen.model.equations(chosen.scaling.features(chosen.control)).prior
+    if prior is not None and prior[chosen.terms].any() and found.coefficients is None:
+        yield (f"Pseudo-observations of weight {prior.max()**2:.3g} hold coefficients of "
+               "denominators near zero (--set ridge=...); they do not count as redundancy.")
+    if found.interrupted:
+        yield "The search was interrupted; this is the best it had found."
+    check, independent = chosen.rmse(observations.check), chosen.rmse(observations.independent)
+    if (criterion.needs_check and check and independent
+            and independent.total > 1.5 * check.total):
+        yield (f"The independent RMSE is {independent.total / check.total:.1f} times the check "
+               "RMSE: the selection is fitted to the check points.")
+    yield from warnings_of(observations.control, chosen.used, observations.check)
+    seen = found.objectives[0]
+    if (criterion.name == "check-rmse" and check and found.coefficients is None
+            and found.violation == 0 and abs(check.total - seen) > 0.005 * check.total):
+        first = fit(chosen.model, chosen.control, chosen.scaling, chosen.terms, chosen.used,
+                    iterated=False).rmse(observations.check)
+        if first and abs(first.total - seen) <= 0.005 * seen:
+            yield (f"The search saw a check RMSE of {seen:.4g} px, with equations to first order; "
+                   "the fit was then iterated.")
+        else:
+            yield (f"The search drove down an RMSE of {seen:.4g} px over the points that the "
+                   "problem judges by, which are not the check points alone.")
+    if chosen.adjustment.redundancy == 0:
+        yield "The adjustment has no redundancy: its residuals say nothing."

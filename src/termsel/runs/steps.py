@@ -1,0 +1,71 @@
+"""Terms and features selected one after the other, as OWDIS was published."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from termsel.errors import TermselError
+from termsel.measurements.features import BoolArray
+from termsel.problems.selection import SelectionProblem
+from termsel.solvers.search import Search, search
+
+if TYPE_CHECKING:
+    from termsel.runs.task import Task
+
+
+def search_in_steps(task: Task, **how: Any) -> Search:
+    """Search a task's problem as its option "steps" says.
+
+    "joint" searches terms and features together. "terms-first" selects terms with all features
+    in use, then features under these terms; "features-first" selects features under all terms,
+    then terms (Yavari et al. 2018 optimise the terms and the features one after the other).
+    Each step has the whole budget.
+
+    Parameters
+    ----------
+    task : Task
+    **how
+        Arguments of `termsel.search`.
+
+    Returns
+    -------
+    Search
+        Of the last step; evaluations, generations and seconds are those of both.
+
+    Raises
+    ------
+    TermselError
+        For two steps with several objectives, or if the first step finds nothing feasible.
+    """
+    problem = task.problem
+    order = task.options["problem"].get("steps", "joint")
+    if order == "joint" or not isinstance(problem, SelectionProblem):
+        return search(problem, task.solver, **how)
+    if len(problem.objectives) > 1:
+        raise TermselError(f"steps={order} is for one objective, and there are "
+                           f"{len(problem.objectives)}: {', '.join(problem.objectives)}",
+                           hint="Choose --set steps=joint, or a solver for one objective.")
+    is_feature = np.zeros(problem.genome.size, dtype=bool)
+    is_feature[problem.genome.slices()["features"]] = True
+    later = is_feature if order == "terms-first" else ~is_feature
+    everything: BoolArray = problem.genome.on | ~problem.genome.off
+    first = search(problem.frozen(everything, later), task.solver, **how)
+    word = order.split("-")[0]
+    if first.violation:
+        raise TermselError(
+            f"no selection of {word} with everything else in use satisfies all conditions",
+            hint="Choose --set steps=joint or the other order, or lower the order or degree of "
+                 "the model.")
+    if first.interrupted:
+        return first
+    second = search(problem.frozen(first.genes, ~later), task.solver, **how)
+    note = (f"In two steps: {word} first, {problem.objectives[0]} {first.objectives[0]:.4g} with "
+            f"{int(first.genes[~later].sum())} of {int((~later).sum())} and everything else in "
+            f"use; then the rest, {second.objectives[0]:.4g}.")
+    return replace(second, evaluations=first.evaluations + second.evaluations,
+                   generations=first.generations + second.generations,
+                   lookups=first.lookups + second.lookups,
+                   seconds=first.seconds + second.seconds, notes=(note,))

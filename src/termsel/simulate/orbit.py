@@ -1,0 +1,93 @@
+"""A pushbroom scanner in orbit over a place."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from termsel.errors import TermselError
+from termsel.measurements.features import FloatArray
+from termsel.simulate.pushbroom import ITERATIONS, Angle, Pushbroom
+from termsel.simulate.wgs84 import (
+    to_ecef,
+)
+
+
+def pushbroom_at(
+    lon: float,
+    lat: float,
+    *,
+    height: float = 0.0,
+    off_nadir: float = 0.0,
+    look_azimuth: float = 90.0,
+    gsd: float,
+    image_size: tuple[int, int],
+    altitude: float,
+    inclination: float,
+    refraction: bool = True,
+) -> Pushbroom:
+    """Return a pushbroom whose image is centred at a place, on a descending pass.
+
+    Parameters
+    ----------
+    lon, lat, height : float
+        Centre of the image: WGS84 longitude, latitude [deg], ellipsoidal height [m].
+    off_nadir : float
+        Angle at the satellite between the Earth's centre and the ray to that place [deg].
+    look_azimuth : float
+        Direction of the ray from the flight direction [deg]: 0 ahead, 90 to starboard.
+    gsd : float
+        Distance on the ground between neighbouring pixels at the centre, both ways [m].
+    image_size : tuple of int
+        Lines and samples [pixel].
+    altitude : float
+        Radius of the orbit above the WGS84 semi-major axis [m].
+    inclination : float
+        Inclination of the orbit [deg].
+    refraction : bool
+        Whether rays are bent by the atmosphere.
+
+    Returns
+    -------
+    Pushbroom
+        With constant attitude; give it drift and jitter with `dataclasses.replace`.
+
+    Raises
+    ------
+    TermselError
+        If no such orbit reaches the latitude.
+    """
+    tilt, turn = np.radians(off_nadir), np.radians(look_azimuth)
+    roll = -np.arctan2(np.sin(tilt) * np.sin(turn), np.cos(tilt))
+    pitch = np.arcsin(np.sin(tilt) * np.cos(turn))
+    ratio = np.sin(np.radians(lat)) / np.sin(np.radians(inclination))
+    if abs(ratio) >= 1:
+        raise TermselError(f"an orbit of {inclination:g} deg does not reach latitude {lat:g} deg",
+                           hint="Take an inclination nearer to 90 deg.")
+    argument = 180 - float(np.degrees(np.arcsin(ratio)))
+    sensor = Pushbroom(altitude, inclination, 0.0, argument, *image_size,
+                       ifov=gsd / altitude, line_period=gsd / 7000,
+                       roll=Angle((float(roll),)), pitch=Angle((float(pitch),)),
+                       refraction=refraction)
+
+    def seen(candidate: Pushbroom) -> FloatArray:
+        line, sample = candidate.centre
+        return candidate.locate([[line, sample], [line + 1, sample], [line, sample + 1]], height)
+
+    # Seen from the node the scene is the same for every longitude of the node: find the
+    # argument that gives the latitude (descending: a larger argument lies further south),
+    # then turn the orbit.
+    for _ in range(ITERATIONS):
+        error = float(seen(sensor)[0, 1]) - lat
+        if abs(error) < 1e-12:
+            break
+        sensor = replace(sensor, argument=sensor.argument + error)
+    else:
+        raise TermselError(f"no view {off_nadir:g} deg off nadir reaches latitude {lat:g} deg",
+                           hint="Take a smaller off-nadir angle.")
+    sensor = replace(sensor, node=(lon - float(seen(sensor)[0, 0]) + 180) % 360 - 180)
+    places = to_ecef(np.column_stack([seen(sensor), np.full(3, height)]))
+    along, across = np.linalg.norm(places[1:] - places[0], axis=1)
+    return replace(sensor, line_period=sensor.line_period * gsd / float(along),
+                   ifov=sensor.ifov * gsd / float(across))

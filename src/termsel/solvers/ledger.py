@@ -1,0 +1,161 @@
+"""The ledger of a search: counts evaluations, looks up what it has seen, remembers the best."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+
+import numpy as np
+
+from termsel.errors import TermselError
+from termsel.measurements.features import BoolArray, FloatArray
+from termsel.problems.base import EnumerablePart, Evaluation, Problem, Selection
+from termsel.solvers.base import Generation
+
+
+@dataclass(frozen=True, eq=False)
+class Progress:
+    """What an observer sees after each generation.
+
+    Parameters
+    ----------
+    generation : Generation
+    evaluations : int
+        Individuals evaluated so far.
+    share : float or None
+        Share of the budget that is spent, 0 to 1; None without a budget.
+    best : float
+        Best first objective so far.
+    violation : float
+        Its violation; 0 is feasible.
+    genes : ndarray of bool, shape (size,)
+        The best individual so far.
+    """
+
+    generation: Generation
+    evaluations: int
+    share: float | None
+    best: float
+    violation: float
+    genes: BoolArray
+
+
+class BudgetSpent(Exception):
+    """Ends a search from within an evaluation."""
+
+
+class Ledger(Problem):
+    """A problem that counts, looks up what it has seen, and remembers the best.
+
+    Parameters
+    ----------
+    problem : Problem
+    evaluations : int, optional
+        Individuals that may be evaluated.
+    deadline : float, optional
+        Time, on the clock of `time.perf_counter`, after which nothing is evaluated.
+    """
+
+    def __init__(self, problem: Problem, *, evaluations: int | None = None,
+                 deadline: float | None = None) -> None:
+        self.problem = problem
+        self.genome = problem.genome
+        self.objectives = problem.objectives
+        self.limit = evaluations
+        self.deadline = deadline
+        self.count = 0
+        self.lookups = 0
+        self.best: tuple[float, float] = (np.inf, np.inf)
+        self.best_genes: BoolArray | None = None
+        self.best_objectives = np.full(len(problem.objectives), np.inf)
+        self._row_of: dict[bytes, int] = {}
+        self._objectives: list[np.ndarray[tuple[int], np.dtype[np.float64]]] = []
+        self._violation: list[float] = []
+
+    def evaluate(self, genes: BoolArray) -> Evaluation:
+        """Return the evaluation, computing only what was not seen before."""
+        if self.deadline is not None and self.count and time.perf_counter() > self.deadline:
+            raise BudgetSpent
+        allowed = len(genes) if self.limit is None else self.limit - self.count
+        evaluation = self._look_up(genes[:allowed])
+        if allowed < len(genes):
+            raise BudgetSpent
+        return evaluation
+
+    def decode(self, genes: BoolArray) -> Selection:
+        """Return what one chromosome selects."""
+        return self.problem.decode(genes)
+
+    def parts(self) -> tuple[EnumerablePart, ...]:
+        """Return the problem's own parts."""
+        return self.problem.parts()
+
+    def design(self) -> FloatArray:
+        """Return the problem's own design matrix."""
+        return self.problem.design()
+
+    def progress(self, generation: Generation, share: float | None) -> Progress:
+        """Return what an observer is told."""
+        genes = generation.genes[0] if self.best_genes is None else self.best_genes
+        return Progress(generation, self.count, share, self.best[1], self.best[0], genes)
+
+    def front(self) -> list[BoolArray]:
+        """Return the feasible individuals that none dominates, by first objective."""
+        if not self._objectives:
+            return []
+        objectives = np.array(self._objectives)
+        rows = np.flatnonzero(np.array(self._violation) == 0)
+        rows = rows[np.lexsort(objectives[rows].T[::-1])]
+        kept: list[int] = []
+        for row in rows:
+            # Sorted by the first objective: only an earlier one can dominate or equal.
+            if not (objectives[kept] <= objectives[row]).all(axis=1).any():
+                kept.append(int(row))
+        keys = list(self._row_of)
+        packed = np.array([np.frombuffer(keys[row], dtype=np.uint8) for row in kept])
+        return [np.unpackbits(one, count=self.genome.size).astype(bool) for one in packed]
+
+    def _look_up(self, genes: BoolArray) -> Evaluation:
+        keys = _keys(genes)
+        new: dict[bytes, int] = {}
+        for i, key in enumerate(keys):
+            if key not in self._row_of and key not in new:
+                new[key] = i
+        if new:
+            rows = list(new.values())
+            evaluation = self.problem.evaluate(genes[rows])
+            self._check(evaluation, len(rows))
+            for key in new:
+                self._row_of[key] = len(self._row_of)
+            self._objectives.extend(evaluation.objectives)
+            self._violation.extend(evaluation.violation.tolist())
+            self._remember(genes[rows], evaluation)
+        self.count += len(genes)
+        self.lookups += len(genes) - len(new)
+        where = [self._row_of[key] for key in keys]
+        return Evaluation(
+            np.array([self._objectives[i] for i in where]).reshape(-1, len(self.objectives)),
+            np.array([self._violation[i] for i in where]))
+
+    def _check(self, evaluation: Evaluation, n: int) -> None:
+        if (evaluation.objectives.shape != (n, len(self.objectives))
+                or evaluation.violation.shape != (n,)
+                or not np.isfinite(evaluation.objectives).all()
+                or not np.isfinite(evaluation.violation).all()):
+            raise TermselError(
+                f"problem {type(self.problem).__name__!r} returned an evaluation that is not "
+                f"finite numbers of shape ({n}, {len(self.objectives)}) and ({n},)",
+                hint="Tell the author of the problem.")
+
+    def _remember(self, genes: BoolArray, evaluation: Evaluation) -> None:
+        first = int(evaluation.order()[0])
+        found = (float(evaluation.violation[first]), float(evaluation.objectives[first, 0]))
+        if found < self.best:
+            self.best = found
+            self.best_genes = genes[first].copy()
+            self.best_objectives = evaluation.objectives[first].copy()
+
+
+def _keys(genes: BoolArray) -> list[bytes]:
+    packed = np.ascontiguousarray(np.packbits(genes, axis=1))
+    return [row.tobytes() for row in packed]

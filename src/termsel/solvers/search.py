@@ -1,0 +1,248 @@
+"""One search: budget, observers, record of evaluations, interrupt."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from termsel.errors import TermselError
+from termsel.measurements.features import BoolArray, FloatArray
+from termsel.problems.base import Problem
+from termsel.solvers.base import Generation, Solver
+from termsel.solvers.budget import Budget
+from termsel.solvers.ledger import BudgetSpent, Ledger, Progress
+from termsel.solvers.swap import climb, neighbours
+from termsel.threads import one_blas_thread
+
+POLISH_SHARE = 3
+"""Most evaluations of a polish by those of the search before it: as many as let the embedded
+problem of 21 terms an axis end at its proven optimum from most seeds (docs/solver-table.md)."""
+
+
+Observer = Callable[[Progress], None]
+
+
+@dataclass(frozen=True)
+class Polish:
+    """What the local search after a solver added.
+
+    Parameters
+    ----------
+    found, polished : float
+        First objective before and after.
+    evaluations, lookups : int
+        On top of those of the solver.
+    """
+
+    found: float
+    polished: float
+    evaluations: int
+    lookups: int
+
+
+@dataclass(frozen=True, eq=False)
+class Search:
+    """A finished or interrupted search.
+
+    Parameters
+    ----------
+    genes : ndarray of bool, shape (size,)
+        The best individual found.
+    objectives : ndarray, shape (m,)
+        Its objectives.
+    violation : float
+        Its violation; 0 is feasible.
+    seed, evaluations, generations : int
+        Of the solver, without those of the polish; generations after the first population.
+    lookups : int
+        How many of these evaluations were looked up, as the same individual had been
+        evaluated before.
+    seconds : float
+    interrupted : bool
+        True if the user stopped it.
+    polish : Polish, optional
+        None where the solver is not polished.
+    certificate : mapping, optional
+        What the solver proved, if anything.
+    coefficients : ndarray, shape (k,), optional
+        From a solver that finds coefficients, as ridge does, where others find genes alone.
+    front : tuple of ndarray of bool
+        With several objectives all feasible individuals evaluated that no other dominates,
+        each point of the front once, by the first objective; with one, what the solver
+        yields of the kind.
+    notes : tuple of str
+        What the reader of the result must know of the search.
+    """
+
+    genes: BoolArray
+    objectives: np.ndarray[tuple[int], np.dtype[np.float64]]
+    violation: float
+    seed: int
+    evaluations: int
+    generations: int
+    lookups: int
+    seconds: float
+    interrupted: bool
+    polish: Polish | None = None
+    certificate: Mapping[str, Any] | None = None
+    front: tuple[BoolArray, ...] = ()
+    coefficients: FloatArray | None = None
+    notes: tuple[str, ...] = ()
+
+
+@one_blas_thread
+def search(
+    problem: Problem,
+    solver: Solver,
+    *,
+    seed: int = 1,
+    generations: int | None = None,
+    evaluations: int | None = None,
+    seconds: float | None = None,
+    observers: Iterable[Observer] = (),
+) -> Search:
+    """Search a problem with a solver.
+
+    Parameters
+    ----------
+    problem : Problem
+    solver : Solver
+    seed : int
+        Seed of the one random generator of the search.
+    generations, evaluations : int, optional
+        Budgets; the search ends with whichever is spent first. Without any budget the
+        solver's default number of generations holds.
+    seconds : float, optional
+        Budget of time; the evaluation under way is finished.
+    observers : iterable of callable
+        Called with `Progress` after each generation.
+
+    Returns
+    -------
+    Search
+        Also when interrupted with Ctrl-C, once anything has been evaluated.
+
+    Raises
+    ------
+    TermselError
+        For a budget that is not positive, or a solver that cannot handle the objectives.
+    """
+    for name, value in (("generations", generations), ("evaluations", evaluations),
+                        ("seconds", seconds)):
+        if value is not None and not value > 0:
+            raise TermselError(f"a budget of {value} {name} is not positive")
+    require_able(problem, solver)
+    if generations is None and evaluations is None and seconds is None:
+        generations = solver.default_generations
+    start = time.perf_counter()
+    ledger = Ledger(problem, evaluations=evaluations,
+                    deadline=None if seconds is None else start + seconds)
+    budget = Budget(generations, evaluations, seconds, start)
+    generation: Generation | None = None
+    polish = None
+    interrupted = False
+    rng = np.random.default_rng(seed)
+    running = solver.generations(ledger, rng)
+    try:
+        for generation in _until_spent(running):
+            progress = ledger.progress(generation, budget.share(generation, ledger))
+            for observe in observers:
+                observe(progress)
+            if budget.spent(generation, ledger):
+                break
+        done, lookups = ledger.count, ledger.lookups
+        if solver.options.get("polish"):
+            polish = _polish(ledger, rng)
+    except KeyboardInterrupt:
+        if ledger.best_genes is None:
+            raise
+        done, lookups, interrupted = ledger.count, ledger.lookups, True
+    if ledger.best_genes is None:
+        raise TermselError(f"solver {solver.name!r} evaluated nothing", hint="Raise the budget.")
+    return Search(ledger.best_genes, ledger.best_objectives, ledger.best[0], seed, done,
+                  generation.index if generation else 0, lookups,
+                  time.perf_counter() - start, interrupted, polish,
+                  generation.details.get("certificate") if generation else None,
+                  tuple(ledger.front() if len(problem.objectives) > 1
+                        else generation.details.get("front", ()) if generation else ()),
+                  generation.details.get("coefficients") if generation else None)
+
+
+def require_able(problem: Problem, solver: Solver,
+                 others: Iterable[type[Solver]] = ()) -> None:
+    """Refuse a solver that is not for as many objectives as the problem has.
+
+    Parameters
+    ----------
+    problem : Problem
+    solver : Solver
+    others : iterable of type[Solver]
+        Solvers among which those that can are named.
+
+    Raises
+    ------
+    TermselError
+    """
+    wanted = len(problem.objectives)
+    if solver.min_objectives <= wanted <= solver.max_objectives:
+        return
+    able = [other.name for other in others
+            if other.min_objectives <= wanted <= other.max_objectives]
+    raise TermselError(
+        f"solver {solver.name!r} is not for {wanted} objective{'s' if wanted > 1 else ''}: "
+        f"{', '.join(problem.objectives)}",
+        hint=f"Solvers that can: {', '.join(able)}." if able else None)
+
+
+def _until_spent(running: Iterator[Generation]) -> Iterator[Generation]:
+    try:
+        yield from running
+    except BudgetSpent:
+        return
+
+
+def _polish(ledger: Ledger, rng: np.random.Generator) -> Polish | None:
+    """Climb from the best individual, or look around all members of a front.
+
+    The evaluations come on top of the solver's, up to POLISH_SHARE times as many; a budget of
+    time holds for both. The first descent is always finished.
+    """
+    if ledger.best_genes is None:
+        return None
+    found, count, lookups = ledger.best[1], ledger.count, ledger.lookups
+    ledger.limit = None
+    most = (1 + POLISH_SHARE) * count
+    try:
+        if len(ledger.objectives) == 1:
+            start = ledger.best_genes[None]
+            for _ in climb(ledger, start, ledger.evaluate(start), rng):
+                ledger.limit = most
+                if ledger.count >= most:
+                    break
+        else:
+            _widen(ledger, 2 * count)
+    except BudgetSpent:  # the limit above, or the deadline
+        pass
+    return Polish(found, ledger.best[1], ledger.count - count, ledger.lookups - lookups)
+
+
+def _widen(ledger: Ledger, most: int) -> None:
+    """Look at all neighbours of all members of the front until no member is new.
+
+    A front of many objectives has no end of members, so this ends at `most` evaluations.
+    """
+    seen: set[bytes] = set()
+    while True:
+        new = [genes for genes in ledger.front() if genes.tobytes() not in seen]
+        if not new:
+            return
+        for genes in new:
+            seen.add(genes.tobytes())
+            for around in neighbours(genes, ledger.genome):
+                if ledger.count + len(around) > most:
+                    return
+                ledger.evaluate(around)

@@ -1,0 +1,179 @@
+"""Local search by adding, dropping and swapping genes; also the polish of other solvers."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator
+
+import numpy as np
+
+from termsel.measurements.features import BoolArray, IntArray
+from termsel.options import Option
+from termsel.problems.base import Evaluation, Genome, Problem
+from termsel.solvers.base import Generation, Solver
+
+BATCH = 2000
+"""Most neighbours looked at before a step: all of them for a small genome, while of a large one
+not even the memory would do."""
+
+
+def neighbours(genes: BoolArray, genome: Genome) -> Iterator[BoolArray]:
+    """Yield all selections one step away, in batches of up to BATCH.
+
+    First come the selections with a gene more or less, then those in which a gene that is on
+    gives its place to another of its segment. Forced genes stay and each segment keeps its
+    cardinality.
+
+    Parameters
+    ----------
+    genes : ndarray of bool, shape (size,)
+    genome : Genome
+
+    Yields
+    ------
+    ndarray of bool, shape (n, size)
+    """
+    flips: list[IntArray] = []
+    swaps: list[IntArray] = []
+    for segment, where in zip(genome.segments, genome.slices().values(), strict=True):
+        most = len(segment.labels) if segment.maximum is None else segment.maximum
+        count = int(genes[where].sum())
+        free = np.flatnonzero(genome.free[where]) + where.start
+        on, off = free[genes[free]], free[~genes[free]]
+        flips += [off] if count < most else []
+        flips += [on] if count > segment.minimum else []
+        swaps.append(np.stack(np.meshgrid(on, off, indexing="ij"), axis=-1).reshape(-1, 2))
+    single = np.concatenate([*flips, np.empty(0, dtype=np.intp)])
+    # A flip switches the gene alone: its partner is itself.
+    moves = np.concatenate([np.column_stack([single, single]), *swaps])
+    for start in range(0, len(moves), BATCH):
+        first, second = moves[start:start + BATCH].T
+        around = np.repeat(genes[None], len(first), axis=0)
+        around[np.arange(len(first)), first] ^= True
+        around[np.arange(len(first)), second] = ~genes[second]
+        yield around
+
+
+def descend(problem: Problem, genes: BoolArray, evaluation: Evaluation, index: int = 0,
+            ) -> Iterator[Generation]:
+    """Step to better neighbours until there is none.
+
+    A step goes to the best of the first batch of `neighbours` that holds a better one, and where
+    the descent ends no neighbour at all is better. Where several segments of the genome have a
+    better neighbour, the step takes the best of each, if that is better still: line and sample
+    often are independent.
+
+    Parameters
+    ----------
+    problem : Problem
+    genes : ndarray of bool, shape (1, size)
+        Where to start.
+    evaluation : Evaluation
+        Of the start.
+    index : int
+        Number of the first generation.
+
+    Yields
+    ------
+    Generation
+        One a step, the place reached; the start first.
+    """
+    better = True
+    while better:
+        yield Generation(index, genes, evaluation)
+        index += 1
+        better = False
+        for around in neighbours(genes[0], problem.genome):
+            judged = problem.evaluate(around)
+            if _rank(judged.take(judged.order()[:1])) < _rank(evaluation):
+                genes, evaluation = _combined(problem, genes, evaluation, around, judged)
+                better = True
+                break
+
+
+def climb(problem: Problem, genes: BoolArray, evaluation: Evaluation,
+          rng: np.random.Generator, index: int = 0) -> Iterator[list[Generation]]:
+    """Descend from a place, and ever again from elsewhere.
+
+    Every second descent starts from a random selection, the others from the best with a random
+    share of its genes flipped, at most half. Of where a descent ends, segments that better the
+    best are taken over, and a descent from there follows. termsel's own formulation: the first
+    kind finds the optimum of small problems, the second betters large ones.
+
+    Parameters
+    ----------
+    problem : Problem
+    genes : ndarray of bool, shape (1, size)
+        Where to start.
+    evaluation : Evaluation
+        Of the start.
+    rng : numpy.random.Generator
+    index : int
+        Number of the first generation.
+
+    Yields
+    ------
+    list of Generation
+        The steps of one start, without end; the last is the best so far.
+    """
+    genome = problem.genome
+    steps = list(descend(problem, genes, evaluation, index))
+    for start in itertools.count():
+        best = steps[-1]
+        yield steps
+        if start % 2:
+            flipped = rng.uniform(size=(1, genome.size)) < rng.uniform(0.0, 0.5)
+            elsewhere = genome.repair(best.genes ^ flipped, rng)
+        else:
+            elsewhere = genome.random(rng, 1)
+        steps = list(descend(problem, elsewhere, problem.evaluate(elsewhere), best.index + 1))
+        reached = steps[-1]
+        parts = np.repeat(best.genes, len(genome.segments) + 1, axis=0)
+        for i, where in enumerate(genome.slices().values()):
+            parts[i, where] = reached.genes[0, where]
+        parts[-1] = reached.genes[0]
+        combined, judged = _combined(problem, best.genes, best.evaluation, parts,
+                                     problem.evaluate(parts))
+        steps += descend(problem, combined, judged, reached.index + 1)
+
+
+def _combined(problem: Problem, genes: BoolArray, evaluation: Evaluation, around: BoolArray,
+              judged: Evaluation) -> tuple[BoolArray, Evaluation]:
+    """Return the best of a place, those around it, and the best change of each segment."""
+    order = judged.order()
+    best = _better(genes, evaluation, around[order[:1]], judged.take(order[:1]))
+    together, changes = genes.copy(), 0
+    for where in problem.genome.slices().values():
+        changed = order[(around[order, where] != genes[0, where]).any(axis=1)][:1]
+        if len(changed) and _rank(judged.take(changed)) < _rank(evaluation):
+            together[0, where] = around[changed[0], where]
+            changes += 1
+    return _better(*best, together, problem.evaluate(together)) if changes > 1 else best
+
+
+def _better(genes: BoolArray, evaluation: Evaluation, others: BoolArray,
+            judged: Evaluation) -> tuple[BoolArray, Evaluation]:
+    return (others, judged) if _rank(judged) < _rank(evaluation) else (genes, evaluation)
+
+
+def _rank(one: Evaluation) -> tuple[float, float]:
+    return float(one.violation[0]), float(one.objectives[0, 0])
+
+
+class Swap(Solver):
+    """Add, drop and swap genes as long as that helps, again and again from elsewhere.
+
+    termsel's own formulation; see `climb`. The same is the polish that heuristics are followed
+    by.
+    """
+
+    name = "swap"
+    default_generations = None
+    declared_options = (Option("starts", 20, "Selections to start from.", int, 1),)
+
+    def generations(self, problem: Problem, rng: np.random.Generator) -> Iterator[Generation]:
+        """Yield one generation a step of each descent (see `Solver.generations`)."""
+        genes = problem.genome.random(rng, 1)
+        climbing = climb(problem, genes, problem.evaluate(genes), rng)
+        for steps in itertools.islice(climbing, self.options["starts"]):
+            yield from steps

@@ -1,1 +1,0 @@
-"""Strategies: what to do with points when no method is asked for by name."""

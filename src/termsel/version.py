@@ -1,0 +1,3 @@
+"""The version of termsel."""
+
+__version__ = "0.2.0"
