@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import platform
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, replace
-from importlib.metadata import version
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -16,19 +14,15 @@ from termsel.fits.diagnosis import diagnose
 from termsel.fits.figures import LEAVE_ONE_OUT, baseline, figures, plain_rmse
 from termsel.fits.fit import Fit, fit
 from termsel.fits.residuals import residuals_of
-from termsel.measurements.crs import height_reference
 from termsel.measurements.features import BoolArray
-from termsel.measurements.roles import with_roles
 from termsel.models.poles import guard_points, pole_violation
 from termsel.problems.base import Selection
-from termsel.results.checksums import of_features
 from termsel.results.result import Result
 from termsel.runs.judge import judge, name_conventional, notes_on
+from termsel.runs.provenance import data_of, versions
+from termsel.runs.task import Task
 from termsel.solvers.exact import gap
 from termsel.solvers.search import Search
-
-if TYPE_CHECKING:
-    from termsel.runs.task import Task
 
 
 def assess(task: Task, found: Search) -> Result:
@@ -66,7 +60,8 @@ def assess(task: Task, found: Search) -> Result:
         criterion=task.criterion.name, seed=found.seed,
         options={**task.options, "model": task.model.options, "solver": task.solver.options,
                  "criterion": task.criterion.options},
-        data=data_of(task), selection=selection, feasible=feasible, rmse=rmse,
+        data=data_of(task.features, task.source, observations), selection=selection,
+        feasible=feasible, rmse=rmse,
         baselines=baselines,
         judgement=judge(name_conventional(task.problem.genome, observations),
                         task.criterion.name, rmse, baselines, comparison.reference, feasible,
@@ -78,7 +73,7 @@ def assess(task: Task, found: Search) -> Result:
         polish=asdict(found.polish) if found.polish else None, fit=chosen,
         residuals=residuals_of(chosen, observations),
         diagnosis=diagnose(chosen),
-        features=with_roles(task.features, observations), versions=versions(),
+        features=observations.features, versions=versions(),
         front=tuple(_front(task, found)), certificate=_certificate(task, found))
 
 
@@ -133,26 +128,3 @@ def _has_pole(task: Task, chosen: Fit) -> bool:
 def _mask(names: tuple[str, ...], chosen: Iterable[str]) -> BoolArray:
     wanted = set(chosen)
     return np.array([name in wanted for name in names], dtype=bool)
-
-
-def data_of(task: Task) -> dict[str, Any]:
-    """Return what a result says of the features it was made of."""
-    observations = task.observations
-    return {
-        "source": task.source, "sha256": of_features(task.features), "crs": task.features.crs,
-        "fit_crs": task.features.fit_crs or task.features.crs,
-        "heights": task.features.heights or height_reference(task.features.crs) or None,
-        "noise": task.features.noise,
-        "image_size": task.features.image_size and list(task.features.image_size),
-        "counts": {"control": len(observations.control.points), "check": len(observations.check),
-                   "independent": len(observations.independent),
-                   "lines": len(observations.control.lines.features), "off": len(observations.off)},
-        "roles": {"control": list(observations.control.ids), "off": list(observations.off),
-                  "check": list(observations.check.ids),
-                  "independent": list(observations.independent.ids)}}
-
-
-def versions() -> dict[str, str]:
-    """Return the versions of termsel and what it computes with."""
-    packages = ("termsel", "numpy", "scipy", "numba", "deap", "pymoo")
-    return {"python": platform.python_version(), **{name: version(name) for name in packages}}

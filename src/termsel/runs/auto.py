@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -17,15 +17,14 @@ from termsel.fits.extrapolation import warnings_of
 from termsel.fits.figures import figures, in_role
 from termsel.fits.residuals import residuals_of
 from termsel.measurements.features import FeatureSet, FloatArray, no_points, select
-from termsel.measurements.roles import together, with_roles
+from termsel.measurements.roles import Observations, together
+from termsel.models.base import SensorModel
 from termsel.problems.base import Selection
 from termsel.problems.recipes import Recipe
 from termsel.results.result import Result
-from termsel.runs.assess import data_of, versions
 from termsel.runs.judge import PLAIN, judge_choice
-
-if TYPE_CHECKING:
-    from termsel.runs.task import Task
+from termsel.runs.provenance import data_of, versions
+from termsel.runs.task import Request
 
 NAMES = ("auto", "as-asked")
 
@@ -72,13 +71,14 @@ def wanted(strategy: str | None, recipe: Recipe, asked: Mapping[str, Any]) -> bo
     return True
 
 
-def choose_for(task: Task, seed: int) -> Result:
+def choose_for(request: Request, observations: Observations, seed: int) -> Result:
     """Return the choice from the portfolio as a result.
 
     Parameters
     ----------
-    task : Task
-        Whose observations are taken; its model and solver are not.
+    request : Request
+        Its model and solver take no part.
+    observations : Observations
     seed : int
         For the record: nothing is drawn.
 
@@ -92,7 +92,6 @@ def choose_for(task: Task, seed: int) -> Result:
         If control and check points together determine no candidate with redundancy.
     """
     start = time.perf_counter()
-    observations = task.observations
     both, heights = together(observations), has_heights(observations)
     comparison = compare(observations)
     if comparison.choice is None:
@@ -109,19 +108,21 @@ def choose_for(task: Task, seed: int) -> Result:
     baselines = tuple(b for b in comparison.baselines if b.name in PLAIN or b.name != chosen.name)
     folds = min(MAX_FOLDS, len(both))
     return Result(
-        problem=task.recipe.name, model=model.name, solver="auto", criterion="press", seed=seed,
-        options={"problem": {}, "data": task.options["data"], "model": model.options,
+        problem=request.recipe.name, model=model.name, solver="auto", criterion="press", seed=seed,
+        options={"problem": {}, "data": request.options["data"], "model": model.options,
                  "solver": {}, "criterion": {}},
-        data=data_of(task),
+        data=data_of(request.features, request.source, observations),
         selection=Selection(select(model.terms, fitted.terms), observations.control.ids),
         feasible=True, rmse=rmse, baselines=baselines,
-        judgement=judge_choice(chosen.name, predicted, rmse, baselines, task.features.noise),
-        notes=tuple(_notes(task, both, errors)), objectives={"press": chosen.predicted},
+        judgement=judge_choice(chosen.name, predicted, rmse, baselines,
+                               request.features.noise),
+        notes=tuple(_notes(request.model, observations, errors)),
+        objectives={"press": chosen.predicted},
         evaluations=len(portfolio(heights)) * (1 + folds), lookups=0, generations=0,
         seconds=time.perf_counter() - start, interrupted=False, polish=None, fit=fitted,
         residuals=residuals_of(fitted, observations, check_used=True),
         diagnosis=diagnose(fitted),
-        features=with_roles(task.features, observations), versions=versions(),
+        features=observations.features, versions=versions(),
         strategy={
             "name": "auto", "chosen": chosen.name, "predicted": predicted, "folds": folds,
             "fitted_to": ["control", "check"],
@@ -131,7 +132,9 @@ def choose_for(task: Task, seed: int) -> Result:
                  "predicted": one.predicted} for one in candidates]})
 
 
-def _notes(task: Task, both: FeatureSet, errors: FloatArray | None) -> list[str]:
+def _notes(model: SensorModel, observations: Observations,
+           errors: FloatArray | None) -> list[str]:
+    both = together(observations)
     notes = [*warnings_of(both, np.ones(len(both), dtype=bool), no_points())]
     if errors is None:
         notes.append("The points are too few to repeat the choice without some of them, so it "
@@ -139,9 +142,9 @@ def _notes(task: Task, both: FeatureSet, errors: FloatArray | None) -> list[str]
     elif far := _far(both, errors):
         notes.append(f"Far from where the others predict them: {far}. Where one is measured "
                      "wrongly, give it the role off and run again.")
-    if has_heights(task.observations) and not task.model.uses_height:
-        notes.append(f"Heights are known and were used. --model {task.model.name} keeps to a "
-                     "plane model.")
+    if has_heights(observations) and not model.uses_height:
+        notes.append(f"Heights are known and were used. --model {model.name} keeps to a plane "
+                     "model.")
     return notes
 
 

@@ -37,8 +37,8 @@ FIT_CRS = Option(
 
 
 def with_fit_crs(choice: str, features: FeatureSet, observations: Observations,
-                 model: SensorModel) -> tuple[FeatureSet, Observations]:
-    """Return features and observations that say what CRS a model is to be fitted in.
+                 model: SensorModel) -> Observations:
+    """Return observations that say in which CRS a model is fitted.
 
     Parameters
     ----------
@@ -75,8 +75,7 @@ def with_fit_crs(choice: str, features: FeatureSet, observations: Observations,
     transformation(features.crs, fit_crs)(known)  # what cannot be transformed is said now
     if fit_crs == normalise(features.crs) or WGS84.issuperset((fit_crs, normalise(features.crs))):
         fit_crs = ""
-    return (replace(features, fit_crs=fit_crs),
-            replace(observations, control=replace(observations.control, fit_crs=fit_crs)))
+    return observations.fitted_in(fit_crs)
 
 
 def fit_crs_of(choice: str, features: FeatureSet) -> str:

@@ -4,17 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from termsel.criteria import Ebic
 from termsel.problems.selection import SelectionProblem
+from termsel.runs.task import Task
 from termsel.solvers.exact import gap_of
 from termsel.solvers.search import Search
-
-if TYPE_CHECKING:
-    from termsel.runs.task import Task
 
 
 def recommended(task: Task, found: Search) -> Search:
