@@ -24,7 +24,19 @@ if TYPE_CHECKING:
     from termsel.measurements.datasets import DatasetSpec
     from termsel.measurements.features import FeatureSet, Lines, Points
     from termsel.measurements.scaling import Scaling
-    from termsel.models import Blocks, Polynomial2D, RationalModel, SensorModel
+    from termsel.models import (
+        DLT2D,
+        DLT3D,
+        Affine,
+        Blocks,
+        Polynomial2D,
+        Polynomial3D,
+        Projective2D,
+        RationalFunctions,
+        RationalModel,
+        SensorModel,
+        Term,
+    )
     from termsel.models.rpc import Rpc
     from termsel.options import Option
     from termsel.plugins import hookimpl
@@ -39,8 +51,11 @@ if TYPE_CHECKING:
     from termsel.solvers.search import Search, search
 
 _HOME = {
+    "Affine": "termsel.models",
     "Blocks": "termsel.models",
     "Criterion": "termsel.criteria",
+    "DLT2D": "termsel.models",
+    "DLT3D": "termsel.models",
     "DatasetSpec": "termsel.measurements.datasets",
     "Equations": "termsel.adjustment",
     "Evaluation": "termsel.problems.base",
@@ -53,7 +68,10 @@ _HOME = {
     "Option": "termsel.options",
     "Points": "termsel.measurements.features",
     "Polynomial2D": "termsel.models",
+    "Polynomial3D": "termsel.models",
     "Problem": "termsel.problems.base",
+    "Projective2D": "termsel.models",
+    "RationalFunctions": "termsel.models",
     "RationalModel": "termsel.models",
     "Reader": "termsel.formats.base",
     "Recipe": "termsel.problems.recipes",
@@ -67,6 +85,7 @@ _HOME = {
     "SensorModel": "termsel.models",
     "Solver": "termsel.solvers",
     "Task": "termsel.runs.task",
+    "Term": "termsel.models",
     "TermselError": "termsel.errors",
     "Writer": "termsel.formats.base",
     "export": "termsel.io.export",
@@ -86,6 +105,9 @@ _HOME = {
 }
 
 __all__ = [
+    "DLT2D",
+    "DLT3D",
+    "Affine",
     "Blocks",
     "Criterion",
     "DatasetSpec",
@@ -100,7 +122,10 @@ __all__ = [
     "Option",
     "Points",
     "Polynomial2D",
+    "Polynomial3D",
     "Problem",
+    "Projective2D",
+    "RationalFunctions",
     "RationalModel",
     "Reader",
     "Recipe",
@@ -114,6 +139,7 @@ __all__ = [
     "SensorModel",
     "Solver",
     "Task",
+    "Term",
     "TermselError",
     "Writer",
     "__version__",

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
@@ -12,11 +11,12 @@ import numpy as np
 from termsel.errors import TermselError
 from termsel.fits.fit import Fit, fit
 from termsel.measurements.crs import WGS84, normalise, to_wgs84
-from termsel.measurements.features import BoolArray, FeatureSet, FloatArray, Points
+from termsel.measurements.features import BoolArray, FeatureSet, FloatArray, Points, select
 from termsel.measurements.scaling import scaling_of
 from termsel.models.monomials import RPC00B
 from termsel.models.rational import RationalFunctions
 from termsel.models.rpc import N_COEFFICIENTS, Rpc
+from termsel.models.terms import AXES, Term
 
 log = logging.getLogger(__name__)
 
@@ -26,7 +26,6 @@ EXACT = 1e-6
 GOOD = 0.05
 """Pixels of loss up to which the selected terms are kept rather than all."""
 
-_TERM = re.compile(r"(?:(line|sample)\.)?(num|den):(1|(?:X\d?)?(?:Y\d?)?(?:Z\d?)?)")
 _GRID, _LEVELS = 21, 7  # places along either side of the image, and heights
 
 
@@ -114,43 +113,36 @@ def taken_over(fitted: Fit) -> Rpc | None:
     for name, value in zip(fitted.model.terms, fitted.adjustment.coefficients, strict=True):
         if value == 0:
             continue
-        place = _place(name)
-        if place is None:
+        term = Term.parse(name)
+        column = _column(term)
+        if column is None:
             return None
-        axes, part, column = place
-        for axis in axes:
-            (above if part == "num" else below)[axis, column] += value
+        axis = slice(None) if term.axis == "both" else AXES.index(term.axis)
+        (below if term.is_denominator else above)[axis, column] += value
     scaling = fitted.scaling
     return Rpc(scaling.image_offset, (scaling.image_scale,) * 2, scaling.ground_offset,
                scaling.ground_scale, tuple(above[0]), tuple(below[0]), tuple(above[1]),
                tuple(below[1]))
 
 
-def _place(name: str) -> tuple[tuple[int, ...], str, int] | None:
-    """Return axes, part and column of a term's coefficient in an RPC; None if it has none."""
-    match = _TERM.fullmatch(name)
-    if match is None or not match[3]:
+def _column(term: Term) -> int | None:
+    """Return the place of a term's coefficient in RPC00B order; None if an RPC has none."""
+    if term.part not in ("numerator", "denominator") or isinstance(term.exponents, str):
         return None
-    exponent = tuple(int((re.search(rf"{letter}(\d?)", match[3]) or "00")[1] or 1)
-                     for letter in "XYZ")
-    if exponent not in RPC00B:
-        return None
-    axes = {"line": (0,), "sample": (1,), None: (0, 1)}[match[1]]
-    return axes, match[2], RPC00B.index(exponent)
+    return RPC00B.index(term.exponents) if term.exponents in RPC00B else None
 
 
 def _term_sets(fitted: Fit) -> Iterator[tuple[str, BoolArray]]:
     """Yield what to fit anew with: names and masks of terms of the full model."""
-    terms = RationalFunctions().terms
-    names = [name for name, on in zip(fitted.model.terms, fitted.terms, strict=True) if on]
-    if all(_place(name) for name in names):
+    terms = [Term.parse(name) for name in RationalFunctions().terms]
+    chosen = [Term.parse(name) for name in select(fitted.model.terms, fitted.terms)]
+    if all(_column(term) is not None for term in chosen):
         # A shared denominator becomes one each, as it is in an RPC.
-        wanted = {f"{axis}.{name}" if name.startswith("den:") else name
-                  for name in names for axis in ("line", "sample")}
-        yield "the selected", np.array([name in wanted for name in terms])
+        yield "the selected", np.array([term in chosen or term.shared in chosen
+                                        for term in terms])
     yield "all 78", np.ones(len(terms), dtype=bool)
     # Without denominators there are no poles.
-    yield "all 40 polynomial", np.array([".num:" in name for name in terms])
+    yield "all 40 polynomial", np.array([not term.is_denominator for term in terms])
 
 
 def _seen(fitted: Fit) -> tuple[FloatArray, FloatArray]:
@@ -186,7 +178,7 @@ def _grid(fitted: Fit, convert: Callable[[FloatArray], FloatArray], across: int,
 def _fitted_anew(image: FloatArray, ground: FloatArray, terms: BoolArray) -> Rpc:
     model = RationalFunctions()
     if np.ptp(ground[:, 2]) < 1e-6:
-        terms = terms & np.array(["Z" not in name.partition(":")[2] for name in model.terms])
+        terms = terms & np.array(["Z" not in Term.parse(name).column for name in model.terms])
     points = Points(tuple(map(str, range(len(image)))), image, ground)
     control = FeatureSet(points, crs="EPSG:4979")
     rpc = taken_over(fit(model, control, scaling_of(control), terms))

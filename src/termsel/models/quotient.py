@@ -14,6 +14,7 @@ from termsel.adjustment.lines import approximate_image, image_equations
 from termsel.errors import TermselError
 from termsel.measurements.features import FeatureSet, FloatArray, IntArray
 from termsel.models.base import BOTH, LINE, SAMPLE, SensorModel
+from termsel.models.terms import AXES, Term
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,13 +38,13 @@ class Blocks:
     shared_denominator: FloatArray | None = None
 
 
-# In the order of the terms: block, prefix of its term names, image axis.
+# In the order of the terms: block, and image axis and part of its terms.
 _LAYOUT = (
-    ("line", "line.num", LINE),
-    ("line_denominator", "line.den", LINE),
-    ("sample", "sample.num", SAMPLE),
-    ("sample_denominator", "sample.den", SAMPLE),
-    ("shared_denominator", "den", BOTH),
+    ("line", LINE, "numerator"),
+    ("line_denominator", LINE, "denominator"),
+    ("sample", SAMPLE, "numerator"),
+    ("sample_denominator", SAMPLE, "denominator"),
+    ("shared_denominator", BOTH, "denominator"),
 )
 
 
@@ -84,7 +85,7 @@ class RationalModel(SensorModel):
         sample = self.blocks(np.zeros((1, 3)))
         layout = []
         start = 0
-        for block, prefix, axis in _LAYOUT:
+        for block, axis, part in _LAYOUT:
             columns = getattr(sample, block)
             if columns is None or not columns.shape[1]:
                 continue
@@ -95,7 +96,7 @@ class RationalModel(SensorModel):
                     f"model {self.name!r} names {len(names)} of {width} columns of {block!r}",
                     hint="Tell the author of the model.")
             layout.append((block, slice(start, start + width), axis,
-                           tuple(f"{prefix}:{name}" for name in names)))
+                           tuple(str(Term(AXES[axis], part, name)) for name in names)))
             start += width
         return tuple(layout)
 

@@ -11,6 +11,7 @@ from termsel.adjustment.equations import Equations
 from termsel.measurements.features import FeatureSet, FloatArray
 from termsel.models.monomials import RPC00B, Exponents, monomial_name, monomials
 from termsel.models.quotient import Blocks, RationalModel
+from termsel.models.terms import Term
 from termsel.options import Option
 
 _TERMS_OF_ORDER = {1: 4, 2: 10, 3: 20}
@@ -82,7 +83,7 @@ class RationalFunctions(RationalModel):
         if ridge is None:
             is_dlt = self.options["order"] == 1 and self.exact_for_lines
             ridge = RIDGE if len(features.lines) and not is_dlt else 0.0
-        below = np.array(["den:" in name for name in self.terms])
+        below = np.array([Term.parse(name).is_denominator for name in self.terms])
         return np.sqrt(ridge) * below if ridge and below.any() else None
 
     def column_names(self, block: str) -> tuple[str, ...]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable
 from dataclasses import replace
 
@@ -11,7 +10,7 @@ import numpy as np
 from termsel.adjustment.parts import Part
 from termsel.errors import TermselError, unknown_name
 from termsel.measurements.features import BoolArray, FloatArray, IntArray
-from termsel.models.monomials import monomial_name
+from termsel.models.terms import Term
 from termsel.options import Option
 from termsel.problems.base import Segment
 
@@ -34,8 +33,6 @@ WISHES = (
            "more the higher the order of a term.", bool),
 )
 """Options of problems that select terms."""
-
-_MONOMIAL = re.compile(r"(?:([XYZ])(\d?))(?:([XYZ])(\d?))?(?:([XYZ])(\d?))?")
 
 
 def listed(wish: str | None) -> list[str]:
@@ -62,8 +59,8 @@ def forced(wish: str | None, labels: tuple[str, ...], ids: tuple[str, ...]) -> l
     """
     found: list[str] = []
     for name in listed(wish):
-        named = [label for label in labels
-                 if label == name or label.endswith((f".{name}", f":{name}"))]
+        named = [label for label, term in zip(labels, map(Term.parse, labels), strict=True)
+                 if name in (label, str(term.shared), term.column)]
         named += [one for one in ids if one == name]
         if not named:
             what = " or ".join(["term"] * bool(labels) + ["feature"] * bool(ids))
@@ -72,31 +69,20 @@ def forced(wish: str | None, labels: tuple[str, ...], ids: tuple[str, ...]) -> l
     return found
 
 
-def parents(terms: tuple[str, ...]) -> tuple[IntArray, IntArray]:
-    """Return pairs of terms, the second a monomial of one power less in the first's block.
+def parents(names: tuple[str, ...]) -> tuple[IntArray, IntArray]:
+    """Return pairs of terms, the second a monomial of one power less in the first's part.
 
     Parameters
     ----------
-    terms : tuple of str
-        Such as "line.num:X2Y"; others have no parents.
+    names : tuple of str
+        Of all terms (see `termsel.Term.parents`).
     """
-    index = {name: i for i, name in enumerate(terms)}
-    child, parent = [], []
-    for name, i in index.items():
-        prefix, colon, monomial = name.rpartition(":")
-        match = _MONOMIAL.fullmatch(monomial)
-        if not match:
-            continue
-        powers = {letter: int(power or 1) for letter, power in
-                  zip(match.groups()[::2], match.groups()[1::2], strict=True) if letter}
-        for letter in powers:
-            less = {**powers, letter: powers[letter] - 1}
-            x, y, z = (less.get(variable, 0) for variable in "XYZ")
-            above = index.get(f"{prefix}{colon}{monomial_name((x, y, z))}")
-            if above is not None:
-                child.append(i)
-                parent.append(above)
-    return np.array(child, dtype=np.intp), np.array(parent, dtype=np.intp)
+    terms = [Term.parse(name) for name in names]
+    index = {term: i for i, term in enumerate(terms)}
+    pairs = [(i, index[parent]) for i, term in enumerate(terms) for parent in term.parents
+             if parent in index]
+    child, parent = np.array(pairs, dtype=np.intp).reshape(-1, 2).T
+    return child, parent
 
 
 def orphans(terms: BoolArray, pairs: tuple[IntArray, IntArray]) -> FloatArray:

@@ -19,6 +19,7 @@ from termsel.measurements.features import (
 from termsel.measurements.places import centres
 from termsel.models.base import LINE, SAMPLE
 from termsel.models.poles import POLE_MARGIN, guard_points, pole_violation
+from termsel.models.terms import Term
 from termsel.problems.base import (
     WORST,
     EnumerablePart,
@@ -270,7 +271,7 @@ def _term_segments(names: tuple[str, ...], axis: IntArray, mask: str,
     """Return the segments of term genes and the gene that switches each term."""
     if mask == "shared":
         # "line.num:X2Y" and "sample.num:X2Y" share the gene "num:X2Y".
-        shared = [name.split(".", 1)[-1] for name in names]
+        shared = [str(Term.parse(name).shared) for name in names]
         labels = tuple(dict.fromkeys(shared))
         return ([Segment("terms", labels)],
                 np.array([labels.index(name) for name in shared], dtype=np.intp))

@@ -9,6 +9,7 @@ import numpy as np
 from termsel.criteria import Criterion, Fits
 from termsel.measurements.features import BoolArray, FloatArray, Points
 from termsel.models.polynomial import Polynomial3D
+from termsel.models.terms import Term
 from termsel.problems.base import Inputs
 from termsel.problems.selection import SelectionProblem
 from termsel.testing.checks import (
@@ -168,7 +169,7 @@ def _masks() -> BoolArray:
     """Return term masks, shape (4, 20), from the true model to ones that lack ever more."""
     names = _model().terms
     lacking: tuple[tuple[str, ...], ...] = ((), ("Z",), ("Z", "Y"), ("Z", "Y", "X"))
-    return np.array([[name.split(":")[1] in {"1", "X", "Y", "Z"} - set(gone) for name in names]
+    return np.array([[Term.parse(name).column in {"1", "X", "Y", "Z"} - set(gone) for name in names]
                      for gone in lacking])
 
 
@@ -176,7 +177,7 @@ def _fits(masks: BoolArray) -> Fits:
     """Return least-squares fits of an affine scene with noise, as a problem shows them."""
     model, rng = _model(), seeded()
     affine = {"1": 0.1, "X": 0.5, "Y": 0.4, "Z": 0.2}
-    truth = np.array([affine.get(name.split(":")[1], 0.0) for name in model.terms])
+    truth = np.array([affine.get(Term.parse(name).column, 0.0) for name in model.terms])
     control, check = (imaged(model, truth, rng, points=40) for _ in range(2))
     noisy = [Points(f.points.ids, f.points.image + rng.normal(0.0, NOISE / PIXELS, (40, 2)),
                     f.points.ground) for f in (control, check)]
