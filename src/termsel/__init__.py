@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     )
     from termsel.models.rpc import Rpc
     from termsel.options import Option
-    from termsel.plugins import hookimpl
+    from termsel.plugins.hookspecs import hookimpl
     from termsel.problems.base import Evaluation, Genome, Inputs, Problem, Segment, Selection
     from termsel.problems.recipes import Recipe, feature_options
     from termsel.problems.selection import SelectionProblem
@@ -90,7 +90,7 @@ _HOME = {
     "Writer": "termsel.formats.base",
     "export": "termsel.io.export",
     "feature_options": "termsel.problems.recipes",
-    "hookimpl": "termsel.plugins",
+    "hookimpl": "termsel.plugins.hookspecs",
     "image_equations": "termsel.adjustment",
     "line_normals": "termsel.adjustment",
     "prepare": "termsel.runs.task",

@@ -5,7 +5,7 @@ A plugin is a module named by an entry point of the group ``termsel``::
     [project.entry-points.termsel]
     demo = "termsel_demo"
 
-Its functions bear the name of a hook and the decorator `hookimpl`, and return what the plugin
+Its functions have the name of a hook and the decorator `hookimpl`, and return what the plugin
 adds::
 
     from termsel import hookimpl
@@ -13,6 +13,11 @@ adds::
     @hookimpl
     def termsel_models():
         return [DLT]
+
+What has options of its own (models, solvers, criteria, readers, writers) is returned as its class.
+What is a plain description (problems as `Recipe`, data sets as `DatasetSpec`) is returned as an
+instance. Criteria, readers and writers that are returned as instances still load, with a note in
+``termsel plugins``.
 
 A function may leave out arguments it does not need. termsel calls each function once a
 process, when something of its kind is wanted.
@@ -71,13 +76,13 @@ def termsel_problems() -> Iterable[Recipe]:
 
 
 @hookspec
-def termsel_criteria() -> Iterable[Criterion]:
+def termsel_criteria() -> Iterable[type[Criterion]]:
     """Return criteria, by which a search judges fitted models.
 
     Returns
     -------
-    iterable of Criterion
-        Instances with their default options, each with a `name` as in ``--criterion``.
+    iterable of type
+        Subclasses of `Criterion`, each with a `name` as in ``--criterion``.
     """
 
 
@@ -104,25 +109,25 @@ def termsel_datasets() -> Iterable[DatasetSpec]:
 
 
 @hookspec
-def termsel_readers() -> Iterable[Reader]:
+def termsel_readers() -> Iterable[type[Reader]]:
     """Return readers of files of ground control features.
 
     Returns
     -------
-    iterable of Reader
-        Instances. The first whose `sniff` recognises a file reads it; built-in readers are
-        asked first.
+    iterable of type
+        Subclasses of `Reader`. The first whose `sniff` recognises a file reads it; built-in
+        readers are asked first.
     """
 
 
 @hookspec
-def termsel_writers() -> Iterable[Writer]:
+def termsel_writers() -> Iterable[type[Writer]]:
     """Return writers of results.
 
     Returns
     -------
-    iterable of Writer
-        Instances, each with a `name` as in ``termsel export --to``.
+    iterable of type
+        Subclasses of `Writer`, each with a `name` as in ``termsel export --to``.
     """
 
 

@@ -119,12 +119,12 @@ def prepare(
     recipe: Recipe = names.get("problems", problem)
     given = dict(options or {})
     model_type = names.get("models", model or recipe.model)
-    the_criterion: Criterion = names.get("criteria", criterion or recipe.criterion)
+    criterion_type: type[Criterion] = names.get("criteria", criterion or recipe.criterion)
     solver_type = names.get("solvers", solver or recipe.solver)
     own = {**recipe.model_options} if model is None or model == recipe.model else {}
     declared = {
         "problem": recipe.options, "data": DATA_OPTIONS,
-        "model": model_type.declared_options, "criterion": the_criterion.declared_options,
+        "model": model_type.declared_options, "criterion": criterion_type.declared_options,
         "solver": solver_type.declared_options}
     _refuse_unknown(given, declared)
     chosen = {part: {o.name: given[o.name] for o in known if o.name in given}
@@ -136,7 +136,7 @@ def prepare(
     if "max_share" in of_problem and of_problem["max_share"] is None:
         of_problem["max_share"] = 1.0 if solver and solver_type.as_published else MAX_SHARE
     the_model = model_type(**{**own, **chosen["model"]})
-    the_criterion = type(the_criterion)(**{**the_criterion.options, **chosen["criterion"]})
+    the_criterion = criterion_type(**chosen["criterion"])
     if "recommend" in of_problem:
         of_problem["recommend"] = _rule(of_problem["recommend"], the_criterion, solver_type)
     the_solver = solver_type(**chosen["solver"])

@@ -17,6 +17,7 @@ from termsel.testing.checks import (
     Check,
     assemble,
     check_declaration,
+    instance,
     label,
     pickled,
     require,
@@ -110,7 +111,7 @@ CRITERION_CHECKS = (declaration, score_shape, score_finite, smaller_is_better, d
 
 
 def criterion_checks(
-    criterion: Criterion,
+    criterion: type[Criterion] | Criterion,
     *,
     expected_failures: Mapping[str, str] | None = None,
 ) -> tuple[Check, ...]:
@@ -118,8 +119,8 @@ def criterion_checks(
 
     Parameters
     ----------
-    criterion : Criterion
-        An object, with the options to check it with.
+    criterion : type or Criterion
+        The class; or an object, with the options to check it with.
     expected_failures : mapping, optional
         Checks it is known to fail, by name, with the reason.
 
@@ -132,12 +133,13 @@ def criterion_checks(
     TermselError
         For an expected failure of a check that does not exist.
     """
-    case = Case(label(criterion, criterion.options), lambda: criterion)
+    made = instance(criterion)
+    case = Case(label(made, made.options), lambda: made)
     return assemble(CRITERION_CHECKS, [case], expected_failures)
 
 
 def check_criterion(
-    criterion: Criterion,
+    criterion: type[Criterion] | Criterion,
     *,
     expected_failures: Mapping[str, str] | None = None,
 ) -> None:
@@ -156,7 +158,7 @@ def check_criterion(
     Examples
     --------
     >>> from termsel.criteria import CheckRmse
-    >>> check_criterion(CheckRmse())
+    >>> check_criterion(CheckRmse)
     """
     run_all(criterion_checks(criterion, expected_failures=expected_failures))
 
