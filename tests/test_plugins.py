@@ -16,6 +16,7 @@ from termsel.plugins import builtin, hookspecs
 from termsel.plugins.kinds import KINDS
 from termsel.plugins.loading import HOOKS
 from termsel.plugins.registry import Registry
+from termsel.plugins.registry import registry as process_registry
 
 BUILT_IN = {
     "problems": {"rfm-terms", "poly-terms", "owdis-points", "owdis-lines", "owdis-points-terms",
@@ -318,13 +319,20 @@ def test_instances_of_the_old_rule_load_with_a_note(install, registry):
     assert names.get("writers", "note") is sys.modules["old_rule"].Note
 
 
-def test_a_plugin_of_the_old_rule_serves_commands(install, monkeypatch, call, tmp_path):
+@pytest.fixture
+def only(monkeypatch):
+    """Return a function that makes one package the only plugin of this process, for a while."""
+    def restrict(distribution):
+        monkeypatch.setenv("TERMSEL_PLUGINS", distribution)
+        process_registry.cache_clear()
+
+    yield restrict
+    process_registry.cache_clear()
+
+
+def test_a_plugin_of_the_old_rule_serves_commands(install, only, call, tmp_path):
     install("old-rule", OLD_RULE)
-    monkeypatch.setenv("TERMSEL_PLUGINS", "old-rule")
-    found = Registry()
-    for module in ("io.read", "io.export", "runs.task"):
-        monkeypatch.setattr(f"termsel.{module}.registry", lambda: found)
-    monkeypatch.setattr("termsel.plugins.registry.registry", lambda: found)
+    only("old-rule")
     shown = call("plugins")
     assert shown.stdout.count("Note: plugin 'old_rule' of old-rule 1.0: ") == 4
     assert "Broken" not in shown.stdout

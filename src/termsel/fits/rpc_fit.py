@@ -1,4 +1,4 @@
-"""RPCs from fitted models: taken over as they are, or fitted anew."""
+"""RPCs from fitted models: taken over as they are, or fitted to a grid."""
 
 from __future__ import annotations
 
@@ -21,27 +21,27 @@ from termsel.models.terms import AXES, Term
 log = logging.getLogger(__name__)
 
 EXACT = 1e-6
-"""Pixels by which an RPC that was taken over may differ from the model."""
+"""Largest difference [px] between the model and an RPC that is taken over."""
 
 GOOD = 0.05
-"""Pixels of loss up to which the selected terms are kept rather than all."""
+"""Largest loss [px] at which the selected terms are kept rather than all."""
 
 _GRID, _LEVELS = 21, 7  # places along either side of the image, and heights
 
 
 @dataclass(frozen=True)
 class RpcFit:
-    """An RPC and how far it is from the model it stands for.
+    """An RPC and its distance from the model it replaces.
 
     Parameters
     ----------
     rpc : Rpc
     how : str
-        "exact" where it was taken over as it is; else the terms it was fitted anew with:
-        "the selected", "all 78" or "all 40 polynomial".
+        "exact" if it was taken over as it is; else the terms it was refitted with: "the selected",
+        "all 78" or "all 40 polynomial".
     worst, rms : float
-        Greatest and root mean square distance from the fitted model [pixel], over the image
-        and the heights of the control, between the places the RPC was fitted to.
+        Greatest and root mean square distance from the fitted model [px], over the image and the
+        heights of the control, between the places the RPC was fitted to.
     """
 
     rpc: Rpc
@@ -51,7 +51,7 @@ class RpcFit:
 
 
 def rpc_of(fitted: Fit) -> RpcFit:
-    """Return the RPC of a fitted model, and say what it costs.
+    """Return the RPC of a fitted model, and what it loses.
 
     Parameters
     ----------
@@ -60,7 +60,7 @@ def rpc_of(fitted: Fit) -> RpcFit:
     Raises
     ------
     TermselError
-        If the ground coordinates cannot be turned into WGS84 longitude and latitude, the model
+        If the ground coordinates cannot be converted to WGS84 longitude and latitude, the model
         cannot be inverted over the image, or no RPC comes near it.
 
     Notes
@@ -70,7 +70,7 @@ def rpc_of(fitted: Fit) -> RpcFit:
     is fitted to a grid of image places and heights, as RPCs are made from rigorous models
     (terrain-independent; Tao and Hu, "A comprehensive study of the rational function model for
     photogrammetric processing", PE&RS 67 (2001) 1347-1357): with the selected terms, and with
-    all of them where that loses more than 0.05 pixel.
+    all of them where that loses more than 0.05 px.
     """
     convert = to_wgs84(fitted.control.crs)
     rpc = fitted.model.as_rpc(fitted.adjustment.coefficients)
@@ -85,7 +85,7 @@ def rpc_of(fitted: Fit) -> RpcFit:
     between, ground_between = _grid(fitted, convert, _GRID - 1, _LEVELS - 1)
     candidates = []
     for how, terms in _term_sets(fitted):
-        rpc = _fitted_anew(image, ground, terms)
+        rpc = _refitted(image, ground, terms)
         candidates.append(RpcFit(rpc, how, *_loss(rpc, ground_between, between)))
         if candidates[-1].worst <= GOOD:
             break
@@ -94,7 +94,7 @@ def rpc_of(fitted: Fit) -> RpcFit:
         raise TermselError("no RPC comes near this model",
                            hint="Export it as geolocation-vrt or gcp-grid-vrt.")
     log.log(logging.INFO if best.worst <= GOOD else logging.WARNING,
-            "RPC: fitted anew to the model in longitude, latitude and height with %s terms. It "
+            "RPC: refitted to the model in longitude, latitude and height with %s terms. It "
             "differs from the model by at most %.2g px (rms %.2g px).", best.how, best.worst,
             best.rms)
     return best
@@ -133,7 +133,7 @@ def _column(term: Term) -> int | None:
 
 
 def _term_sets(fitted: Fit) -> Iterator[tuple[str, BoolArray]]:
-    """Yield what to fit anew with: names and masks of terms of the full model."""
+    """Yield what to refit with: names and masks of terms of the full model."""
     terms = [Term.parse(name) for name in RationalFunctions().terms]
     chosen = [Term.parse(name) for name in select(fitted.model.terms, fitted.terms)]
     if all(_column(term) is not None for term in chosen):
@@ -170,12 +170,12 @@ def _grid(fitted: Fit, convert: Callable[[FloatArray], FloatArray], across: int,
     seen = np.isfinite(ground).all(axis=1)
     if seen.mean() < 0.8:
         raise TermselError(
-            f"the fitted model says for {1 - seen.mean():.0%} of the image not what ground is "
-            "seen there", hint="It is not fit for use: choose a plainer model, or fewer terms.")
+            f"the model has no ground position for {1 - seen.mean():.0%} of the image",
+            hint="Do not use it: choose a simpler model, or fewer terms.")
     return image[seen, :2], convert(ground[seen])
 
 
-def _fitted_anew(image: FloatArray, ground: FloatArray, terms: BoolArray) -> Rpc:
+def _refitted(image: FloatArray, ground: FloatArray, terms: BoolArray) -> Rpc:
     model = RationalFunctions()
     if np.ptp(ground[:, 2]) < 1e-6:
         terms = terms & np.array(["Z" not in Term.parse(name).column for name in model.terms])

@@ -19,8 +19,8 @@ What is a plain description (problems as `Recipe`, data sets as `DatasetSpec`) i
 instance. Criteria, readers and writers that are returned as instances still load, with a note in
 ``termsel plugins``.
 
-A function may leave out arguments it does not need. termsel calls each function once a
-process, when something of its kind is wanted.
+A function may omit arguments it does not need. termsel calls each function once per process, when
+something of its kind is needed.
 """
 
 # Specifications are never called: they have no bodies.
@@ -77,7 +77,7 @@ def termsel_problems() -> Iterable[Recipe]:
 
 @hookspec
 def termsel_criteria() -> Iterable[type[Criterion]]:
-    """Return criteria, by which a search judges fitted models.
+    """Return criteria, the figures of merit that a search minimises.
 
     Returns
     -------
@@ -99,7 +99,7 @@ def termsel_solvers() -> Iterable[type[Solver]]:
 
 @hookspec
 def termsel_datasets() -> Iterable[DatasetSpec]:
-    """Return data sets that are known by name.
+    """Return named data sets.
 
     Returns
     -------
@@ -135,20 +135,20 @@ def termsel_writers() -> Iterable[type[Writer]]:
 def termsel_commands(cli: click.Group) -> None:
     """Add commands to the command line.
 
-    The hook is called for a command that is not built in and for ``termsel plugins``, but
-    not for ``termsel --help``, which has to be quick.
+    The hook is called for a command that is not built in, and for ``termsel plugins``. It is not
+    called for ``termsel --help``, which must be quick.
 
     Parameters
     ----------
     cli : click.Group
-        Takes the commands: ``cli.add_command(command)`` or ``@cli.command()``. It is a group
-        of the plugin's own; what it holds is added to termsel's commands afterwards.
+        Takes the commands: ``cli.add_command(command)`` or ``@cli.command()``. Each plugin has
+        its own group; its commands are added to those of termsel afterwards.
     """
 
 
 @hookspec
 def termsel_run_finished(result: Result) -> None:
-    """Take note of a finished run, for a log or a database of runs.
+    """Receive a finished run, for a log or a database of runs.
 
     Parameters
     ----------

@@ -30,7 +30,7 @@ class Kind:
     word : str
         What one of them is called.
     home, base : str
-        Module and name of the type; imported when things of the kind are wanted. A hook returns
+        Module and name of the type; imported when needed. A hook returns
         subclasses of a `Configurable` type, and instances of another.
     tried : bool
         Whether a class is refused that cannot be made without options. Every reader is asked
@@ -43,7 +43,7 @@ class Kind:
     tried: bool = False
 
     def made(self, thing: Any) -> Any:
-        """Return a proper one of this kind from what a hook returned.
+        """Return what a hook returned in the form the registry keeps.
 
         Where classes are wanted, an instance stands for its class (see `class_of`).
 
@@ -122,7 +122,7 @@ def class_of(thing: Configurable) -> type[Configurable]:
 
 
 def summary(thing: Any) -> str:
-    """Return what a thing says of itself in one line: its summary or its docstring's first."""
+    """Return one line on a thing: its summary, or the first line of its docstring."""
     declared = getattr(thing, "summary", None)
     if isinstance(declared, str):
         return declared

@@ -1,4 +1,4 @@
-"""Finding plugins and loading them one at a time, so that a broken one harms nothing else."""
+"""Find plugins and load them one at a time, so that a broken one harms nothing else."""
 
 from __future__ import annotations
 

@@ -23,12 +23,12 @@ _PACKAGES = {
     "termsel-hybrids": ("multiquadric", "pointwise", "hybrid-1", "hybrid-3"),
     "termsel-rpc": ("rpc-gcps", "rpc-shift", "rpc-drift", "rpc-affine", "pushbroom-refine"),
 }
-"""What the packages beside termsel provide, for whoever asks for it without having them."""
+"""What the optional packages provide, for an error that names the missing package."""
 
 
 @dataclass(frozen=True)
 class Entry:
-    """Something that can be asked for by name.
+    """Something that has a name.
 
     Parameters
     ----------
@@ -74,16 +74,16 @@ class Provided:
 
 
 class Registry:
-    """Everything that can be asked for by name.
+    """Everything that has a name.
 
-    Plugins are loaded at once; each is asked for things of a kind when that kind is wanted.
+    Plugins are loaded at once; their hooks are called when a kind is needed.
 
     Parameters
     ----------
     entry_points : iterable of importlib.metadata.EntryPoint, optional
-        The plugins besides termsel's own. By default those that are installed, restricted to
-        the distributions that the environment variable ``TERMSEL_PLUGINS`` lists, separated
-        by commas, where it is set.
+        Plugins to load after termsel's own. By default those that are installed; if the
+        environment variable ``TERMSEL_PLUGINS`` is set, only those of the distributions it
+        lists, separated by commas.
     """
 
     def __init__(self, entry_points: Iterable[EntryPoint] | None = None) -> None:
@@ -160,7 +160,7 @@ class Registry:
                 for note in self._collect(kind).notes]
 
     def hint(self, name: str, *kinds: str) -> str:
-        """Return where an unknown name may belong, as a sentence, or nothing."""
+        """Return a sentence on where an unknown name may come from, or nothing."""
         installed = {plugin.distribution for plugin in self.plugins}
         for package, names in _PACKAGES.items():
             if name in names and package not in installed:
@@ -172,7 +172,7 @@ class Registry:
                 "see termsel plugins.")
 
     def notify_run_finished(self, result: Result) -> None:
-        """Tell every plugin that a run is finished; warn on stderr of those that fail."""
+        """Call the hook of every plugin for a finished run; warn on stderr of those that fail."""
         hook = f"{PROJECT}_run_finished"
         for plugin, call in self._loader.implementations(hook):
             _, reason = attempt(partial(call, result=result))
@@ -240,7 +240,7 @@ def _commands(plugin: Plugin, call: Callable[..., Any]) -> tuple[list[Entry], li
     """Return the commands a plugin adds, and what is wrong."""
     import click
 
-    # A group of its own, so that it is known whose commands they are and none is replaced.
+    # Each plugin has its own group, so that none replaces a command of another.
     group = click.Group()
     _, reason = attempt(partial(call, cli=group))
     return ([Entry(name, command.get_short_help_str(), plugin.distribution, command)
