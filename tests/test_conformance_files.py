@@ -62,9 +62,9 @@ def verify_json(result: Result, path: Path) -> None:
 
 
 SUITES = {
-    "points-csv": reader_checks(PointsCsv(), POINTS_FILE, POINTS_READ, filename="points.csv"),
+    "points-csv": reader_checks(PointsCsv, POINTS_FILE, POINTS_READ, filename="points.csv"),
     "lines-csv": reader_checks(LinesCsv(), LINES_FILE, LINES_READ, filename="lines.csv"),
-    "demo-json": writer_checks(DemoJson(), filename="model.json", verify=verify_json)}
+    "demo-json": writer_checks(DemoJson, filename="model.json", verify=verify_json)}
 
 
 @pytest.mark.parametrize("check", [

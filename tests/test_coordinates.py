@@ -146,7 +146,7 @@ def test_an_rpc_from_each_system(scene: FeatureSet, caplog: pytest.LogCaptureFix
         anew = rpc_of(result.fit)
     assert anew.how != "exact"
     assert anew.worst < 0.01
-    assert "RPC: fitted anew to the model" in caplog.text
+    assert "RPC: refitted to the model" in caplog.text
     assert "at most" in caplog.text
     np.testing.assert_allclose(anew.rpc.project(geodetic), result.project(places), rtol=0,
                                atol=0.01)

@@ -547,7 +547,7 @@ def test_robust_figures_of_features_left_out(criterion: str, loss: str, case: st
 
 
 def test_robust_losses_cannot_be_walked_and_have_no_standard_error() -> None:
-    with pytest.raises(termsel.TermselError, match="is not a sum over"):
+    with pytest.raises(termsel.TermselError, match="is no sum over"):
         termsel.run("poly-terms", criterion="press", solver="exact", options={"loss": "huber"})
     with pytest.raises(termsel.TermselError, match="no standard error"):
         termsel.prepare("poly-terms", criterion="kfold", solver="nsga2",

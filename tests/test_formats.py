@@ -106,13 +106,13 @@ VRT_READ = FeatureSet(Points(("west", "east"), [[20, 10], [139.75, 99]],
                       crs="EPSG:32631", image_size=(200, 300))
 
 SUITES = {
-    "qgis-points": reader_checks(QgisPoints(), QGIS.encode(), QGIS_READ, filename="i.points"),
-    "envi-pts": reader_checks(EnviPoints(), ENVI.encode(), ENVI_READ, filename="i.pts"),
+    "qgis-points": reader_checks(QgisPoints, QGIS.encode(), QGIS_READ, filename="i.points"),
+    "envi-pts": reader_checks(EnviPoints, ENVI.encode(), ENVI_READ, filename="i.pts"),
     "asp-gcp": reader_checks(AspGcp(image_name="image1.tif"), ASP.encode(), ASP_READ,
                              filename="i.gcp"),
-    "geojson-points": reader_checks(GeoJsonPoints(), ORTHORITY.encode(), ORTHORITY_READ,
+    "geojson-points": reader_checks(GeoJsonPoints, ORTHORITY.encode(), ORTHORITY_READ,
                                     filename="i.geojson"),
-    "geojson-lines": reader_checks(GeoJsonLines(), ROADS.encode(), ROADS_READ,
+    "geojson-lines": reader_checks(GeoJsonLines, ROADS.encode(), ROADS_READ,
                                    filename="roads.geojson")}
 CONTENT = {"qgis-points": QGIS, "envi-pts": ENVI, "asp-gcp": ASP, "geojson-points": ORTHORITY,
            "geojson-lines": ROADS, "gdal-gcps": VRT}
@@ -125,7 +125,7 @@ def test_readers(check: Check) -> None:
     check.run()
 
 
-@pytest.mark.parametrize("check", reader_checks(GdalGcps(), VRT.encode(), VRT_READ,
+@pytest.mark.parametrize("check", reader_checks(GdalGcps, VRT.encode(), VRT_READ,
                                                 filename="i.vrt"), ids=lambda c: str(c.name))
 def test_reader_of_rasters(check: Check) -> None:
     pytest.importorskip("rasterio")
@@ -150,7 +150,7 @@ def test_reader_of_geotiffs(tmp_path: Path) -> None:
     check_reader(GdalGcps(), path.read_bytes(), expected, filename="image.tif")
 
 
-def readers() -> list[termsel.Reader]:
+def readers() -> list[type[termsel.Reader]]:
     return [entry.object for entry in registry().entries("readers")]
 
 
@@ -163,7 +163,7 @@ def put(folder: Path, content: str | bytes, name: str = "file") -> Path:
 @pytest.mark.parametrize("name", CONTENT)
 def test_one_reader_alone_recognises_a_file(name: str) -> None:
     for content in (CONTENT[name].encode(), b"\xef\xbb\xbf" + CONTENT[name].encode()):
-        assert [r.name for r in readers() if r.sniff(Path("any"), content[:65536])] == [name]
+        assert [r.name for r in readers() if r().sniff(Path("any"), content[:65536])] == [name]
 
 
 @pytest.mark.parametrize("name", CONTENT)
@@ -437,7 +437,7 @@ def result() -> termsel.Result:
 
 
 def write(result: termsel.Result, name: str, path: Path) -> None:
-    registry().get("writers", name).write(result, path)
+    registry().get("writers", name)().write(result, path)
 
 
 @settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.too_slow])

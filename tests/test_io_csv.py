@@ -27,7 +27,7 @@ from termsel.io.read import read_features, read_file
 from termsel.measurements.features import ROLES, FeatureSet, Lines, Points
 
 DATA = Path(os.environ.get("TERMSEL_DATA", Path(__file__).parents[2] / "shared" / "data"))
-READERS: list[Reader] = [PointsCsv(), LinesCsv()]
+READERS: list[type[Reader]] = [PointsCsv, LinesCsv]
 POINTS = "id,role,line,sample,x,y,z\n"
 LINES = "id,line1,sample1,line2,sample2,x1,y1,z1,x2,y2,z2\n"
 A = "a,control,1.5,2.5,5.25,44.5,300\n"
@@ -429,7 +429,7 @@ def test_features_of_the_other_kind(tmp_path: Path) -> None:
             two = Lines(("l",), [[[1, 2], [3, 4]]], [[[1, 2, 3], [4, 5, 6]]])
             return FeatureSet(one, two, crs="", image_size=(10, 20))
 
-    readers = [*READERS, Both()]
+    readers = [*READERS, Both]
     p, both = put(tmp_path, POINTS + A, "p.csv"), put(tmp_path, "both", "both")
     features = read_features(both, both, crs="local", readers=readers)
     assert features.ids == ("p", "l")

@@ -80,7 +80,7 @@ def test_forced_features_and_given_terms() -> None:
 
 @pytest.mark.parametrize(("options", "message"), [
     ({"force_on": "L9999"}, "unknown feature 'L9999'"), ({"terms": "num"}, "unknown term 'num'"),
-    ({"force_on": "L001", "force_off": "L001"}, "always on and always off")])
+    ({"force_on": "L001", "force_off": "L001"}, "forced both on and off")])
 def test_names_that_are_not_there(options: dict[str, str], message: str) -> None:
     with pytest.raises(termsel.TermselError, match=message):
         run(**options)

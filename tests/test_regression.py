@@ -656,5 +656,5 @@ def test_hardly_any_equations(selector: TermRegression) -> None:
 @pytest.mark.parametrize("solver", SOLVERS)
 def test_what_has_no_parts_is_refused(solver: type[termsel.Solver]) -> None:
     problem: Problem = termsel.prepare("owdis-lines").problem
-    with pytest.raises(termsel.TermselError, match="terms as columns"):
+    with pytest.raises(termsel.TermselError, match="whose terms are columns"):
         termsel.search(problem, solver())

@@ -208,7 +208,7 @@ def test_plain_fits_are_judged_beside_the_selection() -> None:
     ("rfm-terms", {"strategy": "as-asked", "options": {"fractions": "1:0:1"}},
      "check must be above 0"),
     ("owdis-lines", {"dataset": "spot-isfahan"}, "needs control lines"),
-    ("owdis-points", {"model": "rfm"}, "39 terms to be determined together and the control"),
+    ("owdis-points", {"model": "rfm"}, "39 terms to be determined together; the control"),
     ("rfm-terms", {"generations": 0}, "0 generations is not positive"),
     ("rfm-terms", {"seconds": -1.0}, "is not positive"),
 ])
@@ -224,7 +224,7 @@ def test_points_without_height_are_for_plane_models() -> None:
     features = FeatureSet(Points(ground.ids, ground.image, flat, None, ground.roles),
                           crs="EPSG:4979")
     assert quick("poly-terms", features=features).feasible
-    with pytest.raises(termsel.TermselError, match="unknown for 62 of the features"):
+    with pytest.raises(termsel.TermselError, match="needs heights; 62 features have none"):
         termsel.run("rfm-terms", features=features)
 
 

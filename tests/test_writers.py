@@ -125,7 +125,7 @@ def test_which_models_are_rpcs(model: str, options: dict[str, object], how: str,
     result = _mashad(model=model, options=options)
     found = rpc_of(result.fit)
     assert found.how == how
-    assert ("fitted anew" in caplog.text) == (how != "exact")
+    assert ("refitted" in caplog.text) == (how != "exact")
     if how != "exact":
         assert f"at most {found.worst:.2g} px" in caplog.text
 

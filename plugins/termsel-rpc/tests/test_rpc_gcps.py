@@ -174,7 +174,7 @@ def test_terms_of_a_refinement_are_selected() -> None:
     (["--set", "rpc=no-such-file.RPB"], "there is no such file"),
     (["--dataset", "spot-isfahan"], "sees the ground of longitude"),
     (["--model", "pushbroom-refine"], "needs the geometry that it is to refine"),
-    (["--set", "min_features=9"], "option 'min_features' is 9 and 'max_features' 6"),
+    (["--set", "min_features=9"], "option 'min_features' is 9, more than 'max_features', 6"),
 ])
 def test_bad_input_gives_one_message(arguments: list[str], said: str) -> None:
     code, out, error = termsel_says("run", "--problem", "rpc-gcps", *arguments)

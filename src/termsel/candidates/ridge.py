@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import re
-
 import numpy as np
 from scipy import linalg
 
@@ -12,6 +10,7 @@ from termsel.adjustment.ridge import Spectrum, choose_penalty
 from termsel.adjustment.solve import TOLERANCE
 from termsel.measurements.features import BoolArray, FeatureSet, FloatArray
 from termsel.models.base import SensorModel
+from termsel.models.terms import Term
 
 
 def shrunken_coefficients(model: SensorModel, control: FeatureSet, terms: BoolArray,
@@ -50,10 +49,8 @@ def shrunken_coefficients(model: SensorModel, control: FeatureSet, terms: BoolAr
 
 def _weight(name: str) -> float:
     """Return the weight of a term by its name, such as "line.den:X2Y"."""
-    block, _, monomial = name.rpartition(":")
-    powers = re.findall(r"[XYZ](\d?)", monomial)
-    order = sum(int(power or 1) for power in powers)
-    return float(order if block.endswith("den") else max(order - 1, 0))
+    term = Term.parse(name)
+    return float(term.order if term.is_denominator else max(term.order - 1, 0))
 
 
 def _ridge(columns: FloatArray, target: FloatArray, weights: FloatArray) -> FloatArray:

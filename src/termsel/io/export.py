@@ -29,8 +29,8 @@ def writer_of(to: str, **options: Any) -> Writer:
     TermselError
         For an unknown name or option.
     """
-    writer: Writer = registry().get("writers", to)
-    return type(writer)(**options) if options else writer
+    writer: type[Writer] = registry().get("writers", to)
+    return writer(**options)
 
 
 def export(result: Result, to: str, path: Path | str, *, overwrite: bool = False,
@@ -58,7 +58,7 @@ def export(result: Result, to: str, path: Path | str, *, overwrite: bool = False
     writer = writer_of(to, **options)
     if not writer.accepts(result):
         others = ", ".join(entry.name for entry in registry().entries("writers")
-                           if entry.object.accepts(result))
+                           if entry.object().accepts(result))
         raise TermselError(f"the format {to} does not hold this result",
                            hint=f"termsel describe {to} says what it needs. Formats that do: "
                                 f"{others}.")

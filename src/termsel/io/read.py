@@ -66,7 +66,7 @@ def read(
 
     return with_heights(features, Path(dem))
 
-def read_file(path: Path, readers: Iterable[Reader], format: str | None = None,
+def read_file(path: Path, readers: Iterable[type[Reader]], format: str | None = None,
               options: Mapping[str, Any] | None = None) -> FeatureSet:
     """Return the features of a file, with the first reader that recognises its content.
 
@@ -83,15 +83,15 @@ def read_file(path: Path, readers: Iterable[Reader], format: str | None = None,
     return find_reader(path, readers, format, options).read(path)
 
 
-def find_reader(path: Path, readers: Iterable[Reader], format: str | None = None,
+def find_reader(path: Path, readers: Iterable[type[Reader]], format: str | None = None,
                 options: Mapping[str, Any] | None = None) -> Reader:
     """Return the first reader that recognises the content of a file.
 
     Parameters
     ----------
     path : pathlib.Path
-    readers : iterable of Reader
-        In the order they are asked.
+    readers : iterable of type
+        Subclasses of Reader, in the order they are asked.
     format : str, optional
         The name of the reader to use, whatever the content looks like.
     options : mapping, optional
@@ -118,13 +118,12 @@ def find_reader(path: Path, readers: Iterable[Reader], format: str | None = None
     raise TermselError(f"this {kind} is in no format termsel knows", file=path, hint=expected)
 
 
-def _with_options(reader: Reader, given: Mapping[str, Any]) -> Reader:
-    own = {o.name: given[o.name] for o in reader.declared_options if o.name in given}
-    return type(reader)(**{**reader.options, **own}) if own else reader
+def _with_options(reader: type[Reader], given: Mapping[str, Any]) -> Reader:
+    return reader(**{o.name: given[o.name] for o in reader.declared_options if o.name in given})
 
 
 def read_features(points: Path | None, lines: Path | None, *, areas: Path | None = None,
-                  crs: str | None, readers: Iterable[Reader], formats: Sequence[str] = (),
+                  crs: str | None, readers: Iterable[type[Reader]], formats: Sequence[str] = (),
                   options: Mapping[str, Any] | None = None) -> FeatureSet:
     """Return the points, lines and areas of a file each, in one CRS.
 
@@ -135,7 +134,7 @@ def read_features(points: Path | None, lines: Path | None, *, areas: Path | None
         points or lines.
     crs : str, optional
         What the user states; needed where no file declares one.
-    readers : iterable of Reader
+    readers : iterable of type
     formats : sequence of str
         Names of the readers of the files, in their order, as far as they are to be forced.
     options : mapping, optional

@@ -169,16 +169,16 @@ def ask(
     names, given = registry(), dict(options or {})
     recipe: Recipe = names.get("problems", problem)
     model_type: type[SensorModel] = names.get("models", model or recipe.model)
-    asked: Criterion = names.get("criteria", criterion or recipe.criterion)
+    criterion_type: type[Criterion] = names.get("criteria", criterion or recipe.criterion)
     solver_type: type[Solver] = names.get("solvers", solver or recipe.solver)
     declared = {
         "problem": recipe.options, "data": DATA_OPTIONS, "model": model_type.declared_options,
-        "criterion": asked.declared_options, "solver": solver_type.declared_options}
+        "criterion": criterion_type.declared_options, "solver": solver_type.declared_options}
     _refuse_unknown(given, declared)
     chosen = {part: {o.name: given[o.name] for o in known if o.name in given}
               for part, known in declared.items()}
     own = recipe.model_options if model in (None, recipe.model) else {}
-    the_criterion = type(asked)(**{**asked.options, **chosen["criterion"]})
+    the_criterion = criterion_type(**chosen["criterion"])
     of_problem = _of_problem(recipe, chosen["problem"], the_criterion, solver_type,
                              published=solver is not None and solver_type.as_published)
     of_data = resolve(DATA_OPTIONS, chosen["data"])

@@ -14,6 +14,7 @@ from termsel.options import Configurable
 from termsel.plugins.kinds import KINDS, summary
 
 Subject = TypeVar("Subject")
+Made = TypeVar("Made", bound=Configurable)
 
 
 @dataclass(frozen=True)
@@ -134,6 +135,11 @@ def _run_case(name: str, function: Callable[[Any], None], case: Case) -> None:
                              ) from error
 
 
+def instance(thing: type[Made] | Made) -> Made:
+    """Return an object of a class with its default options; an object as it is."""
+    return thing() if isinstance(thing, type) else thing
+
+
 def label(thing: type[Configurable] | Configurable, options: Mapping[str, Any]) -> str:
     """Return a name with its options, such as "rfm with order=3"."""
     name = getattr(thing, "name", None) or getattr(thing, "__name__", type(thing).__name__)
@@ -149,7 +155,7 @@ def check_declaration(kind: str, thing: Any) -> None:
     kind : str
         Plural, such as "models".
     thing : object
-        As a hook returns it.
+        The class, as a hook returns it, or an object of it.
     """
     try:
         KINDS[kind].made(thing)

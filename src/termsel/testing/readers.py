@@ -12,7 +12,15 @@ import numpy as np
 from termsel.errors import TermselError
 from termsel.formats.base import Reader
 from termsel.measurements.features import FeatureSet
-from termsel.testing.checks import Case, Check, assemble, check_declaration, require, run_all
+from termsel.testing.checks import (
+    Case,
+    Check,
+    assemble,
+    check_declaration,
+    instance,
+    require,
+    run_all,
+)
 
 HEAD = 65536
 """Bytes of a file that are shown to `sniff`."""
@@ -152,7 +160,7 @@ READER_CHECKS: tuple[Callable[[Example], None], ...] = (
 
 
 def reader_checks(
-    reader: Reader,
+    reader: type[Reader] | Reader,
     content: bytes,
     expected: FeatureSet,
     *,
@@ -163,7 +171,8 @@ def reader_checks(
 
     Parameters
     ----------
-    reader : Reader
+    reader : type or Reader
+        The class; or an object, with the options to check it with.
     content : bytes
         A file of its format with several features; checks of text are made if it is UTF-8.
     expected : FeatureSet
@@ -182,13 +191,14 @@ def reader_checks(
     TermselError
         For an expected failure of a check that does not exist.
     """
-    example = Example(reader, content, expected, filename)
-    name = str(getattr(reader, "name", type(reader).__name__))
+    made = instance(reader)
+    example = Example(made, content, expected, filename)
+    name = str(getattr(made, "name", type(made).__name__))
     return assemble(READER_CHECKS, [Case(name, lambda: example)], expected_failures)
 
 
 def check_reader(
-    reader: Reader,
+    reader: type[Reader] | Reader,
     content: bytes,
     expected: FeatureSet,
     *,

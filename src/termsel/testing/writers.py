@@ -18,7 +18,15 @@ from termsel.results.result import Result
 from termsel.runs.assess import assess
 from termsel.runs.task import prepare
 from termsel.solvers.search import search
-from termsel.testing.checks import Case, Check, assemble, check_declaration, require, run_all
+from termsel.testing.checks import (
+    Case,
+    Check,
+    assemble,
+    check_declaration,
+    instance,
+    require,
+    run_all,
+)
 from termsel.testing.scenes import imaged, random_coefficients, seeded
 
 OLD = b"what was there before"
@@ -170,7 +178,7 @@ def example_results() -> tuple[Result, ...]:
 
 
 def writer_checks(
-    writer: Writer,
+    writer: type[Writer] | Writer,
     *,
     filename: str,
     results: Iterable[Result] | None = None,
@@ -181,7 +189,8 @@ def writer_checks(
 
     Parameters
     ----------
-    writer : Writer
+    writer : type or Writer
+        The class; or an object, with the options to check it with.
     filename : str
         A name as such files have.
     results : iterable of Result, optional
@@ -201,17 +210,18 @@ def writer_checks(
     TermselError
         For an expected failure of a check that does not exist.
     """
+    made = instance(writer)
     given = None if results is None else tuple(results)
 
     def export() -> Export:
-        return Export(writer, example_results() if given is None else given, filename, verify)
+        return Export(made, example_results() if given is None else given, filename, verify)
 
-    name = str(getattr(writer, "name", type(writer).__name__))
+    name = str(getattr(made, "name", type(made).__name__))
     return assemble(WRITER_CHECKS, [Case(name, export)], expected_failures)
 
 
 def check_writer(
-    writer: Writer,
+    writer: type[Writer] | Writer,
     *,
     filename: str,
     results: Iterable[Result] | None = None,

@@ -30,9 +30,9 @@ def termsel_models() -> Iterable[type[SensorModel]]:
 
 
 @hookimpl
-def termsel_criteria() -> Iterable[Criterion]:
+def termsel_criteria() -> Iterable[type[Criterion]]:
     """Return the circular error."""
-    return [Ce90()]
+    return [Ce90]
 
 
 @hookimpl

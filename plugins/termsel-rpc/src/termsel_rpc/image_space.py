@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from termsel import Option, Rpc, TermselError, read_rpc
+from termsel import Option, Rpc, Term, TermselError, read_rpc
 from termsel_rpc.refinement import FloatArray, Refinement
 from termsel_rpc.simulated import CANDIDATES, RPC_FILE
 
@@ -82,7 +82,7 @@ class RpcShift(Refinement):
     @property
     def terms(self) -> tuple[str, ...]:
         """Names of the terms: image axis and column, such as "line.bias:sample"."""
-        return tuple(f"{axis}.bias:{column}" for axis in _AXES for column in self.columns)
+        return tuple(_name(axis, column) for axis in _AXES for column in self.columns)
 
     @property
     def axis(self) -> NDArray[np.intp]:
@@ -122,8 +122,8 @@ class RpcShift(Refinement):
         """
         assert self.scaling is not None
         values = dict(zip(self.terms, coefficients.tolist(), strict=True))
-        constant = np.array([values[f"{axis}.bias:1"] for axis in _AXES])
-        linear = np.eye(2) + [[values.get(f"{axis}.bias:{column}", 0.0) for column in _AXES]
+        constant = np.array([values[_name(axis, "1")] for axis in _AXES])
+        linear = np.eye(2) + [[values.get(_name(axis, column), 0.0) for column in _AXES]
                               for axis in _AXES]
         rpc, middle = self.rpc, np.array(self.scaling.image_offset)
         offset = (middle + self.scaling.image_scale * constant
@@ -137,6 +137,10 @@ class RpcShift(Refinement):
         above = np.array([rpc.line_numerator, rpc.sample_numerator])
         line, sample = scale / np.array(rpc.image_scale)[:, None] @ above
         return replace(refined, line_numerator=tuple(line), sample_numerator=tuple(sample))
+
+
+def _name(axis: str, column: str) -> str:
+    return str(Term(axis, "bias", column))
 
 
 def _from_record(text: str) -> tuple[Rpc, str]:
