@@ -20,6 +20,7 @@ from termsel.models.base import SensorModel
 from termsel.models.polynomial import Affine, Polynomial2D, Polynomial3D
 from termsel.models.projective import DLT3D, Projective2D
 from termsel.models.rational import RationalFunctions
+from termsel.threads import one_blas_thread
 
 Kind = Literal["contained", "plain", "full", "ridge", "selected", "shrunken"]
 
@@ -61,6 +62,7 @@ class Candidate:
         """Return the model for features with heights, or without."""
         return self.with_heights if heights else self.without
 
+    @one_blas_thread
     def fit(self, features: FeatureSet) -> Fit:
         """Fit the candidate to control features.
 

@@ -22,6 +22,7 @@ from termsel.fits.locate import Surface, locate
 from termsel.fits.residuals import Residuals, control_residuals
 from termsel.measurements.features import BoolArray, FeatureSet, FloatArray, Points
 from termsel.measurements.scaling import Scaling, scaling_of
+from termsel.threads import one_blas_thread
 
 
 @dataclass(frozen=True)
@@ -147,12 +148,7 @@ LEAST_SQUARES, GIVEN = LeastSquares(), Given()
 class HeldOut:
     """Errors of control points under the same procedure without them.
 
-    Parameters
-    ----------
-    errors : ndarray, shape (n, 2)
-        Measured minus predicted [px].
-    squares : ndarray, shape (n,)
-        dl^2 + ds^2 [px^2].
+    `errors` are measured minus predicted [px], shape (n, 2), `squares` dl^2 + ds^2, shape (n,).
     """
 
     errors: FloatArray
@@ -223,8 +219,7 @@ class Fit:
         return self._by_term(self.adjustment.deviations)
 
     def _by_term(self, values: FloatArray) -> dict[str, float]:
-        return {str(name): float(values[i]) for i, name in enumerate(self.model.terms)
-                if self.terms[i]}
+        return {str(self.model.terms[i]): float(values[i]) for i in np.flatnonzero(self.terms)}
 
     def with_coefficients(self, coefficients: FloatArray, estimator: Estimator = GIVEN,
                           trace: float = np.nan) -> Fit:
@@ -346,11 +341,8 @@ class Fit:
     @cached_property
     def _left_out(self) -> tuple[tuple[FloatArray, ...], bool]:
         """Errors of each feature in use by the fit without it, and whether all are determined."""
-        if self.held_out is not None:
-            return tuple(self.held_out.errors[:, None]), True
-        others = list(self.estimator.without_each(self))
-        return (tuple(other.control_errors(self.used & ~other.used) for other in others),
-                all(other.determined for other in others))
+        return (_repeated(self) if self.held_out is None
+                else (tuple(self.held_out.errors[:, None]), True))
 
     def control_rmse(self) -> Rmse | None:
         """Return the RMSE of the control features in use."""
@@ -368,6 +360,13 @@ class Fit:
     def rmse(self, points: Points) -> Rmse | None:
         """Return the RMSE of points that took no part in the adjustment; None without points."""
         return rmse_of(self.errors(points), len(points))
+
+
+@one_blas_thread
+def _repeated(fitted: Fit) -> tuple[tuple[FloatArray, ...], bool]:
+    others = list(fitted.estimator.without_each(fitted))
+    return (tuple(other.control_errors(fitted.used & ~other.used) for other in others),
+            all(other.determined for other in others))
 
 
 def rmse_of(errors: FloatArray, n: int) -> Rmse | None:

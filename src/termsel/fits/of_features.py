@@ -9,6 +9,7 @@ from termsel.fits.fit import LEAST_SQUARES, Fit, Undetermined
 from termsel.fits.fittable import Fittable
 from termsel.measurements.features import FeatureSet
 from termsel.measurements.scaling import scaling_of
+from termsel.threads import one_blas_thread
 
 AS_CONTROL = ("control", "")
 """Roles of the points that a fit takes as control; "" is that of a point without a role."""
@@ -41,6 +42,7 @@ def control_of(features: FeatureSet) -> FeatureSet:
     return features.take(np.concatenate([taken, np.ones(len(features) - len(points), dtype=bool)]))
 
 
+@one_blas_thread
 def fit_features(model: Fittable, features: FeatureSet) -> Fit:
     """Fit all terms of a model by least squares.
 
