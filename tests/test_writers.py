@@ -13,7 +13,6 @@ import pytest
 
 import termsel
 from termsel.errors import TermselError
-from termsel.fits.rpc_fit import rpc_of
 from termsel.formats.rasters import empty_tiff
 from termsel.formats.readers.csv_tables import LinesCsv, PointsCsv
 from termsel.formats.rpc_files import read_rpc, rpb_text
@@ -28,6 +27,7 @@ from termsel.formats.writers.selections import (
     QgisPoints,
 )
 from termsel.measurements.features import FeatureSet, Points
+from termsel.models.rpc_fit import rpc_of
 from termsel.results.result import Result
 from termsel.testing import Check, example_results, writer_checks
 

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from termsel.adjustment import Equations, image_equations, line_normals, row_weights
     from termsel.criteria import Criterion, Fits
     from termsel.errors import TermselError
+    from termsel.fits.fit import Fit
     from termsel.formats.base import Reader, Writer
     from termsel.formats.rpc_files import read_rpc
     from termsel.io.export import export
@@ -44,6 +45,7 @@ if TYPE_CHECKING:
     from termsel.problems.recipes import Recipe, feature_options
     from termsel.problems.selection import SelectionProblem
     from termsel.results.result import Result
+    from termsel.runs.fit import fit
     from termsel.runs.run import run
     from termsel.runs.task import Task, prepare
     from termsel.simulate import simulate_scene
@@ -60,6 +62,7 @@ _HOME = {
     "Equations": "termsel.adjustment",
     "Evaluation": "termsel.problems.base",
     "FeatureSet": "termsel.measurements.features",
+    "Fit": "termsel.fits.fit",
     "Fits": "termsel.criteria",
     "Generation": "termsel.solvers",
     "Genome": "termsel.problems.base",
@@ -90,6 +93,7 @@ _HOME = {
     "Writer": "termsel.formats.base",
     "export": "termsel.io.export",
     "feature_options": "termsel.problems.recipes",
+    "fit": "termsel.runs.fit",
     "hookimpl": "termsel.plugins.hookspecs",
     "image_equations": "termsel.adjustment",
     "line_normals": "termsel.adjustment",
@@ -114,6 +118,7 @@ __all__ = [
     "Equations",
     "Evaluation",
     "FeatureSet",
+    "Fit",
     "Fits",
     "Generation",
     "Genome",
@@ -145,6 +150,7 @@ __all__ = [
     "__version__",
     "export",
     "feature_options",
+    "fit",
     "hookimpl",
     "image_equations",
     "line_normals",

@@ -16,9 +16,9 @@ pytest.importorskip("termsel_rpc", reason="termsel-rpc is not installed: "
 import termsel
 from termsel import FeatureSet, Lines, Points, Rpc, Scaling, SensorModel, TermselError, read_rpc
 from termsel.fits.fit import Fit, fit
-from termsel.fits.rpc_fit import rpc_of
 from termsel.formats.rpc_files import rpb_text
 from termsel.measurements.scaling import scaling_of
+from termsel.models.rpc_fit import rpc_of
 from termsel.plugins.registry import registry
 from termsel.simulate import read_geometry, scene_truth, write_geometry
 from termsel.testing import Check, criterion_checks, model_checks
@@ -193,6 +193,7 @@ def test_one_denominator_for_both_axes_keeps_the_refined_rpc_exact(
     ground = ground_of(rpc, 15)
     seen = rpc.project(ground)
     fitted = refined(name, tmp_path / "one.RPB", ground, seen + polynomial(seen, 3) @ BIAS)
+    assert isinstance(fitted.model, termsel.SensorModel)
     own = fitted.model.as_rpc(fitted.adjustment.coefficients)
     assert own is not None
     others = ground_of(rpc, 100, seed=1)

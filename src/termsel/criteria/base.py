@@ -12,6 +12,7 @@ import numpy as np
 from termsel.adjustment.equations import line_normals
 from termsel.adjustment.parts import Part
 from termsel.criteria.losses import SQUARES, figure
+from termsel.fits.fittable import Fittable
 from termsel.measurements.features import (
     BoolArray,
     FeatureSet,
@@ -21,7 +22,6 @@ from termsel.measurements.features import (
     Points,
     no_lines,
 )
-from termsel.models.base import SensorModel
 from termsel.models.poles import POLE_MARGIN
 from termsel.models.quotient import RationalModel
 from termsel.options import Configurable
@@ -36,7 +36,7 @@ class Fits:
 
     Parameters
     ----------
-    model : SensorModel
+    model : Fittable
     control, check : Points
         In scaled coordinates.
     pixels : float
@@ -55,7 +55,7 @@ class Fits:
         Terms with one number are switched together; None if each stands for itself.
     """
 
-    model: SensorModel
+    model: Fittable
     control: Points
     check: Points
     pixels: float

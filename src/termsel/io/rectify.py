@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from termsel.errors import TermselError
-from termsel.fits.rpc_fit import GOOD, RpcFit, rpc_of
 from termsel.formats.atomic import atomic_path, require_new, write_text
 from termsel.formats.heights import surface_of
 from termsel.formats.rasters import open_raster, require_rasterio
@@ -22,6 +21,7 @@ from termsel.formats.vrt import Picture, picture_for, vrt_text
 from termsel.formats.writers.grids import GeolocationVrt
 from termsel.measurements.crs import LOCAL, horizontal, normalise
 from termsel.measurements.features import FloatArray
+from termsel.models.rpc_fit import GOOD, RpcFit, rpc_of
 
 if TYPE_CHECKING:
     from termsel.results.result import Result

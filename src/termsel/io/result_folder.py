@@ -15,9 +15,8 @@ import numpy as np
 
 from termsel.errors import TermselError
 from termsel.fits.diagnosis import Diagnosis, Doubts, Significance
-from termsel.fits.figures import Baseline
+from termsel.fits.figures import Baseline, residuals_of
 from termsel.fits.fit import Fit, Rmse, fit
-from termsel.fits.residuals import residuals_of
 from termsel.formats.atomic import write_text
 from termsel.formats.base import located, read_text
 from termsel.formats.readers.csv_tables import (

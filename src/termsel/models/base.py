@@ -10,6 +10,8 @@ import numpy as np
 
 from termsel.adjustment.equations import Equations
 from termsel.errors import TermselError
+from termsel.fits.fit import Fit
+from termsel.fits.of_features import control_of, fit_features
 from termsel.measurements.crs import to_wgs84
 from termsel.measurements.features import FeatureSet, FloatArray, IntArray
 from termsel.measurements.scaling import Scaling
@@ -57,6 +59,33 @@ class SensorModel(Configurable, ABC):
         ready = copy(self)
         ready.scaling, ready.crs = scaling, crs
         return ready
+
+    def fit(self, features: FeatureSet) -> Fit:
+        """Fit all terms to control features by least squares.
+
+        Parameters
+        ----------
+        features : FeatureSet
+            Lines, and points with the role control or none, are control. Points with the role
+            check, independent or off are left out.
+
+        Raises
+        ------
+        TermselError
+            If there is no control, the control does not determine the terms, or heights that the
+            model uses are unknown.
+
+        Examples
+        --------
+        >>> import termsel
+        >>> scene = termsel.simulate_scene("ikonos-hamedan")
+        >>> fitted = termsel.Polynomial2D(degree=2).fit(scene)
+        >>> fitted.adjustment.redundancy
+        20
+        """
+        control = control_of(features)
+        require_heights(self, control)
+        return fit_features(self, control)
 
     def geographic(self, ground: FloatArray) -> FloatArray:
         """Return WGS84 longitude, latitude [deg] and ellipsoidal height [m], shape (n, 3).

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from termsel.fits.fittable import Fittable
 from termsel.measurements.crs import is_geocentric
 from termsel.measurements.features import (
     FeatureSet,
@@ -11,7 +12,6 @@ from termsel.measurements.features import (
     Points,
 )
 from termsel.measurements.places import spatial_order
-from termsel.models.base import SensorModel
 
 POLE_MARGIN = 0.1
 """Least value of a denominator over the scene; vendor RPCs stay within some hundredths of 1."""
@@ -47,7 +47,7 @@ def guard_points(control: FeatureSet, check: Points) -> FloatArray:
     return np.concatenate([vertices, grid @ axes.T])
 
 
-def pole_violation(model: SensorModel, coefficients: FloatArray,
+def pole_violation(model: Fittable, coefficients: FloatArray,
                    ground: FloatArray) -> FloatArray:
     """Return how far denominators are below POLE_MARGIN, shape (p,); 0 is safe."""
     below = model.denominators(coefficients, ground)

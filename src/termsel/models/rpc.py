@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from termsel.errors import TermselError
+from termsel.fits.locate import Surface, locate
 from termsel.measurements.features import FloatArray
-from termsel.models.locate import Surface, locate
 from termsel.models.monomials import RPC00B, monomials
 
 Coefficients = tuple[float, ...]

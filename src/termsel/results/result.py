@@ -15,9 +15,9 @@ from termsel.errors import TermselError
 from termsel.fits.diagnosis import Diagnosis
 from termsel.fits.figures import Baseline, Rmses, finite_or_none, plain_rmse
 from termsel.fits.fit import Fit
+from termsel.fits.locate import Surface
 from termsel.fits.residuals import Residuals
 from termsel.measurements.features import FeatureSet, FloatArray
-from termsel.models.locate import Surface
 from termsel.problems.base import Selection
 from termsel.results.checksums import sealed
 from termsel.results.text import summary
@@ -217,7 +217,7 @@ class Result:
 
         Rational functions and polynomials to the third degree of WGS84 longitude, latitude and
         ellipsoidal height are RPCs as they are. Any other fit is replaced by the RPC next to
-        it, and what that costs is logged; `termsel.fits.rpc_fit.rpc_of` returns it.
+        it, and what that costs is logged; `termsel.models.rpc_fit.rpc_of` returns it.
 
         Raises
         ------
@@ -225,7 +225,7 @@ class Result:
             If the ground coordinates cannot be turned into longitude and latitude, or no RPC
             comes near the fit.
         """
-        from termsel.fits.rpc_fit import rpc_of
+        from termsel.models.rpc_fit import rpc_of
 
         return rpc_of(self.fit).rpc
 

@@ -14,15 +14,14 @@ from termsel.candidates.portfolio import MAX_FOLDS, portfolio, repeated
 from termsel.errors import TermselError
 from termsel.fits.diagnosis import NORMAL_MEDIAN, diagnose
 from termsel.fits.extrapolation import warnings_of
-from termsel.fits.figures import figures, in_role
-from termsel.fits.residuals import residuals_of
+from termsel.fits.figures import figures, in_role, residuals_of
 from termsel.measurements.features import FeatureSet, FloatArray, no_points, select
 from termsel.measurements.roles import Observations, together
 from termsel.models.base import SensorModel
 from termsel.problems.base import Selection
 from termsel.problems.recipes import Recipe
 from termsel.results.result import Result
-from termsel.runs.judge import PLAIN, judge_choice
+from termsel.runs.judge import judge_choice
 from termsel.runs.provenance import data_of, versions
 from termsel.runs.task import Request
 
@@ -98,14 +97,15 @@ def choose_for(request: Request, observations: Observations, seed: int) -> Resul
         raise TermselError(
             f"{len(both)} control and check points are too few for any model with redundancy, or "
             "lie badly", hint="Measure more, spread over the scene: an affine model needs 5.")
-    chosen, candidates = comparison.choice.chosen, comparison.choice.fitted
+    chosen, candidates = comparison.choice.chosen, comparison.choice.judged
     errors = repeated(both, heights)
     predicted = None if errors is None else float(np.sqrt((errors**2).sum(axis=1).mean()))
     fitted = in_role(chosen.fit, observations)
     model = fitted.model
     rmse = figures(fitted, observations)
     # The chosen one is the selection, and is not shown twice unless it is plain.
-    baselines = tuple(b for b in comparison.baselines if b.name in PLAIN or b.name != chosen.name)
+    baselines = tuple(b for b in comparison.baselines
+                      if b.name != chosen.name or chosen.candidate.is_plain)
     folds = min(MAX_FOLDS, len(both))
     return Result(
         problem=request.recipe.name, model=model.name, solver="auto", criterion="press", seed=seed,
@@ -114,7 +114,7 @@ def choose_for(request: Request, observations: Observations, seed: int) -> Resul
         data=data_of(request.features, request.source, observations),
         selection=Selection(select(model.terms, fitted.terms), observations.control.ids),
         feasible=True, rmse=rmse, baselines=baselines,
-        judgement=judge_choice(chosen.name, predicted, rmse, baselines,
+        judgement=judge_choice(chosen.candidate, predicted, rmse, baselines,
                                request.features.noise),
         notes=tuple(_notes(request.model, observations, errors)),
         objectives={"press": chosen.predicted},
@@ -128,7 +128,7 @@ def choose_for(request: Request, observations: Observations, seed: int) -> Resul
             "fitted_to": ["control", "check"],
             "candidates": [
                 {"name": one.name, "model": one.fit.model.name,
-                 "n_terms": int(one.fit.terms.sum()), "effective": one.effective,
+                 "n_terms": int(one.fit.terms.sum()), "effective": one.fit.effective,
                  "predicted": one.predicted} for one in candidates]})
 
 

@@ -43,7 +43,7 @@ class RpcWriter(Writer):
         Raises
         ------
         TermselError
-            As `termsel.fits.rpc_fit.rpc_of`; if what is read back is another RPC; if the file
+            As `termsel.models.rpc_fit.rpc_of`; if what is read back is another RPC; if the file
             cannot be written.
         """
         image = self.options["image"]

@@ -13,6 +13,7 @@ from termsel.fits.fit import Fit, fit
 from termsel.measurements.crs import WGS84, normalise, to_wgs84
 from termsel.measurements.features import BoolArray, FeatureSet, FloatArray, Points, select
 from termsel.measurements.scaling import scaling_of
+from termsel.models.base import SensorModel
 from termsel.models.monomials import RPC00B
 from termsel.models.rational import RationalFunctions
 from termsel.models.rpc import N_COEFFICIENTS, Rpc
@@ -73,7 +74,9 @@ def rpc_of(fitted: Fit) -> RpcFit:
     all of them where that loses more than 0.05 px.
     """
     convert = to_wgs84(fitted.control.crs)
-    rpc = fitted.model.as_rpc(fitted.adjustment.coefficients)
+    model = fitted.model
+    rpc = (model.as_rpc(fitted.adjustment.coefficients) if isinstance(model, SensorModel)
+           else None)
     if rpc is None and normalise(fitted.control.fit_crs or fitted.control.crs) in WGS84:
         rpc = taken_over(fitted)
     if rpc is not None:
