@@ -42,7 +42,7 @@ def scene(name: str, seed: int, count: int) -> tuple[FeatureSet, Points]:
 
 
 def errors(name: str, model: str, count: int, seed: int) -> dict[str, float] | None:
-    """Return the independent RMSE [pixel] by system; None if the points are too few."""
+    """Return the independent RMSE [px] by system; None if the points are too few."""
     control, independent = scene(name, seed, count)
     found = {}
     for system in SYSTEMS:

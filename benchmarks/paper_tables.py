@@ -32,7 +32,7 @@ TERMS = ("1", "X", "Y", "XY", "X2", "Y2", "X2Y", "XY2")
 """Global polynomial of Valadan Zoej et al. 2002, eq. 6, in its order."""
 
 Figures = tuple[float, float, float, float]
-"""RMSE [pixel]: control, by leave-one-out, check, independent; NaN where there is none."""
+"""RMSE [px]: control, by leave-one-out, check, independent; NaN where there is none."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ class Table:
     terms : int
         Of the global polynomial.
     published : mapping
-        Method: RMSE of control and of check points [pixel].
+        Method: RMSE of control and of check points [px].
     """
 
     title: str

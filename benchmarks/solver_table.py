@@ -61,9 +61,9 @@ def introduction(seeds: int) -> str:
 
 Made by `python -m benchmarks.solver_table --write`: the embedded, simulated scene
 `ikonos-hamedan`, {seeds} seeds, a budget of {EVALUATIONS:,} evaluations each, with polish where a
-solver has it (its evaluations are counted in the column). Fitness is the check RMSE [pixel];
+solver has it (its evaluations are counted in the column). Fitness is the check RMSE [px];
 "optimum reached" is the share of seeds that end at the proven optimum, where `exact` can tell
-it; evaluations, seconds and the independent RMSE [pixel] are medians. Solvers without chance
+it; evaluations, seconds and the independent RMSE [px] are medians. Solvers without chance
 run once. Seconds are of one of two processes at work and good for comparison only.
 
 A lower fitness is not a better model: compare the last column. Solvers for several objectives

@@ -27,7 +27,7 @@ class Trial:
     fitness : float
         First objective; infinite where nothing feasible was found.
     independent : float
-        RMSE of the selection on independent points [pixel].
+        RMSE of the selection on independent points [px].
     evaluations : int
         Those of solver and polish together.
     seconds : float

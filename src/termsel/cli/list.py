@@ -12,9 +12,9 @@ from termsel.plugins.kinds import KINDS
 @click.argument("kind", metavar="KIND", type=click.Choice(list(KINDS)))
 @click.option("--json", "as_json", is_flag=True, help="Print a JSON array.")
 def list_(kind: str, as_json: bool) -> None:
-    """List what can be asked for by name.
+    """List everything that has a name.
 
-    KIND is one of problems, models, solvers, criteria, datasets, readers and writers.
+    KIND is problems, models, solvers, criteria, datasets, readers or writers.
 
     \b
     Examples:

@@ -10,14 +10,14 @@ from termsel.cli.tables import print_json, print_table
 @click.command()
 @click.option("--json", "as_json", is_flag=True, help="Print a JSON array.")
 def plugins(as_json: bool) -> None:
-    """List plugins, and what is wrong with them.
+    """List plugins, and their errors.
 
-    A plugin is a package with an entry point in the group `termsel`. One that is broken, or
-    has something under a name that is taken, never stops termsel or another plugin.
+    A plugin is a package with an entry point in the group `termsel`. A plugin that is broken,
+    or uses a name that is taken, never stops termsel or another plugin.
 
     \b
-    TERMSEL_PLUGINS=a,b   uses the plugins of the packages a and b alone, of none if empty
-    TERMSEL_DEBUG=1       shows the traceback of what a plugin raises
+    TERMSEL_PLUGINS=a,b   uses only the plugins of the packages a and b; none if empty
+    TERMSEL_DEBUG=1       shows the traceback of an error in a plugin
 
     \b
     Examples:

@@ -68,7 +68,7 @@ class Fits:
 
     @cached_property
     def check_errors(self) -> FloatArray:
-        """Predicted minus measured line and sample of the check points [pixel], (p, n, 2)."""
+        """Predicted minus measured line and sample of the check points [px], (p, n, 2)."""
         predicted = self.model.predict(self.coefficients, FeatureSet(self.control, self.lines),
                                        self.check.ground)
         return np.asarray((predicted - self.check.image) * self.pixels)
@@ -93,7 +93,7 @@ class Fits:
         -------
         ndarray, shape (p, n)
             Of a point dl^2 + ds^2, of a line the sum of the squared distances of its ground
-            vertices from the image line [pixel^2]; infinite where a denominator falls short
+            vertices from the image line [px^2]; infinite where a denominator falls short
             of POLE_MARGIN.
         """
         owner, ground = self._vertices
@@ -191,7 +191,7 @@ class Criterion(Configurable, ABC):
     """Whether the figure is that of check points; others do without any."""
 
     is_rmse: bool = True
-    """Whether the figure is an RMSE [pixel], of which a standard error can be given."""
+    """Whether the figure is an RMSE [px], of which a standard error can be given."""
 
     subset_score: str = ""
     """Score of `termsel.adjustment.subsets.search` from which the figure follows, if any."""
@@ -221,7 +221,7 @@ class Criterion(Configurable, ABC):
 
 
 class CheckRmse(Criterion):
-    """RMSE over the check points [pixel]: the fitness of all five papers.
+    """RMSE over the check points [px]: the fitness of all five papers.
 
     sqrt(mean(dl^2 + ds^2)) over points. A search drives it below what the model achieves
     elsewhere, so it is never an accuracy.
@@ -231,6 +231,6 @@ class CheckRmse(Criterion):
     subset_score = "check"
 
     def score(self, fits: Fits) -> FloatArray:
-        """Return the RMSE [pixel]."""
+        """Return the RMSE [px]."""
         with np.errstate(over="ignore", invalid="ignore"):
             return np.asarray(np.sqrt((fits.check_errors**2).sum(axis=2).mean(axis=1)))

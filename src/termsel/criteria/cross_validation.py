@@ -35,7 +35,7 @@ class _LeftOut(Criterion):
 
 
 class Press(_LeftOut):
-    """RMSE of each control feature, predicted from all others [pixel]; needs no check points.
+    """RMSE of each control feature, predicted from all others [px]; needs no check points.
 
     A feature leaves with all its rows, and what is squared is its true image error under the
     solution without it, over the denominator of that solution. A selection in which some
@@ -51,7 +51,7 @@ class Press(_LeftOut):
     subset_score = "press"
 
     def score(self, fits: Fits) -> FloatArray:
-        """Return the RMSE [pixel]."""
+        """Return the RMSE [px]."""
         p, k = fits.terms.shape
         used = fits.in_use
         n = used.shape[1]
@@ -69,7 +69,7 @@ class Press(_LeftOut):
 
 
 class KFold(_LeftOut):
-    """RMSE of the control features of each fold, predicted from all other folds [pixel].
+    """RMSE of the control features of each fold, predicted from all other folds [px].
 
     The control on offer is shared out among the folds once, whatever features are selected.
     Folds that are blocks of the scene tell how a model carries over gaps in the control, which
@@ -94,7 +94,7 @@ class KFold(_LeftOut):
     )
 
     def score(self, fits: Fits) -> FloatArray:
-        """Return the RMSE [pixel]."""
+        """Return the RMSE [px]."""
         used = fits.in_use
         squares = np.zeros(used.shape)
         for fold in self.folds(fits.control, fits.lines):

@@ -27,7 +27,7 @@ def figure(distances: FloatArray, weights: FloatArray, loss: str = SQUARES,
     Parameters
     ----------
     distances : ndarray, shape (p, n)
-        Error of each feature [pixel].
+        Error of each feature [px].
     weights : ndarray, shape (p, n)
         For how many errors each stands; 0 for a feature that is not in use.
     loss : {"squares", "huber", "median"}

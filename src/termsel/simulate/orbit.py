@@ -40,7 +40,7 @@ def pushbroom_at(
     gsd : float
         Distance on the ground between neighbouring pixels at the centre, both ways [m].
     image_size : tuple of int
-        Lines and samples [pixel].
+        Lines and samples [px].
     altitude : float
         Radius of the orbit above the WGS84 semi-major axis [m].
     inclination : float

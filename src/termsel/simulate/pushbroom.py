@@ -75,7 +75,7 @@ class Pushbroom:
     inclination, node, argument : float
         Inclination, longitude of the ascending node and argument of latitude at time 0 [deg].
     n_lines, n_samples : int
-        Size of the image [pixel].
+        Size of the image [px].
     ifov : float
         Instantaneous field of view: detector pitch over focal length [rad].
     line_period : float
@@ -129,11 +129,11 @@ class Pushbroom:
 
     @property
     def centre(self) -> tuple[float, float]:
-        """Line and sample of the middle of the image [pixel]."""
+        """Line and sample of the middle of the image [px]."""
         return (self.n_lines - 1) / 2, (self.n_samples - 1) / 2
 
     def time(self, line: FloatArray) -> FloatArray:
-        """Return the time of exposure [s] of `line` [pixel]; 0 in the middle of the image."""
+        """Return the time of exposure [s] of `line` [px]; 0 in the middle of the image."""
         return (line - self.centre[0]) * self.line_period
 
     def exposure(self, time: ArrayLike) -> tuple[FloatArray, FloatArray]:
@@ -177,7 +177,7 @@ class Pushbroom:
         Returns
         -------
         ndarray, shape (n, 2)
-            Line and sample [pixel], also beyond the edges of the image.
+            Line and sample [px], also beyond the edges of the image.
 
         Raises
         ------
@@ -218,7 +218,7 @@ class Pushbroom:
         Parameters
         ----------
         image : array_like, shape (n, 2)
-            Line and sample [pixel].
+            Line and sample [px].
         height : array_like, shape (n,) or a number
             Ellipsoidal heights [m].
 
@@ -253,7 +253,7 @@ class Pushbroom:
         Parameters
         ----------
         line : float, optional
-            Line [pixel]; the middle of the image where none is given.
+            Line [px]; the middle of the image where none is given.
         """
         at = np.array([self.centre[0] if line is None else line])
         station, rotation = self.exposure(self.time(at))

@@ -30,7 +30,7 @@ def on_terrain(sensor: Pushbroom, terrain: Heights, image: FloatArray, start: fl
     sensor : Pushbroom
     terrain : callable
     image : ndarray, shape (n, 2)
-        Line and sample [pixel].
+        Line and sample [px].
     start : float
         Height to begin with [m].
 

@@ -33,7 +33,7 @@ from termsel.simulate.wgs84 import SEMI_MAJOR
 _ROLES = ("control", "check", "independent")
 _EDGE = 0.015  # share of the image at each edge where nothing is measured
 _CANDIDATES = 24  # places tried for each point
-_SMALLEST, _LARGEST = 4.0, 15.0  # sideways displacement of a wrong line [pixel]
+_SMALLEST, _LARGEST = 4.0, 15.0  # sideways displacement of a wrong line [px]
 
 
 @dataclass(frozen=True)
@@ -51,16 +51,16 @@ class Scene:
     heights : tuple of float
         Lowest and highest terrain in the image, ellipsoidal [m].
     image_size : tuple of int
-        Lines and samples [pixel].
+        Lines and samples [px].
     gsd, altitude : float
         Ground sample distance and altitude of the orbit [m].
     inclination, off_nadir, look_azimuth : float
         See `pushbroom_at` [deg].
     drift : tuple of three tuples
         Change of roll, pitch and yaw from the middle to the end of the scene by each power of
-        time from the first, as movement in the image [pixel]; for yaw, of the array's ends.
+        time from the first, as movement in the image [px]; for yaw, of the array's ends.
     jitter : tuple of float
-        Amplitudes of roll and pitch [pixel].
+        Amplitudes of roll and pitch [px].
     relief : float
         Root mean square of the local relief, which no low polynomial follows [m].
     roles : tuple of int
@@ -68,7 +68,7 @@ class Scene:
     lines, wrong_lines : int
         Numbers of lines, and of wrongly matched ones among them.
     noise : float
-        Standard deviation of line and sample [pixel].
+        Standard deviation of line and sample [px].
     """
 
     name: str
@@ -154,7 +154,7 @@ def simulate_scene(
     seed : int, optional
         Draws points, lines and noise; 0 where none is given. Sensor and terrain stay.
     noise : float, optional
-        Standard deviation of line and sample [pixel]; the scene's, 0.5, where none is given.
+        Standard deviation of line and sample [px]; the scene's, 0.5, where none is given.
     n_points, n_lines : int, optional
         Numbers of points and lines; the scene's where none is given.
     wrong_lines : int, optional

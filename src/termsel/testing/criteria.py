@@ -25,7 +25,7 @@ from termsel.testing.scenes import imaged, seeded
 
 PIXELS = 1000.0
 NOISE = 0.5
-"""Standard deviation of the measurements [pixel]."""
+"""Standard deviation of the measurements [px]."""
 
 
 class _Recorder(Criterion):

@@ -27,7 +27,7 @@ JUDGED_BY = Option(
 
 
 class Ce90(Criterion):
-    """Circular error of nine in ten check points [pixel]: the 90 % quantile of the distances.
+    """Circular error of nine in ten check points [px]: the 90 % quantile of the distances.
 
     Up to a tenth of the points may be wrong without effect; where they are more, `median` is the
     criterion to take. The quantile is interpolated
@@ -38,7 +38,7 @@ class Ce90(Criterion):
     is_rmse = False
 
     def score(self, fits: Fits) -> FloatArray:
-        """Return the quantile [pixel]."""
+        """Return the quantile [px]."""
         with np.errstate(over="ignore", invalid="ignore"):
             distance = np.linalg.norm(fits.check_errors, axis=2)
             return np.asarray(np.quantile(distance, 0.9, axis=1))

@@ -17,7 +17,7 @@ RPC_FILE = Path(__file__).with_name("hamedan_vendor.RPB")
 """RPC that `nominal_sensor` was replaced by, as vendors do (`make_vendor_rpc.py`)."""
 
 ROLL, PITCH, YAW, ROLL_DRIFT = 9.0, -6.0, 0.4, 1.5
-"""What is wrong with the nominal attitude, as movement in the image [pixel]: everywhere by roll and
+"""What is wrong with the nominal attitude, as movement in the image [px]: everywhere by roll and
 pitch, of the ends of the array by yaw, at the end of the scene by the drift of roll."""
 
 _POINTS, _SEED = 240, 0
