@@ -1,4 +1,4 @@
-"""Criteria that some wrong check points do not upset."""
+"""Criteria that are robust against blunders in check points."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ class Median(Criterion):
     """Median distance of the check points, as an RMSE [px].
 
     The median of sqrt(dl^2 + ds^2), times 1 / sqrt(ln 2), so that for normal errors it is the
-    RMSE. Up to half of the check points may be wrong. It is blind for how large the largest
-    errors are, also those of a poor model. The control is adjusted by least squares all the
-    same: wrong points in it are not for a criterion.
+    RMSE. Up to half of the check points may be blunders. The figure ignores the size of the
+    largest errors, also those of a poor model. The control is still adjusted by least squares: a
+    criterion does not handle blunders in it.
 
     References
     ----------
@@ -42,8 +42,8 @@ class Huber(Criterion):
 
     sqrt(mean(rho(d))) over the distances d = sqrt(dl^2 + ds^2), where rho(d) is d^2 up to c and
     2 c d - c^2 beyond, and c is `threshold` times the median distance under the same model.
-    Without wrong points it is close to the RMSE, with them it grows with their number
-    rather than with their size.
+    Without blunders it is close to the RMSE; with them it grows with their number rather than
+    with their size.
 
     References
     ----------

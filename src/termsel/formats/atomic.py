@@ -36,7 +36,8 @@ def atomic_path(path: Path | str) -> Iterator[Path]:
     if target.exists() and not target.is_file():
         raise TermselError("this is not an ordinary file and cannot be replaced", file=path,
                            hint="Give the name of a file to write.")
-    if not os.access(target.parent, os.W_OK | os.X_OK):  # before long work, and with the name as given
+    # Before long work, and with the name as given.
+    if not os.access(target.parent, os.W_OK | os.X_OK):
         why = "no permission" if target.parent.is_dir() else "there is no such folder"
         raise _cannot_write(path, why)
     # Not tempfile: its files are private to the user, those of open() follow the umask. The

@@ -206,9 +206,10 @@ def _with_areas(features: FeatureSet, areas: FeatureSet, path: Path) -> FeatureS
 def _refuse_idle(options: Mapping[str, Any], chosen: Mapping[Path, Reader]) -> None:
     for key in options:
         if not any(key in reader.options for reader in chosen.values()):
+            names = dict.fromkeys(reader.name for reader in chosen.values())
             raise TermselError(
-                f"option {key!r} means nothing to " + " and ".join(
-                    f"{reader.name}, the format of {path}" for path, reader in chosen.items()),
+                f"{' and '.join(names)} {'have' if len(names) > 1 else 'has'} no option {key!r}",
+                file=" and ".join(map(str, chosen)),
                 hint="Remove it, or choose another format with --format.")
 
 
@@ -216,7 +217,7 @@ def _check_kinds(path: Path, counts: dict[str, int], asked: dict[str, bool]) -> 
     there = [kind for kind, count in counts.items() if count]
     for kind in counts:
         if asked[kind] and kind not in there:
-            raise TermselError(f"the file holds no {kind}", file=path, hint=" ".join(
+            raise TermselError(f"the file has no {kind}", file=path, hint=" ".join(
                 f"It has {other}: give it with --{other}." for other in there) or None)
     for kind in there:
         if not asked[kind]:

@@ -63,7 +63,7 @@ def claim_folder(folder: Path) -> None:
 
 
 def write_result(result: Result, folder: Path) -> None:
-    """Write result.json, residuals.csv, summary.txt and the features, each completely or not at all.
+    """Write result.json, residuals.csv, summary.txt and the features, no file incomplete.
 
     With points.csv and lines.csv the folder is self-contained: the files that the features came
     from are not needed any more.

@@ -113,8 +113,8 @@ def boundary(areas: Sequence[Area]) -> Lines:
     own = _own_edges(on)
     for area, edges in zip(on, own, strict=True):
         if not edges:
-            raise TermselError(f"all edges of area {area.id!r} are edges of other areas that lie "
-                               "on the same side", ids=[area.id], hint="Remove one of these areas.")
+            raise TermselError(f"all edges of area {area.id!r} belong to other areas on the same "
+                               "side", ids=[area.id], hint="Remove one of these areas.")
     return Lines(tuple(area.id for area, edges in zip(on, own, strict=True) for _ in edges),
                  np.concatenate([np.empty((0, 2, 2)), *(
                      _edges(area.image)[edges] for area, edges in zip(on, own, strict=True))]),
@@ -206,8 +206,8 @@ def _refuse_bad(name: str, ring: FloatArray, where: str) -> None:
     before = first[inverse.ravel()]
     if (before != np.arange(n)).any():
         corner = int(np.argmax(before != np.arange(n)))
-        raise CornerError(f"corner {corner + 1} of area {name!r} is {place} where its corner "
-                          f"{before[corner] + 1} is", corner, where,
+        raise CornerError(f"corner {corner + 1} of area {name!r} repeats corner "
+                          f"{before[corner] + 1} {place}", corner, where,
                           "Give every corner once; only the first may be repeated at the end, in "
                           "the image and on the ground.")
     edges = _edges(ring - ring.mean(axis=0))

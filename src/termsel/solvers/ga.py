@@ -51,7 +51,7 @@ def uniform_crossover(genes: BoolArray, probability: float, rng: np.random.Gener
 
 
 def flip_bits(genes: BoolArray, probability: float, rng: np.random.Generator) -> BoolArray:
-    """Return genes of which each is flipped with the given chance."""
+    """Return genes, each flipped with the given chance."""
     return genes ^ (rng.random(genes.shape) < probability)
 
 
@@ -90,7 +90,7 @@ class GeneticAlgorithm(Solver):
         return box
 
     def survivors(self, genes: BoolArray, evaluation: Evaluation) -> IntArray:
-        """Return which chromosomes live on unchanged, at most all but one."""
+        """Return which chromosomes survive unchanged, at most all but one."""
         return evaluation.order()[:min(self.options["elite"], len(genes) - 1)]
 
     def children(self, box: base.Toolbox, genes: BoolArray, evaluation: Evaluation,
