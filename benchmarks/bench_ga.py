@@ -80,7 +80,8 @@ def rows() -> Iterator[Row]:
     theirs, evaluations, best = script(task.problem)
     # Genes per axis are in the order of the terms: line's, then sample's.
     mine = float(task.problem.evaluate(np.array([best], dtype=bool)).objectives[0, 0])
-    for one, what in ((task, "GA, 200 x 80, 78 terms"), (polished, "the same with local refinement")):
+    for one, what in ((task, "GA, 200 x 80, 78 terms"),
+                      (polished, "the same with local refinement")):
         found = min((search(one.problem, one.solver, generations=GENERATIONS) for _ in range(3)),
                     key=lambda search_: search_.seconds)
         added = found.polish.evaluations if found.polish else 0

@@ -1,7 +1,7 @@
 """Effect of the coordinates in which a model is fitted, with few points and with many.
 
-``python -m benchmarks.coordinates`` prints the tables, ``--write`` writes them to docs/coordinates.md;
-``--seeds N`` makes it shorter. Requires pyproj.
+``python -m benchmarks.coordinates`` prints the tables, ``--write`` puts them into
+docs/coordinates.md; ``--seeds N`` makes it shorter. Requires pyproj.
 """
 
 from __future__ import annotations

@@ -46,7 +46,7 @@ GA_COUNTS, GA_SPLITS = (20, 40, 74), 1
 
 @dataclass(frozen=True)
 class Split:
-    """One split: independent RMSE of auto and of the plain structures, and RMSE predicted by auto."""
+    """One split: independent RMSE of auto and of plain structures, and RMSE predicted by auto."""
 
     auto: float
     predicted: float

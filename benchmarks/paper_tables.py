@@ -203,7 +203,7 @@ def owdis_rows(scenes: int) -> Iterator[str]:
 
 
 def owdis(problem: str, settings: dict[str, Any], seed: int) -> tuple[float, ...]:
-    """Return features, terms, share of mismatched lines dropped, RMSE, and feasibility, of a run."""
+    """Return features, terms, share of mismatched lines dropped, RMSE and feasibility of a run."""
     scene = simulate_scene("ikonos-hamedan", seed=seed)
     result = run(problem, features=scene, solver="ga", **settings)
     selection = result.selection
@@ -229,16 +229,15 @@ HEAD = """# Tables of the papers
 Made by `python -m benchmarks.paper_tables --write`, with the package termsel-hybrids. **All data
 here are simulated**: the papers' points are not available, and the [scenes](simulated.md) have
 only their place, heights, viewing angle and numbers of points. Compare the order of the methods,
-not their figures. RMSE in px, medians of {scenes} scenes (seeds 1 to
-{scenes}).
+not their figures. RMSE in px, medians of {scenes} scenes (seeds 1 to {scenes}).
 
 ## Five methods (Valadan Zoej et al. 2002)
 
-In addition to the paper's control and check points each scene has {independent} independent ones. The
-paper selects the terms of hybrid-2 and hybrid-3 by the check points that it reports. The column
-"check" here does the same: for these two methods it is the fitness. The global polynomial has the first
-terms of the paper's eq. 6, and so have `multiquadric` and `hybrid-1`; `hybrid-2` and `hybrid-3`
-select from the 15 terms of degree 4.
+In addition to the paper's control and check points each scene has {independent} independent
+ones. The paper selects the terms of hybrid-2 and hybrid-3 by the check points that it reports.
+The column "check" here does the same: for these two methods it is the fitness. The global
+polynomial has the first terms of the paper's eq. 6, and so have `multiquadric` and `hybrid-1`;
+`hybrid-2` and `hybrid-3` select from the 15 terms of degree 4.
 """
 METHOD_WORDS = """### Where the order differs, and why
 
@@ -249,11 +248,11 @@ METHOD_WORDS = """### Where the order differs, and why
   2.80 to 1.67 px.
 - **hybrid-2 gains much more** on the IKONOS scene than published. The simulated terrain has broad
   hills, which eight terms do not fit and the fifteen do.
-- **Interpolation helps where the control is dense.** The residuals of polynomials are displacements
-  by local relief with wavelengths of a sixth to a third of the scene. A few dozen points do not
-  resolve that, and `multiquadric` and `hybrid-3` then apply residuals to places where they are
-  not valid. The published gains, even with 20 points, mean that the residuals at Hamedan varied
-  slowly from point to point. The simulated IRS-1C scene with more control:
+- **Interpolation helps where the control is dense.** The residuals of polynomials are
+  displacements by local relief with wavelengths of a sixth to a third of the scene. A few dozen
+  points do not resolve that, and `multiquadric` and `hybrid-3` then apply residuals to places
+  where they are not valid. The published gains, even with 20 points, mean that the residuals at
+  Hamedan varied slowly from point to point. The simulated IRS-1C scene with more control:
 """
 OWDIS_HEAD = """- **Terms selected before the interpolation or with it** are equally good, within
   0.1 px.

@@ -118,8 +118,8 @@ def translation(model: SensorModel) -> None:
     points = features.points
     moved = features.with_(points=Points(points.ids, points.image + shift, points.ground))
     error = np.abs(fitted(model, moved, ground) - model.project(truth, ground) - shift).max()
-    require(error <= EXACT, f"with all image coordinates shifted by {shift}, its prediction is "
-                            f"not shifted by as much but {error:.1g} beside; has it a constant "
+    require(error <= EXACT, f"a shift of all image coordinates by {shift} does not shift its "
+                            f"prediction by as much, but differs by {error:.1g}; has it a constant "
                             "term for line and for sample?")
 
 

@@ -59,7 +59,7 @@ def term_names(model: SensorModel) -> None:
     twice = sorted({name for name in terms if terms.count(name) > 1})
     require(not twice, f"terms must have different names; several are called {', '.join(twice)}")
     model.equations(accepted_scenes(model)[-1])
-    again = _anew(model)
+    again = _twin(model)
     require(model.terms == terms and again.terms == terms,
             "terms must be the same names in the same order whenever they are asked for; results "
             "name them")
@@ -141,7 +141,7 @@ def deterministic(model: SensorModel) -> None:
     features, ground = accepted_scenes(model)[-1], random_ground(seeded(), 50)
     coefficients = random_coefficients(model, seeded())
     first, image = model.equations(features), model.project(coefficients, ground)
-    for other in (model, _anew(model)):
+    for other in (model, _twin(model)):
         again = other.equations(features)
         require(np.array_equal(first.A, again.A) and np.array_equal(first.b, again.b),
                 "equations() of the same features differ from one call to the next")
@@ -297,7 +297,7 @@ def _made(model: type[SensorModel], options: Mapping[str, Any],
     return model(**options).prepared(*place)
 
 
-def _anew(model: SensorModel) -> SensorModel:
+def _twin(model: SensorModel) -> SensorModel:
     """Return another model with the same options, for the same features."""
     assert model.scaling is not None
     return _made(type(model), model.options, (model.scaling, model.crs))

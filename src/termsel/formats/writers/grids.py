@@ -140,7 +140,7 @@ class GeolocationVrt(GridWriter):
             "X_DATASET_RELATIVE_TO_SOURCE": "YES",
             "Y_DATASET": relative(array, path.parent), "Y_BAND": "2",
             "Y_DATASET_RELATIVE_TO_SOURCE": "YES",
-            # Counted from the centre of the upper-left pixel, in pixels of the image.
+            # Counted from the centre of the upper-left pixel, in px of the image.
             "PIXEL_OFFSET": str(-step), "LINE_OFFSET": str(-step), "PIXEL_STEP": str(step),
             "LINE_STEP": str(step), "GEOREFERENCING_CONVENTION": "PIXEL_CENTER",
             "SRS": rasterio.CRS.from_user_input(crs).to_wkt() if crs else ""}
