@@ -60,20 +60,20 @@ def test_export_replaces_nothing_unasked(folder: Path, tmp_path: Path) -> None:
     vendor.write_text("what the vendor delivered")
     code, _, err = _termsel("export", folder, "--to", "rpb", "--output", vendor)
     assert code == 2
-    assert "scene.RPB: this file exists already. Choose another name, or give --overwrite" in err
+    assert "scene.RPB: this file already exists. Choose another name, or add --overwrite" in err
     assert vendor.read_text() == "what the vendor delivered"
     assert _termsel("export", folder, "--to", "rpb", "--output", vendor, "--overwrite")[0] == 0
     assert vendor.read_text().startswith("satId")
 
 
-def test_export_replaces_no_array_beside_a_vrt_unasked(folder: Path, tmp_path: Path) -> None:
+def test_export_replaces_no_array_next_to_a_vrt_unasked(folder: Path, tmp_path: Path) -> None:
     pytest.importorskip("rasterio")
     array, options = tmp_path / "scene_xy.tif", ("--set", "step=2000", "--set", "height=1100")
     array.write_text("another array")
     export = ("export", folder, "--to", "geolocation-vrt", "-o", tmp_path / "scene.vrt", *options)
     code, _, err = _termsel(*export)
     assert code == 2
-    assert "scene_xy.tif: this file exists already" in err
+    assert "scene_xy.tif: this file already exists" in err
     assert array.read_text() == "another array"
     assert not (tmp_path / "scene.vrt").exists()
     assert _termsel(*export, "--overwrite")[0] == 0
@@ -184,7 +184,7 @@ def test_project_there_and_back(folder: Path, tmp_path: Path) -> None:
     code, _, err = _termsel("project", folder, "--points", pixels, "--inverse", "--height", "0",
                             "-o", pixels)
     assert code == 2
-    assert "this file exists already" in err
+    assert "this file already exists" in err
     assert pixels.read_text() == out
     code, out, err = _termsel("project", folder, "--points", pixels, "--inverse", "--height",
                               "1000", "-o", back)
@@ -221,10 +221,11 @@ def test_project_says_which_rays_meet_no_ground(folder: Path, tmp_path: Path) ->
     ("id,line,sample\na,1,2\n", ["--inverse"], "Give --dem FILE or --height H"),
     ("id,line,sample\na,1,2\n", ["--inverse", "--height", "nan"], "cannot be nan"),
     ("id,line,sample\na,1,2\n", ["--inverse", "--height", "1", "--dem", "d.tif"], "exclude"),
-    ("id,line,sample\na,1,2\n", ["--inverse", "--dem", "no.tif"], "no.tif: there is no such file"),
+    ("id,line,sample\na,1,2\n", ["--inverse", "--dem", "no.tif"],
+     "no.tif: this file does not exist"),
     ("# crs: EPSG:32640\nid,x,y,z\na,1,2,3\n", [], "declares the CRS EPSG:32640"),
     ("id,x,y,z\na,1,x,3\n", [], "line 2, column 'y': 'x' is not a number"),
-    ("", [], "holds no table")])
+    ("", [], "the file has no table")])
 def test_project_refuses(text: str, arguments: list[str], message: str, folder: Path,
                          tmp_path: Path) -> None:
     table = tmp_path / "table.csv"

@@ -93,7 +93,7 @@ class Turned(PointsCsv):
 
 
 class Indexes(PointsCsv):
-    """Writes an index beside the file."""
+    """Writes an index next to the file."""
 
     def read(self, path: Path) -> FeatureSet:
         path.with_suffix(".idx").write_text("")

@@ -111,7 +111,7 @@ def test_first_generation_on_real_problems() -> None:
 
 
 def test_scale_and_offset_belong_to_their_preset() -> None:
-    with pytest.raises(TermselError, match="needs both scale and offset"):
+    with pytest.raises(TermselError, match="preset=own requires scale and offset"):
         CorrelationSeededGA(preset="own", scale=1.0)
     with pytest.raises(TermselError, match="case-3 has its own"):
         CorrelationSeededGA(offset=0.1)

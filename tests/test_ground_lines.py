@@ -110,7 +110,7 @@ def test_ground_lines_need_image_lines(tmp_path: Path) -> None:
     path = roads(tmp_path, ("a", "LineString", SQUARE))
     with pytest.raises(TermselError, match="--image-lines FILE, or the property ji"):
         read(path)
-    with pytest.raises(TermselError, match=r"missing\.csv: there is no such file"):
+    with pytest.raises(TermselError, match=r"missing\.csv: this file does not exist"):
         read(path, tmp_path / "missing.csv")
     dot = roads(tmp_path, ("a", "LineString", [[5, 44], [5, 44]]))
     with pytest.raises(TermselError, match="'a' has zero length on the ground"):

@@ -436,7 +436,7 @@ def test_features_of_the_other_kind(tmp_path: Path) -> None:
     assert features.image_size == (10, 20)
     with pytest.raises(TermselError, match="also holds lines"):
         read_features(both, None, crs="local", readers=readers)
-    with pytest.raises(TermselError, match="It holds points: give it with --points"):
+    with pytest.raises(TermselError, match="It has points: give it with --points"):
         read_features(None, p, crs="local", readers=readers)
     with pytest.raises(TermselError, match="--points FILE"):
         read_features(None, None, crs="local", readers=readers)

@@ -133,7 +133,7 @@ def test_which_models_are_rpcs(model: str, options: dict[str, object], how: str,
 def test_plane_coordinates_are_no_rpc() -> None:
     local = example_results()[1]
     assert not Rpb().accepts(local)
-    with pytest.raises(TermselError, match="without a CRS cannot be turned into longitude"):
+    with pytest.raises(TermselError, match="without a CRS cannot be transformed to longitude"):
         local.to_rpc()
 
 
@@ -161,7 +161,7 @@ def test_vendors_file_of_higher_priority_is_warned_of(
     assert "GDAL takes the RPC of scene.RPB rather than that of scene_RPC.TXT" in caplog.text
     caplog.clear()
     Rpb(image=str(image)).write(geographic, tmp_path / "other.RPB")
-    assert "GDAL does not take this RPC" in caplog.text
+    assert "GDAL does not use this RPC" in caplog.text
     # A VRT needs no file to be moved away.
     RpcVrt(image=str(image)).write(geographic, tmp_path / "scene.vrt")
     assert read_rpc(tmp_path / "scene.vrt") == geographic.to_rpc()

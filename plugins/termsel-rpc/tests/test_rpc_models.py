@@ -88,7 +88,7 @@ def test_is_registered_under_its_name(kind: str, name: str) -> None:
     assert not registry().failures(kind)
 
 
-# Refinement of vendors' RPCs, beside GDAL and plain least squares
+# Refinement of vendors' RPCs, compared with GDAL and plain least squares
 
 
 def by_gdal(rpc: Rpc, ground: FloatArray, folder: Path) -> FloatArray:
@@ -118,7 +118,7 @@ def polynomial(image: FloatArray, width: int) -> FloatArray:
 
 
 BIAS = np.array([[12.5, -20.25], [3e-4, -2e-4], [1e-4, 5e-4]])
-"""Of line and sample: constant [pixel], by line, by sample."""
+"""Of line and sample: constant [px], by line, by sample."""
 
 
 @pytest.mark.parametrize("vendor", VENDORS)
@@ -321,13 +321,13 @@ def test_without_a_geometry_it_says_how_to_give_one(model: type[SensorModel],
                                                     option: str) -> None:
     made = model()
     assert made.terms == model(**{option: CANDIDATES}).terms  # as termsel describe shows them
-    with pytest.raises(TermselError, match=f"{model.name!r} needs .* --set {option}=FILE"):
+    with pytest.raises(TermselError, match=f"{model.name!r} requires .* --set {option}=FILE"):
         made.prepared(*AROUND_RPC)
 
 
 @pytest.mark.parametrize(("model", "option"), [(RpcShift, "rpc"), (PushbroomRefine, "geometry")])
 def test_missing_file_is_named(model: type[SensorModel], option: str, tmp_path: Path) -> None:
-    with pytest.raises(TermselError, match=r"no-such\.txt.*there is no such file"):
+    with pytest.raises(TermselError, match=r"no-such\.txt.*this file does not exist"):
         model(**{option: str(tmp_path / "no-such.txt")})
 
 

@@ -1,10 +1,10 @@
 """Leave-one-out solutions, from a single orthogonal factorisation each.
 
-With A = Q R the solution without feature i, whose rows are A_i and b_i, is
+With A = Q R the solution that holds out feature i, whose rows are A_i and b_i, is
 
     x_(i) = x - R^-1 Q_i' (I - Q_i Q_i')^-1 (b_i - A_i x),
 
-so that all features together cost about as much as a second factorisation. The leverages
+and all features together cost about as much as a second factorisation. The leverages
 Q_i Q_i' come from Householder's Q, whose columns are orthogonal to rounding error whatever
 the condition of A.
 

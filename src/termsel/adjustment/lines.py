@@ -74,11 +74,11 @@ def relative_deviations(features: FeatureSet) -> FloatArray:
 def row_weights(features: FeatureSet, *, heights: bool = True) -> FloatArray:
     """Return weights of the rows of points, then of lines, two each.
 
-    Rows are weighted by standard deviations relative to the median one. Those of a line are
-    those of its position at the vertex: with two end points measured to s, a distance of L
-    apart, it is s sqrt(1/2 + 2 t^2 / L^2) at t from their middle, so that long lines have more
-    weight outside their measured piece. That both vertices of a line share these end points is
-    neglected.
+    Rows are weighted by standard deviations relative to the median one. That of a line is
+    the standard deviation of its position at the vertex. With two end points measured to s, a
+    distance of L apart, it is s sqrt(1/2 + 2 t^2 / L^2) at t from their middle: long lines have
+    more weight outside their measured piece. The correlation of both vertices of a line, through
+    these end points, is neglected.
 
     Parameters
     ----------

@@ -1,9 +1,9 @@
 """Every subset of the columns of a least-squares system, with the best of each size proven.
 
 The subsets form a tree: below a subset are those with one further column to the right of its
-last. The columns still to come are kept orthogonal to those in use (modified Gram-Schmidt), and
-the equations of the check points take part in every step, so that their errors are
-known without solving for a coefficient. Half of the subsets have no column to their right and a
+last. The columns still to come are kept orthogonal to those in use (modified Gram-Schmidt). The
+equations of the check points take part in every step, so that their errors are known without
+solving for a coefficient. Half of the subsets have no column to their right and a
 quarter have one: on average a subset costs about one such step.
 
 References

@@ -83,9 +83,9 @@ class AntColony(Solver):
 
     Baghani 2012 (MSc thesis, K. N. Toosi University of Technology, as cited by Zakaryaie Nejad
     et al. 2015) chose the terms of rational functions by an ant colony. The thesis is not
-    available to us: this is termsel's own formulation, in the manner of the hyper-cube
-    framework (Blum and Dorigo 2004), with deposits by rank (Bullnheimer, Hartl and Strauss
-    1999) and the limits and new starts of the MAX-MIN ant system (Stuetzle and Hoos 2000).
+    available to us, so this is termsel's own formulation. It follows the hyper-cube framework
+    (Blum and Dorigo 2004), with deposits by rank (Bullnheimer, Hartl and Strauss 1999). Limits
+    and restarts are those of the MAX-MIN ant system (Stuetzle and Hoos 2000).
 
     - Each gene, hence each term of each axis, has pheromone on its two states, off and on. An
       ant switches it on with chance tau_on / (tau_off + tau_on). There is no other desirability.

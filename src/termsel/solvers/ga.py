@@ -60,8 +60,8 @@ class GeneticAlgorithm(Solver):
 
     Chromosome, selection and crossover are those of Akhoundi Khezrabad et al. 2020, table 2.
     The operators act on the whole population at once and are registered in a DEAP toolbox,
-    where they can be replaced; DEAP's own draw from the global random state one individual
-    at a time, so they are not used. Infeasible individuals rank behind all feasible ones.
+    where they can be replaced. DEAP's own operators are not used, as they draw one individual
+    at a time from the global random state. Infeasible individuals rank behind all feasible ones.
     """
 
     name = "ga"

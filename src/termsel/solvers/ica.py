@@ -17,9 +17,9 @@ def costs(evaluation: Evaluation) -> FloatArray:
     """Return one finite cost per country, in the order of `Evaluation.order`.
 
     A feasible country costs its first objective. An infeasible one costs more than every
-    feasible one: the worst feasible cost and a penalty, which grows with the rank among the
-    infeasible, by violation and then by objective, up to the spread of the feasible costs (at
-    least a thousandth of the worst, and 1 where all are 0 or none is feasible). The paper has
+    feasible one: the worst feasible cost and a penalty. The penalty grows with the rank among the
+    infeasible, by violation and then by objective, up to the spread of the feasible costs. That
+    is at least a thousandth of the worst, and 1 if all are 0 or none is feasible. The paper has
     no infeasible solutions; a penalty in proportion to the violation would dominate the feasible
     costs in equations (5), (8) and (9).
 
@@ -244,9 +244,9 @@ class ImperialistCompetition(Solver):
 
     The discrete algorithm of Zakaryaie Nejad, Ezzatpanah and Ramezani 2015, equations (5) to
     (10), with the parameters of their tables and figure 3. In each generation colonies take
-    over genes of their imperialist, some revolt, a colony better than its imperialist takes its
-    place, and the weakest colony of the weakest empire goes to the winner of a competition. The
-    search ends when one empire is left.
+    over genes of their imperialist, and some revolt. A colony better than its imperialist takes
+    its place, and the weakest colony of the weakest empire goes to the winner of a competition.
+    The search ends when one empire is left.
 
     Our choices where the paper states nothing:
 

@@ -50,9 +50,9 @@ def sigmoid(velocity: FloatArray) -> FloatArray:
 class BinarySwarm(Solver):
     """Binary particle swarm: velocities are chances that genes are on.
 
-    Plain binary particle swarm optimisation after Kennedy and Eberhart 1997: a particle's
-    velocity v <- w v + c1 r1 (own best - x) + c2 r2 (leader - x), within +-v_max, gives each
-    gene its chance of being on, 1 / (1 + exp(-v)). Yavari, Valadan Zoej, Mokhtarzade and
+    Plain binary particle swarm optimisation after Kennedy and Eberhart 1997. A particle's
+    velocity is v <- w v + c1 r1 (own best - x) + c2 r2 (leader - x), within +-v_max. It gives
+    each gene its chance of being on, 1 / (1 + exp(-v)). Yavari, Valadan Zoej, Mokhtarzade and
     Mohammadzadeh 2012 brought it to the terms of rational functions; their modification of it
     is not available to us and is not included.
 

@@ -15,10 +15,10 @@ FloatArray = NDArray[np.float64]
 class Multiquadric(Polynomial2D):
     """Plane polynomial with multiquadric interpolation of its control residuals.
 
-    With F the planimetric distances between the control points, zero on its diagonal, and v
-    the residuals the polynomial leaves in line or sample, F a = v is solved for a, and a point
-    at the distances f from the control points is corrected by f a. The model thus fits control
-    points exactly, so that their RMSE is 0 whatever its errors elsewhere.
+    F are the planimetric distances between the control points, zero on its diagonal, and v the
+    residuals of the polynomial in line or sample. F a = v is solved for a, and a point at the
+    distances f from the control points is corrected by f a. The model thus fits control points
+    exactly: their RMSE is 0 whatever its errors elsewhere.
 
     Distances are those in termsel's scaled ground coordinates, where the control extends over
     [-1, 1] along X and along Y; this also works for longitude and latitude in degrees, but in a
