@@ -97,7 +97,7 @@ def test_grids_say_what_they_lack(folder: Path, tmp_path: Path,
     code, _, err = _termsel(*export, "--dem", dem(10.0))
     assert code == 2
     # Nothing is said of how good a grid is that does not exist.
-    assert err.startswith(f"Error: {tmp_path / 'dem.tif'}: less than three places")
+    assert err.startswith(f"Error: {tmp_path / 'dem.tif'}: fewer than three places")
     assert not target.exists()
     assert _termsel(*export, "--dem", dem(59.59))[0] == 0
     assert "places of the grid no ground is found" in caplog.text
@@ -122,19 +122,19 @@ def test_image_the_points_were_not_measured_in(folder: Path, tmp_path: Path) -> 
     code, _, err = _termsel("export", folder, "--to", "gcp-vrt", "-o", tmp_path / "x.vrt",
                             "--image", image)
     assert code == 2
-    assert "small.tif: the image has 10 lines and 20 samples, and features were measured up" in err
+    assert "small.tif: the image has 10 lines and 20 samples, but features extend to line" in err
     assert not (tmp_path / "x.vrt").exists()
 
 
 @pytest.mark.parametrize(("arguments", "message"), [
-    (["--to", "rpb"], "the format rpb does not hold this result. termsel describe rpb says what "
+    (["--to", "rpb"], "the format rpb cannot hold this result. termsel describe rpb says what "
                       "it needs. Formats that do: gcp-grid-vrt"),
     (["--to", "rbp"], "unknown writer 'rbp'. Did you mean 'rpb'?"),
     (["--to", "qgis-points", "--dem", "x.tif"], "unknown option 'dem'"),
-    (["--to", "gcp-grid-vrt", "--set", "across=many"], "option 'across' does not take 'many'"),
-    (["--to", "gcp-vrt", "--image", "none.tif"], "none.tif: there is no such file"),
+    (["--to", "gcp-grid-vrt", "--set", "across=many"], "option 'across' does not accept 'many'"),
+    (["--to", "gcp-vrt", "--image", "none.tif"], "none.tif: this file does not exist"),
     (["--to", "gcp-vrt", "--image", "a", "--set", "image=b"], "image is given twice"),
-    (["--to", "gcp-grid-vrt", "--dem", "none.tif"], "without a CRS")])
+    (["--to", "gcp-grid-vrt", "--dem", "none.tif"], "only to ground coordinates with a CRS")])
 def test_export_refuses(arguments: list[str], message: str, plane: Path, tmp_path: Path) -> None:
     target = tmp_path / "target"
     code, _, err = _termsel("export", plane, *arguments, "--output", target)
@@ -211,13 +211,13 @@ def test_project_says_which_rays_meet_no_ground(folder: Path, tmp_path: Path) ->
     found = _table(out)
     assert found[0, 4] == pytest.approx(1100.0, abs=1e-3)
     assert np.isnan(found[1, 2:]).all()
-    assert "Warning: no place was found for 1 points: corner" in err
+    assert "Warning: no position was found for 1 points: corner" in err
 
 
 @pytest.mark.parametrize(("text", "arguments", "message"), [
     ("id,line,sample\na,1,2\n", [], "x, lon"),
     ("id,x,y,z\na,59,36,\n", [], "line 2, column 'z': the height is blank"),
-    ("id,x,y,z\na,59,36,1\n", ["--dem", "d.tif"], "are for the way from image to ground"),
+    ("id,x,y,z\na,59,36,1\n", ["--dem", "d.tif"], "--dem and --height require --inverse"),
     ("id,line,sample\na,1,2\n", ["--inverse"], "Give --dem FILE or --height H"),
     ("id,line,sample\na,1,2\n", ["--inverse", "--height", "nan"], "cannot be nan"),
     ("id,line,sample\na,1,2\n", ["--inverse", "--height", "1", "--dem", "d.tif"], "exclude"),
@@ -256,6 +256,6 @@ def test_text_formats_need_no_packages_for_rasters(folder: Path, tmp_path: Path)
                           check=True)
     found = json.loads(done.stdout)
     assert [code for code, _ in found] == [0] * len(written) + [2] * 3, found
-    assert "without rasterio GDAL was not asked" in found[0][1]
+    assert "not by GDAL, as rasterio is not installed" in found[0][1]
     for _, err in found[len(written):]:
         assert 'pip install "termsel[gis]"' in err

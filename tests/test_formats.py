@@ -345,7 +345,7 @@ def test_several_images_of_envi(tmp_path: Path) -> None:
     (ENVI + "1 2 3\n", 7, "3 numbers"),
     (ENVI[:ENVI.index("408620")], None, "the file has no points"),
     ("; ENVI Image to Image GCP File\n; Base Image (x,y), Warp Image (x,y)\n;\n1 2 3 4\n", 1,
-     "between two images")])
+     "these points relate two images")])
 def test_bad_envi_files(tmp_path: Path, text: str, line: int | None, words: str) -> None:
     with pytest.raises(TermselError, match=words) as caught:
         read_file(put(tmp_path, text), readers())
@@ -411,7 +411,7 @@ def test_members_of_geojson(tmp_path: Path) -> None:
 @pytest.mark.parametrize(("text", "words"), [
     ('{"type": "FeatureCollection", "features": [\n\n', "not JSON"),
     ('{"type": "FeatureCollection", "features": []}', "no features"),
-    ('{"type": "Feature"}', "not a FeatureCollection"), ("[" * 200_000, "not"),
+    ('{"type": "Feature"}', "this is not a GeoJSON FeatureCollection"), ("[" * 200_000, "not"),
     (ORTHORITY.replace("821.3", "8" * 5000), "not GeoJSON"),
     (ORTHORITY.replace('"Point"', '"Polygon"'), "geometry is Polygon, expected Point")])
 def test_what_is_no_geojson_of_points(tmp_path: Path, text: str, words: str) -> None:
@@ -492,7 +492,7 @@ def test_format_is_forced(tmp_path: Path) -> None:
         termsel.read(path, format="qgis-points")
     with pytest.raises(TermselError, match="Did you mean 'envi-pts'"):
         termsel.read(path, format="envi-pt")
-    with pytest.raises(TermselError, match="2 formats are given for 1 files"):
+    with pytest.raises(TermselError, match="there are 2 --format for 1 files"):
         termsel.read(path, format=["envi-pts", "envi-pts"])
     assert len(termsel.read(path, format="envi-pts").points) == 2
 

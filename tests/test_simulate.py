@@ -148,9 +148,9 @@ def test_errors_say_what_to_do():
     sensor = pushbroom_at(**PLACE)
     with pytest.raises(TermselError, match=r"expected \(n, 3\)"):
         sensor.project([[48.5, 34.8]])
-    with pytest.raises(TermselError, match="out of the scanner's sight"):
+    with pytest.raises(TermselError, match="out of the scanner's view"):
         sensor.project([[48.5 - 180, -34.8, 0.0]])
-    with pytest.raises(TermselError, match="out of the scanner's sight"):
+    with pytest.raises(TermselError, match="out of the scanner's view"):
         sensor.project([[34.8, 48.5, np.nan]])
     with pytest.raises(TermselError, match="miss the Earth"):
         Pushbroom(**{**vars(sensor), "roll": Angle((1.5,))}).locate([[0, 0]], 0.0)

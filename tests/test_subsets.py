@@ -312,7 +312,7 @@ def test_what_the_user_can_correct() -> None:
         last(system, "rmse")
     with pytest.raises(TermselError, match="both forced and forbidden"):
         last(replace(system, forced=one, forbidden=one), "check")
-    with pytest.raises(TermselError, match="1 terms are forced and at most 0"):
+    with pytest.raises(TermselError, match="1 terms are forced, but at most 0 may be in use"):
         last(replace(system, forced=one), "check", max_terms=0)
     with pytest.raises(TermselError, match="subsets of 63 terms"):
         SubsetSystem(np.ones((3, 63)), np.ones((3, 1)))

@@ -11,8 +11,8 @@ from termsel.version import __version__
 
 FAULT = """\
 Error: termsel has failed: {what}. This is a bug in termsel or in a plugin, not your mistake.
-Please report the command you typed, the version of termsel ({version}), and the output of the
-same command with TERMSEL_DEBUG=1 set. TERMSEL_PLUGINS= (empty) runs without plugins."""
+Please report it with the command you typed, the version of termsel ({version}), and the output
+of the same command with TERMSEL_DEBUG=1 set. TERMSEL_PLUGINS= (empty) runs without plugins."""
 
 
 def report_fault(

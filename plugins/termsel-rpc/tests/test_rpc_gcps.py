@@ -170,10 +170,10 @@ def test_terms_of_a_refinement_are_selected() -> None:
 
 
 @pytest.mark.parametrize(("arguments", "said"), [
-    (["--model", "rpc-affine"], "'rpc-affine' needs the RPC that it is to refine"),
-    (["--set", "rpc=no-such-file.RPB"], "there is no such file"),
-    (["--dataset", "spot-isfahan"], "sees the ground of longitude"),
-    (["--model", "pushbroom-refine"], "needs the geometry that it is to refine"),
+    (["--model", "rpc-affine"], "'rpc-affine' requires the RPC to refine"),
+    (["--set", "rpc=no-such-file.RPB"], "this file does not exist"),
+    (["--dataset", "spot-isfahan"], "covers longitude"),
+    (["--model", "pushbroom-refine"], "requires the geometry to refine"),
     (["--set", "min_features=9"], "option 'min_features' is 9 and 'max_features' 6"),
 ])
 def test_bad_input_gives_one_message(arguments: list[str], said: str) -> None:

@@ -12,7 +12,7 @@ from termsel.plugins.kinds import KINDS
 @click.argument("kind", metavar="KIND", type=click.Choice(list(KINDS)))
 @click.option("--json", "as_json", is_flag=True, help="Print a JSON array.")
 def list_(kind: str, as_json: bool) -> None:
-    """List everything that has a name.
+    """List what can be asked for by name.
 
     KIND is problems, models, solvers, criteria, datasets, readers or writers.
 

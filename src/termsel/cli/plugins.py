@@ -10,7 +10,7 @@ from termsel.cli.tables import print_json, print_table
 @click.command()
 @click.option("--json", "as_json", is_flag=True, help="Print a JSON array.")
 def plugins(as_json: bool) -> None:
-    """List plugins, and their errors.
+    """List plugins, and what is wrong with them.
 
     A plugin is a package with an entry point in the group `termsel`. A plugin that is broken,
     or uses a name that is taken, never stops termsel or another plugin.

@@ -49,5 +49,5 @@ def project(folder: Path, points: Path, inverse: bool, dem: Path | None, height:
         write_text(output, text)
         click.echo(f"Written: {output}", err=True)
     if missed:
-        click.echo(f"Warning: {len(missed)} points have no position: "
+        click.echo(f"Warning: no position was found for {len(missed)} points: "
                    f"{', '.join(missed[:10])}{' ...' if len(missed) > 10 else ''}", err=True)

@@ -33,7 +33,7 @@ from termsel.errors import TermselError
 def rectify(folder: Path, image: Path, output: Path, dem: Path | None, height: float | None,
             crs: str | None, resolution: float | None, resampling: str, nodata: float | None,
             overwrite: bool, quiet: bool) -> None:
-    """Resample an image to a map, with GDAL's warper and the fitted model.
+    """Resample an image to a map, by GDAL's warper through the fitted model.
 
     DIR is the folder that a run wrote with --out.
 
