@@ -171,7 +171,8 @@ def test_centroids_of_a_table(tmp_path: Path) -> None:
     (HEADER + SQUARE.replace("9,44", ",44"), 3, "x", "the cell is blank"),
     (HEADER + SQUARE.replace("a,3,3,4", "a,3,0,4"), 4, "line",
      "corner 3 of area 'a' repeats corner 2 in the image"),
-    (HEADER + SQUARE.replace("5,47", "5,44"), 5, "x", "corner 4 of area 'a' repeats corner 1 on the ground"),
+    (HEADER + SQUARE.replace("5,47", "5,44"), 5, "x",
+     "corner 4 of area 'a' repeats corner 1 on the ground"),
     (HEADER + SQUARE.replace("a,2,", "a,1,"), 3, "corner",
      "corner 1 of area 'a' is also on line 2"),
     (HEADER + "b,1,0,0,1,1,1\nb,2,1,0,2,1,1\nb,3,0,1,1,2,1\n"
@@ -197,7 +198,7 @@ def test_files_of_other_kinds(tmp_path: Path) -> None:
     areas.write_text(HEADER + SQUARE)
     points.write_text("id,line,sample,x,y,z\na,1,2,3,4,5\n")
     for given_, words in (({"areas": points}, "has no areas: it is read as points-csv"),
-                          ({"points": areas}, "holds areas. Give it with --areas"),
+                          ({"points": areas}, "the file has areas. Give it with --areas"),
                           ({"lines": areas, "areas": areas}, "with --areas alone"),
                           ({"points": points, "areas": areas}, "'a' is the id of an area and")):
         with pytest.raises(TermselError, match=words):

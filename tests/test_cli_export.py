@@ -100,11 +100,11 @@ def test_grids_say_what_they_lack(folder: Path, tmp_path: Path,
     assert err.startswith(f"Error: {tmp_path / 'dem.tif'}: fewer than three places")
     assert not target.exists()
     assert _termsel(*export, "--dem", dem(59.59))[0] == 0
-    assert "places of the grid no ground is found" in caplog.text
-    assert "Warning: Between" not in caplog.text
+    assert "places of the grid have no ground" in caplog.text
+    assert "Warning: GDAL interpolates" not in caplog.text
     assert _termsel("export", folder, "--to", "gcp-grid-vrt", "-o", tmp_path / "g.vrt", "--set",
                     "across=1", "--set", "height=1100")[0] == 0
-    assert "Warning: Between the places of the grid GDAL interpolates" in caplog.text
+    assert "Warning: GDAL interpolates between the places of the grid" in caplog.text
 
 
 @pytest.mark.filterwarnings("ignore:Dataset has no geotransform")

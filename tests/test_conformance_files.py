@@ -252,7 +252,7 @@ class HalfWritten(DemoJson):
 BROKEN_WRITERS = [
     (Wordless, "declaration", "says nothing of itself"),
     (Unsure, "accepts_answers", "must be True or False, not 'rfm'"),
-    (Picky, "accepts_answers", "accepts\(\) refuses all results"),
+    (Picky, "accepts_answers", r"accepts\(\) refuses all results"),
     (Elsewhere, "writes_file", "to the path given"),
     (Untidy, "writes_file", "tmp123"),
     (Meddles, "result_unchanged", "changes the result"),

@@ -165,7 +165,8 @@ def test_rasters_that_are_no_dem(tmp_path: Path) -> None:
     broken = tmp_path / "broken.tif"
     broken.write_bytes(good.read_bytes()[:60])
     for path, crs, words in [(no_crs, "EPSG:32631", "not georeferenced"),
-                             (feet, "EPSG:32631", "is in ft"), (good, "local", "only to ground coordinates with a CRS"),
+                             (feet, "EPSG:32631", "is in ft"),
+                             (good, "local", "only to ground coordinates with a CRS"),
                              (broken, "EPSG:32631", "GDAL cannot read"),
                              (tmp_path / "none.tif", "EPSG:32631", "none.tif")]:
         with pytest.raises(TermselError, match=words), open_dem(path, crs):

@@ -156,7 +156,7 @@ def test_errors_say_what_to_do():
         Pushbroom(**{**vars(sensor), "roll": Angle((1.5,))}).locate([[0, 0]], 0.0)
     with pytest.raises(TermselError, match="does not reach latitude"):
         pushbroom_at(**{**PLACE, "lat": 85.0})
-    with pytest.raises(TermselError, match="must be positive"):
+    with pytest.raises(TermselError, match="which is not positive"):
         Pushbroom(**{**vars(sensor), "ifov": 0.0})
     with pytest.raises(TermselError, match="ikonos-hamedan"):
         simulate_scene("ikonos-hamadan")
