@@ -1,11 +1,11 @@
-"""How accurate the strategy auto is on points it has never seen, and how well it knows.
+"""Accuracy of the strategy auto on unseen points, and of its own prediction.
 
-``python -m benchmarks.honest`` prints the tables, ``--write`` makes docs/honest-accuracy.md of it.
+``python -m benchmarks.honest`` prints the tables, ``--write`` writes docs/honest-accuracy.md.
 The sets are the embedded scenes, each split with new points and noise, and those of the folder
-named by the environment variable TERMSEL_DATA, or ../shared/data, where it is there: sets derived
-from a sensor model get Gaussian noise of 0.5 pixel on line and sample. A split draws so many
-points at random as control and check together, and up to 300 of the others as independent.
-``--splits N`` makes it shorter, names of sets and ``--counts`` choose among them.
+named by the environment variable TERMSEL_DATA, or ../shared/data, if it exists: sets derived
+from a sensor model get Gaussian noise of 0.5 px on line and sample. A split draws some points at
+random as control and check together, and up to 300 of the others as independent. ``--splits N``
+makes it shorter; names of sets and ``--counts`` choose among them.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ GA_COUNTS, GA_SPLITS = (20, 40, 74), 1
 
 @dataclass(frozen=True)
 class Split:
-    """One split: independent RMSE of auto and of the plain structures, and what auto predicted."""
+    """One split: independent RMSE of auto and of plain structures, and RMSE predicted by auto."""
 
     auto: float
     predicted: float
@@ -56,7 +56,7 @@ class Split:
 
 
 def names() -> list[str]:
-    """Return the sets there are."""
+    """Return the available sets."""
     return [*SCENES, *(name for name in (*DERIVED, *MEASURED) if (DATA / name).is_dir())]
 
 
@@ -140,7 +140,7 @@ class Row:
 
     @property
     def ratio(self) -> float:
-        """Median of auto by that of the best plain structure."""
+        """Ratio of the median of auto to that of the best plain structure."""
         return median(s.auto for s in self.splits) / self.best[1]
 
     @property
@@ -150,7 +150,7 @@ class Row:
 
     @property
     def honesty(self) -> float:
-        """Median of independent by predicted RMSE."""
+        """Median of the ratio of independent to predicted RMSE."""
         return median(s.auto / s.predicted for s in self.splits)
 
 
@@ -182,7 +182,7 @@ def line(row: Row) -> str:
 
 
 def verdict(found: list[Row]) -> str:
-    """Return what was promised beside what was measured."""
+    """Return a table of requirements and measurements."""
     few = [row.ratio for row in found if row.count in FEW]
     over = [row for row in found if row.ratio > 1.05]
     all_splits = [(row, s) for row in found for s in row.splits]
@@ -192,7 +192,7 @@ def verdict(found: list[Row]) -> str:
     honest = median(s.auto / s.predicted for _, s in all_splits)
     named = ", ".join(f"{row.name} at {row.count} ({row.ratio:.2f})" for row in over) or "none"
     lines = [
-        "| what | asked for | measured |", "|---|---|---|",
+        "| figure | required | measured |", "|---|---|---|",
         f"| ratio to the best plain structure in hindsight, median over sets | at most 1.00 | "
         f"{median(row.ratio for row in found):.2f} |",
         f"| the same at {' and '.join(map(str, FEW))} points | at most 0.95 | "
@@ -240,7 +240,7 @@ def against_papers(wanted: list[str], processes: int) -> str:
             ratios[name] = median(auto / ga for ga, auto in pool.map(papers, jobs))
     lines = ["| set | auto by GA, independent RMSE, median |", "|---|---:|"]
     lines += [f"| {name} | {ratio:.2f} |" for name, ratio in ratios.items()]
-    return "\n".join([*lines, f"| median over sets (asked for: at most 0.75) | "
+    return "\n".join([*lines, f"| median over sets (required: at most 0.75) | "
                               f"{median(ratios.values()):.2f} |"])
 
 
@@ -268,7 +268,7 @@ def sensitivity(wanted: list[str], splits: int) -> str:
 
 
 def _ratio(jobs: list[tuple[str, int, int]]) -> float:
-    """Return the median over splits of auto's RMSE by the best plain one of the split."""
+    """Return the median over splits of the ratio of auto's RMSE to the best plain one."""
     found = []
     for name, count, seed in jobs:
         mine, independent = split(name, count, seed)
@@ -283,7 +283,7 @@ def _ratio(jobs: list[tuple[str, int, int]]) -> float:
 def main() -> None:
     """Print or write the tables."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("names", nargs="*", help="sets; all of them by default")
+    parser.add_argument("names", nargs="*", help="sets; by default all")
     parser.add_argument("--counts", type=int, nargs="+", default=list(COUNTS))
     parser.add_argument("--splits", type=int, default=20)
     parser.add_argument("--processes", type=int, default=1)
@@ -304,31 +304,31 @@ Made by `python -m benchmarks.honest --write`: {asked.splits} splits of each set
 points. Points are those in control and check together; up to 300 others are independent. The
 best plain structure (affine, DLT or projective, quadratic, cubic) is chosen with hindsight, by the
 median of its independent RMSE over all splits. The embedded scenes are simulated; sets derived
-from sensor models carry Gaussian noise of {NOISE} pixel. Seconds are of one process on a busy
+from sensor models have Gaussian noise of {NOISE} px. Seconds are those of one process on a busy
 machine.
 
-## What was asked for, and what is measured
+## Requirements and measurements
 
 {verdict(found)}
 
-What is missed is missed with 12 points, and 20 at most: nothing in so few tells which structure
-will be best on that very split, and the best of five in hindsight is the best by luck as well.
-No rule can promise it: even who always takes the structure that is best for the set and the number
-of points, which nobody knows beforehand, is sometimes much worse than the best of the split.
+Requirements are missed with 12 points, at most 20. So few points do not tell which structure
+will be best on a split, and the best of five in hindsight is partly the best by luck. No rule can
+guarantee it. Even the structure that is best for the set and the number of points, which nobody
+knows beforehand, is sometimes much worse than the best of the split.
 
 {rules(found)}
 
 ## Against the papers' GA
 
-`rfm-terms` with `--solver ga` on check RMSE (`poly-terms` where there are no heights), half of the
+`rfm-terms` with `--solver ga` on check RMSE (`poly-terms` if there are no heights), half of the
 points as check, {GA_SPLITS} of the splits at {', '.join(map(str, GA_COUNTS))} points each.
 
 {papers_table}
 
 ## Constants
 
-The median over splits of auto's independent RMSE by that of the best plain structure of the
-split, at 12, 20 and 40 points, with each constant of `termsel.candidates.shrunken` and those
+The median over splits of the ratio of auto's independent RMSE to that of the best plain
+structure, at 12, 20 and 40 points, with each constant of `termsel.candidates.shrunken` and those
 of `termsel.candidates.portfolio` halved and doubled.
 
 {constants}

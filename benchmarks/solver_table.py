@@ -13,8 +13,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from termsel.study import Standing, standings, trials
-
+from benchmarks.study import Standing, standings, trials
 from termsel import TermselError, prepare, search
 from termsel.plugins.registry import registry
 from termsel.solvers.exact import count, prove
@@ -39,7 +38,7 @@ HEAD = ("| solver | best | median | worst | optimum reached | evaluations | seco
 def main() -> None:
     """Print or write the tables."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("names", nargs="*", help="problems; all of them by default")
+    parser.add_argument("names", nargs="*", help="problems; by default all")
     parser.add_argument("--seeds", type=int, default=30)
     parser.add_argument("--processes", type=int, default=2)
     parser.add_argument("--write", action="store_true", help="write docs/solver-table.md")
@@ -56,19 +55,20 @@ def main() -> None:
 
 
 def introduction(seeds: int) -> str:
-    """Return what stands above the tables."""
-    return f"""# All solvers side by side
+    """Return the text above the tables."""
+    return f"""# All solvers compared
 
 Made by `python -m benchmarks.solver_table --write`: the embedded, simulated scene
-`ikonos-hamedan`, {seeds} seeds, a budget of {EVALUATIONS:,} evaluations each, with polish where a
-solver has it (its evaluations are counted in the column). Fitness is the check RMSE [pixel];
-"optimum reached" is the share of seeds that end at the proven optimum, where `exact` can tell
-it; evaluations, seconds and the independent RMSE [pixel] are medians. Solvers without chance
-run once. Seconds are of one of two processes at work and good for comparison only.
+`ikonos-hamedan`, {seeds} seeds, a budget of {EVALUATIONS:,} evaluations each, with local
+refinement if a solver has it (its evaluations are counted in the column). Fitness is the check
+RMSE [px];
+"optimum reached" is the share of seeds that end at the proven optimum, if `exact` can prove it.
+Evaluations, seconds and the independent RMSE [px] are medians. Deterministic solvers run once.
+Seconds are those of one of two parallel processes and good only for comparison.
 
 A lower fitness is not a better model: compare the last column. Solvers for several objectives
-spend their evaluations on a whole front, of which the member of least fitness is shown; their
-polish looks around the front and does not start anew.
+spend their evaluations on a whole front; the table shows its member of least fitness. Their
+local refinement searches around the front and does not restart.
 """
 
 
@@ -98,12 +98,12 @@ def section(name: str, seeds: int, processes: int) -> Iterator[str]:
 
 
 def can(problem: str, solver: str, options: dict[str, Any]) -> bool:
-    """Return whether a solver handles a problem, by a look at its first generation."""
+    """Return whether a solver handles a problem, judged by its first generation."""
     try:
         task = prepare(problem, solver=solver, options=options)
         search(task.problem, task.solver, evaluations=1)
     except TermselError as error:
-        print(f"{problem}: {solver} left out: {error}", file=sys.stderr)
+        print(f"{problem}: {solver} skipped: {error}", file=sys.stderr)
         return False
     return True
 
@@ -117,7 +117,7 @@ def line(standing: Standing) -> str:
 
 
 def optimum(problem: str, options: dict[str, Any]) -> float | None:
-    """Return the proven least fitness, or None where it would take too long."""
+    """Return the proven least fitness, or None if that would take too long."""
     task = prepare(problem, options=options)
     try:
         if count(task.problem) > 1 << 22:

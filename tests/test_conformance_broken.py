@@ -227,12 +227,13 @@ class TurnedWeights(Affine):
 
 BROKEN_MODELS = [
     (Undocumented, "declaration", "docstring"),
-    (SameNames, "term_names", r"more than one is called line.num:X"),
+    (SameNames, "term_names", r"several are called line.num:X"),
     (OtherNames, "term_names", "the same names"),
     (ShortAxis, "axis", r"shape \(8,\).* not \(7,\)"),
     (WrongAxis, "axis", "'line.num:1' does not act on the line"),
     (NoLines, "control_kinds", "lines alone: model 'dlt-demo' does not take"),
-    (OneRow, "equations", r"A must have shape \(24, 8\), two rows a point or line, not \(23, 8\)"),
+    (OneRow, "equations",
+     r"A must have shape \(24, 8\), two rows per point or line, not \(23, 8\)"),
     (NotFinite, "equations", "finite"),
     (LinesFirst, "equations", "feature must number"),
     (Scribbler, "inputs_unchanged", "changes the ground points"),
@@ -463,7 +464,7 @@ class Boasts(Drawn):
 
 
 BROKEN_SOLVERS = [
-    (WrongDefault, "declaration", "'population' does not take 0"),
+    (WrongDefault, "declaration", "option 'population' does not accept 0"),
     (ZeroIndex, "generations_hold", "number 1 has the index 0"),
     (InPlace, "generations_hold", "changed after it was yielded"),
     (Shuffled, "generations_hold", "not that of its genes"),

@@ -27,7 +27,7 @@ def run(problem: str = "owdis-lines", **options: object) -> termsel.Result:
     return termsel.run(problem, generations=8, options={**QUICK, **options})
 
 
-def test_wrong_lines_are_told_from_those_not_needed() -> None:
+def test_blunders_are_told_from_lines_not_needed() -> None:
     result = termsel.run("owdis-lines", options={"population": 100})
     found = doubts(result.fit)
     assert found is not None
@@ -175,7 +175,7 @@ def test_significance_is_that_of_a_textbook_regression() -> None:
 
 @pytest.mark.parametrize(("scene", "name"), [("ventoux_lines", "pleiades_ventoux_left"),
                                              ("ikonos_lines", "ikonos_montevideo")])
-def test_wrong_lines_of_real_geometry_are_found(data_folder: Path, scene: str,
+def test_blunders_of_real_geometry_are_found(data_folder: Path, scene: str,
                                                 name: str) -> None:
     records = json.loads((data_folder / "rpc" / "all_rpc.json").read_text())
     values = next(one["rpc"] for one in records if one["name"] == name)

@@ -17,12 +17,12 @@ if TYPE_CHECKING:
 def plugins(as_json: bool) -> None:
     """List plugins, and what is wrong with them.
 
-    A plugin is a package with an entry point in the group `termsel`. A broken plugin never
-    stops termsel or another plugin, nor does one that provides a name that is taken.
+    A plugin is a package with an entry point in the group `termsel`. A plugin that is broken,
+    or uses a name that is taken, never stops termsel or another plugin.
 
     \b
-    TERMSEL_PLUGINS=a,b   uses the plugins of the packages a and b alone, of none if empty
-    TERMSEL_DEBUG=1       shows the traceback of what a plugin raises
+    TERMSEL_PLUGINS=a,b   uses only the plugins of the packages a and b; none if empty
+    TERMSEL_DEBUG=1       shows the traceback of an error in a plugin
 
     \b
     Examples:

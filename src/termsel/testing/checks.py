@@ -1,4 +1,4 @@
-"""Named checks: how they are made, run and opted out of."""
+"""Named checks: how they are made, run and excepted."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Made = TypeVar("Made", bound=Configurable)
 
 @dataclass(frozen=True)
 class Check:
-    """One thing a plugin must do.
+    """One requirement on a plugin.
 
     Parameters
     ----------
@@ -35,14 +35,14 @@ class Check:
 
 @dataclass(frozen=True)
 class Case:
-    """One object the checks are run on.
+    """One object on which the checks are run.
 
     Parameters
     ----------
     label : str
-        What it is, for messages: a name and the options.
+        Its name and options, for messages.
     make : callable
-        Returns the object, anew for each check.
+        Returns a new object for each check.
     """
 
     label: str
@@ -68,12 +68,12 @@ def assemble(
     Parameters
     ----------
     functions : iterable of callable
-        Each takes what a case makes; its name is the check's.
+        Each takes the object of a case; its name is that of the check.
     cases : iterable of Case
     expected_failures : mapping, optional
-        Names of checks that are known to fail, with the reason. Such a check succeeds where
-        the plugin fails as foretold, and fails where it does not, so that the list stays
-        true.
+        Names of checks that are known to fail, with the reason. Such a check succeeds if
+        the plugin fails as predicted, and fails if it does not, so that the list stays
+        correct.
 
     Raises
     ------
@@ -124,7 +124,7 @@ def _run(name: str, function: Callable[[Any], None], cases: tuple[Case, ...],
 
 def _run_case(name: str, function: Callable[[Any], None], case: Case) -> None:
     try:
-        # A warning such as "divide by zero" would be shown to the user of the plugin.
+        # The user of the plugin would see a warning such as "divide by zero".
         with warnings.catch_warnings():
             warnings.simplefilter("error", RuntimeWarning)
             function(case.make())
@@ -148,7 +148,7 @@ def label(thing: type[Configurable] | Configurable, options: Mapping[str, Any]) 
 
 
 def check_declaration(kind: str, thing: Any) -> None:
-    """Require what the hooks require, one line on what the thing is, and options that parse.
+    """Require what the hooks require, a one-line summary, and options that parse.
 
     Parameters
     ----------

@@ -27,11 +27,11 @@ from termsel.testing.scenes import imaged, seeded
 
 PIXELS = 1000.0
 NOISE = 0.5
-"""Standard deviation of the measurements [pixel]."""
+"""Standard deviation of the measurements [px]."""
 
 
 class _Recorder(Criterion):
-    """Keeps what a criterion is shown."""
+    """Records the input of a criterion."""
 
     name = "recorder"
 
@@ -45,7 +45,7 @@ class _Recorder(Criterion):
 
 
 def declaration(criterion: Criterion) -> None:
-    """It has a name and a docstring, and its options are documented and take their defaults."""
+    """It has a name and a docstring; its options are documented and accept their defaults."""
     check_declaration("criteria", criterion)
 
 
@@ -74,7 +74,7 @@ def smaller_is_better(criterion: Criterion) -> None:
 
 
 def deterministic(criterion: Criterion) -> None:
-    """The same fits are given the same figures, here and in another process."""
+    """The same fits get the same figures, here and in another process."""
     fits = _fits(_masks())
     first = criterion.score(fits)
     again = (criterion.score(fits), type(criterion)(**criterion.options).score(fits),
@@ -84,7 +84,7 @@ def deterministic(criterion: Criterion) -> None:
 
 
 def one_by_one(criterion: Criterion) -> None:
-    """A model's figure does not depend on the other models it is scored with."""
+    """A model's figure does not depend on the models scored with it."""
     masks = _masks()
     together = criterion.score(_fits(masks))
     alone = np.concatenate([criterion.score(_fits(masks[i:i + 1])) for i in range(len(masks))])
@@ -94,7 +94,7 @@ def one_by_one(criterion: Criterion) -> None:
 
 
 def inputs_unchanged(criterion: Criterion) -> None:
-    """It writes to nothing it is given."""
+    """It does not change its inputs."""
     fits = _fits(_masks())
     arrays = {name: value for name, value in vars(fits).items() if isinstance(value, np.ndarray)}
     before = {name: array.copy() for name, array in arrays.items()}
@@ -176,7 +176,7 @@ def _masks() -> BoolArray:
 
 
 def _fits(masks: BoolArray) -> Fits:
-    """Return least-squares fits of an affine scene with noise, as a problem shows them."""
+    """Return least-squares fits of an affine scene with noise, as from a problem."""
     model, rng = _model(), seeded()
     affine = {"1": 0.1, "X": 0.5, "Y": 0.4, "Z": 0.2}
     truth = np.array([affine.get(Term.parse(name).column, 0.0) for name in model.terms])
