@@ -193,7 +193,7 @@ def _gain(one: Judged, other: Judged) -> float:
 def repeated(control: FeatureSet, heights: bool) -> FloatArray | None:
     """Return the errors of points under choices made without them.
 
-    In each fold the whole portfolio is fitted and chosen from anew, so that the errors are
+    In each fold the whole portfolio is fitted and the choice made again, so that the errors are
     those of the choice and not of a model that was chosen by them.
 
     Parameters
@@ -205,7 +205,7 @@ def repeated(control: FeatureSet, heights: bool) -> FloatArray | None:
     Returns
     -------
     ndarray, shape (n, 2), or None
-        Measured minus predicted [pixel]; None if some fold leaves too little to choose by.
+        Measured minus predicted [px]; None if some fold leaves too little to choose by.
     """
     points = control.points
     order = spatial_order(points.ground[:, :2])

@@ -33,12 +33,12 @@ class Doubts:
     Parameters
     ----------
     sigma : float
-        Standard deviation of a measured coordinate [pixel], from the median error of all control
+        Standard deviation of a measured coordinate [px], from the median error of all control
         features on offer, those in use enlarged by what the adjustment takes from them; few
-        wrong ones, used or not, do not move it. Where deviations are given, it is that of a
+        blunders, used or not, do not move it. Where deviations are given, it is that of a
         feature with the median one.
     wrong : mapping
-        Features whose error is beyond 3 sigma, with that error [pixel]: probably measured or
+        Features whose error is beyond 3 sigma, with that error [px]: probably measured or
         matched wrongly.
     in_use : tuple of str
         Those of them that the selection uses all the same.
@@ -57,7 +57,7 @@ def doubts(fit: Fit) -> Doubts | None:
 
     The error of a point is the larger of those in line and sample, that of a line the largest
     distance of a projected vertex from the image line. Yavari et al. 2018 remark that OWDIS
-    leaves wrong lines out; to tell them from superfluous ones is termsel's own.
+    leaves mismatched lines out; to tell them from superfluous ones is termsel's own.
 
     Parameters
     ----------

@@ -62,7 +62,7 @@ class Estimator(ABC):
         ----------
         model : Fittable
         control : FeatureSet
-            In pixels and ground units.
+            In px and ground units.
         scaling : Scaling
         terms : ndarray of bool, shape (k,)
             Terms in use; an estimator that selects terms offers itself all of them.
@@ -386,7 +386,7 @@ def fit(model: Fittable, control: FeatureSet, scaling: Scaling,
     ----------
     model : Fittable
     control : FeatureSet
-        In pixels and ground units.
+        In px and ground units.
     scaling : Scaling
     terms : ndarray of bool, shape (k,), optional
         Terms in use; all by default.

@@ -69,10 +69,10 @@ def _head(record: Record) -> Iterator[str]:
                "this")
     yield (f"Search: {record['evaluations']} evaluations ({record['lookups']} looked up), "
            f"{record['generations']} generations, {record['seconds']:.1f} s")
-    if polish := record["polish"]:
-        yield (f"Local refinement: {record['criterion']} {polish['found']:.4g} as "
-               f"{record['solver']} found it, {polish['polished']:.4g} after "
-               f"{polish['evaluations']} evaluations more")
+    if refined := record["polish"]:
+        yield (f"Local refinement: {record['criterion']} {refined['found']:.4g} as "
+               f"{record['solver']} found it, {refined['polished']:.4g} after "
+               f"{refined['evaluations']} evaluations more")
     if record["certificate"]:
         exact = "--set recommend=best" if record["solver"] == "exact" else \
             "--solver exact" + " --set max_share=1" * (share == 1.0)

@@ -1,4 +1,4 @@
-"""The strategy "auto": the best model of the points, with an accuracy that can be believed."""
+"""The strategy "auto": the best model of the points, with an estimate of its accuracy."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ given, beyond which a point is named as perhaps wrong, and the number of points 
 fewer, each may be hard to predict from the others."""
 
 ROUNDING = 1e-6
-"""Errors that are none [pixel]."""
+"""Errors that are none [px]."""
 
 
 def wanted(strategy: str | None, recipe: Recipe, asked: Mapping[str, Any]) -> bool:

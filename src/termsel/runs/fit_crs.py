@@ -30,10 +30,11 @@ SYSTEMS = {"geodetic": "EPSG:4979", "projected": "", "geocentric": "EPSG:4978"}
 """CRS of each kind of coordinates; the UTM zone of projected ones is that of the features."""
 
 FIT_CRS = Option(
-    "fit_crs", None, "CRS the model is fitted in: geodetic (WGS84 longitude, latitude, ellipsoidal "
-    "height), projected (the UTM zone of the features), geocentric (WGS84 X, Y, Z), EPSG:n, or "
-    "auto, the one of the first three that predicts best by leave-one-out; that of the ground "
-    "coordinates by default. Coordinates of files and results stay in their own.")
+    "fit_crs", None, "CRS the model is fitted in; by default that of the ground coordinates. "
+    "geodetic is WGS84 longitude, latitude and ellipsoidal height; projected is the UTM zone of "
+    "the features; geocentric is WGS84 X, Y, Z; EPSG:n is any other. auto takes the one of the first "
+    "three that predicts best by leave-one-out. Coordinates of files and results stay in their "
+    "own CRS.")
 
 
 def with_fit_crs(choice: str, features: FeatureSet, observations: Observations,
