@@ -33,8 +33,8 @@ FIT_CRS = Option(
     "fit_crs", None, "CRS the model is fitted in; by default that of the ground coordinates. "
     "geodetic is WGS84 longitude, latitude and ellipsoidal height; projected is the UTM zone of "
     "the features; geocentric is WGS84 X, Y, Z; EPSG:n is any other. auto takes the one of the first "
-    "three that predicts best by leave-one-out. Coordinates of files and results stay in their "
-    "own CRS.")
+    "three that predicts best by leave-one-out. Coordinates of files and results stay in "
+    "their own CRS.")
 
 
 def with_fit_crs(choice: str, features: FeatureSet, observations: Observations,
