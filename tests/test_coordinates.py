@@ -171,8 +171,8 @@ def test_auto_takes_the_best_by_leave_one_out(scene: FeatureSet) -> None:
     ("local", "geocentric", "poly3d", "--fit-crs geocentric: plane coordinates without a CRS"),
     ("local", "auto", "poly3d", "State the CRS"),
     ("EPSG:32639", "geocentric", "poly2d", "model 'poly2d' has none"),
-    ("EPSG:32639", "UTM", "poly3d", "option 'fit_crs' does not accept 'UTM'"),
-    ("EPSG:32639", "local", "poly3d", "option 'fit_crs' does not accept 'local'"),
+    ("EPSG:32639", "UTM", "poly3d", "option 'fit_crs' does not take 'UTM'"),
+    ("EPSG:32639", "local", "poly3d", "option 'fit_crs' does not take 'local'"),
     ("EPSG:32639", "EPSG:999999", "poly3d", "EPSG:999999"),
 ])
 def test_refusals(scene: FeatureSet, crs: str, choice: str, model: str, words: str) -> None:
