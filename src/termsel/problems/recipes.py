@@ -78,8 +78,8 @@ OBJECTIVES = Option(
 RECOMMEND = Option(
     "recommend", None, "Which member of a front is the selection: the knee; the best criterion; "
     "or, within one standard error of the best, the least second objective (with exact the fewest "
-    "terms). By default one-standard-error with several objectives. Otherwise, and for a "
-    "criterion without a standard error, best.",
+    "terms). By default one-standard-error with several objectives and a criterion that has a "
+    "standard error; otherwise best.",
     choices=("one-standard-error", "knee", "best"))
 RECOMMEND_TERMS = replace(RECOMMEND, doc=RECOMMEND.doc.replace(
     "the best criterion; or,", "the best criterion; the least EBIC; or,"),
