@@ -205,7 +205,7 @@ def repeated(control: FeatureSet, heights: bool) -> FloatArray | None:
     Returns
     -------
     ndarray, shape (n, 2), or None
-        Measured minus predicted [pixel]; None if some fold leaves too little to choose by.
+        Measured minus predicted [px]; None if some fold leaves too little to choose by.
     """
     points = control.points
     order = spatial_order(points.ground[:, :2])

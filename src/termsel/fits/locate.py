@@ -17,7 +17,7 @@ Surface = Callable[[FloatArray], FloatArray]
 """Heights, shape (n,), of plane ground coordinates, shape (n, 2); NaN where there are none."""
 
 TOLERANCE = 1e-6
-"""How near [pixel] the projection of what was found must come to the image point."""
+"""How near [px] the projection of what was found must come to the image point."""
 
 _STEPS, _KEPT = 24, 3
 _SECANTS, _HALVINGS = 20, 40
@@ -41,7 +41,7 @@ def locate(
     project : callable
         From ground to image.
     image : array_like, shape (n, 2)
-        Line and sample [pixel].
+        Line and sample [px].
     height : array_like, shape (n,), a number, or callable
         Heights, or a surface that gives them for x and y.
     centre, scale : array_like, shape (3,)
