@@ -95,7 +95,7 @@ def measure(job: tuple[str, int, int]) -> Split | None:
                                       chosen.scaling.ground(independent.ground))
     return Split(
         _rmse(chosen.errors(independent)), float("nan") if errors is None else _rmse(errors),
-        {one.name: _rmse(one.fit.errors(independent)) for one in choice.fitted
+        {one.name: _rmse(one.fit.errors(independent)) for one in choice.judged
          if one.name in PLAIN}, below is not None and bool((below <= 0).any()), seconds)
 
 
@@ -275,7 +275,7 @@ def _ratio(jobs: list[tuple[str, int, int]]) -> float:
         choice = choose(FeatureSet(mine), _heights(mine))
         assert choice is not None
         found.append(_rmse(choice.chosen.fit.errors(independent))
-                     / min(_rmse(one.fit.errors(independent)) for one in choice.fitted
+                     / min(_rmse(one.fit.errors(independent)) for one in choice.judged
                            if one.name in PLAIN))
     return median(found)
 

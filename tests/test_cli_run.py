@@ -45,7 +45,7 @@ def test_own_files_run_and_write_the_result(files: Path, tmp_path: Path) -> None
     done = termsel("run", "--problem", "owdis-lines", "--points", files / "points.csv", "--lines",
                    files / "lines.csv", "--crs", "EPSG:4979", "--out", out, *QUICK)
     assert done.returncode == 0, done.stderr
-    assert "RMSE [pixel]" in done.stdout
+    assert "RMSE [px]" in done.stdout
     assert (out / "summary.txt").read_text() == done.stdout
     assert json.loads((out / "result.json").read_text())["data"]["counts"]["lines"] == 120
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import doctest
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -220,6 +222,13 @@ def test_a_candidate_takes_the_plane_model_without_heights() -> None:
     assert fitted.model.name == "poly2d"
 
 
+def test_the_page_says_what_is_so() -> None:
+    page = Path(__file__).parents[1] / "docs/how-to/fit-one-model.md"
+    failed, tried = doctest.testfile(str(page), module_relative=False)
+    assert tried > 10
+    assert not failed
+
+
 # Errors
 
 
@@ -232,7 +241,7 @@ def without_heights() -> FeatureSet:
 
 @pytest.mark.parametrize(("features", "model", "options", "message"), [
     (points_of(5), "rfm", {"order": 1},
-     "10 equations of 5 control features do not determine the 14 terms of model 'rfm'"),
+     "5 control features give 10 equations for the 14 terms of model 'rfm'. Measure at least 7"),
     (points_of(30).with_(points=replace(points_of(30).points, ground=points_of(
         30).points.ground * [1, 1, 0])), "affine", {}, "determines only . of the 8 terms"),
     (without_heights(), "affine", {}, "needs heights, and they are unknown for 1"),

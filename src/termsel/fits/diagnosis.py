@@ -14,7 +14,7 @@ from termsel.fits.fit import Fit
 from termsel.measurements.features import FloatArray, Lines, select
 
 BEYOND = 3.0
-"""Standard deviations beyond which a measurement is called probably wrong."""
+"""Standard deviations beyond which a measurement is called a probable blunder."""
 
 NORMAL_MEDIAN = 0.6745
 """Median absolute value of a standard normal variable."""
@@ -38,8 +38,7 @@ class Doubts:
         blunders, used or not, do not move it. Where deviations are given, it is that of a
         feature with the median one.
     wrong : mapping
-        Features whose error is beyond 3 sigma, with that error [px]: probably measured or
-        matched wrongly.
+        Probable blunders: features whose error is beyond 3 sigma, with that error [px].
     in_use : tuple of str
         Those of them that the selection uses all the same.
     spare : tuple of str
@@ -53,11 +52,11 @@ class Doubts:
 
 
 def doubts(fit: Fit) -> Doubts | None:
-    """Return which features are probably wrong, and which merely were not needed.
+    """Return which features are probable blunders, and which merely were not needed.
 
     The error of a point is the larger of those in line and sample, that of a line the largest
     distance of a projected vertex from the image line. Yavari et al. 2018 remark that OWDIS
-    leaves mismatched lines out; to tell them from superfluous ones is termsel's own.
+    leaves blunders out; to tell them from superfluous ones is termsel's own.
 
     Parameters
     ----------

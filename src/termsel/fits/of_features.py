@@ -75,9 +75,10 @@ def require_determined(fitted: Fit) -> Fit:
     adjustment, name = fitted.adjustment, fitted.model.name
     if adjustment.n_equations < adjustment.n_terms:
         raise Undetermined(
-            f"{adjustment.n_equations} equations of {fitted.used.sum()} control features do not "
-            f"determine the {adjustment.n_terms} terms of model {name!r}",
-            hint="Measure more control, or choose a model with fewer terms.")
+            f"{fitted.used.sum()} control features give {adjustment.n_equations} equations for the "
+            f"{adjustment.n_terms} terms of model {name!r}",
+            hint=f"Measure at least {-(-adjustment.n_terms // 2)}, or choose a model with fewer "
+                 "terms.")
     raise Undetermined(
         f"the control determines only {adjustment.rank} of the {adjustment.n_terms} terms of "
         f"model {name!r}",

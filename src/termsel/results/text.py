@@ -94,7 +94,8 @@ def _strategy(strategy: Mapping[str, Any], seconds: float) -> Iterator[str]:
                f"{one['effective']:>16.1f}{one['predicted']:>16.3f}{mark}")
     shrunken = any(one.kind == "shrunken" for listed in strategy["candidates"]
                    if (one := named(listed["name"])))
-    yield f"<- {RULE if shrunken else LEAST}"
+    yield from textwrap.wrap(f"<- {RULE if shrunken else LEAST}", _WIDTH,
+                             subsequent_indent="   ")
     yield (f"The predicted RMSE is that of the whole choice, repeated in {strategy['folds']} "
            "folds.")
 

@@ -32,8 +32,8 @@ SYSTEMS = {"geodetic": "EPSG:4979", "projected": "", "geocentric": "EPSG:4978"}
 FIT_CRS = Option(
     "fit_crs", None, "CRS the model is fitted in; by default that of the ground coordinates. "
     "geodetic is WGS84 longitude, latitude and ellipsoidal height; projected is the UTM zone of "
-    "the features; geocentric is WGS84 X, Y, Z; EPSG:n is any other. auto takes the one of the first "
-    "three that predicts best by leave-one-out. Coordinates of files and results stay in "
+    "the features; geocentric is WGS84 X, Y, Z; EPSG:n is any other. auto takes the one of the "
+    "first three that predicts best by leave-one-out. Coordinates of files and results stay in "
     "their own CRS.")
 
 

@@ -43,13 +43,13 @@ def judge(conventional: str, criterion: str, rmse: Mapping[str, Rmse | None],
         Standard deviation of the measurements [px], where it is known.
     """
     if not feasible:
-        return ("This does not satisfy all conditions: it has undetermined or too many terms, an "
-                "axis without terms or a pole in the scene, and no better was found. Do not use "
-                "it; give more control or a smaller model.")
+        return ("This selection does not satisfy all conditions, and no better one was found. It "
+                "has undetermined or too many terms, an axis without terms, or a pole in the "
+                "scene. Do not use it: give more control or choose a smaller model.")
     mine = rmse["independent"]
     if mine is None:
         return ("There are no independent points, so the accuracy of this selection is not "
-                f"known: the search minimised {criterion}.")
+                f"known. The search minimised {criterion}.")
     sentences = [_compare("The selection is", mine.total, baselines[0], conventional)
                  + f" on {mine.n} independent points."]
     best = next((b for b in baselines if b.name == reference), None)
@@ -91,11 +91,11 @@ def judge_choice(chosen: Candidate, predicted: float | None, rmse: Mapping[str, 
         Standard deviation of the measurements [px], where it is known.
     """
     mine = rmse["independent"]
-    expected = "" if predicted is None else f" and predicts {_px(predicted)}"
+    expected = "" if predicted is None else f", with a predicted RMSE of {_px(predicted)}"
     start = f"Leave-one-out over control and check chooses {chosen.title}{expected}."
     if mine is None:
         return f"{start} There are no independent points to confirm it."
-    sentences = [start, f"{mine.n} independent points, which took no part, say "
+    sentences = [start, f"The RMSE of {mine.n} independent points, which took no part, is "
                         f"{_px(mine.total)}."]
     others = [(b.predicted, b, other) for b in baselines if b.predicted is not None
               and (other := named(b.name)) and other.is_plain and other is not chosen]
@@ -164,7 +164,7 @@ def notes_on(observations: Observations, criterion: Criterion, found: Search,
         spread = orientation_spread(lines)
         if spread < PARALLEL:
             yield (f"The lines in use run nearly alike (orientation spread {spread:.2g} of 1): "
-                   "along them the model is hardly fixed.")
+                   "along them the model is hardly determined.")
     prior = chosen.model.equations(chosen.scaled_control).prior
     if prior is not None and prior[chosen.terms].any() and chosen.estimator.least_squares:
         yield (f"Pseudo-observations of weight {prior.max()**2:.3g} hold coefficients of "

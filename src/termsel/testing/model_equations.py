@@ -26,6 +26,11 @@ EXACT = 1e-6
 """Allowed error of a model fitted to its own image positions, in scaled units."""
 
 
+NOISE, REPEATED = 1e-4, 0.05
+"""Noise of points, as a share of the image, and by how much of an error leave-one-out may differ
+from a refit."""
+
+
 FIRST_ORDER = 0.01
 """Allowed median error if line equations are of first order, relative to the image."""
 
@@ -121,6 +126,37 @@ def translation(model: SensorModel) -> None:
     require(error <= EXACT, f"a shift of all image coordinates by {shift} does not shift its "
                             f"prediction by as much, but differs by {error:.1g}; has it a constant "
                             "term for line and for sample?")
+
+
+def fit(model: SensorModel) -> None:
+    """Its method `fit` recovers what it computed, and leaves one out as refits do."""
+    try:
+        scaled, truth, ground = experiment(model, 1, 0)
+        model.equations(scaled)
+    except TermselError:  # a model of lines alone, as `control_kinds` says
+        return
+    scaling, points = model.scaling, scaled.points
+    require(scaling is not None, "it must be prepared")
+    assert scaling is not None
+    features = FeatureSet(Points(points.ids, scaling.pixels(points.image),
+                                 scaling.unscaled(points.ground)), crs=model.crs)
+    error = np.abs(model.fit(features).project(scaling.unscaled(ground))
+                   - scaling.pixels(model.project(truth, ground))).max() / scaling.image_scale
+    require(error <= EXACT, "fit() to points without noise that project() gave misses other points "
+                            f"by {error:.1g} (scaled units)")
+    noise = NOISE * scaling.image_scale * seeded().normal(size=(len(points), 2))
+    found = model.fit(features.with_(points=replace(
+        features.points, image=features.points.image + noise)))
+    left_out = found.leave_one_out
+    for i in (0, len(points) // 2):
+        others = np.arange(len(points)) != i
+        again = found.estimator.fit(found.model, found.control.take(others), found.scaling,
+                                    found.terms, np.ones(len(points) - 1, dtype=bool))
+        expected = again.errors(found.control.points.take(~others))[0]
+        off = np.hypot(*(expected - (left_out[i].line, left_out[i].sample)))
+        require(off <= REPEATED * (np.hypot(*expected) + NOISE * scaling.image_scale),
+                f"leave_one_out of fit() is {off:.2g} px from a fit without the point; do "
+                "the equations of a point depend on other points?")
 
 
 def _require_recovered(model: SensorModel, features: FeatureSet, truth: FloatArray,

@@ -30,6 +30,7 @@ from termsel.testing.model_equations import (
     control_kinds,
     equations,
     exact_recovery,
+    fit,
     recovery_from_lines,
     translation,
 )
@@ -218,7 +219,7 @@ def residual_weights(model: SensorModel) -> None:
 
 MODEL_CHECKS = (
     declaration, term_names, axis, control_kinds, equations, inputs_unchanged, exact_recovery,
-    recovery_from_lines, translation, project_shapes, batch_project, deterministic, prepared,
+    recovery_from_lines, fit, translation, project_shapes, batch_project, deterministic, prepared,
     picklable, masks_stay_finite, height, residual_weights)
 
 
