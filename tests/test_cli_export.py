@@ -159,7 +159,7 @@ def test_run_exports_into_its_folder(tmp_path: Path) -> None:
     assert "Written" in err
     code, _, err = _termsel(*run)
     assert code == 2
-    assert "--export needs a folder to write to. Give --out DIR" in err
+    assert "--export requires --out. Give a folder: --out DIR" in err
     code, _, err = _termsel(*run, "--export", "rcp", "--out", tmp_path / "late")
     assert code == 2
     assert "unknown writer 'rcp'" in err

@@ -257,7 +257,7 @@ def test_spatial_order_names_every_point_once(xy: FloatArray) -> None:
 
 @given(st.tuples(*[st.sampled_from([-1.0, 0.0, np.nan, np.inf])] * 3))
 def test_fractions_that_share_nothing_out(fractions: tuple[float, float, float]) -> None:
-    with pytest.raises(TermselError, match="do not share out"):
+    with pytest.raises(TermselError, match="do not assign the points"):
         assign(np.zeros((3, 2)), fractions=fractions, rng=np.random.default_rng(1))
 
 

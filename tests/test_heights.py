@@ -202,7 +202,7 @@ def test_run_with_a_dem_states_the_datum(tmp_path: Path) -> None:
     done = subprocess.run([sys.executable, "-m", "termsel", "run", "--problem", "poly-terms",
                            "--dem", str(path)], capture_output=True, text=True, check=False)
     assert done.returncode == 2
-    assert "--dem speaks of a file of points or lines" in done.stderr
+    assert "--dem requires --points or --lines" in done.stderr
 
 
 def test_lines_take_heights_too(tmp_path: Path) -> None:

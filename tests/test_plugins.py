@@ -344,7 +344,7 @@ def test_a_plugin_of_the_old_rule_serves_commands(install, only, call, tmp_path)
     termsel.export(result, "note", tmp_path / "a", word="well")
     assert (tmp_path / "a").read_text() == "well"
     (tmp_path / "b").write_text("1|2")
-    with pytest.raises(TermselError, match="the file holds no points"):
+    with pytest.raises(TermselError, match="the file has no points"):
         termsel.read(tmp_path / "b")
 
 

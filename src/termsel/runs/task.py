@@ -182,9 +182,6 @@ def ask(
     of_problem = _of_problem(recipe, chosen["problem"], the_criterion, solver_type,
                              published=solver is not None and solver_type.as_published)
     of_data = resolve(DATA_OPTIONS, chosen["data"])
-    if of_data["check_as"] is None:
-        judging = the_criterion.needs_check or _control_of(recipe, of_problem) == "lines"
-        of_data["check_as"] = "judge" if judging else "control"
     if features is None:
         spec = names.get("datasets", dataset or recipe.dataset)
         features = spec.load()
@@ -203,10 +200,11 @@ def observe(request: Request) -> Observations:
     """
     recipe, criterion, of_data = request.recipe, request.criterion, request.options["data"]
     observations = assign_roles(
-        request.features, control=_control_of(recipe, request.options["problem"]),
+        request.features,
+        control="both" if request.options["problem"].get("mixed") else recipe.control,
         how=of_data["roles"], fractions=_fractions(of_data["fractions"], criterion.needs_check),
         rng=np.random.default_rng(of_data["split"]))
-    if of_data["check_as"] == "control":
+    if _check_as(request, observations) == "control":
         observations = check_as_control(observations)
     require_heights(request.model, _taking_part(observations))
     _require_enough(observations, recipe, criterion)
@@ -245,9 +243,10 @@ def build(request: Request, observations: Observations, scaling: Scaling,
     problem = request.recipe.build(inputs)
     require_able(problem, request.solver,
                  [entry.object for entry in registry().entries("solvers")])
+    data = {**request.options["data"], "check_as": _check_as(request, observations)}
     return Task(request.recipe, problem, inputs.model, request.solver, request.criterion,
                 observations, scaling, request.features, request.source,
-                {"problem": inputs.options, "data": request.options["data"]})
+                {"problem": inputs.options, "data": data})
 
 
 def _of_problem(recipe: Recipe, given: Mapping[str, Any], criterion: Criterion,
@@ -263,9 +262,10 @@ def _of_problem(recipe: Recipe, given: Mapping[str, Any], criterion: Criterion,
     return options
 
 
-def _control_of(recipe: Recipe, options: Mapping[str, Any]) -> str:
-    """Return which features are control: "points", "lines" or "both"."""
-    return "both" if options.get("mixed") else recipe.control
+def _check_as(request: Request, observations: Observations) -> str:
+    """Return what check points are, where the option does not say: judges or control."""
+    judging = request.criterion.needs_check or not len(observations.control.points)
+    return request.options["data"]["check_as"] or ("judge" if judging else "control")
 
 
 def _rule(asked: str | None, criterion: Criterion, solver: type[Solver]) -> str:
