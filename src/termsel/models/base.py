@@ -256,5 +256,6 @@ def require_heights(model: SensorModel, features: FeatureSet) -> None:
     if model.uses_height and missing:
         some = ", ".join(missing[:5]) + (" ..." if len(missing) > 5 else "")
         raise TermselError(
-            f"model {model.name!r} needs heights, and {len(missing)} of the features lack one: {some}",
+            f"model {model.name!r} needs heights; they are unknown for {len(missing)} of the "
+            f"features: {some}",
             hint="Add heights, or choose a plane model such as --model poly2d.", ids=missing[:1])
