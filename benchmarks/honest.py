@@ -23,8 +23,7 @@ from statistics import median
 
 import numpy as np
 
-from termsel.candidates import portfolio
-from termsel.candidates import shrunken as averaging
+from termsel.candidates import portfolio, posterior
 from termsel.candidates.portfolio import choose, repeated
 from termsel.io.read import read
 from termsel.measurements.features import FeatureSet, FloatArray, Points
@@ -245,7 +244,7 @@ def against_papers(wanted: list[str], processes: int) -> str:
 
 
 CONSTANTS = (
-    *((averaging, name) for name in ("SIZES", "TYPICAL", "FALLS", "RELIEFS", "SPREAD", "DRAWS")),
+    *((posterior, name) for name in ("SIZES", "TYPICAL", "FALLS", "RELIEFS", "SPREAD", "DRAWS")),
     *((portfolio, name) for name in ("BETTER", "CLEARLY")))
 
 

@@ -1,0 +1,306 @@
+"""The posterior of a shrunken polynomial: all solutions on a grid of scales, and their weights.
+
+`termsel.candidates.shrunken` says what the prior is.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from termsel.adjustment.solve import TOLERANCE
+from termsel.measurements.features import BoolArray, FloatArray, IntArray
+
+SIZES = 10.0 ** np.arange(-0.5, 5.5, 0.5)
+"""Standard deviations of quadratic coefficients by that of the noise. From where they cannot be
+told from 0 to where they are as good as free."""
+
+
+TYPICAL = 10.0
+"""Size beyond which larger ones are ever less likely, in proportion: the tail of a half-Cauchy
+prior. Where few points leave hardly any redundancy, the data do not exclude that there is no noise
+and all sizes are huge; this does."""
+
+
+FALLS = (0.01, 0.03, 0.1, 0.3)
+"""Cubic coefficients by quadratic ones."""
+
+
+RELIEFS = (0.03, 0.1, 0.3, 1.0)
+"""Coefficients of one power of Z more, by those without."""
+
+
+DRAWS, SPREAD = 64, 1.0
+"""How often factors of single terms are drawn, apart from 1 for all, divided among all pairs of a
+fall and a relief; and their standard deviation in natural logarithms."""
+
+
+NO_NOISE = 1e-11
+"""Noise that counts as none, as a part of the image's half-range."""
+
+
+NEVER = 40.0
+"""Solutions less likely than the likeliest by this, in natural logarithms, are left out."""
+
+
+TINY = 1e-14
+"""What is left of 1 by rounding error."""
+
+
+@dataclass(frozen=True, eq=False)
+class Side:
+    """All solutions of one axis, groups of scales by sizes.
+
+    `evidence` and `square`, shape (g s,), make up prior and marginal likelihood, square^-nu/2
+    exp(evidence); `left` is 1 minus the leverage of each point, `errors` are what the fit leaves,
+    shape (g s, n); `coefficients` are the shrunken ones, shape (g s, j).
+    """
+
+    evidence: FloatArray
+    square: FloatArray
+    left: FloatArray
+    errors: FloatArray
+    coefficients: FloatArray
+
+
+def scales_of(exponents: FloatArray) -> FloatArray:
+    """Return standard deviations of the shrunken coefficients for size 1, shape (g, k)."""
+    order, height = exponents.sum(axis=1), exponents[:, 2]
+    reliefs, falls = RELIEFS if height.any() else (1.0,), FALLS if order.max() > 2 else (1.0,)
+    rule = np.array([fall ** (order - 2.0) * relief ** height
+                     for fall in falls for relief in reliefs])
+    rng = np.random.default_rng(0)
+    own = np.exp(SPREAD * rng.standard_normal((DRAWS // len(rule), *rule.shape)))
+    return np.concatenate([rule, (rule * own).reshape(-1, rule.shape[1])])
+
+
+@dataclass(frozen=True, eq=False)
+class Design:
+    """Decompositions of the shrunken columns without the free ones, one for each group.
+
+    Parameters
+    ----------
+    basis : ndarray, shape (n, m)
+        What some column, and no affine function, explains.
+    explained : ndarray, shape (n, l)
+        What the columns explain, affine ones with them; the rest is left by every solution.
+    u : ndarray, shape (g, m, m)
+    values : ndarray, shape (g, m)
+    vt : ndarray, shape (g, m, k)
+    """
+
+    basis: FloatArray
+    explained: FloatArray
+    u: FloatArray
+    values: FloatArray
+    vt: FloatArray
+
+
+def _design(columns: FloatArray, free: BoolArray, scales: FloatArray) -> Design | None:
+    """Return the decompositions; None if the free columns lack a point's redundancy."""
+    lead = columns[:, free]
+    count = lead.shape[1]
+    if len(lead) <= count:
+        return None
+    q, r = np.linalg.qr(np.concatenate([lead, columns[:, ~free]], axis=1))
+    if (np.abs(np.diag(r))[:count] <= TOLERANCE * np.linalg.norm(lead, axis=0)).any() \
+            or (1.0 - (q[:, :count]**2).sum(axis=1)).min() < TOLERANCE:
+        return None
+    rest = r[count:, count:]
+    return Design(q[:, count:], q, *np.linalg.svd(rest * scales[:, None, :],
+                                                   full_matrices=False))
+
+
+def _solutions(design: Design, target: FloatArray, scales: FloatArray) -> Side:
+    """Return the solutions of one axis for all scales and sizes."""
+    along = (design.basis.T @ target) @ design.u
+    u = design.basis @ design.u
+    n, k = len(target), scales.shape[1]
+    # What no column reaches is kept apart, so that nothing cancels where noise tends to 0.
+    beyond, room = np.zeros(n), np.zeros(n)
+    if design.explained.shape[1] < n:
+        beyond = target - design.explained @ (design.explained.T @ target)
+        room = np.maximum(1.0 - (design.explained**2).sum(axis=1), 0.0)
+    ratio = SIZES[:, None] * design.values[:, None, :]                        # (g, s, m)
+    keep = 1.0 / (1.0 + ratio**2)
+    part = keep * along[:, None, :]
+    return Side(
+        (0.5 * np.log(keep).sum(axis=2) - 0.5 * np.log1p((SIZES / TYPICAL) ** 2)).ravel(),
+        (beyond @ beyond + (part * along[:, None, :]).sum(axis=2)).ravel(),
+        np.maximum(room + keep @ (u**2).transpose(0, 2, 1), TINY).reshape(-1, n),
+        (beyond + part @ u.transpose(0, 2, 1)).reshape(-1, n),
+        (scales[:, None, :] * ((SIZES[:, None] * ratio * part) @ design.vt)).reshape(-1, k))
+
+
+@dataclass(frozen=True, eq=False)
+class Cells:
+    """The points of the grid that matter: which solutions of line and of sample, and how likely."""
+
+    which: tuple[IntArray, IntArray]
+    share: FloatArray
+
+
+def _cells(sides: list[Side], freedom: int, noise: float) -> Cells:
+    """Return what is on the grid of group, size of line and size of sample, and not NEVER."""
+    line, sample = (np.arange(len(side.square)).reshape(-1, len(SIZES)) for side in sides)
+    shape = (*line.shape, len(SIZES))
+    first = np.broadcast_to(line[:, :, None], shape).ravel()
+    second = np.broadcast_to(sample[:, None, :], shape).ravel()
+    logarithm = (sides[0].evidence[first] + sides[1].evidence[second] - freedom / 2 * np.log(
+        sides[0].square[first] + sides[1].square[second] + noise))
+    kept = logarithm > logarithm.max() - NEVER
+    return Cells((first[kept], second[kept]), _shares(logarithm[kept]))
+
+
+def _shares(logarithm: FloatArray) -> FloatArray:
+    """Return probabilities, adding up to 1 along the first axis."""
+    share = np.exp(logarithm - logarithm.max(axis=0))
+    return np.asarray(share / share.sum(axis=0))
+
+
+@dataclass(frozen=True, eq=False)
+class Posterior:
+    """All solutions for both axes.
+
+    Parameters
+    ----------
+    sides : tuple of Side
+        Of line and of sample.
+    cells : Cells
+        Which of them matter, and their probabilities.
+    freedom : int
+        Equations in use less the terms that are not shrunk.
+    noise : float
+        Sum of squares that counts as none.
+    """
+
+    sides: tuple[Side, Side]
+    cells: Cells
+    freedom: int
+    noise: float
+
+    @property
+    def square(self) -> FloatArray:
+        """Sum of squares of each cell, shape (c,)."""
+        line, sample = self._of_cells("square")
+        return line + sample + self.noise
+
+    def mean(self, axis: int) -> tuple[FloatArray, float]:
+        """Return the shrunken coefficients of an axis, averaged, and its effective parameters."""
+        side, which = self.sides[axis], self.cells.which[axis]
+        return (self.cells.share @ side.coefficients[which],
+                float(self.cells.share @ (1.0 - side.left[which]).sum(axis=1)))
+
+    def without(self, i: int) -> Prediction:
+        """Return what all points but one predict for it.
+
+        Parameters
+        ----------
+        i : int
+            A point in use.
+        """
+        left, errors = self._at("left", i), self._at("errors", i)
+        square = self.square
+        # The determinant loses the factor `left`, the sum of squares errors^2 / left.
+        rest = np.maximum(
+            square - errors[0] ** 2 / left[0] - errors[1] ** 2 / left[1],
+            self.noise + TINY * square)
+        line, sample = self._of_cells("evidence")
+        share = _shares(line + sample - 0.5 * np.log(left[0] * left[1])
+                        - (self.freedom - 2) / 2 * np.log(rest))
+        return Prediction(
+            (errors[0] / left[0], errors[1] / left[1]), (1.0 / left[0], 1.0 / left[1]),
+            rest / (self.freedom - 2), self.freedom - 2, share)
+
+    def beyond(self, i: int, weight: float) -> Prediction:
+        """Return what the points in use predict for another one.
+
+        Parameters
+        ----------
+        i : int
+            A point that stands in the equations with a weight too small to matter.
+        weight : float
+            That weight.
+        """
+        left, errors = self._at("left", i), self._at("errors", i)
+        return Prediction(
+            (errors[0] / left[0] / weight, errors[1] / left[1] / weight),
+            (1.0 + (1.0 - left[0]) / weight**2, 1.0 + (1.0 - left[1]) / weight**2),
+            self.square / self.freedom, self.freedom, self.cells.share)
+
+    def _of_cells(self, name: str) -> list[FloatArray]:
+        return [getattr(side, name)[which]
+                for side, which in zip(self.sides, self.cells.which, strict=True)]
+
+    def _at(self, name: str, i: int) -> list[FloatArray]:
+        return [getattr(side, name)[which, i]
+                for side, which in zip(self.sides, self.cells.which, strict=True)]
+
+
+@dataclass(frozen=True, eq=False)
+class Prediction:
+    """A point as others predict it, under each solution that matters.
+
+    Parameters
+    ----------
+    errors : tuple of ndarray, shape (c,)
+        Measured minus predicted, of line and sample.
+    spread : tuple of ndarray, shape (c,)
+        Variance of that error by that of the noise.
+    variance : ndarray, shape (c,)
+        Of the noise.
+    freedom : int
+        Degrees of freedom that the variance has.
+    share : ndarray, shape (c,)
+        Probability of each solution.
+    """
+
+    errors: tuple[FloatArray, FloatArray]
+    spread: tuple[FloatArray, FloatArray]
+    variance: FloatArray
+    freedom: int
+    share: FloatArray
+
+    @property
+    def error(self) -> tuple[float, float]:
+        """Measured minus predicted, averaged, of line and sample."""
+        return float(self.share @ self.errors[0]), float(self.share @ self.errors[1])
+
+
+def posterior(columns: FloatArray, image: FloatArray, order: IntArray, weights: FloatArray | None,
+              scales: FloatArray, in_use: int) -> Posterior | None:
+    """Return all solutions for points.
+
+    Parameters
+    ----------
+    columns : ndarray, shape (n, k)
+        Monomials of the scaled ground positions.
+    image : ndarray, shape (n, 2)
+    order : ndarray of int, shape (k,)
+        Orders of the monomials; affine ones first.
+    weights : ndarray, shape (n, 2) or None
+        By which equations are multiplied.
+    scales : ndarray, shape (g, j)
+        As `scales_of` gives them.
+    in_use : int
+        Number of points whose weight matters.
+
+    Returns
+    -------
+    Posterior or None
+        None if the affine terms are not determined twice over by all points but any one.
+    """
+    freedom = 2 * (in_use - int((order < 2).sum()))
+    noise = 2 * in_use * (NO_NOISE * float(np.ptp(image, axis=0).max()) / 2) ** 2
+    if weights is None:
+        weights = np.ones_like(image)
+        designs = [_design(columns, order < 2, scales)] * 2
+    else:
+        designs = [_design(columns * w[:, None], order < 2, scales) for w in weights.T]
+    sides = [_solutions(design, image[:, axis] * weights[:, axis], scales)
+             for axis, design in enumerate(designs) if design is not None]
+    if len(sides) < 2 or freedom < 4:
+        return None
+    line, sample = sides
+    return Posterior((line, sample), _cells(sides, freedom, noise), freedom, noise)
