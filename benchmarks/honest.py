@@ -1,9 +1,10 @@
 """How accurate the strategy auto is on points it has never seen, and how well it knows.
 
-``python -m benchmarks.honest`` prints the tables, ``--write`` makes docs/honest-accuracy.md of it.
+``python -m benchmarks.honest`` prints the tables, ``--write`` makes
+docs/evidence/honest-accuracy.md of them.
 The sets are the embedded scenes, each split with new points and noise, and those of the folder
 named by the environment variable TERMSEL_DATA, or ../shared/data, where it is there: sets derived
-from a sensor model get Gaussian noise of 0.5 pixel on line and sample. A split draws so many
+from a sensor model get Gaussian noise of 0.5 px on line and sample. A split draws so many
 points at random as control and check together, and up to 300 of the others as independent.
 ``--splits N`` makes it shorter, names of sets and ``--counts`` choose among them.
 """
@@ -150,7 +151,7 @@ class Row:
 
     @property
     def honesty(self) -> float:
-        """Median of independent by predicted RMSE."""
+        """Median of independent divided by predicted RMSE."""
         return median(s.auto / s.predicted for s in self.splits)
 
 
@@ -182,7 +183,7 @@ def line(row: Row) -> str:
 
 
 def verdict(found: list[Row]) -> str:
-    """Return what was promised beside what was measured."""
+    """Return what was required next to what was measured."""
     few = [row.ratio for row in found if row.count in FEW]
     over = [row for row in found if row.ratio > 1.05]
     all_splits = [(row, s) for row in found for s in row.splits]
@@ -192,7 +193,7 @@ def verdict(found: list[Row]) -> str:
     honest = median(s.auto / s.predicted for _, s in all_splits)
     named = ", ".join(f"{row.name} at {row.count} ({row.ratio:.2f})" for row in over) or "none"
     lines = [
-        "| what | asked for | measured |", "|---|---|---|",
+        "| what | required | measured |", "|---|---|---|",
         f"| ratio to the best plain structure in hindsight, median over sets | at most 1.00 | "
         f"{median(row.ratio for row in found):.2f} |",
         f"| the same at {' and '.join(map(str, FEW))} points | at most 0.95 | "
@@ -203,7 +204,8 @@ def verdict(found: list[Row]) -> str:
         f"{bad} of {len(all_splits)}; worst {max(row.worst for row in found):.2f} |",
         "| scenes at 74 points and more: ratio to noise sqrt(1 + 10/n), worst | at most 1.10 | "
         f"{f'{max(floors):.2f}' if floors else '-'} |",
-        f"| independent by predicted RMSE, median over splits | 0.90 to 1.15 | {honest:.2f} |",
+        "| independent divided by predicted RMSE, median over splits | 0.90 to 1.15 | "
+        f"{honest:.2f} |",
         "| seconds, 74 points, median | less than 10 | "
         f"{_seconds(found)} |"]
     return "\n".join(lines)
@@ -238,9 +240,9 @@ def against_papers(wanted: list[str], processes: int) -> str:
         for name in wanted:
             jobs = [(name, count, seed) for count in GA_COUNTS for seed in range(GA_SPLITS)]
             ratios[name] = median(auto / ga for ga, auto in pool.map(papers, jobs))
-    lines = ["| set | auto by GA, independent RMSE, median |", "|---|---:|"]
+    lines = ["| set | independent RMSE of auto divided by that of the GA, median |", "|---|---:|"]
     lines += [f"| {name} | {ratio:.2f} |" for name, ratio in ratios.items()]
-    return "\n".join([*lines, f"| median over sets (asked for: at most 0.75) | "
+    return "\n".join([*lines, f"| median over sets (required: at most 0.75) | "
                               f"{median(ratios.values()):.2f} |"])
 
 
@@ -287,7 +289,8 @@ def main() -> None:
     parser.add_argument("--counts", type=int, nargs="+", default=list(COUNTS))
     parser.add_argument("--splits", type=int, default=20)
     parser.add_argument("--processes", type=int, default=1)
-    parser.add_argument("--write", action="store_true", help="write docs/honest-accuracy.md")
+    parser.add_argument("--write", action="store_true",
+                        help="write docs/evidence/honest-accuracy.md")
     asked = parser.parse_args()
     wanted = asked.names or names()
     found = []
@@ -303,18 +306,18 @@ def main() -> None:
 Made by `python -m benchmarks.honest --write`: {asked.splits} splits of each set and number of
 points. Points are those in control and check together; up to 300 others are independent. The
 best plain structure (affine, DLT or projective, quadratic, cubic) is chosen with hindsight, by the
-median of its independent RMSE over all splits. The embedded scenes are simulated; sets derived
-from sensor models carry Gaussian noise of {NOISE} pixel. Seconds are of one process on a busy
+median of its independent RMSE over all splits. The embedded scenes are simulated. Sets derived
+from sensor models have Gaussian noise of {NOISE} px. Seconds are those of one process on a busy
 machine.
 
-## What was asked for, and what is measured
+## Requirement and measurement
 
 {verdict(found)}
 
-What is missed is missed with 12 points, and 20 at most: nothing in so few tells which structure
-will be best on that very split, and the best of five in hindsight is the best by luck as well.
-No rule can promise it: even who always takes the structure that is best for the set and the number
-of points, which nobody knows beforehand, is sometimes much worse than the best of the split.
+The requirement is missed only with 12 points and with 20. So few points do not tell which structure
+will be best on that very split, and the best of five in hindsight is partly best by luck. No rule
+can promise it. Take the structure that is best for the set and the number of points, which nobody
+knows beforehand: even that is sometimes much worse than the best of the split.
 
 {rules(found)}
 
@@ -327,9 +330,9 @@ points as check, {GA_SPLITS} of the splits at {', '.join(map(str, GA_COUNTS))} p
 
 ## Constants
 
-The median over splits of auto's independent RMSE by that of the best plain structure of the
-split, at 12, 20 and 40 points, with each constant of `termsel.candidates.shrunken` and those
-of `termsel.candidates.portfolio` halved and doubled.
+The median over splits of auto's independent RMSE divided by that of the best plain structure of
+the split, at 12, 20 and 40 points. Each constant of `termsel.candidates.shrunken` and of
+`termsel.candidates.portfolio` is halved and doubled.
 
 {constants}
 
@@ -338,7 +341,7 @@ of `termsel.candidates.portfolio` halved and doubled.
 {table(found)}
 """
     if asked.write:
-        (ROOT / "docs" / "honest-accuracy.md").write_text(text, encoding="utf-8")
+        (ROOT / "docs" / "evidence" / "honest-accuracy.md").write_text(text, encoding="utf-8")
     else:
         sys.stdout.write(text)
 

@@ -107,7 +107,7 @@ def orphans(terms: BoolArray, pairs: tuple[IntArray, IntArray]) -> FloatArray:
 
 MAX_SHARE = 2 / 3
 """Terms of a selection by their equations, at most, where nothing else is said: a third of the
-equations is redundant then. docs/method.md has what that does."""
+equations is redundant then. docs/explanation/selection.md has what that does."""
 
 
 def most_terms(equations: IntArray, share: float, least: int = 1) -> IntArray:

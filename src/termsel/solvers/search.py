@@ -20,7 +20,8 @@ from termsel.threads import one_blas_thread
 
 POLISH_SHARE = 3
 """Most evaluations of a polish by those of the search before it: as many as let the embedded
-problem of 21 terms an axis end at its proven optimum from most seeds (docs/solver-table.md)."""
+problem of 21 terms an axis end at its proven optimum from most seeds
+(docs/evidence/solver-table.md)."""
 
 
 Observer = Callable[[Progress], None]
