@@ -103,7 +103,7 @@ def table(options: Iterable[Option]) -> list[str]:
     """Return the rows of a table of options."""
     rows = ["| key | default | accepts | meaning |", "|---|---|---|---|"]
     for one in options:
-        default = "from the data" if one.default is None else f"`{_text(one.default)}`"
+        default = "from the data" if one.default is None else _text(one.default)
         accepts = " ".join(f"`{choice}`" for choice in one.choices) or one.accepts
         rows.append("| " + " | ".join(
             cell.replace("|", r"\|").replace("*", r"\*")
@@ -112,7 +112,9 @@ def table(options: Iterable[Option]) -> list[str]:
 
 
 def _text(value: Any) -> str:
-    return str(value).lower() if isinstance(value, bool) else str(value)
+    if value == "":
+        return "none"
+    return f"`{str(value).lower() if isinstance(value, bool) else value}`"
 
 
 def keys(schema: Mapping[str, Any], path: str = "", whole: Mapping[str, Any] | None = None,
