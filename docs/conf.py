@@ -66,8 +66,24 @@ def fill(_app: Sphinx, _name: str, source: list[str]) -> None:
     source[0] = filled(source[0])
 
 
+def examples(_app: Sphinx, _context: Any, lines: list[str]) -> None:
+    """Set the examples of a command as code: click's paragraphs of lines that are kept."""
+    text: list[str] = []
+    kept = False
+    for line in lines:
+        if not line.startswith("|"):
+            text.append(line)
+        elif line.endswith(":"):
+            text += [line[2:], ""]
+        else:
+            text += ([] if kept else [".. code-block:: sh", ""]) + [f"   {line[2:]}"]
+        kept = line.startswith("|") and not line.endswith(":")
+    lines[:] = text
+
+
 def setup(app: Sphinx) -> None:
     """Register how formulae are written and pages are filled."""
     app.connect("source-read", fill)
+    app.connect("sphinx-click-process-description", examples)
     app.add_html_math_renderer("mathml", (inline_math, None), (displayed_math, None))
     app.add_css_file("termsel.css")
