@@ -323,8 +323,8 @@ knows beforehand: even that is sometimes much worse than the best of the split.
 
 ## Against the papers' GA
 
-`rfm-terms` with `--solver ga` on check RMSE (`poly-terms` where there are no heights), half of the
-points as check, {GA_SPLITS} of the splits at {', '.join(map(str, GA_COUNTS))} points each.
+`rfm-terms` with `--solver ga` on check RMSE (`poly-terms` where there are no heights). Half of the
+points are check points. {GA_SPLITS} of the splits at {', '.join(map(str, GA_COUNTS))} points each.
 
 {papers_table}
 

@@ -251,7 +251,7 @@ METHOD_WORDS = """### Where the order differs, and why
 - **hybrid-2 gains much more** on the IKONOS scene than published. The simulated terrain has broad
   hills. Eight terms do not follow them; the fifteen do.
 - **Interpolation helps where the control is dense.** The residuals of polynomials are here
-  displacement by local relief, with wavelengths of a sixth to a third of the scene. A few dozen
+  displacement by local relief. Its wavelengths are a sixth to a third of the scene. A few dozen
   points do not resolve it. `multiquadric` and `hybrid-3` then carry residuals to places where they
   do not hold. The published gains, even with 20 points, show that the residuals at Hamedan varied
   slowly from point to point. The simulated IRS-1C scene with more control:
