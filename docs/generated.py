@@ -48,6 +48,10 @@ def part(name: str) -> str:
         return "\n".join(["| key | type | meaning |", "|---|---|---|", *rows])
     if kind == "data":
         return "\n".join(table(DATA_OPTIONS))
+    if kind == "datasets":
+        rows = [f"| `{entry.name}` | {entry.summary} | `{entry.provided_by}` |"
+                for entry in entries(kind)]
+        return "\n".join(["| name | measurements | package |", "|---|---|---|", *rows])
     return "\n".join(line for entry in entries(kind) for line in section(kind, entry))
 
 
@@ -70,7 +74,7 @@ def section(kind: str, entry: Entry) -> Iterator[str]:
 
 def description(kind: str, entry: Entry) -> str:
     """Return the paragraphs of a docstring, or the summary of what has none."""
-    if kind in ("problems", "datasets"):
+    if kind == "problems":
         return entry.summary
     thing = entry.object
     text = inspect.cleandoc((thing if isinstance(thing, type) else type(thing)).__doc__ or "")
@@ -94,8 +98,6 @@ def about(kind: str, entry: Entry) -> list[tuple[str, str]]:
         return [*package, ("Objectives", f"at most {thing.max_objectives}"),
                 ("Ends", "without a budget" if count is None else
                  f"with the budget; after {count} generations if none is given")]
-    if kind == "datasets":
-        return [*package, ("Measurements", "simulated" if thing.simulated else "real")]
     return package
 
 
