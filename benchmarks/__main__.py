@@ -7,7 +7,7 @@ import os
 import sys
 from pathlib import Path
 
-# One core for everybody, or the alternatives' threads are what is compared.
+# One core for all, or the threads of the alternatives would be compared.
 for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(variable, "1")
 
@@ -18,7 +18,7 @@ UNITS = ((1.0, "s"), (1e-3, "ms"), (1e-6, "us"), (1e-9, "ns"))
 
 
 def duration(seconds: float | None) -> str:
-    """Return a time to three digits in a fitting unit."""
+    """Return a time to three digits in a suitable unit."""
     if seconds is None:
         return ""
     unit, name = next((one for one in UNITS if seconds >= one[0]), UNITS[-1])

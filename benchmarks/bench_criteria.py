@@ -1,8 +1,8 @@
-"""Criteria that leave control features out: all at once, beside one refit after the other.
+"""Criteria that hold control features out: all at once, compared with one refit after another.
 
-Times are seconds an individual, of one core, for a whole evaluation of term selections on the
+Times are seconds per individual, on one core, for a whole evaluation of term selections on the
 embedded scene `ikonos-hamedan`: fit, guard against poles, and criterion. The alternative is the
-loop one would write with numpy: leave the feature or fold out, `lstsq`, project, square. The
+loop one would write with numpy: hold the feature or fold out, `lstsq`, project, square. The
 disagreement is the largest relative difference of the criterion.
 """
 
@@ -23,7 +23,7 @@ POPULATION, SOME = 200, 5
 
 
 def selections(problem: SelectionProblem, rng: np.random.Generator, each: int) -> BoolArray:
-    """Return feasible selections of so many terms an axis."""
+    """Return feasible selections of so many terms per axis."""
     axis = problem.inputs.model.axis
     found: list[BoolArray] = []
     while len(found) < POPULATION:
@@ -37,7 +37,7 @@ def selections(problem: SelectionProblem, rng: np.random.Generator, each: int) -
 
 def refits(problem: SelectionProblem, genes: BoolArray,
            folds: Sequence[IntArray]) -> list[float]:
-    """Return the criterion by one refit an axis and fold."""
+    """Return the criterion by one refit per axis and fold."""
     inputs, axis = problem.inputs, problem.inputs.model.axis
     A, b = problem.equations.A, problem.equations.b
     points = inputs.control.points
@@ -74,6 +74,6 @@ def rows() -> Iterator[Row]:
                                     lambda: refits(problem, genes[:SOME], folds)])  # noqa: B023
             values = problem.evaluate(genes[:SOME]).objectives[:, 0]
             gap = np.abs(values / refits(problem, genes[:SOME], folds) - 1).max()
-            yield (f"{criterion}, {n} points, {each} terms an axis", ours / POPULATION,
+            yield (f"{criterion}, {n} points, {each} terms per axis", ours / POPULATION,
                    f"{len(folds)} refits with lstsq", theirs / SOME,
                    theirs / SOME / (ours / POPULATION), float(gap))

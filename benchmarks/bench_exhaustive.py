@@ -1,10 +1,10 @@
-"""Exhaustive selection: `exact` beside mlxtend's exhaustive feature selector.
+"""Exhaustive selection: `exact` compared with mlxtend's exhaustive feature selector.
 
-Both look at every selection of the first terms of a plane polynomial for the line coordinate of
-the embedded scene `ikonos-hamedan`, judged by the sum of squared errors at the check points.
-Times are seconds a selection. mlxtend is asked for what it offers: a scikit-learn regressor, a
-fixed split into control and check, no parallel jobs. Left out where mlxtend is not installed
-(pip install mlxtend).
+Both evaluate every selection of the first terms of a plane polynomial for the line coordinate of
+the embedded scene `ikonos-hamedan`, by the sum of squared errors at the check points. Times are
+seconds per selection. mlxtend runs with a scikit-learn regressor, a fixed split into control and
+check, and no parallel jobs. The benchmark is skipped if mlxtend is not installed (pip install
+mlxtend).
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ def rows() -> Iterator[Row]:
         from sklearn.metrics import make_scorer
         from sklearn.model_selection import PredefinedSplit
     except ImportError:
-        print("bench_exhaustive: left out; pip install mlxtend", file=sys.stderr)
+        print("bench_exhaustive: skipped; requires mlxtend (pip install mlxtend)", file=sys.stderr)
         return
     whole = prepare("poly-terms", options={"degree": 4}).problem.parts()[0].system
     assert whole.check_design is not None

@@ -1,9 +1,9 @@
-"""Whole searches: termsel's GA beside the script one would write with DEAP and LAPACK.
+"""Whole searches: termsel's GA compared with a plain script with DEAP and LAPACK.
 
 Both select among the 78 terms of the RFM on the embedded scene `ikonos-hamedan`, with 200
-chromosomes and 80 generations. Times are seconds an evaluation, everything included: the
-script evaluates only changed chromosomes, and termsel looks up those it has met before, so
-whole runs differ a little in what they evaluate. The disagreement is that of the check RMSE
+chromosomes and 80 generations. Times are seconds per evaluation, everything included: the
+script evaluates only changed chromosomes, and termsel looks up known ones, so whole runs
+differ a little in their evaluations. The disagreement is that of the check RMSE
 of the script's best chromosome.
 """
 
@@ -72,15 +72,16 @@ def script(problem: SelectionProblem) -> tuple[float, int, Chromosome]:
 
 
 def rows() -> Iterator[Row]:
-    """Yield the whole run, without and with polish."""
+    """Yield the whole run, without and with local refinement."""
     task = prepare("rfm-terms", options={"population": POPULATION, "mutation": MUTATION,
                                          "polish": False})
     polished = prepare("rfm-terms", options={"population": POPULATION, "mutation": MUTATION})
     search(task.problem, task.solver, generations=2)  # compile
     theirs, evaluations, best = script(task.problem)
-    # Genes per axis stand in the order of the terms: line's, then sample's.
+    # Genes per axis are in the order of the terms: line's, then sample's.
     mine = float(task.problem.evaluate(np.array([best], dtype=bool)).objectives[0, 0])
-    for one, what in ((task, "GA, 200 x 80, 78 terms"), (polished, "the same with polish")):
+    for one, what in ((task, "GA, 200 x 80, 78 terms"),
+                      (polished, "the same with local refinement")):
         found = min((search(one.problem, one.solver, generations=GENERATIONS) for _ in range(3)),
                     key=lambda search_: search_.seconds)
         added = found.polish.evaluations if found.polish else 0

@@ -1,7 +1,7 @@
-"""Populations of masks: the compiled kernels beside LAPACK, one individual after the other.
+"""Populations of masks: the compiled kernels compared with LAPACK, one individual at a time.
 
-Times are processor seconds an individual. The disagreement is that of the fitted values,
-as a part of the observations' length, at the worst individual that both can solve.
+Times are processor seconds per individual. The disagreement is that of the fitted values,
+relative to the length of the observations, at the worst individual that both can solve.
 """
 
 from __future__ import annotations
@@ -35,21 +35,21 @@ def image_of(ground: FloatArray) -> FloatArray:
 
 
 def scene(rng: np.random.Generator, n_points: int, n_lines: int) -> FeatureSet:
-    """Return points and lines, measured to 1e-4 of the half-range: some tenths of a pixel."""
+    """Return points and lines, measured to 1e-4 of the half-range: some tenths of a px."""
     ground = rng.uniform(-1, 1, size=(n_points, 3))
     points = Points(tuple(f"p{i}" for i in range(n_points)), ground=ground,
                     image=image_of(ground) + rng.normal(scale=1e-4, size=(n_points, 2)))
     start = rng.uniform(-0.9, 0.9, size=(n_lines, 1, 3))
     ends = start + rng.uniform(-0.1, 0.1, size=(n_lines, 2, 3))
     ends[..., 2] = start[..., 2]
-    # The measured image points lie elsewhere on the line than the images of its vertices.
+    # The measured image points are not the images of the vertices of the line.
     measured = image_of(ends[:, :1] + np.array([0.2, 0.7])[:, None] * (ends[:, 1:] - ends[:, :1]))
     measured += rng.normal(scale=1e-4, size=measured.shape)
     return FeatureSet(points, Lines(tuple(f"l{i}" for i in range(n_lines)), measured, ends))
 
 
 def axes_of(model: RationalFunctions | Polynomial3D, points: FeatureSet) -> list[Equations]:
-    """Return the equations of line and of sample, one row a point each."""
+    """Return the equations of line and of sample, one row per point each."""
     whole = model.equations(points)
     rows = np.arange(len(whole.b)) % 2
     return [whole.take(rows == axis, model.axis == axis) for axis in (LINE, SAMPLE)]
@@ -82,9 +82,9 @@ def normal_equations(equations: Equations, terms: BoolArray) -> FloatArray:
 
 def best_of(calls: list[Callable[[], object]], clock: Callable[[], float] = process_time,
             seconds: float = 1.0) -> list[float]:
-    """Return the least time of each call; they take turns, so that load hits all alike.
+    """Return the least time of each call; they take turns, so that load affects all equally.
 
-    Processor time leaves out what others do on the machine.
+    Processor time excludes other work on the machine.
     """
     best = [np.inf] * len(calls)
     until = perf_counter() + seconds
@@ -114,7 +114,7 @@ def disagreement(
 
 def compare(what: str, systems: list[System], some: int = 30, joint: System | None = None,
             normal: bool = False) -> Iterator[Row]:
-    """Compare over all of an individual's systems, which are its axes.
+    """Compare over all systems of an individual, which are its axes.
 
     Parameters
     ----------
@@ -150,7 +150,7 @@ def compare(what: str, systems: list[System], some: int = 30, joint: System | No
 
 
 def rows() -> Iterator[Row]:
-    """Yield what was measured."""
+    """Yield the measurements."""
     rng = np.random.default_rng(20)
     yield from _term_masks(rng)
     yield from _feature_masks(rng)

@@ -1,7 +1,7 @@
-"""Every subset proven: the enumeration beside a fit of each subset through LAPACK.
+"""Every subset proven: the enumeration compared with a fit of each subset through LAPACK.
 
-Times are processor seconds a subset, of one core. The alternative fits a sample of the subsets
-by `numpy.linalg.lstsq` and predicts the check points, as one would write it. The disagreement is
+Times are processor seconds per subset, on one core. The alternative fits a sample of the subsets
+by `numpy.linalg.lstsq` and predicts the check points, as a plain script does. The disagreement is
 the largest relative difference between the best score of each size and that of the same
 subset through LAPACK.
 """
@@ -93,7 +93,7 @@ def _squares(errors: FloatArray, below: FloatArray | None, columns: BoolArray,
 
 def compare(what: str, system: SubsetSystem, score: str, *, folds: tuple[IntArray, ...] = (),
             max_terms: int | None = None) -> Row:
-    """Return times a subset."""
+    """Return times per subset."""
     finish(replace(system, forbidden=np.arange(system.design.shape[1]) > 2), score, folds)
     runs = [finish(system, score, folds, max_terms) for _ in range(3)]
     result, ours = runs[0][0], min(seconds for _, seconds in runs) / runs[0][0].total
@@ -108,7 +108,7 @@ def compare(what: str, system: SubsetSystem, score: str, *, folds: tuple[IntArra
 
 
 def growth(rng: np.random.Generator) -> Iterator[Row]:
-    """Yield the time of a larger space, and by how many MB memory grew meanwhile."""
+    """Yield the time of a larger space, and the growth of memory [MB]."""
     before = _peak()
     result, seconds = finish(plane_polynomial(rng, 6), "check", max_terms=8)
     grown = _peak() - before
@@ -123,7 +123,7 @@ def _peak() -> float:
 
 
 def rows() -> Iterator[Row]:
-    """Yield what was measured."""
+    """Yield the measurements."""
     rng = np.random.default_rng(21)
     plane, quotient = plane_polynomial(rng), rational(rng)
     folds = tuple(np.array_split(np.arange(N_CONTROL), 5))

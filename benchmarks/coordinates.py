@@ -1,4 +1,4 @@
-"""Whether it matters in what coordinates a model is fitted, with few points and with many.
+"""Effect of the coordinates in which a model is fitted, with few points and with many.
 
 ``python -m benchmarks.coordinates`` prints the tables, ``--write`` puts them into
 docs/evidence/coordinates.md; ``--seeds N`` makes it shorter. Needs pyproj.
@@ -35,14 +35,14 @@ PAGE = Path(__file__).parents[1] / "docs" / "evidence" / "coordinates.md"
 
 @lru_cache
 def scene(name: str, seed: int, count: int) -> tuple[FeatureSet, Points]:
-    """Return so many control points, and independent ones of another draw."""
+    """Return so many control points, and independent ones from another draw."""
     control = simulate_scene(name, seed=seed, n_points=count, n_lines=0)
     others = simulate_scene(name, seed=1000 + seed, n_points=INDEPENDENT, n_lines=0)
     return control, others.points
 
 
 def errors(name: str, model: str, count: int, seed: int) -> dict[str, float] | None:
-    """Return the independent RMSE [pixel] by system; None if the points are too few."""
+    """Return the independent RMSE [px] by system; None if the points are too few."""
     control, independent = scene(name, seed, count)
     found = {}
     for system in SYSTEMS:

@@ -1,4 +1,4 @@
-"""How accurate the strategy auto is on points it has never seen, and how well it knows.
+"""Accuracy of the strategy auto on unseen points, and of its own prediction.
 
 ``python -m benchmarks.honest`` prints the tables, ``--write`` makes
 docs/evidence/honest-accuracy.md of them.
@@ -47,7 +47,7 @@ GA_COUNTS, GA_SPLITS = (20, 40, 74), 1
 
 @dataclass(frozen=True)
 class Split:
-    """One split: independent RMSE of auto and of the plain structures, and what auto predicted."""
+    """One split: independent RMSE of auto and of plain structures, and RMSE predicted by auto."""
 
     auto: float
     predicted: float
@@ -57,7 +57,7 @@ class Split:
 
 
 def names() -> list[str]:
-    """Return the sets there are."""
+    """Return the available sets."""
     return [*SCENES, *(name for name in (*DERIVED, *MEASURED) if (DATA / name).is_dir())]
 
 
@@ -96,7 +96,7 @@ def measure(job: tuple[str, int, int]) -> Split | None:
                                       chosen.scaling.ground(independent.ground))
     return Split(
         _rmse(chosen.errors(independent)), float("nan") if errors is None else _rmse(errors),
-        {one.name: _rmse(one.fit.errors(independent)) for one in choice.fitted
+        {one.name: _rmse(one.fit.errors(independent)) for one in choice.judged
          if one.name in PLAIN}, below is not None and bool((below <= 0).any()), seconds)
 
 
@@ -141,7 +141,7 @@ class Row:
 
     @property
     def ratio(self) -> float:
-        """Median of auto by that of the best plain structure."""
+        """Ratio of the median of auto to that of the best plain structure."""
         return median(s.auto for s in self.splits) / self.best[1]
 
     @property
@@ -270,14 +270,14 @@ def sensitivity(wanted: list[str], splits: int) -> str:
 
 
 def _ratio(jobs: list[tuple[str, int, int]]) -> float:
-    """Return the median over splits of auto's RMSE by the best plain one of the split."""
+    """Return the median over splits of the ratio of auto's RMSE to the best plain one."""
     found = []
     for name, count, seed in jobs:
         mine, independent = split(name, count, seed)
         choice = choose(FeatureSet(mine), _heights(mine))
         assert choice is not None
         found.append(_rmse(choice.chosen.fit.errors(independent))
-                     / min(_rmse(one.fit.errors(independent)) for one in choice.fitted
+                     / min(_rmse(one.fit.errors(independent)) for one in choice.judged
                            if one.name in PLAIN))
     return median(found)
 
@@ -285,7 +285,7 @@ def _ratio(jobs: list[tuple[str, int, int]]) -> float:
 def main() -> None:
     """Print or write the tables."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("names", nargs="*", help="sets; all of them by default")
+    parser.add_argument("names", nargs="*", help="sets; by default all")
     parser.add_argument("--counts", type=int, nargs="+", default=list(COUNTS))
     parser.add_argument("--splits", type=int, default=20)
     parser.add_argument("--processes", type=int, default=1)

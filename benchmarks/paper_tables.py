@@ -3,8 +3,7 @@
 ``python -m benchmarks.paper_tables --write`` makes docs/evidence/paper-tables.md: the five methods
 of Valadan Zoej et al. 2002 on their three data sets, and OWDIS of Yavari et al. 2018, next to the
 published figures. Without ``--write`` the page goes to stdout; ``--scenes N`` makes it quicker,
-and so does ``OMP_NUM_THREADS=1`` where other work keeps the processors busy. It needs the
-package termsel-hybrids.
+and so does ``OMP_NUM_THREADS=1`` on a busy machine. It requires the package termsel-hybrids.
 
 The sentences on the page were written for what the tables showed; read them again with new tables.
 """
@@ -32,12 +31,12 @@ TERMS = ("1", "X", "Y", "XY", "X2", "Y2", "X2Y", "XY2")
 """Global polynomial of Valadan Zoej et al. 2002, eq. 6, in its order."""
 
 Figures = tuple[float, float, float, float]
-"""RMSE [pixel]: control, by leave-one-out, check, independent; NaN where there is none."""
+"""RMSE [px]: control, by leave-one-out, check, independent; NaN where there is none."""
 
 
 @dataclass(frozen=True)
 class Table:
-    """One table of Valadan Zoej et al. 2002, and the scene in its place.
+    """One table of Valadan Zoej et al. 2002, and the scene that replaces its data.
 
     Parameters
     ----------
@@ -47,7 +46,7 @@ class Table:
     terms : int
         Of the global polynomial.
     published : mapping
-        Method: RMSE of control and of check points [pixel].
+        Method: RMSE of control and of check points [px].
     """
 
     title: str
@@ -147,7 +146,7 @@ def methods(table: Table, seed: int) -> dict[str, Figures]:
 
 
 def density_rows(scenes: int) -> Iterator[str]:
-    """Yield how interpolation fares with more control than the paper had."""
+    """Yield the figures of interpolation with more control than the paper has."""
     yield ("| control points | polynomial of degree 4 | with multiquadric |\n|---:|---:|---:|")
     for control in (40, 160, 640):
         table = replace(TABLES[2], control=control, check=2)

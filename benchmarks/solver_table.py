@@ -13,8 +13,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from termsel.study import Standing, standings, trials
-
+from benchmarks.study import Standing, standings, trials
 from termsel import TermselError, prepare, search
 from termsel.plugins.registry import registry
 from termsel.solvers.exact import count, prove
@@ -39,7 +38,7 @@ HEAD = ("| solver | best | median | worst | optimum reached | evaluations | seco
 def main() -> None:
     """Print or write the tables."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("names", nargs="*", help="problems; all of them by default")
+    parser.add_argument("names", nargs="*", help="problems; by default all")
     parser.add_argument("--seeds", type=int, default=30)
     parser.add_argument("--processes", type=int, default=2)
     parser.add_argument("--write", action="store_true", help="write docs/evidence/solver-table.md")
@@ -98,12 +97,12 @@ def section(name: str, seeds: int, processes: int) -> Iterator[str]:
 
 
 def can(problem: str, solver: str, options: dict[str, Any]) -> bool:
-    """Return whether a solver handles a problem, by a look at its first generation."""
+    """Return whether a solver handles a problem, judged by its first generation."""
     try:
         task = prepare(problem, solver=solver, options=options)
         search(task.problem, task.solver, evaluations=1)
     except TermselError as error:
-        print(f"{problem}: {solver} left out: {error}", file=sys.stderr)
+        print(f"{problem}: {solver} skipped: {error}", file=sys.stderr)
         return False
     return True
 
@@ -117,7 +116,7 @@ def line(standing: Standing) -> str:
 
 
 def optimum(problem: str, options: dict[str, Any]) -> float | None:
-    """Return the proven least fitness, or None where it would take too long."""
+    """Return the proven least fitness, or None if that would take too long."""
     task = prepare(problem, options=options)
     try:
         if count(task.problem) > 1 << 22:

@@ -1,4 +1,4 @@
-"""Many runs of one problem: solvers beside each other over many seeds."""
+"""Many runs of one problem: solvers compared over many seeds."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ class Trial:
     fitness : float
         First objective; infinite where nothing feasible was found.
     independent : float
-        RMSE of the selection on independent points [pixel].
+        RMSE of the selection on independent points [px].
     evaluations : int
-        Those of solver and polish together.
+        Those of solver and local refinement together.
     seconds : float
     """
 
@@ -43,7 +43,7 @@ class Trial:
 
 @dataclass(frozen=True)
 class Standing:
-    """What a solver did over all seeds.
+    """Figures of a solver over all seeds.
 
     Parameters
     ----------
@@ -51,7 +51,7 @@ class Standing:
     best, median, worst : float
         Fitness over the seeds.
     reached : float or None
-        Share of seeds that reached the optimum, where it is known.
+        Share of seeds that reached the optimum, if it is known.
     evaluations, seconds, independent : float
         Medians over the seeds.
     """
@@ -86,7 +86,7 @@ def trials(
     solvers : iterable of str
     seeds : iterable of int
     evaluations : int
-        Budget of each search, without polish.
+        Budget of each search, without local refinement.
     options : mapping, optional
         Options for all, as in `termsel.prepare`.
     solver_options : mapping, optional
@@ -125,7 +125,7 @@ def _trial(problem: str, evaluations: int, prepared: Mapping[str, Any],
 
 
 def standings(done: Iterable[Trial], optimum: float | None = None) -> list[Standing]:
-    """Return what each solver did, in the order in which they first appear.
+    """Return the figures of each solver, in the order in which they first appear.
 
     Parameters
     ----------

@@ -67,7 +67,7 @@ def starts(found: list[Generation]) -> list[int]:
     return [one.index for one in found if (one.details["pheromone"] == 0.5).all()]
 
 
-def test_a_settled_colony_begins_anew() -> None:
+def test_a_settled_colony_restarts() -> None:
     began = starts(generations(problems.narrow(12), 100))
     assert len(began) > 2
     assert np.diff(began).min() > 5

@@ -113,7 +113,7 @@ def test_every_area_of_a_map_keeps_an_edge(n: int, seed: int) -> None:
 
 def test_an_area_twice_is_refused() -> None:
     one, = squares(1, 1)
-    with pytest.raises(TermselError, match=r"all edges of area 'b' .*Leave one of them out"):
+    with pytest.raises(TermselError, match=r"all edges of area 'b' .*Remove one of these areas"):
         boundary([one, replace(one, id="b")])
 
 
@@ -134,7 +134,7 @@ def test_image_and_ground_of_different_numbers() -> None:
         Area("a", ELL, np.zeros((5, 3)))
 
 
-def test_unknown_deviations_beside_known_ones() -> None:
+def test_unknown_deviations_next_to_known_ones() -> None:
     known = Points(("a", "b"), [[0, 0], [1, 1]], [[0, 0, 0], [1, 1, 1]], [[1, 2], [3, 4]])
     both = join_points(known, Points(("c",), [[2, 2]], [[2, 2, 2]], roles=("check",)))
     np.testing.assert_array_equal(both.sigma, [[1, 2], [3, 4], [2.5, 2.5]])
@@ -170,9 +170,11 @@ def test_centroids_of_a_table(tmp_path: Path) -> None:
     (HEADER + SQUARE.replace("a,2,0,4", "a,2,0,"), 3, "sample", "the cell is blank"),
     (HEADER + SQUARE.replace("9,44", ",44"), 3, "x", "the cell is blank"),
     (HEADER + SQUARE.replace("a,3,3,4", "a,3,0,4"), 4, "line",
-     "corner 3 of area 'a' is in the image where its corner 2 is"),
-    (HEADER + SQUARE.replace("5,47", "5,44"), 5, "x", "corner 4 of area 'a' is on the ground"),
-    (HEADER + SQUARE.replace("a,2,", "a,1,"), 3, "corner", "corner 1 of area 'a' stands on line 2"),
+     "corner 3 of area 'a' repeats corner 2 in the image"),
+    (HEADER + SQUARE.replace("5,47", "5,44"), 5, "x",
+     "corner 4 of area 'a' repeats corner 1 on the ground"),
+    (HEADER + SQUARE.replace("a,2,", "a,1,"), 3, "corner",
+     "corner 1 of area 'a' is also on line 2"),
     (HEADER + "b,1,0,0,1,1,1\nb,2,1,0,2,1,1\nb,3,0,1,1,2,1\n"
      + "a,1,0,0,5,44,10\na,2,0,4,6,45,10\na,3,3,4,7,46,10\n", 5, "x", "no extent on the ground"),
     (HEADER + "a,1,0,0,0,0,1\na,2,4,4,4,4,1\na,3,4,0,4,0,1\na,4,0,1,0,1,1\n", 4, "line",
@@ -195,8 +197,8 @@ def test_files_of_other_kinds(tmp_path: Path) -> None:
     areas, points = tmp_path / "areas.csv", tmp_path / "points.csv"
     areas.write_text(HEADER + SQUARE)
     points.write_text("id,line,sample,x,y,z\na,1,2,3,4,5\n")
-    for given_, words in (({"areas": points}, "holds no areas: it is read as points-csv"),
-                          ({"points": areas}, "holds areas. Give it with --areas"),
+    for given_, words in (({"areas": points}, "has no areas: it is read as points-csv"),
+                          ({"points": areas}, "the file has areas. Give it with --areas"),
                           ({"lines": areas, "areas": areas}, "with --areas alone"),
                           ({"points": points, "areas": areas}, "'a' is the id of an area and")):
         with pytest.raises(TermselError, match=words):
@@ -256,7 +258,7 @@ def test_areas_in_either_form_fit_alike(files: Path, tmp_path: Path) -> None:
     assert again.fit.control.points.ids[0].startswith("AP")
 
 
-def test_areas_beside_lines(files: Path) -> None:
+def test_areas_together_with_lines(files: Path) -> None:
     found = command("--problem", "owdis-lines", "--points", files / "others.csv", "--lines",
                     files / "lines.csv", "--areas", files / "areas.csv")
     features = found["selection"]["features"]  # type: ignore[index]

@@ -127,7 +127,7 @@ def test_what_cannot_be_rectified_is_refused(folder: Path, result: Path, tmp_pat
             ([scene, "-o", out, "--dem", dem, "--crs", "EPSG:99"], "does not exist"),
             ([scene, "-o", out, "--dem", dem, "--res", "1e-9"], "Give --res in the units"),
             ([scene, "-o", out, "--dem", dem, "--resampling", "best"], "unknown resampling"),
-            ([scene, "-o", str(tmp_path / "there.tif"), "--dem", dem], "exists already"),
+            ([scene, "-o", str(tmp_path / "there.tif"), "--dem", dem], "this file already exists"),
             ([scene, "-o", str(tmp_path / "no" / "map.tif"), "--dem", dem],
              "no/map.tif: cannot write this file: there is no such folder"),
             ([scene, "-o", out, "--height", "nan"], "cannot be nan"),

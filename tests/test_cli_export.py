@@ -60,20 +60,20 @@ def test_export_replaces_nothing_unasked(folder: Path, tmp_path: Path) -> None:
     vendor.write_text("what the vendor delivered")
     code, _, err = _termsel("export", folder, "--to", "rpb", "--output", vendor)
     assert code == 2
-    assert "scene.RPB: this file exists already. Choose another name, or give --overwrite" in err
+    assert "scene.RPB: this file already exists. Choose another name, or add --overwrite" in err
     assert vendor.read_text() == "what the vendor delivered"
     assert _termsel("export", folder, "--to", "rpb", "--output", vendor, "--overwrite")[0] == 0
     assert vendor.read_text().startswith("satId")
 
 
-def test_export_replaces_no_array_beside_a_vrt_unasked(folder: Path, tmp_path: Path) -> None:
+def test_export_replaces_no_array_next_to_a_vrt_unasked(folder: Path, tmp_path: Path) -> None:
     pytest.importorskip("rasterio")
     array, options = tmp_path / "scene_xy.tif", ("--set", "step=2000", "--set", "height=1100")
     array.write_text("another array")
     export = ("export", folder, "--to", "geolocation-vrt", "-o", tmp_path / "scene.vrt", *options)
     code, _, err = _termsel(*export)
     assert code == 2
-    assert "scene_xy.tif: this file exists already" in err
+    assert "scene_xy.tif: this file already exists" in err
     assert array.read_text() == "another array"
     assert not (tmp_path / "scene.vrt").exists()
     assert _termsel(*export, "--overwrite")[0] == 0
@@ -97,14 +97,14 @@ def test_grids_say_what_they_lack(folder: Path, tmp_path: Path,
     code, _, err = _termsel(*export, "--dem", dem(10.0))
     assert code == 2
     # Nothing is said of how good a grid is that does not exist.
-    assert err.startswith(f"Error: {tmp_path / 'dem.tif'}: less than three places")
+    assert err.startswith(f"Error: {tmp_path / 'dem.tif'}: fewer than three places")
     assert not target.exists()
     assert _termsel(*export, "--dem", dem(59.59))[0] == 0
-    assert "places of the grid no ground is found" in caplog.text
-    assert "Warning: Between" not in caplog.text
+    assert "places of the grid have no ground" in caplog.text
+    assert "Warning: GDAL interpolates" not in caplog.text
     assert _termsel("export", folder, "--to", "gcp-grid-vrt", "-o", tmp_path / "g.vrt", "--set",
                     "across=1", "--set", "height=1100")[0] == 0
-    assert "Warning: Between the places of the grid GDAL interpolates" in caplog.text
+    assert "Warning: GDAL interpolates between the places of the grid" in caplog.text
 
 
 @pytest.mark.filterwarnings("ignore:Dataset has no geotransform")
@@ -122,19 +122,19 @@ def test_image_the_points_were_not_measured_in(folder: Path, tmp_path: Path) -> 
     code, _, err = _termsel("export", folder, "--to", "gcp-vrt", "-o", tmp_path / "x.vrt",
                             "--image", image)
     assert code == 2
-    assert "small.tif: the image has 10 lines and 20 samples, and features were measured up" in err
+    assert "small.tif: the image has 10 lines and 20 samples, but features extend to line" in err
     assert not (tmp_path / "x.vrt").exists()
 
 
 @pytest.mark.parametrize(("arguments", "message"), [
-    (["--to", "rpb"], "the format rpb does not hold this result. termsel describe rpb says what "
+    (["--to", "rpb"], "the format rpb cannot hold this result. termsel describe rpb says what "
                       "it needs. Formats that do: gcp-grid-vrt"),
     (["--to", "rbp"], "unknown writer 'rbp'. Did you mean 'rpb'?"),
     (["--to", "qgis-points", "--dem", "x.tif"], "unknown option 'dem'"),
-    (["--to", "gcp-grid-vrt", "--set", "across=many"], "option 'across' does not take 'many'"),
-    (["--to", "gcp-vrt", "--image", "none.tif"], "none.tif: there is no such file"),
+    (["--to", "gcp-grid-vrt", "--set", "across=many"], "option 'across' does not accept 'many'"),
+    (["--to", "gcp-vrt", "--image", "none.tif"], "none.tif: this file does not exist"),
     (["--to", "gcp-vrt", "--image", "a", "--set", "image=b"], "image is given twice"),
-    (["--to", "gcp-grid-vrt", "--dem", "none.tif"], "without a CRS")])
+    (["--to", "gcp-grid-vrt", "--dem", "none.tif"], "only to ground coordinates with a CRS")])
 def test_export_refuses(arguments: list[str], message: str, plane: Path, tmp_path: Path) -> None:
     target = tmp_path / "target"
     code, _, err = _termsel("export", plane, *arguments, "--output", target)
@@ -184,7 +184,7 @@ def test_project_there_and_back(folder: Path, tmp_path: Path) -> None:
     code, _, err = _termsel("project", folder, "--points", pixels, "--inverse", "--height", "0",
                             "-o", pixels)
     assert code == 2
-    assert "this file exists already" in err
+    assert "this file already exists" in err
     assert pixels.read_text() == out
     code, out, err = _termsel("project", folder, "--points", pixels, "--inverse", "--height",
                               "1000", "-o", back)
@@ -211,20 +211,21 @@ def test_project_says_which_rays_meet_no_ground(folder: Path, tmp_path: Path) ->
     found = _table(out)
     assert found[0, 4] == pytest.approx(1100.0, abs=1e-3)
     assert np.isnan(found[1, 2:]).all()
-    assert "Warning: no place was found for 1 points: corner" in err
+    assert "Warning: no position was found for 1 points: corner" in err
 
 
 @pytest.mark.parametrize(("text", "arguments", "message"), [
     ("id,line,sample\na,1,2\n", [], "x, lon"),
     ("id,x,y,z\na,59,36,\n", [], "line 2, column 'z': the height is blank"),
-    ("id,x,y,z\na,59,36,1\n", ["--dem", "d.tif"], "are for the way from image to ground"),
+    ("id,x,y,z\na,59,36,1\n", ["--dem", "d.tif"], "--dem and --height require --inverse"),
     ("id,line,sample\na,1,2\n", ["--inverse"], "Give --dem FILE or --height H"),
     ("id,line,sample\na,1,2\n", ["--inverse", "--height", "nan"], "cannot be nan"),
     ("id,line,sample\na,1,2\n", ["--inverse", "--height", "1", "--dem", "d.tif"], "exclude"),
-    ("id,line,sample\na,1,2\n", ["--inverse", "--dem", "no.tif"], "no.tif: there is no such file"),
+    ("id,line,sample\na,1,2\n", ["--inverse", "--dem", "no.tif"],
+     "no.tif: this file does not exist"),
     ("# crs: EPSG:32640\nid,x,y,z\na,1,2,3\n", [], "declares the CRS EPSG:32640"),
     ("id,x,y,z\na,1,x,3\n", [], "line 2, column 'y': 'x' is not a number"),
-    ("", [], "holds no table")])
+    ("", [], "the file has no table")])
 def test_project_refuses(text: str, arguments: list[str], message: str, folder: Path,
                          tmp_path: Path) -> None:
     table = tmp_path / "table.csv"
@@ -255,6 +256,6 @@ def test_text_formats_need_no_packages_for_rasters(folder: Path, tmp_path: Path)
                           check=True)
     found = json.loads(done.stdout)
     assert [code for code, _ in found] == [0] * len(written) + [2] * 3, found
-    assert "without rasterio GDAL was not asked" in found[0][1]
+    assert "not by GDAL, as rasterio is not installed" in found[0][1]
     for _, err in found[len(written):]:
         assert 'pip install "termsel[gis]"' in err

@@ -132,9 +132,9 @@ def test_list_in_a_pipe_is_aligned_text(call, built_in):
 
 def test_list_on_a_terminal_is_a_table_that_shows_brackets(monkeypatch, capsys):
     monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
-    tables.print_table(("name", "summary"), [("a", "RMSE [pixel]"), ("b", "[bold]none")])
+    tables.print_table(("name", "summary"), [("a", "RMSE [px]"), ("b", "[bold]none")])
     drawn = capsys.readouterr().out
-    assert "RMSE [pixel]" in drawn
+    assert "RMSE [px]" in drawn
     assert "[bold]none" in drawn
     assert "─" in drawn
 
@@ -183,7 +183,7 @@ def test_describe_of_a_model_whose_terms_fail(call, built_in, monkeypatch):
     monkeypatch.setattr(Registry, "find", lambda *_: [("models", entry)])
     done = call("describe", "ill")
     assert done.exit_code == 0
-    assert "Terms: cannot be listed: ZeroDivisionError" in done.stdout
+    assert "Terms cannot be listed: ZeroDivisionError" in done.stdout
 
 
 def test_plugins_are_listed_with_what_is_wrong(call, with_plugins):
@@ -206,7 +206,7 @@ def test_plugins_are_listed_with_what_is_wrong(call, with_plugins):
     (["describe", "rfn"], "Error: unknown name 'rfn'. Did you mean 'rfm'? Known: "),
     (["completion", "tcsh"], "'tcsh' is not one of 'bash', 'zsh', 'fish'"),
 ])
-def test_what_the_user_can_mend_is_one_message_and_exit_code_2(call, built_in, args, message):
+def test_what_the_user_can_correct_is_one_message_and_exit_code_2(call, built_in, args, message):
     done = call(*args)
     assert done.exit_code == 2
     assert done.stdout == ""

@@ -45,7 +45,7 @@ def test_own_files_run_and_write_the_result(files: Path, tmp_path: Path) -> None
     done = termsel("run", "--problem", "owdis-lines", "--points", files / "points.csv", "--lines",
                    files / "lines.csv", "--crs", "EPSG:4979", "--out", out, *QUICK)
     assert done.returncode == 0, done.stderr
-    assert "RMSE [pixel]" in done.stdout
+    assert "RMSE [px]" in done.stdout
     assert (out / "summary.txt").read_text() == done.stdout
     assert json.loads((out / "result.json").read_text())["data"]["counts"]["lines"] == 120
 
@@ -156,7 +156,9 @@ BAD_FILES = {
     "nan": (lambda f, t: change(f, t, 7, cells(f, 7)[4], "nan"), "line 7"),
     "two points with one id": (
         lambda f, t: change(f, t, 9, cells(f, 9)[0] + ",", cells(f, 4)[0] + ","), "line"),
-    "three points for 39 terms": (lambda f, t: some_points(f, t, 3), "too few"),
+    "three points for 39 terms": (
+        lambda f, t: some_points(f, t, 3),
+        "Of your 3 features 1 is control; rfm-terms needs at least 3."),
     "all points on one line": (straight_line, "one straight line"),
     "unknown role": (lambda f, t: change(f, t, 3, cells(f, 3)[1], "tie"), "tie"),
     "empty file": (lambda f, t: written(t, b""), "empty"),

@@ -141,6 +141,15 @@ class WrongProjection(Affine):
         return super().project(coefficients, ground)[..., ::-1]
 
 
+class Mingled(Affine):
+    """Rows weighted by their place among the others."""
+
+    def equations(self, features: FeatureSet) -> Equations:
+        found = super().equations(features)
+        weights = np.where(np.arange(len(found.b)) % 4 < 2, 1.0, 30.0)
+        return replace(found, A=found.A * weights[:, None], b=found.b * weights)
+
+
 class WrongLines(RationalFunctions):
     """The offset of image lines with the wrong sign."""
 
@@ -227,18 +236,20 @@ class TurnedWeights(Affine):
 
 BROKEN_MODELS = [
     (Undocumented, "declaration", "docstring"),
-    (SameNames, "term_names", r"more than one is called line.num:X"),
+    (SameNames, "term_names", r"several are called line.num:X"),
     (OtherNames, "term_names", "the same names"),
     (ShortAxis, "axis", r"shape \(8,\).* not \(7,\)"),
     (WrongAxis, "axis", "'line.num:1' does not act on the line"),
     (NoLines, "control_kinds", "lines alone: model 'dlt-demo' does not take"),
-    (OneRow, "equations", r"A must have shape \(24, 8\), two rows a point or line, not \(23, 8\)"),
+    (OneRow, "equations",
+     r"A must have shape \(24, 8\), two rows per point or line, not \(23, 8\)"),
     (NotFinite, "equations", "finite"),
     (LinesFirst, "equations", "feature must number"),
     (Scribbler, "inputs_unchanged", "changes the ground points"),
     (ScribblesFeatures, "inputs_unchanged", "read-only"),
     (WrongProjection, "exact_recovery", r"equations\(\) and project\(\) do not say the same"),
     (WrongLines, "recovery_from_lines", "misses points"),
+    (Mingled, "fit", "do the equations of a point depend on other points"),
     (NoConstant, "translation", "constant term"),
     (OneAtATime, "project_shapes", r"must have shape \(1, 0, 2\), not \(0, 2\)"),
     (Relative, "batch_project", "alone than among others"),
@@ -463,7 +474,7 @@ class Boasts(Drawn):
 
 
 BROKEN_SOLVERS = [
-    (WrongDefault, "declaration", "'population' does not take 0"),
+    (WrongDefault, "declaration", "option 'population' does not accept 0"),
     (ZeroIndex, "generations_hold", "number 1 has the index 0"),
     (InPlace, "generations_hold", "changed after it was yielded"),
     (Shuffled, "generations_hold", "not that of its genes"),

@@ -62,9 +62,9 @@ def verify_json(result: Result, path: Path) -> None:
 
 
 SUITES = {
-    "points-csv": reader_checks(PointsCsv(), POINTS_FILE, POINTS_READ, filename="points.csv"),
+    "points-csv": reader_checks(PointsCsv, POINTS_FILE, POINTS_READ, filename="points.csv"),
     "lines-csv": reader_checks(LinesCsv(), LINES_FILE, LINES_READ, filename="lines.csv"),
-    "demo-json": writer_checks(DemoJson(), filename="model.json", verify=verify_json)}
+    "demo-json": writer_checks(DemoJson, filename="model.json", verify=verify_json)}
 
 
 @pytest.mark.parametrize("check", [
@@ -93,7 +93,7 @@ class Turned(PointsCsv):
 
 
 class Indexes(PointsCsv):
-    """Writes an index beside the file."""
+    """Writes an index next to the file."""
 
     def read(self, path: Path) -> FeatureSet:
         path.with_suffix(".idx").write_text("")
@@ -163,7 +163,7 @@ class UnixOnly(PointsCsv):
 BROKEN_READERS = [
     (Unnamed, "declaration", "with the name ''"),
     (Turned, "reads_example", "image coordinates of points"),
-    (Indexes, "reads_example", "other files"),
+    (Indexes, "reads_example", "it creates files next to the one read"),
     (Shy, "sniffs_example", "must be True"),
     (Greedy, "sniffs_anything", "must be False, not True"),
     (Hasty, "sniffs_anything", "raises UnicodeDecodeError"),
@@ -252,7 +252,7 @@ class HalfWritten(DemoJson):
 BROKEN_WRITERS = [
     (Wordless, "declaration", "says nothing of itself"),
     (Unsure, "accepts_answers", "must be True or False, not 'rfm'"),
-    (Picky, "accepts_answers", "takes none of the results"),
+    (Picky, "accepts_answers", r"accepts\(\) refuses all results"),
     (Elsewhere, "writes_file", "to the path given"),
     (Untidy, "writes_file", "tmp123"),
     (Meddles, "result_unchanged", "changes the result"),

@@ -17,12 +17,12 @@ import termsel
 from termsel.cli.main import cli
 from termsel.errors import TermselError
 from termsel.fits.fit import fit
-from termsel.fits.rpc_fit import rpc_of
 from termsel.formats.readers.csv_tables import PointsCsv, write_points_csv
 from termsel.measurements.crs import height_reference, is_geocentric, to_wgs84, transformation
 from termsel.measurements.features import FeatureSet, Lines, Points
 from termsel.measurements.scaling import Scaling, scaling_of
 from termsel.models.polynomial import Affine, Polynomial3D
+from termsel.models.rpc_fit import rpc_of
 from termsel.runs.fit_crs import fit_crs_of
 
 pyproj = pytest.importorskip("pyproj")
@@ -143,12 +143,12 @@ def test_an_rpc_from_each_system(scene: FeatureSet, caplog: pytest.LogCaptureFix
     assert (exact.how, exact.worst < 1e-6) == ("exact", True)
     result = run(scene, "geocentric", model="rfm", order=1)
     with caplog.at_level(logging.INFO):
-        anew = rpc_of(result.fit)
-    assert anew.how != "exact"
-    assert anew.worst < 0.01
-    assert "RPC: fitted anew to the model" in caplog.text
+        renewed = rpc_of(result.fit)
+    assert renewed.how != "exact"
+    assert renewed.worst < 0.01
+    assert "RPC: refitted to the model" in caplog.text
     assert "at most" in caplog.text
-    np.testing.assert_allclose(anew.rpc.project(geodetic), result.project(places), rtol=0,
+    np.testing.assert_allclose(renewed.rpc.project(geodetic), result.project(places), rtol=0,
                                atol=0.01)
 
 
@@ -172,7 +172,7 @@ def test_auto_takes_the_best_by_leave_one_out(scene: FeatureSet) -> None:
     ("local", "auto", "poly3d", "State the CRS"),
     ("EPSG:32639", "geocentric", "poly2d", "model 'poly2d' has none"),
     ("EPSG:32639", "UTM", "poly3d", "option 'fit_crs' does not take 'UTM'"),
-    ("EPSG:32639", "local", "poly3d", "does not take 'local'"),
+    ("EPSG:32639", "local", "poly3d", "option 'fit_crs' does not take 'local'"),
     ("EPSG:32639", "EPSG:999999", "poly3d", "EPSG:999999"),
 ])
 def test_refusals(scene: FeatureSet, crs: str, choice: str, model: str, words: str) -> None:

@@ -76,7 +76,7 @@ def solution(problem: SelectionProblem, terms: np.ndarray, used: np.ndarray) -> 
 
 
 def errors_of(problem: SelectionProblem, x: np.ndarray, features: np.ndarray) -> np.ndarray:
-    """Return the errors of control features left out [pixel]: of points dl and ds, of lines the
+    """Return the errors of control features held out [px]: of points dl and ds, of lines the
     distance of each vertex from the image line and 0."""
     inputs = problem.inputs
     model, points, lines = inputs.model, inputs.control.points, inputs.control.lines
@@ -419,7 +419,7 @@ def test_control_and_check_points_are_used_together(criterion: str) -> None:
     assert apart.rmse["check"].n == apart.rmse["control"].n == 24
 
 
-def test_check_points_beside_lines_alone_stay_apart() -> None:
+def test_check_points_next_to_lines_alone_stay_apart() -> None:
     task = termsel.prepare("owdis-lines", criterion="press")
     assert task.options["data"]["check_as"] == "judge"
     assert len(task.observations.check) == 24
@@ -478,7 +478,7 @@ def test_fits_without_the_optional_parts_serve_the_check_rmse() -> None:
 
 
 @pytest.mark.parametrize("criterion", ["median", "huber"])
-def test_robust_criteria_bear_wrong_check_points(criterion: str) -> None:
+def test_robust_criteria_withstand_blunders_in_check_points(criterion: str) -> None:
     scene = simulate_scene("ikonos-hamedan", n_lines=0)
     roles = np.array(scene.points.roles)
     image = scene.points.image.copy()
@@ -547,7 +547,7 @@ def test_robust_figures_of_features_left_out(criterion: str, loss: str, case: st
 
 
 def test_robust_losses_cannot_be_walked_and_have_no_standard_error() -> None:
-    with pytest.raises(termsel.TermselError, match="is not a sum over"):
+    with pytest.raises(termsel.TermselError, match="is no sum over"):
         termsel.run("poly-terms", criterion="press", solver="exact", options={"loss": "huber"})
     with pytest.raises(termsel.TermselError, match="no standard error"):
         termsel.prepare("poly-terms", criterion="kfold", solver="nsga2",
@@ -557,7 +557,7 @@ def test_robust_losses_cannot_be_walked_and_have_no_standard_error() -> None:
     assert task.options["problem"]["recommend"] == "best"
 
 
-def test_huber_of_features_left_out_bears_wrong_control() -> None:
+def test_huber_of_features_held_out_withstands_blunders_in_control() -> None:
     scene = simulate_scene("ikonos-hamedan", n_lines=0, n_points=120)
     image = scene.points.image.copy()
     rng = np.random.default_rng(3)

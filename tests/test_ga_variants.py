@@ -84,11 +84,11 @@ def test_probabilities_beyond_1_are_refused_with_what_is_permitted() -> None:
     sums = np.array([1.0, 2.0, 5.0])
     with pytest.raises(TermselError) as caught:
         activation_probabilities(sums, 1.69, 0.0)
-    assert "probability of 1.352" in str(caught.value)
-    assert "With offset 0 a scale of up to 1.25 is permitted" in str(caught.value)
+    assert "the probability 1.352, which exceeds 1" in str(caught.value)
+    assert "allow a scale of up to 1.25 with offset 0" in str(caught.value)
     assert "--set preset=own --set scale=1.25 --set offset=0" in str(caught.value)
     assert activation_probabilities(sums, 1.25, 0.0).max() == 1.0
-    with pytest.raises(TermselError, match=r"with scale 1 an offset of up to 0\.19"):
+    with pytest.raises(TermselError, match=r"or an offset of up to 0\.19\d* with scale 1"):
         activation_probabilities(sums, 1.0, 0.9)
 
 
@@ -111,9 +111,9 @@ def test_first_generation_on_real_problems() -> None:
 
 
 def test_scale_and_offset_belong_to_their_preset() -> None:
-    with pytest.raises(TermselError, match="needs both scale and offset"):
+    with pytest.raises(TermselError, match="preset=own requires scale and offset"):
         CorrelationSeededGA(preset="own", scale=1.0)
-    with pytest.raises(TermselError, match="case-3 has its own"):
+    with pytest.raises(TermselError, match="requires preset=own, but the preset is case-3"):
         CorrelationSeededGA(offset=0.1)
     problem = termsel.prepare("rfm-terms").problem
     same = [next(CorrelationSeededGA(**o).generations(problem, rng())).genes
@@ -272,11 +272,11 @@ def test_what_is_not_m_of_n_is_refused() -> None:
 
 
 @pytest.mark.parametrize(("options", "message"), [
-    ({"min_features": 25}, "'min_features' is 25 and there are 24 control features"),
+    ({"min_features": 25}, "'min_features' is 25; there are 24 control features"),
     ({"max_features": 25}, "Give a number from 1 to 24"),
     ({"max_features": 0}, "whole number of at least 1"),
-    ({"min_features": 14, "max_features": 13}, "'min_features' is 14 and 'max_features' 13"),
-    ({"max_features": 9}, "gives 9 equations with 9 features at most. Raise max_features"),
+    ({"min_features": 14, "max_features": 13}, "is 14, more than 'max_features', 13"),
+    ({"max_features": 9}, "gives 9 equations with at most 9 features. Raise max_features"),
 ])
 def test_numbers_of_features_that_cannot_be(options: dict[str, int], message: str) -> None:
     with pytest.raises(TermselError, match=message):

@@ -90,12 +90,12 @@ def test_lines_that_were_not_measured_stay_out(tmp_path: Path,
                  (None, "LineString", [[2, 0], [1, 1]]))
     with caplog.at_level(logging.INFO, "termsel"):
         assert read(path, measured(tmp_path, "a,1,2,3,4\n")).features == ("a",)
-    assert "2 of roads.geojson were not measured" in caplog.text
+    assert "2 of roads.geojson are not used" in caplog.text
 
 
 @pytest.mark.parametrize(("rows", "options", "words"), [
-    ("a,1,2,3,4\nc,1,2,3,4\n", {}, "no ground line for 1 of 2 image lines: c"),
-    ("a,1,2,3,4\n", {"join": "id"}, "have no 'id'. They have name: choose one with --set join="),
+    ("a,1,2,3,4\nc,1,2,3,4\n", {}, "1 of 2 image lines have no ground line: c"),
+    ("a,1,2,3,4\n", {"join": "id"}, "have no 'id'. They have name. Choose one with --set join="),
     ("a,1,2,3,x\n", {}, r"image\.csv, line 2, column 'sample2'"),
     ("a,1,2,1,2\n", {}, "'a' has zero length in the image"),
     ("", {}, "no rows below the header")])
@@ -110,7 +110,7 @@ def test_ground_lines_need_image_lines(tmp_path: Path) -> None:
     path = roads(tmp_path, ("a", "LineString", SQUARE))
     with pytest.raises(TermselError, match="--image-lines FILE, or the property ji"):
         read(path)
-    with pytest.raises(TermselError, match=r"missing\.csv: there is no such file"):
+    with pytest.raises(TermselError, match=r"missing\.csv: this file does not exist"):
         read(path, tmp_path / "missing.csv")
     dot = roads(tmp_path, ("a", "LineString", [[5, 44], [5, 44]]))
     with pytest.raises(TermselError, match="'a' has zero length on the ground"):

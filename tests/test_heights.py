@@ -132,7 +132,7 @@ def test_points_without_a_height_are_all_named(tmp_path: Path) -> None:
     with pytest.raises(TermselError) as caught:
         with_heights(points(xy), path)
     assert caught.value.ids == ("p1", "p2", "p3")
-    assert "for 3 of 5 features, outside the raster or without data: p1, p2, p3." \
+    assert "3 of 5 features are outside the raster or where it has no data: p1, p2, p3." \
         in str(caught.value)
     assert str(path) in str(caught.value)
 
@@ -165,7 +165,8 @@ def test_rasters_that_are_no_dem(tmp_path: Path) -> None:
     broken = tmp_path / "broken.tif"
     broken.write_bytes(good.read_bytes()[:60])
     for path, crs, words in [(no_crs, "EPSG:32631", "not georeferenced"),
-                             (feet, "EPSG:32631", "is in ft"), (good, "local", "without a CRS"),
+                             (feet, "EPSG:32631", "is in ft"),
+                             (good, "local", "only to ground coordinates with a CRS"),
                              (broken, "EPSG:32631", "GDAL cannot read"),
                              (tmp_path / "none.tif", "EPSG:32631", "none.tif")]:
         with pytest.raises(TermselError, match=words), open_dem(path, crs):
@@ -197,7 +198,7 @@ def test_run_with_a_dem_states_the_datum(tmp_path: Path) -> None:
     done = subprocess.run([*command, "--dem", str(path)], capture_output=True, text=True,
                           check=False)
     assert (done.returncode, done.stdout) == (2, "")
-    assert "there is no height here for" in done.stderr
+    assert "35 of 35 features are outside the raster" in done.stderr
     done = subprocess.run([sys.executable, "-m", "termsel", "run", "--problem", "poly-terms",
                            "--dem", str(path)], capture_output=True, text=True, check=False)
     assert done.returncode == 2

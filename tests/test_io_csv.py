@@ -27,7 +27,7 @@ from termsel.io.read import read_features, read_file
 from termsel.measurements.features import ROLES, FeatureSet, Lines, Points
 
 DATA = Path(os.environ.get("TERMSEL_DATA", Path(__file__).parents[2] / "shared" / "data"))
-READERS: list[Reader] = [PointsCsv(), LinesCsv()]
+READERS: list[type[Reader]] = [PointsCsv, LinesCsv]
 POINTS = "id,role,line,sample,x,y,z\n"
 LINES = "id,line1,sample1,line2,sample2,x1,y1,z1,x2,y2,z2\n"
 A = "a,control,1.5,2.5,5.25,44.5,300\n"
@@ -133,7 +133,7 @@ def test_sigma_of_lines(tmp_path: Path) -> None:
     lines = read(tmp_path, f"{header}{row},0.25\n").lines
     np.testing.assert_array_equal(lines.sigma, [0.25])
     assert read(tmp_path, f"{header}{row},\n").lines.sigma is None
-    for cell, column, words in ((",", "sigma", "blank here but not everywhere"),
+    for cell, column, words in ((",", "sigma", "blank here but not in all rows"),
                                 (",-1", None, "not positive")):
         error = refusal(tmp_path, f"{header}{row},1\nm,1,2,3,5,5,44,10,5.1,44.2,20{cell}\n")
         assert (error.line, error.column) == (3, column)
@@ -193,8 +193,8 @@ def test_declarations(tmp_path: Path) -> None:
     (POINTS + A + ",,1,2,3,4,5\n", 3, "id", "id is blank"),
     (POINTS + A + "b,,1,2,3,4\n", 3, None, "6 cells, but the header has 7"),
     (POINTS + A + "b,,1,2,3,4,5,6\n", 3, None, "8 cells, but the header has 7"),
-    (POINTS + "a,,1,5,2,5,3,4,5\n", 2, None, "decimal comma needs semicolons"),
-    (POINTS + A + "b,,1,2,3,4,5\n" + A, 4, "id", "used already on line 2"),
+    (POINTS + "a,,1,5,2,5,3,4,5\n", 2, None, "Decimal commas require semicolons"),
+    (POINTS + A + "b,,1,2,3,4,5\n" + A, 4, "id", "already used on line 2"),
     (POINTS + A + "b,chek,1,2,3,4,5\n", 3, "role", "unknown role 'chek'"),
     (POINTS, 1, None, "no rows below the header"),
     ("# crs: EPSG:4979\n" + POINTS, 2, None, "no rows below the header"),
@@ -214,7 +214,8 @@ def test_declarations(tmp_path: Path) -> None:
     ("id;line;sample;lon;lat;z\na;1;2;5;44°30';5\n", 2, "lat", "not a number"),
     (POINTS + 'a,,1,2,3,4,5\n"b,,1,2,3,4,5\nc,,1,2,3,4,5\n', 3, None, "quotation mark"),
     ("# crs: WGS84\n" + POINTS + A, 1, None, "unknown CRS 'WGS84'"),
-    ("# crs: EPSG:4979\n# crs: EPSG:4326\n" + POINTS + A, 2, None, "EPSG:4979 before"),
+    ("# crs: EPSG:4979\n# crs: EPSG:4326\n" + POINTS + A, 2, None,
+     "but EPSG:4979 in an earlier comment"),
     ("#\n# units: feet\n" + POINTS + A, 2, None, "Convert the ground coordinates"),
     ((POINTS + "é").encode("latin-1") + A[1:].encode(), 2, None, "UTF-8"),
     (LINES + "l,1,2,3,4,5,44,10,5.1,north,20\n", 2, "y2", "not a number"),
@@ -238,8 +239,8 @@ def test_bad_tables(tmp_path: Path, text: str | bytes, line: int | None, column:
     (b"\x89PNG\0\0\0", "binary"),
     ((POINTS + A).encode("utf-16"), "UTF-16"),
     (b"1,2,3,4,5\n", "headed id,role,line,sample,x,y,z"),
-    (b"# only a comment\n", "in no format termsel knows"),
-    (b'{"type": "FeatureCollection"}', "in no format termsel knows"),
+    (b"# only a comment\n", "in no format that termsel knows"),
+    (b'{"type": "FeatureCollection"}', "in no format that termsel knows"),
 ])
 def test_not_a_table(tmp_path: Path, content: bytes, words: str) -> None:
     assert words in str(refusal(tmp_path, content))
@@ -429,14 +430,14 @@ def test_features_of_the_other_kind(tmp_path: Path) -> None:
             two = Lines(("l",), [[[1, 2], [3, 4]]], [[[1, 2, 3], [4, 5, 6]]])
             return FeatureSet(one, two, crs="", image_size=(10, 20))
 
-    readers = [*READERS, Both()]
+    readers = [*READERS, Both]
     p, both = put(tmp_path, POINTS + A, "p.csv"), put(tmp_path, "both", "both")
     features = read_features(both, both, crs="local", readers=readers)
     assert features.ids == ("p", "l")
     assert features.image_size == (10, 20)
-    with pytest.raises(TermselError, match="also holds lines"):
+    with pytest.raises(TermselError, match="the file also has lines"):
         read_features(both, None, crs="local", readers=readers)
-    with pytest.raises(TermselError, match="It holds points: give it with --points"):
+    with pytest.raises(TermselError, match="It has points: give it with --points"):
         read_features(None, p, crs="local", readers=readers)
     with pytest.raises(TermselError, match="--points FILE"):
         read_features(None, None, crs="local", readers=readers)

@@ -94,7 +94,7 @@ def test_a_shared_denominator_keeps_off_zero_in_the_scene() -> None:
 
 
 def test_what_the_control_determines_stays_determined_when_iterated() -> None:
-    # With wrong lines among them the iteration heads for a pole, where its equations degenerate.
+    # With blunders among them the iteration heads for a pole, where its equations degenerate.
     task = prepare("owdis-lines-terms")
     control, scaling = task.observations.control, task.scaling
     first = fit(task.model, control, scaling, iterated=False)

@@ -14,7 +14,7 @@ import termsel.results.text
 from termsel.adjustment.parts import independent_parts
 from termsel.measurements.features import FeatureSet, Points
 from termsel.problems.coverage import hull_areas, uncovered_share
-from termsel.problems.objectives import Chosen, max_correlation, uncovered, unevenness
+from termsel.problems.objectives import PopulationSelection, max_correlation, uncovered, unevenness
 from termsel.runs.recommend import recommended
 from termsel.solvers.pareto import _AgeSurvival
 from termsel.solvers.search import Search
@@ -127,7 +127,7 @@ def test_a_front_of_one_member_is_recommended() -> None:
 
 
 def test_a_solver_for_one_objective_is_refused_with_those_that_can() -> None:
-    with pytest.raises(termsel.TermselError, match="Solvers that can: nsga2, age-moea2"):
+    with pytest.raises(termsel.TermselError, match="Choose one of: nsga2, age-moea2"):
         termsel.run("poly-terms", solver="ga", options={"objectives": "n_terms"})
 
 
@@ -166,11 +166,12 @@ def test_an_infeasible_result_says_so_in_words() -> None:
     assert "does not satisfy all conditions" in result.judgement
 
 
-def chosen(image: np.ndarray, mask: np.ndarray) -> Chosen:
+def chosen(image: np.ndarray, mask: np.ndarray) -> PopulationSelection:
     task = termsel.prepare("poly-terms", options={"degree": 1})
     control = FeatureSet(Points(tuple(f"P{i}" for i in range(len(image))), image,
                                 np.column_stack([image, np.zeros(len(image))])))
-    return Chosen(task.problem.equations, (), control, np.ones((len(mask), 6), dtype=bool), mask)
+    return PopulationSelection(task.problem.equations, (), control,
+                               np.ones((len(mask), 6), dtype=bool), mask)
 
 
 def test_uncovered_and_unevenness_of_a_square() -> None:
@@ -185,8 +186,9 @@ def test_max_correlation_is_that_of_numpy() -> None:
     rng = np.random.default_rng(0)
     masks = rng.random((20, 38)) < 0.3
     parts = independent_parts(task.problem.equations, task.model.axis)
-    got = max_correlation(Chosen(task.problem.equations, parts, task.problem.inputs.control,
-                                 masks, np.ones((20, 24), dtype=bool)))
+    got = max_correlation(PopulationSelection(
+        task.problem.equations, parts, task.problem.inputs.control, masks,
+        np.ones((20, 24), dtype=bool)))
     for mask, value in zip(masks, got, strict=True):
         expected = 0.0
         for part in parts:
@@ -202,8 +204,9 @@ def test_two_constants_do_not_correlate() -> None:
     parts = independent_parts(task.problem.equations, task.model.axis)
     names = task.model.terms
     mask = np.array([[name.endswith(":1") for name in names]])
-    assert max_correlation(Chosen(task.problem.equations, parts, task.problem.inputs.control,
-                                  mask, np.ones((1, 24), dtype=bool))) == 0
+    assert max_correlation(PopulationSelection(
+        task.problem.equations, parts, task.problem.inputs.control, mask,
+        np.ones((1, 24), dtype=bool))) == 0
 
 
 @settings(deadline=None)  # pymoo compiles first

@@ -124,6 +124,6 @@ def test_result_of_a_run_with_pieces() -> None:
 
 def test_most_rows_the_features_can_give() -> None:
     features, check = scene()
-    with pytest.raises(termsel.TermselError, match="gives 14 equations with 5 features at most"):
+    with pytest.raises(termsel.TermselError, match="gives 14 equations with at most 5 features"):
         SelectionProblem(Inputs(MODEL, features, check, 1.0, CheckRmse(), {"max_features": 5}),
                          terms=False, features=True)

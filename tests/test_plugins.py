@@ -2,6 +2,7 @@
 
 import ast
 import inspect
+import json
 import sys
 from importlib.metadata import distributions
 from pathlib import Path
@@ -15,6 +16,7 @@ from termsel.plugins import builtin, hookspecs
 from termsel.plugins.kinds import KINDS
 from termsel.plugins.loading import HOOKS
 from termsel.plugins.registry import Registry
+from termsel.plugins.registry import registry as process_registry
 
 BUILT_IN = {
     "problems": {"rfm-terms", "poly-terms", "owdis-points", "owdis-lines", "owdis-points-terms",
@@ -166,6 +168,19 @@ BROKEN = {
         from termsel import hookimpl
         @hookimpl
         def termsel_problems(): return [{'name': 'x'}]""", "type dict, not an instance of Recipe"),
+    "class for an instance": ("""
+        from termsel import Recipe, hookimpl
+        @hookimpl
+        def termsel_problems(): return [Recipe]""", "class Recipe, not an instance of Recipe"),
+    "class that needs arguments": ("""
+        from termsel import Reader, hookimpl
+        class Table(Reader):
+            name, summary = 'table', 'points'
+            def __init__(self, mark): super().__init__()
+            def sniff(self, path, head): return False
+            def read(self, path): raise AssertionError
+        @hookimpl
+        def termsel_readers(): return [Table]""", "argument: 'mark'"),
     "methods missing": ("""
         from termsel import RationalModel, hookimpl
         class Half(RationalModel):
@@ -246,27 +261,148 @@ def test_a_name_given_twice_by_one_plugin_counts_once(install, registry):
     assert "twice; only the first is kept" in names.failures()[0].what
 
 
-def test_a_class_stands_for_its_instance(install, registry):
-    install("classy", """
-        from termsel import Criterion, Reader, hookimpl
-        class Worst(Criterion):
-            '''Largest check error.'''
-            name = 'worst'
+OLD_RULE = """
+    from pathlib import Path
+    from termsel import Criterion, FeatureSet, Option, Reader, Writer, hookimpl
+
+    class Quantile(Criterion):
+        '''A quantile of the check errors [px].'''
+        name = 'quantile'
+        declared_options = (Option('share', 0.5, 'Share of the points.', float, 0.0, 1.0),
+                            Option('axis', 'both', 'Image axis.'))
+        def score(self, fits): return abs(fits.check_errors).max(axis=(1, 2))
+
+    class Table(Reader):
+        def __init__(self, name, mark, **options):
+            super().__init__(**options)
+            self.name, self.summary, self.mark = name, f'points between {mark}', mark
+        def sniff(self, path, head): return self.mark in head
+        def read(self, path): return FeatureSet()
+
+    class Note(Writer):
+        name, summary = 'note', 'a line of text'
+        declared_options = (Option('word', 'ok', 'What is written.'),)
+        def accepts(self, result): return True
+        def write(self, result, path): Path(path).write_text(self.options['word'])
+
+    @hookimpl
+    def termsel_criteria(): return [Quantile(share=0.9)]
+    @hookimpl
+    def termsel_readers(): return [Table('bars', b'|'), Table('dots', b'.')]
+    @hookimpl
+    def termsel_writers(): return [Note()]
+    """
+
+
+def test_instances_of_the_old_rule_load_with_a_note(install, registry):
+    install("old-rule", OLD_RULE)
+    names = registry()
+    assert names.failures() == []
+    assert [str(note) for note in names.notes("criteria")] == [
+        "plugin 'old_rule' of old-rule 1.0: termsel_criteria: returned 'quantile' as an instance, "
+        "which is deprecated; return the class Quantile"]
+    assert [note.what.split("'")[1] for note in names.notes()] == [
+        "quantile", "bars", "dots", "note"]
+
+    quantile = names.get("criteria", "quantile")
+    assert quantile().options == {"share": 0.9, "axis": "both"}
+    assert quantile(axis="line").options == {"share": 0.9, "axis": "line"}
+    assert quantile(share=0.1).options == {"share": 0.1, "axis": "both"}
+    assert [option.default for option in quantile.declared_options] == [0.9, "both"]
+    assert names.names("criteria")[-1] == "quantile"
+    assert names.entries("criteria")[-1].summary == "A quantile of the check errors [px]."
+
+    bars, dots = (names.get("readers", name) for name in ("bars", "dots"))
+    assert (bars().name, dots().name) == ("bars", "dots")
+    assert [reader().sniff(Path("x"), b"1|2") for reader in (bars, dots)] == [True, False]
+    assert names.entries("readers")[-1].summary == "points between b'.'"
+    assert names.get("writers", "note") is sys.modules["old_rule"].Note
+
+
+@pytest.fixture
+def only(monkeypatch):
+    """Return a function that makes one package the only plugin of this process, for a while."""
+    def restrict(distribution):
+        monkeypatch.setenv("TERMSEL_PLUGINS", distribution)
+        process_registry.cache_clear()
+
+    yield restrict
+    process_registry.cache_clear()
+
+
+def test_a_plugin_of_the_old_rule_serves_commands(install, only, call, tmp_path):
+    install("old-rule", OLD_RULE)
+    only("old-rule")
+    shown = call("plugins")
+    assert shown.stdout.count("Note: plugin 'old_rule' of old-rule 1.0: ") == 4
+    assert "Broken" not in shown.stdout
+    listed = json.loads(call("plugins", "--json").stdout)[1]
+    assert (listed["status"], listed["reasons"], len(listed["notes"])) == ("ok", [], 4)
+    result = termsel.run("poly-terms", criterion="quantile", generations=1,
+                         options={"population": 10, "polish": False})
+    assert result.options["criterion"] == {"share": 0.9, "axis": "both"}
+    termsel.export(result, "note", tmp_path / "a", word="well")
+    assert (tmp_path / "a").read_text() == "well"
+    (tmp_path / "b").write_text("1|2")
+    with pytest.raises(TermselError, match="the file holds no points"):
+        termsel.read(tmp_path / "b")
+
+
+NEW_RULE = {
+    "models": MODEL.format(name="new"),
+    "solvers": """
+        from termsel import Generation, Solver, hookimpl
+        class New(Solver):
+            name = 'new'
+            def generations(self, problem, rng): yield
+        @hookimpl
+        def termsel_solvers(): return [New]""",
+    "criteria": """
+        from termsel import Criterion, hookimpl
+        class New(Criterion):
+            name = 'new'
             def score(self, fits): return abs(fits.check_errors).max(axis=(1, 2))
-        class Gcp(Reader):
-            name = 'gcp'
-            summary = 'points as a gcp file'
+        @hookimpl
+        def termsel_criteria(): return [New]""",
+    "readers": """
+        from termsel import Reader, hookimpl
+        class New(Reader):
+            name, summary = 'new', 'points'
             def sniff(self, path, head): return False
             def read(self, path): raise AssertionError
         @hookimpl
-        def termsel_criteria(): return [Worst]
+        def termsel_readers(): return [New]""",
+    "writers": """
+        from termsel import Writer, hookimpl
+        class New(Writer):
+            name, summary = 'new', 'points'
+            def accepts(self, result): return False
+            def write(self, result, path): raise AssertionError
         @hookimpl
-        def termsel_readers(): return [Gcp, Gcp()]
-        """)
+        def termsel_writers(): return [New]""",
+}
+
+
+@pytest.mark.parametrize("kind", NEW_RULE)
+def test_what_has_options_is_returned_as_its_class(install, registry, kind):
+    install("new-rule", NEW_RULE[kind])
     names = registry()
-    assert names.get("criteria", "worst").options == {}
-    assert names.get("readers", "gcp").sniff(Path("x"), b"") is False
-    assert len(names.failures()) == 1  # the reader's name, which it provides twice
+    assert inspect.isclass(names.get(kind, "new"))
+    assert names.failures() == names.notes() == []
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_built_ins_follow_the_one_rule(kind):
+    names = Registry([])
+    assert not names.notes(kind)
+    assert all(inspect.isclass(entry.object) == (kind not in ("problems", "datasets"))
+               for entry in names.entries(kind))
+
+
+def test_a_class_and_its_instance_are_one_thing_twice(install, registry):
+    install("twice", NEW_RULE["readers"].replace("[New]", "[New, New()]"))
+    names = registry()
+    assert "provides the reader 'new' twice" in names.failures()[0].what
 
 
 def test_an_unknown_name_lists_the_known_ones_and_who_may_have_it(install, registry):
@@ -392,7 +528,7 @@ def test_public_names_can_be_imported_and_are_typed():
     for name in termsel.__all__:
         assert getattr(termsel, name) is not None
     assert set(termsel.__all__) <= set(dir(termsel))
-    assert termsel.__all__ == sorted(termsel.__all__)
+    assert len(set(termsel.__all__)) == len(termsel.__all__)
     with pytest.raises(AttributeError, match="no attribute 'nonsense'"):
         termsel.nonsense  # noqa: B018
     source = Path(termsel.__file__).read_text()

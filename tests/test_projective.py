@@ -1,4 +1,4 @@
-"""Projective models beside scikit-image and the textbook."""
+"""Projective models compared with scikit-image and the textbook."""
 
 from __future__ import annotations
 

@@ -121,7 +121,7 @@ def test_significance_of_a_line_through_five_points() -> None:
     assert significance(part, loss[1], rest, both) == pytest.approx(expected)
     assert expected == pytest.approx(
         stats.linregress(columns[:, 1], part.target[:, 0]).pvalue)
-    # With an image of two axes: the same again beside it, twice the degrees of freedom.
+    # With an image of two axes: the same again next to it, twice the degrees of freedom.
     double = part_of(columns, np.column_stack([part.target, part.target]))
     assert significance(double, 12.8, 7.2, both) == pytest.approx(stats.f.sf(16 / 3, 2, 6))
 
@@ -656,5 +656,5 @@ def test_hardly_any_equations(selector: TermRegression) -> None:
 @pytest.mark.parametrize("solver", SOLVERS)
 def test_what_has_no_parts_is_refused(solver: type[termsel.Solver]) -> None:
     problem: Problem = termsel.prepare("owdis-lines").problem
-    with pytest.raises(termsel.TermselError, match="terms as columns"):
+    with pytest.raises(termsel.TermselError, match="whose terms are columns"):
         termsel.search(problem, solver())

@@ -140,7 +140,7 @@ def _damaged(folder: Path, **change: object) -> None:
 
 
 @pytest.mark.parametrize(("change", "message"), [
-    ({"schema": "termsel-result-0"}, "not a result of the form termsel-result-1"),
+    ({"schema": "termsel-result-0"}, "not a result with the schema termsel-result-1"),
     ({"model": "rfn"}, "unknown model 'rfn'"),
     ({"scaling": {}}, "this result is damaged"),
     ({"coefficients": {"line.num:W": 1.0}}, "this result is damaged"),
@@ -188,7 +188,7 @@ def test_another_layout_is_no_change_and_other_points_are(tmp_path: Path) -> Non
     cells = rows[at].split(",")
     cells[2] = str(float(cells[2]) + 0.01)
     points.write_text("\n".join([*rows[:at], ",".join(cells), *rows[at + 1:]]) + "\n")
-    with pytest.raises(TermselError, match=r"points\.csv: this is not what the run wrote"):
+    with pytest.raises(TermselError, match=r"points\.csv: this file was changed after"):
         read_result(tmp_path)
 
 
@@ -222,7 +222,7 @@ def test_changed_lines_are_not_blamed_on_the_points(of_lines: Result, tmp_path: 
     changed = lines.read_text().replace(x, str(float(x) + 1e-6))
     assert changed != lines.read_text()
     lines.write_text(changed)
-    with pytest.raises(TermselError, match=r"points\.csv or lines\.csv: this is not what the run"):
+    with pytest.raises(TermselError, match=r"points\.csv or lines\.csv: this file was changed"):
         read_result(tmp_path)
 
 

@@ -202,7 +202,7 @@ def test_rays_meet_the_heights_they_are_seen_at(curvature: float, seed: int) -> 
 
 
 def _oblique() -> Rpc:
-    """Return an RPC that looks from the side: 100 m of height are 100 pixels."""
+    """Return an RPC that looks from the side: 100 m of height are 100 px."""
     height = (0.0, 0.0, 0.0, 2.0) + (0.0,) * 16
     base = _simple()
     return replace(base, line_numerator=tuple(map(sum, zip(base.line_numerator, height,
@@ -230,7 +230,7 @@ def test_rays_that_miss_have_no_place() -> None:
 
 @pytest.mark.parametrize(("text", "message"), [
     ("", "the file is empty"),
-    ("id,line,sample\n1,2,3\n", "holds no RPC"),
+    ("id,line,sample\n1,2,3\n", "this file has no RPC"),
     ("LINE_OFF: 12,5\n", "line 1: LINE_OFF is '12,5', which is not a number. Write a decimal"),
     (rpc_txt_text(_simple())[:900], "the RPC lacks LINE_DEN_COEFF_"),
     (rpc_txt_text(_simple()).replace("HEIGHT_SCALE: 100.0", "HEIGHT_SCALE: 0"),
@@ -241,7 +241,7 @@ def test_rays_that_miss_have_no_place() -> None:
     (rpb_text(_simple()).replace("\t1.0,\n", "", 1), "LINE_DEN_COEFF has 19 numbers"),
     ("<Dimap_Document><Global", "this XML cannot be read"),
     ("<Dimap_Document></Dimap_Document>", "has no Global_RFM"),
-    ("<VRTDataset/>", "<VRTDataset> holds no RPC")])
+    ("<VRTDataset/>", "<VRTDataset> has no RPC")])
 def test_faults_are_named(text: str, message: str, tmp_path: Path) -> None:
     path = tmp_path / "fault.txt"
     path.write_text(text)

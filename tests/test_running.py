@@ -88,7 +88,7 @@ PATHS = {
     "auto, blank roles": ("rfm-terms", {"options": {"split": 3}}),
     "auto, coordinates too": ("rfm-terms", {"options": {"fit_crs": "auto"}}),
     "ga": ("rfm-terms", {"solver": "ga", "options": SMALL, "generations": 4}),
-    "ga, shared out anew": ("rfm-terms", {"solver": "ga", "generations": 4,
+    "ga, assigned again": ("rfm-terms", {"solver": "ga", "generations": 4,
                                           "options": {**SMALL, "roles": "random"}}),
     "polish": ("poly-terms", {"solver": "ga", "generations": 2}),
     "press": ("poly-terms", {"criterion": "press", "options": SMALL, "generations": 3}),
@@ -188,7 +188,7 @@ def test_residuals_agree_with_the_rmse() -> None:
     assert np.sqrt(np.mean(np.square(check))) == pytest.approx(result.rmse["check"].total)
 
 
-def test_plain_fits_are_judged_beside_the_selection() -> None:
+def test_plain_fits_are_judged_next_to_the_selection() -> None:
     result = quick("rfm-terms")
     names = [b.name for b in result.baselines]
     assert names == ["all-terms", "affine", "dlt", "quadratic", "cubic", "rfm-2", "rfm-3", "ridge",
@@ -204,15 +204,15 @@ def test_plain_fits_are_judged_beside_the_selection() -> None:
     ("rfm-terms", {"model": "rfn"}, "unknown model 'rfn'"),
     ("rfm-terms", {"options": {"populaton": 3}}, "unknown option 'populaton'"),
     ("rfm-terms", {"options": {"order": 4}}, "whole number from 1 to 3"),
-    ("rfm-terms", {"options": {"population": "many"}}, "option 'population' does not take"),
+    ("rfm-terms", {"options": {"population": "many"}}, "option 'population' does not accept"),
     ("rfm-terms", {"strategy": "as-asked", "options": {"fractions": "1:0:1"}},
      "check must be above 0"),
     ("owdis-lines", {"dataset": "spot-isfahan"}, "needs control lines"),
-    ("owdis-points", {"model": "rfm"}, "39 terms to be determined together and the control"),
-    ("rfm-terms", {"generations": 0}, "0 generations is not positive"),
-    ("rfm-terms", {"seconds": -1.0}, "is not positive"),
+    ("owdis-points", {"model": "rfm"}, "39 terms to be determined together; the control"),
+    ("rfm-terms", {"generations": 0}, "the budget of 0 generations is not positive"),
+    ("rfm-terms", {"seconds": -1.0}, "the budget of -1.0 seconds is not positive"),
 ])
-def test_what_the_user_can_mend_is_said(problem: str, more: dict, message: str) -> None:
+def test_what_the_user_can_correct_is_reported(problem: str, more: dict, message: str) -> None:
     with pytest.raises(termsel.TermselError, match=message):
         termsel.run(problem, **more)
 
@@ -224,7 +224,7 @@ def test_points_without_height_are_for_plane_models() -> None:
     features = FeatureSet(Points(ground.ids, ground.image, flat, None, ground.roles),
                           crs="EPSG:4979")
     assert quick("poly-terms", features=features).feasible
-    with pytest.raises(termsel.TermselError, match="unknown for 62 of the features"):
+    with pytest.raises(termsel.TermselError, match="needs heights; 62 features have none"):
         termsel.run("rfm-terms", features=features)
 
 

@@ -1,4 +1,4 @@
-"""Frequencies of terms over points shared out anew."""
+"""Frequencies of terms over points assigned again."""
 
 from __future__ import annotations
 

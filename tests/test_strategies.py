@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 import termsel
-from termsel.candidates.portfolio import SHRUNK, choose, repeated
+from termsel.candidates.candidate import CANDIDATES
+from termsel.candidates.portfolio import choose, repeated
 from termsel.candidates.selected import select_forward
 from termsel.candidates.shrunken import average
 from termsel.io.result_folder import read_result
 from termsel.measurements.features import FeatureSet, Points, no_lines
 from termsel.models.monomials import graded_exponents, monomials
-from termsel.runs.judge import TITLES
 from termsel.simulate import simulate_scene
 
 CUBIC = graded_exponents(3, 3)
@@ -57,7 +57,8 @@ def test_auto_is_the_default_where_only_points_are_given(result: termsel.Result)
     assert result.strategy["name"] == "auto"
     names = [one["name"] for one in result.strategy["candidates"]]
     assert result.strategy["chosen"] in names
-    assert {"affine", "dlt", "quadratic", "cubic", "selected", *SHRUNK.values()} <= set(names)
+    assert {"affine", "dlt", "quadratic", "cubic", "selected", "shrunken-quadratic",
+            "shrunken-cubic"} <= set(names)
     quadratic = next(b for b in result.baselines if b.name == "quadratic")
     assert result.rmse["independent"].total < quadratic.rmse["independent"].total
 
@@ -269,7 +270,7 @@ def test_the_full_rfm_is_chosen_where_it_is_the_truth_and_can_be_named() -> None
     choice = choose(FeatureSet(Points(tuple(f"P{i}" for i in range(90)), image, ground)), True)
     assert choice is not None
     assert choice.chosen.name == "rfm-3"
-    assert {one.name for one in choice.fitted} <= set(TITLES)
+    assert {one.name for one in choice.judged} <= {one.name for one in CANDIDATES}
 
 
 def test_plane_points_get_plane_models() -> None:
@@ -308,7 +309,7 @@ def test_the_result_is_whole_in_its_folder(tmp_path) -> None:
     assert used == {"control", "check"} == {r.role for r in again.residuals if r.used}
     text = (tmp_path / "summary.txt").read_text()
     assert "strategy auto" in text
-    assert "predicted accuracy" in text
+    assert "predicted RMSE" in text
 
 
 def test_every_result_has_the_baselines(result: termsel.Result) -> None:

@@ -305,20 +305,20 @@ def test_counts_and_estimate() -> None:
     assert 0 < estimate_seconds(system, "check", workers=2) < 60
 
 
-def test_what_the_user_can_mend() -> None:
+def test_what_the_user_can_correct() -> None:
     system = polynomial(np.random.default_rng(13))
     one = np.arange(6) == 1
     with pytest.raises(TermselError, match="unknown score 'rmse'"):
         last(system, "rmse")
     with pytest.raises(TermselError, match="both forced and forbidden"):
         last(replace(system, forced=one, forbidden=one), "check")
-    with pytest.raises(TermselError, match="1 terms are forced and at most 0"):
+    with pytest.raises(TermselError, match="1 terms are forced, but at most 0 may be in use"):
         last(replace(system, forced=one), "check", max_terms=0)
     with pytest.raises(TermselError, match="subsets of 63 terms"):
         SubsetSystem(np.ones((3, 63)), np.ones((3, 1)))
 
 
-def test_what_a_developer_can_mend() -> None:
+def test_what_a_developer_can_correct() -> None:
     system = polynomial(np.random.default_rng(14))
     with pytest.raises(ValueError, match="check_target has shape"):
         replace(system, check_target=np.ones((2, 1)))
@@ -327,7 +327,7 @@ def test_what_a_developer_can_mend() -> None:
     with pytest.raises(ValueError, match="single right-hand side"):
         replace(system, target=np.ones((9, 2)), check_target=np.ones((7, 2)),
                 denominator=np.ones((9, 6)))
-    with pytest.raises(ValueError, match="needs check_design"):
+    with pytest.raises(ValueError, match="requires check_design"):
         last(SubsetSystem(system.design, system.target), "check")
-    with pytest.raises(ValueError, match="needs folds"):
+    with pytest.raises(ValueError, match="score 'kfold' requires folds"):
         last(system, "kfold")

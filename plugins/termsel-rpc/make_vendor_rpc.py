@@ -9,10 +9,10 @@ import numpy as np
 
 from termsel import FeatureSet, Points
 from termsel.fits.fit import fit
-from termsel.fits.rpc_fit import rpc_of
 from termsel.formats.rpc_files import rpb_text
 from termsel.measurements.scaling import scaling_of
 from termsel.models.rational import RationalFunctions
+from termsel.models.rpc_fit import rpc_of
 from termsel_rpc.simulated import RPC_FILE, nominal_sensor
 
 LOWEST, HIGHEST = 1650.0, 2050.0

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from termsel.adjustment import Equations, image_equations, line_normals, row_weights
     from termsel.criteria import Criterion, Fits
     from termsel.errors import TermselError
+    from termsel.fits.fit import Fit
     from termsel.formats.base import Reader, Writer
     from termsel.formats.rpc_files import read_rpc
     from termsel.io.export import export
@@ -24,14 +25,27 @@ if TYPE_CHECKING:
     from termsel.measurements.datasets import DatasetSpec
     from termsel.measurements.features import FeatureSet, Lines, Points
     from termsel.measurements.scaling import Scaling
-    from termsel.models import Blocks, Polynomial2D, RationalModel, SensorModel
+    from termsel.models import (
+        DLT2D,
+        DLT3D,
+        Affine,
+        Blocks,
+        Polynomial2D,
+        Polynomial3D,
+        Projective2D,
+        RationalFunctions,
+        RationalModel,
+        SensorModel,
+        Term,
+    )
     from termsel.models.rpc import Rpc
     from termsel.options import Option
-    from termsel.plugins import hookimpl
+    from termsel.plugins.hookspecs import hookimpl
     from termsel.problems.base import Evaluation, Genome, Inputs, Problem, Segment, Selection
     from termsel.problems.recipes import Recipe, feature_options
     from termsel.problems.selection import SelectionProblem
     from termsel.results.result import Result
+    from termsel.runs.fit import fit
     from termsel.runs.run import run
     from termsel.runs.task import Task, prepare
     from termsel.simulate import simulate_scene
@@ -39,12 +53,16 @@ if TYPE_CHECKING:
     from termsel.solvers.search import Search, search
 
 _HOME = {
+    "Affine": "termsel.models",
     "Blocks": "termsel.models",
     "Criterion": "termsel.criteria",
+    "DLT2D": "termsel.models",
+    "DLT3D": "termsel.models",
     "DatasetSpec": "termsel.measurements.datasets",
     "Equations": "termsel.adjustment",
     "Evaluation": "termsel.problems.base",
     "FeatureSet": "termsel.measurements.features",
+    "Fit": "termsel.fits.fit",
     "Fits": "termsel.criteria",
     "Generation": "termsel.solvers",
     "Genome": "termsel.problems.base",
@@ -53,7 +71,10 @@ _HOME = {
     "Option": "termsel.options",
     "Points": "termsel.measurements.features",
     "Polynomial2D": "termsel.models",
+    "Polynomial3D": "termsel.models",
     "Problem": "termsel.problems.base",
+    "Projective2D": "termsel.models",
+    "RationalFunctions": "termsel.models",
     "RationalModel": "termsel.models",
     "Reader": "termsel.formats.base",
     "Recipe": "termsel.problems.recipes",
@@ -67,11 +88,13 @@ _HOME = {
     "SensorModel": "termsel.models",
     "Solver": "termsel.solvers",
     "Task": "termsel.runs.task",
+    "Term": "termsel.models",
     "TermselError": "termsel.errors",
     "Writer": "termsel.formats.base",
     "export": "termsel.io.export",
     "feature_options": "termsel.problems.recipes",
-    "hookimpl": "termsel.plugins",
+    "fit": "termsel.runs.fit",
+    "hookimpl": "termsel.plugins.hookspecs",
     "image_equations": "termsel.adjustment",
     "line_normals": "termsel.adjustment",
     "prepare": "termsel.runs.task",
@@ -86,12 +109,16 @@ _HOME = {
 }
 
 __all__ = [
+    "DLT2D",
+    "DLT3D",
+    "Affine",
     "Blocks",
     "Criterion",
     "DatasetSpec",
     "Equations",
     "Evaluation",
     "FeatureSet",
+    "Fit",
     "Fits",
     "Generation",
     "Genome",
@@ -100,7 +127,10 @@ __all__ = [
     "Option",
     "Points",
     "Polynomial2D",
+    "Polynomial3D",
     "Problem",
+    "Projective2D",
+    "RationalFunctions",
     "RationalModel",
     "Reader",
     "Recipe",
@@ -114,11 +144,13 @@ __all__ = [
     "SensorModel",
     "Solver",
     "Task",
+    "Term",
     "TermselError",
     "Writer",
     "__version__",
     "export",
     "feature_options",
+    "fit",
     "hookimpl",
     "image_equations",
     "line_normals",

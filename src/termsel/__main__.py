@@ -10,15 +10,15 @@ from termsel.cli.main import cli
 from termsel.version import __version__
 
 FAULT = """\
-Error: termsel has failed: {what}. This is a fault of termsel, or of a plugin in use, and not
-yours. Please report it with the command you typed, the version of termsel ({version}) and what
-the same command says with TERMSEL_DEBUG=1 set. TERMSEL_PLUGINS= (empty) runs without plugins."""
+Error: termsel has failed: {what}. This is a bug in termsel or in a plugin, not your mistake.
+Please report it with the command you typed, the version of termsel ({version}), and the output
+of the same command with TERMSEL_DEBUG=1 set. TERMSEL_PLUGINS= (empty) runs without plugins."""
 
 
 def report_fault(
     kind: type[BaseException], error: BaseException, trace: TracebackType | None
 ) -> None:
-    """Say on stderr that termsel has failed; Python then exits with code 1.
+    """Report on stderr that termsel has failed; Python then exits with code 1.
 
     Parameters
     ----------

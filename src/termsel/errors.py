@@ -1,4 +1,4 @@
-"""Errors a user can mend: what is wrong, where, and what to do about it."""
+"""Errors a user can correct: what is wrong, where, and what to do about it."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from difflib import get_close_matches
 
 
 class TermselError(Exception):
-    """Something the user can mend; the command line shows it and exits with code 2.
+    """Something the user can correct; the command line shows it and exits with code 2.
 
     Parameters
     ----------

@@ -21,7 +21,7 @@ class Option:
     name : str
         The key.
     default : object
-        The value where none is given; None means "decided from the data", as `doc` says.
+        Its value if none is given; None means "decided from the data", as `doc` says.
     doc : str
         One sentence: meaning, unit, source where there is one.
     type : type
@@ -29,7 +29,7 @@ class Option:
     minimum, maximum : float, optional
         Closed range of a number.
     choices : tuple of str
-        The accepted values, where there are few.
+        The accepted values, if they are few.
     """
 
     name: str
@@ -42,7 +42,7 @@ class Option:
 
     @property
     def accepts(self) -> str:
-        """The accepted values in words."""
+        """The accepted values, in words."""
         if self.choices:
             return " | ".join(self.choices)
         kind = {int: "whole number", float: "number", bool: "true | false", str: "text"}[self.type]
@@ -69,8 +69,8 @@ class Option:
         """
         if value is None and self.default is None:
             return None
-        wrong = TermselError(f"option {self.name!r} does not take {value!r}",
-                             hint=f"It takes: {self.accepts}.")
+        wrong = TermselError(f"option {self.name!r} does not accept {value!r}",
+                             hint=f"Accepted: {self.accepts}.")
         parsed: Any
         if self.type is bool:
             text = str(value).strip().lower()
@@ -112,7 +112,7 @@ def resolve(declared: Iterable[Option], given: Mapping[str, Any]) -> dict[str, A
     Raises
     ------
     TermselError
-        For a key nobody declared, or a value its option does not take.
+        For a key that is not declared, or a value its option does not accept.
     """
     options = {option.name: option for option in declared}
     for key in given:
@@ -132,7 +132,7 @@ class Configurable:
     Raises
     ------
     TermselError
-        For an unknown option or a value it does not take.
+        For an unknown option or a value it does not accept.
     """
 
     name: ClassVar[str]

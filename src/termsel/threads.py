@@ -13,10 +13,10 @@ R = TypeVar("R")
 
 
 def one_blas_thread(function: Callable[P, R]) -> Callable[P, R]:
-    """Return a function during whose calls BLAS keeps to one thread.
+    """Return a function that limits BLAS to one thread during its calls.
 
-    Matrices are small here. Further threads wait for each other in busy loops, which gains
-    nothing and takes several times the processor's time on a machine that is busy.
+    Matrices are small here. More threads wait for each other in busy loops: that gains nothing,
+    and on a busy machine it takes several times the processor time.
 
     Parameters
     ----------

@@ -316,7 +316,7 @@ def test_hybrid_2_is_poly_terms_by_ga() -> None:
 
 
 @pytest.mark.parametrize("name", MODELS)
-def test_leave_one_out_figures_stand_beside_those_of_the_control(name: str) -> None:
+def test_leave_one_out_figures_are_next_to_those_of_the_control(name: str) -> None:
     features = termsel.simulate_scene("ikonos-hamedan", n_points=45, n_lines=0)
     result = termsel.run("poly-terms", features=features, model=name, solver="all-terms",
                          options={"degree": 1})
@@ -326,7 +326,9 @@ def test_leave_one_out_figures_stand_beside_those_of_the_control(name: str) -> N
         others = control.take(np.arange(len(control)) != i)
         scaled = result.fit.scaling.points(others)
         place = result.fit.scaling.ground(control.ground[i:i + 1])
-        image = predicted(result.fit.model, scaled, place)
+        model = result.fit.model
+        assert isinstance(model, SensorModel)
+        image = predicted(model, scaled, place)
         errors.append(control.image[i] - result.fit.scaling.pixels(image)[0])
     line, sample = np.sqrt((np.array(errors)**2).mean(axis=0))
     found = result.to_dict()["rmse"]["leave-one-out"]

@@ -43,14 +43,14 @@ def kinds(ids: tuple[str, ...]) -> list[str]:
     return [of[name] for name in ids]
 
 
-def test_runs_by_its_name_and_leaves_the_wrong_points_out(run_by_name: Path) -> None:
+def test_runs_by_its_name_and_drops_the_blunders(run_by_name: Path) -> None:
     record = json.loads((run_by_name / "result.json").read_text())
     assert (record["model"], record["solver"]) == ("rpc-drift", "ga-steady")
     chosen = tuple(record["selection"]["features"])
     assert len(chosen) == 6
     assert "wrong" not in kinds(chosen)
     assert len(kinds(tuple(record["data"]["roles"]["control"]))) == 80
-    # All candidates together, the wrong ones among them, are twice as far off.
+    # All candidates together, including the blunders, are twice as far off.
     everything = next(b for b in record["baselines"] if b["name"] == "all-terms")
     assert record["rmse"]["independent"]["total"] < 1.1
     assert everything["rmse"]["independent"]["total"] > 1.9
@@ -62,7 +62,7 @@ def test_the_note_says_what_the_search_drove_down(run_by_name: Path) -> None:
     assert "first order" not in notes  # the equations of an RPC's refinement are exact
     alone = termsel.run("rpc-gcps", generations=2,
                         options={"judged_by": "check", "polish": False})
-    assert "drove down" not in " ".join(alone.notes)
+    assert "minimised an RMSE" not in " ".join(alone.notes)
 
 
 def test_refined_rpc_serves_gdal(run_by_name: Path, tmp_path: Path) -> None:
@@ -113,7 +113,7 @@ def test_the_figure_is_over_the_points_asked_for(judged_by: str) -> None:
 
 
 def test_ce90_of_known_distances() -> None:
-    """Distances 0, 1, ... 10 pixels: nine of ten are within 9."""
+    """Distances 0, 1, ... 10 px: nine of ten are within 9."""
     ground = np.arange(33.0).reshape(11, 3)
     shift = np.arange(11.0)[:, None] * [0.006, 0.008]
     check = Points(tuple("abcdefghijk"), shift, ground)
@@ -170,11 +170,11 @@ def test_terms_of_a_refinement_are_selected() -> None:
 
 
 @pytest.mark.parametrize(("arguments", "said"), [
-    (["--model", "rpc-affine"], "'rpc-affine' needs the RPC that it is to refine"),
-    (["--set", "rpc=no-such-file.RPB"], "there is no such file"),
-    (["--dataset", "spot-isfahan"], "sees the ground of longitude"),
-    (["--model", "pushbroom-refine"], "needs the geometry that it is to refine"),
-    (["--set", "min_features=9"], "option 'min_features' is 9 and 'max_features' 6"),
+    (["--model", "rpc-affine"], "'rpc-affine' requires the RPC to refine"),
+    (["--set", "rpc=no-such-file.RPB"], "this file does not exist"),
+    (["--dataset", "spot-isfahan"], "covers longitude"),
+    (["--model", "pushbroom-refine"], "requires the geometry to refine"),
+    (["--set", "min_features=9"], "option 'min_features' is 9, more than 'max_features', 6"),
 ])
 def test_bad_input_gives_one_message(arguments: list[str], said: str) -> None:
     code, out, error = termsel_says("run", "--problem", "rpc-gcps", *arguments)

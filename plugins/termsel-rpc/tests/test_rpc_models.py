@@ -16,9 +16,9 @@ pytest.importorskip("termsel_rpc", reason="termsel-rpc is not installed: "
 import termsel
 from termsel import FeatureSet, Lines, Points, Rpc, Scaling, SensorModel, TermselError, read_rpc
 from termsel.fits.fit import Fit, fit
-from termsel.fits.rpc_fit import rpc_of
 from termsel.formats.rpc_files import rpb_text
 from termsel.measurements.scaling import scaling_of
+from termsel.models.rpc_fit import rpc_of
 from termsel.plugins.registry import registry
 from termsel.simulate import read_geometry, scene_truth, write_geometry
 from termsel.testing import Check, criterion_checks, model_checks
@@ -88,7 +88,7 @@ def test_is_registered_under_its_name(kind: str, name: str) -> None:
     assert not registry().failures(kind)
 
 
-# Refinement of vendors' RPCs, beside GDAL and plain least squares
+# Refinement of vendors' RPCs, compared with GDAL and plain least squares
 
 
 def by_gdal(rpc: Rpc, ground: FloatArray, folder: Path) -> FloatArray:
@@ -118,7 +118,7 @@ def polynomial(image: FloatArray, width: int) -> FloatArray:
 
 
 BIAS = np.array([[12.5, -20.25], [3e-4, -2e-4], [1e-4, 5e-4]])
-"""Of line and sample: constant [pixel], by line, by sample."""
+"""Of line and sample: constant [px], by line, by sample."""
 
 
 @pytest.mark.parametrize("vendor", VENDORS)
@@ -193,6 +193,7 @@ def test_one_denominator_for_both_axes_keeps_the_refined_rpc_exact(
     ground = ground_of(rpc, 15)
     seen = rpc.project(ground)
     fitted = refined(name, tmp_path / "one.RPB", ground, seen + polynomial(seen, 3) @ BIAS)
+    assert isinstance(fitted.model, termsel.SensorModel)
     own = fitted.model.as_rpc(fitted.adjustment.coefficients)
     assert own is not None
     others = ground_of(rpc, 100, seed=1)
@@ -321,13 +322,13 @@ def test_without_a_geometry_it_says_how_to_give_one(model: type[SensorModel],
                                                     option: str) -> None:
     made = model()
     assert made.terms == model(**{option: CANDIDATES}).terms  # as termsel describe shows them
-    with pytest.raises(TermselError, match=f"{model.name!r} needs .* --set {option}=FILE"):
+    with pytest.raises(TermselError, match=f"{model.name!r} requires .* --set {option}=FILE"):
         made.prepared(*AROUND_RPC)
 
 
 @pytest.mark.parametrize(("model", "option"), [(RpcShift, "rpc"), (PushbroomRefine, "geometry")])
 def test_missing_file_is_named(model: type[SensorModel], option: str, tmp_path: Path) -> None:
-    with pytest.raises(TermselError, match=r"no-such\.txt.*there is no such file"):
+    with pytest.raises(TermselError, match=r"no-such\.txt.*this file does not exist"):
         model(**{option: str(tmp_path / "no-such.txt")})
 
 
@@ -355,8 +356,8 @@ def test_a_field_of_the_geometry_is_amiss(tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", ["rpc-shift", "pushbroom-refine"])
 def test_points_elsewhere_are_refused_with_both_places(name: str) -> None:
     options = {"geometry" if "push" in name else "rpc": CANDIDATES}
-    with pytest.raises(TermselError, match=r"sees the ground of longitude 48.* and the control "
-                                           r"lies in longitude 51"):
+    with pytest.raises(TermselError, match=r"covers longitude 48.*, but the control "
+                                           r"is in longitude 51"):
         termsel.prepare("owdis-points", dataset="spot-isfahan", model=name, options=options)
 
 

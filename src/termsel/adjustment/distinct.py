@@ -10,9 +10,9 @@ from termsel.measurements.features import BoolArray, IntArray
 
 @compiled
 def distinct(columns: BoolArray, rows: BoolArray) -> tuple[IntArray, IntArray]:
-    """Return the first occurrence of every distinct mask, and which of these each mask is.
+    """Return the first occurrence of every distinct mask, and the number of each mask among these.
 
-    Some hundredths of a solution's time, and a population that converges is full of twins.
+    It takes some hundredths of a solution's time, and a converging population is full of twins.
     """
     p, k, f = len(columns), columns.shape[1], rows.shape[1]
     words = np.zeros((p, k // 64 + f // 64 + 2), dtype=np.uint64)

@@ -22,8 +22,8 @@ class Equations:
     feature : ndarray of int, shape (m,)
         The control feature each row belongs to: points from 0, then lines.
     prior : ndarray, shape (k,), optional
-        Weights, as a factor of the row, of pseudo-observations that a coefficient is zero; they
-        are of no feature and always in the adjustment. 0 for none.
+        Weights, as a factor of the row, of pseudo-observations that a coefficient is zero. They
+        belong to no feature and are always in the adjustment. 0 for none.
     """
 
     A: FloatArray
@@ -74,7 +74,7 @@ def line_normals(lines: Lines) -> tuple[FloatArray, FloatArray]:
 
 
 def row_axes(A: FloatArray, axis: IntArray) -> IntArray:
-    """Return which image axis each row speaks of: 0 line, 1 sample, 2 both.
+    """Return the image axis of each row: 0 line, 1 sample, 2 both.
 
     Parameters
     ----------

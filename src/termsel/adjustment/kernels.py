@@ -40,7 +40,7 @@ BLOCK = 192
 """Rows folded into a triangle at once."""
 
 ALWAYS = -1
-"""The last feature of a mask: that of pseudo-observations, where there are any."""
+"""The last feature of a mask: that of pseudo-observations, if any."""
 
 UintArray = NDArray[np.uintp]
 Work = tuple[FloatArray, FloatArray, FloatArray, IntArray]
@@ -51,7 +51,7 @@ Work = tuple[FloatArray, FloatArray, FloatArray, IntArray]
 def _take(column: FloatArray, v: FloatArray) -> float:
     """Copy a column and return the sum of its squares.
 
-    It is added up in four sums, as one would wait for each addition before the next.
+    It is added up in four sums; in a single one each addition would wait for the previous.
     """
     a = b = c = d = 0.0
     quarter = len(v) // 4
@@ -91,9 +91,9 @@ def _eliminate(
     """Bring n columns, and the right-hand side after them, to triangular form; return the rank.
 
     Column s has its entries in the first heights[s] rows, which do not decrease. A column that
-    keeps no more than `tolerance` of its length beside those before it gets no reflection and
-    no row of the triangle; with a negative tolerance none is judged. No column is longer than
-    `longest`.
+    keeps no more than `tolerance` of its length orthogonal to those before it gets no reflection
+    and no row of the triangle; with a negative tolerance none is tested. No column is longer
+    than `longest`.
     """
     vectors, beta, gram, stop = work
     rank = 0
@@ -112,7 +112,7 @@ def _eliminate(
             square = _take(column[rank:], v)
             norm = np.sqrt(square)
             if tolerance >= 0.0 and norm <= tolerance * longest:
-                # Reflections preserve a column's length, so that it is still to be had.
+                # Reflections preserve a column's length, so that it is still known.
                 for i in range(rank):
                     square += column[i] * column[i]
                 if norm <= tolerance * np.sqrt(square):
@@ -126,7 +126,7 @@ def _eliminate(
                 diagonal = norm
             stop[rank] = height
             if rank % 2:
-                # Made fit to be applied together with the one before.
+                # Prepared to be applied together with the one before.
                 before = vectors[rank - 1, rank:height]
                 before[stop[rank - 1] - rank:] = 0.0
                 vectors[rank, rank - 1] = 0.0
@@ -143,7 +143,7 @@ def _gather(
     panels: FloatArray, source: FloatArray, rows: UintArray, columns: UintArray,
     heights: IntArray, n: int,
 ) -> None:
-    """Copy n columns and the right-hand side after them into the panels, as far as they reach."""
+    """Copy n columns and the right-hand side after them into the panels, as far as they go."""
     for c in range(n // LANES + 1):
         some = columns[LANES * c:LANES * c + LANES]
         reach = min(len(rows), heights[min(LANES * c + LANES, n) - 1])
@@ -155,7 +155,7 @@ def _gather(
 
 @compiled
 def _lower(panels: FloatArray, n: int, shift: int) -> None:
-    """Move the triangle of n columns down, and clear what elimination left below it."""
+    """Move the triangle of n columns down, and clear the remains of elimination below it."""
     for c in range(n // LANES + 1):
         for i in range(n - 1, -1, -1):
             for lane in range(LANES):
@@ -171,7 +171,7 @@ def _factor(
     """Triangularise the system of some rows and n columns; return its rank.
 
     More rows than the panels hold are folded in block by block, on top of the triangle of
-    those before. No column is judged then before all rows are in, in a last round without a
+    those before. Columns are then tested only when all rows are in, in a last round without a
     block of its own.
     """
     m, start, kept = len(rows), 0, 0
@@ -216,7 +216,7 @@ def _solve(
     """Solve a population; rows, columns and heights are work space."""
     k = terms.shape[1]
     for one in range(len(terms)):
-        # A plain 0 would have everything below compiled for that constant too.
+        # With a plain 0 everything below would be compiled for that constant too.
         n = int(np.intp(0))
         for j in range(k):
             columns[n] = j  # overwritten unless selected: cheaper than a branch on chance
@@ -264,7 +264,7 @@ def _triangle(source: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class _Prepared:
-    """What all populations over the same equations share.
+    """Data common to all populations over the same equations.
 
     Parameters
     ----------
@@ -287,7 +287,7 @@ _PREPARED: WeakKeyDictionary[Equations, _Prepared] = WeakKeyDictionary()
 
 
 def _prepared(equations: Equations) -> _Prepared:
-    """Return what is kept for the equations, computing it the first time."""
+    """Return the data kept for the equations, computed the first time."""
     known = _PREPARED.get(equations)
     if known is None:
         A, b = equations.held()
@@ -318,14 +318,14 @@ def solve_many(
     Parameters
     ----------
     equations : Equations
-        m rows, k columns. What is computed from them is kept as long as the object lives, so
+        m rows, k columns. Results computed from them are kept as long as the object lives, so
         its arrays must not be changed afterwards.
     terms : ndarray of bool, shape (p, k), optional
         Selected columns of each individual; all by default.
     features : ndarray of bool, shape (p, n_features), optional
         Selected features of each individual; all by default.
     threads : int
-        How many threads share the population.
+        Number of threads.
 
     Returns
     -------
@@ -350,7 +350,7 @@ def solve_many(
     if columns.shape != (p, k) or len(rows) != p or rows.shape[1] <= feature.max(initial=-1):
         raise ValueError(f"masks of shapes {columns.shape} and {rows.shape} do not fit {k} terms "
                          f"and {equations.n_features} features")
-    # One memory layout for all, or each would be compiled for.
+    # One memory layout for all, or code would be compiled for each.
     columns, rows = (np.require(mask, requirements=("C", "W")) for mask in (columns, rows))
     first, copies = distinct(columns, rows)
     if len(first) < p:
@@ -376,7 +376,7 @@ def solve_many(
 def needs_compilation() -> bool:
     """Return True if the first evaluation will spend some seconds on compilation.
 
-    It does so once a machine and version, after which machine code is read from disk.
+    It does so once per machine and version; later the machine code is read from disk.
     """
     kernel = cast(Any, _solve)
     source = Path(__file__).stat().st_mtime

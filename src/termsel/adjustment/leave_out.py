@@ -1,17 +1,17 @@
-"""Solutions without one feature at a time, from a single orthogonal factorisation each.
+"""Leave-one-out solutions, from a single orthogonal factorisation each.
 
-With A = Q R the solution without feature i, whose rows are A_i and b_i, is
+With A = Q R the solution that holds out feature i, whose rows are A_i and b_i, is
 
     x_(i) = x - R^-1 Q_i' (I - Q_i Q_i')^-1 (b_i - A_i x),
 
-so that all features together cost about as much as a second factorisation. The leverages
+and all features together cost about as much as a second factorisation. The leverages
 Q_i Q_i' come from Householder's Q, whose columns are orthogonal to rounding error whatever
 the condition of A.
 
 References
 ----------
 Allen 1974, Technometrics 16(1): the prediction sum of squares. Cook and Weisberg 1982, Residuals
-and Influence in Regression, ch. 2: solutions without one row, or without several together.
+and Influence in Regression, ch. 2: solutions that hold out one row, or several together.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from termsel.adjustment.solve import TOLERANCE
 from termsel.measurements.features import BoolArray, FloatArray, IntArray
 
 Work = tuple[FloatArray, FloatArray, FloatArray]
-"""Of the reflections: vectors, factors, and room that single reflections do not need."""
+"""Of the reflections: vectors, factors, and space that single reflections do not need."""
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
@@ -67,7 +67,7 @@ def _factor(panels: FloatArray, q: FloatArray, n: int, m: int, work: Work,
             v[i] = column[j + i]
             square += v[i] ** 2
         norm = np.sqrt(square)
-        # Reflections preserve a column's length, so that it is still to be had.
+        # Reflections preserve a column's length, so that it is still known.
         for i in range(j):
             square += column[i] ** 2
         if norm <= tolerance * np.sqrt(square):
@@ -93,7 +93,7 @@ def _factor(panels: FloatArray, q: FloatArray, n: int, m: int, work: Work,
 
 @_compiled
 def _transpose(panels: FloatArray, n: int, m: int, columns: FloatArray) -> None:
-    """Lay out the first n columns, and the one after them, one after the other."""
+    """Copy the first n columns, and the one after them, one after the other."""
     for s in range(n + 1):
         for i in range(m):
             columns[s, i] = panels[s // LANES, i, s % LANES]
@@ -102,7 +102,7 @@ def _transpose(panels: FloatArray, n: int, m: int, columns: FloatArray) -> None:
 @_compiled
 def _weigh(q: FloatArray, n: int, start: int, errors: FloatArray, block: FloatArray,
            tolerance: float) -> bool:
-    """Turn a feature's errors b_i - A_i x into (I - Q_i Q_i')^-1 times them; False if singular.
+    """Multiply a feature's errors b_i - A_i x by (I - Q_i Q_i')^-1; False if singular.
 
     The feature's rows begin at `start`. The matrix is factored by Cholesky's method.
     """
@@ -166,7 +166,7 @@ def _leave_out(
                 columns, n, start[g], columns[n, start[g]:start[g + 1]], block, tolerance)
         if not determined[one]:
             continue
-        # Right-hand sides of the triangle: one a feature, and in the end that of the solution.
+        # Right-hand sides of the triangle: one per feature, and at the end that of the solution.
         for s in range(n - 1, -1, -1):
             target = right[s, :count + 1]
             for g in range(count):
@@ -186,7 +186,7 @@ def _leave_out(
 
 def leave_one_out(equations: Equations, terms: BoolArray, features: BoolArray,
                   ) -> tuple[FloatArray, BoolArray]:
-    """Solve a population of masked least-squares systems without one feature at a time.
+    """Solve a population of masked least-squares systems, holding out one feature at a time.
 
     Parameters
     ----------
@@ -200,12 +200,12 @@ def leave_one_out(equations: Equations, terms: BoolArray, features: BoolArray,
     Returns
     -------
     solutions : ndarray, shape (n, p, k)
-        Coefficients without feature 0 to n - 1; 0 where a term or that feature is not
-        selected.
+        Coefficients with feature 0 to n - 1 held out; 0 where a term or that feature is
+        not selected.
     determined : ndarray of bool, shape (p,)
         False where the selected terms are dependent or some feature is indispensable: I - Q_i
         Q_i' then has a pivot of `termsel.adjustment.solve.TOLERANCE` or less. The solutions of
-        such an individual are not to be used.
+        such an individual must not be used.
     """
     order = np.argsort(equations.feature, kind="stable")
     n = features.shape[1]
@@ -213,7 +213,7 @@ def leave_one_out(equations: Equations, terms: BoolArray, features: BoolArray,
     tallest = int(np.diff(first).max())
     A, b = equations.held()
     m, k = A.shape
-    # Pseudo-observations are those of one feature more, which nobody leaves out.
+    # Pseudo-observations belong to one further feature, which is never held out.
     order = np.concatenate([order, np.arange(len(order), m)])
     source = np.ascontiguousarray(np.column_stack([A, b])[order])
     if m > len(equations.b):

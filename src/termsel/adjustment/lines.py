@@ -1,4 +1,4 @@
-"""Points and lines in an adjustment: their rows, where vertices lie, and what they weigh."""
+"""Points and lines in an adjustment: their rows, positions of vertices, and weights."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from termsel.measurements.features import FeatureSet, FloatArray
 def approximate_image(features: FeatureSet, *, heights: bool = True) -> FloatArray:
     """Return approximate image positions of the ground vertices of control lines.
 
-    A polynomial without denominators (quadratic where the features determine it twice over,
+    A polynomial without denominators (quadratic if the features determine it twice over,
     else affine) is fitted to all control features and evaluated at the vertices.
 
     Parameters
@@ -48,7 +48,7 @@ def approximate_image(features: FeatureSet, *, heights: bool = True) -> FloatArr
 
 
 def relative_deviations(features: FeatureSet) -> FloatArray:
-    """Return the standard deviations of points, then of lines, over the median one.
+    """Return the standard deviations of points, then of lines, relative to the median one.
 
     Parameters
     ----------
@@ -57,7 +57,7 @@ def relative_deviations(features: FeatureSet) -> FloatArray:
     Returns
     -------
     ndarray, shape (n_points + n_lines, 2)
-        Of line and sample, of lines across them; 1 where none is given.
+        Of line and sample, of lines across them; 1 if none is given.
     """
     points, lines = features.points, features.lines
     given = [sigma.ravel() for sigma in (points.sigma, lines.sigma) if sigma is not None]
@@ -74,11 +74,11 @@ def relative_deviations(features: FeatureSet) -> FloatArray:
 def row_weights(features: FeatureSet, *, heights: bool = True) -> FloatArray:
     """Return weights of the rows of points, then of lines, two each.
 
-    Rows are weighted by standard deviations relative to the median one. Those of a line are
-    those of its position at the vertex: with two end points measured to s, a distance of L
-    apart, it is s sqrt(1/2 + 2 t^2 / L^2) at t from their middle, so that long lines weigh more
-    outside their measured piece. That both vertices of a line share these end points is
-    neglected.
+    Rows are weighted by standard deviations relative to the median one. That of a line is
+    the standard deviation of its position at the vertex. With two end points measured to s, a
+    distance of L apart, it is s sqrt(1/2 + 2 t^2 / L^2) at t from their middle: long lines have
+    more weight outside their measured piece. The correlation of both vertices of a line, through
+    these end points, is neglected.
 
     Parameters
     ----------
@@ -126,7 +126,7 @@ def image_equations(features: FeatureSet, of_points: FloatArray, of_vertices: Fl
     Returns
     -------
     Equations
-        Two rows a point, then two a line, weighted by `row_weights`.
+        Two rows per point, then two per line, weighted by `row_weights`.
     """
     points, lines = features.points, features.lines
     normal, rho = (np.repeat(one, 2, axis=0) for one in line_normals(lines))

@@ -1,4 +1,4 @@
-"""Independent parts of a system: line and sample where no equation speaks of both."""
+"""Independent parts of a system: line and sample, unless an equation contains both."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Part:
 
 
 def independent_parts(equations: Equations, axis: IntArray) -> tuple[Part, ...]:
-    """Split a system by image axis where no row and no term speaks of both.
+    """Split a system by image axis, unless a row or a term belongs to both.
 
     Parameters
     ----------
@@ -60,7 +60,7 @@ def solve_parts(parts: tuple[Part, ...], terms: BoolArray, features: BoolArray |
     coefficients : ndarray, shape (p, k)
         0 where a term is not selected.
     violation : ndarray, shape (p,)
-        How many of the selected terms are not determined.
+        Number of selected terms that are not determined.
     """
     coefficients, violation = np.zeros(terms.shape), np.zeros(len(terms))
     for part in parts:

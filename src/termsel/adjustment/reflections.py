@@ -42,7 +42,7 @@ def _reflector(count: int) -> Any:
 
     def over_rows(builder: Any, row: Any, stop: Any, step: int, sums: list[Any],
                   body: Any) -> tuple[Any, list[Any]]:
-        """Loop while `step` rows remain, carrying `sums`, which `body` returns anew."""
+        """Loop while `step` rows remain, carrying `sums`, which `body` updates and returns."""
         before = builder.block
         head, inside, after = (builder.append_basic_block() for _ in range(3))
         builder.branch(head)

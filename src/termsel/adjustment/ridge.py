@@ -10,7 +10,7 @@ from termsel.adjustment.solve import TOLERANCE
 from termsel.measurements.features import FloatArray
 
 LEVEL = 1e-6
-"""Figures that differ by less than this share are taken for one."""
+"""Figures that differ relatively by less than this are taken as equal."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,8 +58,8 @@ class Spectrum:
     def curvature(self, penalty: FloatArray) -> FloatArray:
         """Return the curvature of the L-curve, (log |residuals|, log |x|).
 
-        With rho and eta, the squares of residuals and coefficients, it needs the slope of eta
-        alone, since d rho = -penalty^2 d eta (Hansen 2001, section 3). Positive in a corner.
+        With rho and eta, the squares of residuals and coefficients, it needs only the slope of
+        eta, since d rho = -penalty^2 d eta (Hansen 2001, section 3). Positive in a corner.
 
         Parameters
         ----------
@@ -88,9 +88,9 @@ def choose_penalty(spectrum: Spectrum, choice: str) -> float:
     if choice == "gcv":
         penalties = spectrum.penalties(TOLERANCE)
         gcv = spectrum.gcv(penalties)
-        # Towards no penalty GCV is often level; the first of its least values is reproducible.
+        # GCV is often flat towards no penalty; the first of its least values is reproducible.
         return float(penalties[np.argmax(gcv <= gcv.min() * (1 + LEVEL))])
-    # Below the least singular value the L-curve stands still (Hansen, O'Leary 1993).
+    # Below the least singular value the L-curve does not move (Hansen, O'Leary 1993).
     penalties = spectrum.penalties(spectrum.values[-1] / spectrum.values[0])
     curvature = spectrum.curvature(penalties)
     return float(penalties[curvature.argmax() if curvature.max() > 0.0 else -1])

@@ -1,4 +1,4 @@
-"""One masked adjustment through LAPACK, with everything a photogrammetrist asks of it."""
+"""One masked adjustment through LAPACK, with all its quality figures."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from termsel.adjustment.equations import Equations
 from termsel.measurements.features import BoolArray, FloatArray
 
 TOLERANCE = 1e-8
-"""A column is dependent if this part of its length or less is left once the columns before
+"""A column is dependent if this fraction of its length or less is left once the columns before
 it are removed; predictions from a system nearer to singular would be rounding error."""
 
 
@@ -57,7 +57,7 @@ class Adjustment:
 
     @property
     def violation(self) -> int:
-        """How many terms too many for a unique solution; 0 is feasible."""
+        """Number of terms beyond a unique solution; 0 is feasible."""
         return self.n_terms - self.rank
 
     @property
@@ -73,8 +73,8 @@ def solve(
 ) -> Adjustment:
     """Solve a masked least-squares system.
 
-    An under-determined or rank-deficient mask is not an error: its violation says by how
-    much it fails, and its coefficients are those of the least-norm solution.
+    An under-determined or rank-deficient mask is not an error: its violation is its
+    rank defect, and its coefficients are those of the least-norm solution.
 
     Parameters
     ----------
@@ -100,7 +100,7 @@ def solve(
     correlations = None
     if n_terms and n_equations:
         # Columns of one length: the solution is the same and the condition is that of the
-        # question, not of the units.
+        # problem, not of the units.
         lengths = np.linalg.norm(A, axis=0)
         lengths[lengths == 0] = 1.0
         if rank == n_terms:
@@ -125,8 +125,8 @@ def solve(
 def _rank(A: FloatArray) -> int:
     """Return the rank by the rule of the compiled kernels.
 
-    Full rank means that each column keeps more than TOLERANCE of its length beside those
-    before it. Where one does not, pivoting counts the independent ones.
+    Full rank means that each column keeps more than TOLERANCE of its length orthogonal to
+    those before it. If one does not, pivoting counts the independent ones.
     """
     if 0 in A.shape:
         return 0

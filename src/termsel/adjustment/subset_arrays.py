@@ -1,4 +1,4 @@
-"""Arrays that the walk through all subsets works on."""
+"""Arrays for the enumeration of all subsets."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from termsel.measurements.features import FloatArray
 
 
 class Levels(NamedTuple):
-    """The vectors of f systems in lockstep at every depth; depth 0 is given, the rest is room.
+    """The vectors of f systems in lockstep at every depth; depth 0 is given, the rest is space.
 
     Column n, of infinite length and without a share, stands for no column.
 
@@ -62,24 +62,24 @@ class Limits(NamedTuple):
 
 
 class Records(NamedTuple):
-    """What is sought.
+    """Best subsets so far, and conditions on them.
 
     Parameters
     ----------
     best, masks : ndarray, shape (sizes,)
         Best score and mask of each size, updated in place. Of equal scores the smallest mask
-        as a number stays.
+        as a number is kept.
     bits : ndarray of uint64, shape (n + 1,)
         Mask of each column.
     some_of : ndarray of uint64, shape (1,)
-        Columns of which a best subset has at least one; 0 for no such demand.
+        Columns of which a best subset has at least one; 0 for no such condition.
     parents : ndarray of uint64, shape (k,) or (0,)
-        Mask of the columns without which a best subset does not have a column; none for no
-        such demand.
+        Mask of the columns that a best subset must have to have a column; none for no such
+        condition.
     guard : ndarray, shape (n + 1, g)
         Minus the denominators at guard points, of columns and target.
     x, sums : ndarray, shape (depths,) and (g,)
-        Room for coefficients and denominators.
+        Space for coefficients and denominators.
     """
 
     best: FloatArray

@@ -1,4 +1,4 @@
-"""The compiled walk over subsets behind `termsel.adjustment.subsets`.
+"""The compiled enumeration of subsets behind `termsel.adjustment.subsets`.
 
 A piece of work is a set of n columns and r targets, as vectors from which the columns in use
 already are removed. At each depth of the tree one more column is in use, and lies removed from
@@ -21,7 +21,7 @@ LINEAR, RATIONAL, PRESS, RSS = range(4)
 """Kinds of score: squares of errors, or of quotients of errors and denominators, or of
 leave-one-out errors, or of residuals."""
 
-_BOUND_FROM = 6  # columns to the right from which a bound is worth its cost
+_BOUND_FROM = 6  # columns to the right from which a bound saves more than it costs
 
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
@@ -90,10 +90,10 @@ def _rational_squares(t: FloatArray, v: FloatArray, t_below: FloatArray, v_below
 def _press_squares(t: FloatArray, v: FloatArray, t_below: FloatArray, v_below: FloatArray,
                    ratio: float, per_square: float, leverage: FloatArray, cross: FloatArray,
                    limits: Limits) -> float:
-    """Return the sum of squared leave-one-out errors, or infinity where there is none.
+    """Return the sum of squared leave-one-out errors, or infinity if there is none.
 
-    With residual e, leverage h and the denominator's cross-leverage g, a row's error without
-    it in the adjustment is e / (1 - h), and its denominator is lower by g e / (1 - h).
+    With residual e, leverage h and the denominator's cross-leverage g, a row's leave-one-out
+    error is e / (1 - h), and its denominator is lower by g e / (1 - h).
     """
     total = 0.0
     bad = 0
@@ -171,7 +171,7 @@ def _has_parents(mask: Any, parents: Any) -> bool:
 @_compiled
 def _record(score: float, size: int, mask: Any, levels: Levels, depth: int, cursor: IntArray,
             records: Records, margin: float) -> None:
-    """Keep a subset that is the best of its size; the smaller mask wins a tie."""
+    """Keep a subset that is the best of its size; in a tie the smaller mask."""
     best, masks, some_of = records.best, records.masks, records.some_of[0]
     if (
         (score < best[size] or (score == best[size] and mask < masks[size]))
@@ -231,7 +231,7 @@ def largest_open(bound: float, best: FloatArray, smallest: int, largest: int,
 def walk(kind: int, levels: Levels, limits: Limits, records: Records, used: Any,
          counts: IntArray, cursor: IntArray, rooms: IntArray, mask: Any, work: FloatArray,
          single: bool | None) -> tuple[int, int]:
-    """Walk all subsets of n columns beside those in use already.
+    """Enumerate all subsets of n columns in addition to those in use already.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""A system of equations laid out for the walk through all subsets."""
+"""A system of equations, arranged for the enumeration of all subsets."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Rows:
     control : ndarray, shape (m, k + r)
         Rows of the adjustment.
     extra : ndarray, shape (e, k + r)
-        Rows that take part, as `Levels` has them.
+        Rows that take part, as in `Levels`.
     guard : ndarray, shape (g, k + r)
         Denominators at the guard points.
     """
@@ -63,16 +63,16 @@ class Stack:
 
     @property
     def starts(self) -> list[Piece]:
-        """Single subsets, each of which may well be the best of its size: bounds need some."""
+        """Single subsets, each a candidate for the best of its size: bounds need some."""
         if self.kind != RSS:
             return []
         used, rest, room = self.everything.used, self.everything.rest, self.everything.room
         return [Piece(np.concatenate([used, rest[:n]]), rest[:0], 0) for n in range(room + 1)]
 
     def trimmed(self, piece: Piece, best: FloatArray) -> Piece:
-        """Return what of a piece may still hold a best subset; perhaps nothing.
+        """Return the part of a piece that may still have a best subset, if any.
 
-        No subset has a lower residual sum of squares than all its columns and the rest.
+        No subset has a lower residual sum of squares than all its columns and the rest together.
         """
         if self.kind != RSS:
             return piece
@@ -176,8 +176,8 @@ def stack(system: SubsetSystem, score: str, folds: Sequence[IntArray],
         raise TermselError(f"{int((forced & barred).sum())} terms are both forced and forbidden")
     used, free = np.flatnonzero(forced), np.flatnonzero(~forced & ~barred)
     if max_terms is not None and max_terms < len(used):
-        raise TermselError(f"{len(used)} terms are forced and at most {max_terms} may be in use",
-                           hint="Force fewer terms or raise the limit.")
+        raise TermselError(f"{len(used)} terms are forced, but at most {max_terms} may be in use",
+                           hint="Force fewer terms or increase the limit.")
     control = np.column_stack([system.design, system.target])
     guard = _below(system.guard_denominator, control[:0], k)
     below = _below(system.denominator, control, k)
@@ -186,13 +186,13 @@ def stack(system: SubsetSystem, score: str, folds: Sequence[IntArray],
     everyone = np.ones(len(control), dtype=bool)
     if score == "check":
         if system.check_design is None or system.check_target is None:
-            raise ValueError("score 'check' needs check_design and check_target")
+            raise ValueError("score 'check' requires check_design and check_target")
         errors = np.column_stack([system.check_design, system.check_target])
         held = [(everyone, errors, _below(system.check_denominator, errors, k))]
     elif score == "kfold":
         if not len(folds):
-            raise ValueError("score 'kfold' needs folds")
-        # The whole system takes part for its own rank and its coefficients at the guard points.
+            raise ValueError("score 'kfold' requires folds")
+        # The whole system takes part: for its rank and its coefficients at the guard points.
         held = [(everyone, control[:0], below[:0])]
         for fold in folds:
             kept = everyone.copy()
@@ -221,7 +221,7 @@ def stack(system: SubsetSystem, score: str, folds: Sequence[IntArray],
 
 
 def _below(linear: FloatArray | None, rows: FloatArray, k: int) -> FloatArray:
-    """Return rows [denominator, -1 of each target]; the denominator is 1 where none is given."""
+    """Return rows [denominator, -1 of each target]; the denominator is 1 if none is given."""
     below = np.zeros((len(rows) if linear is None else len(linear), rows.shape[1]))
     below[:, k:] = -1.0
     if linear is not None:
@@ -232,8 +232,8 @@ def _below(linear: FloatArray | None, rows: FloatArray, k: int) -> FloatArray:
 def _triangle(rows: FloatArray, n: int) -> tuple[FloatArray, float]:
     """Return n rows with the same inner products of the n columns with all vectors.
 
-    What is lost is the part of the targets that is orthogonal to all columns; its sum of
-    squares comes along.
+    The part of the targets that is orthogonal to all columns is lost; its sum of squares is
+    returned.
     """
     triangle = np.asarray(np.linalg.qr(rows, mode="r")) if len(rows) > n else rows
     return triangle[:n], float((triangle[n:, n:] ** 2).sum())
@@ -245,7 +245,7 @@ def _fewer(rows: FloatArray) -> FloatArray:
 
 
 def _by_gain(control: FloatArray, forced: IntArray, free: IntArray, k: int) -> IntArray:
-    """Return columns by what each explains beside those before it.
+    """Return columns by how much each explains in addition to those before it.
 
     Subsets that lack the first of them then have a high bound.
     """

@@ -1,4 +1,4 @@
-"""A least-squares system whose columns are to be selected, made ready for the walk."""
+"""A least-squares system whose columns are to be selected, prepared for the enumeration."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class SubsetSystem:
         multiplied out has the rows design = [n, -l d], target = l, denominator = [0, d].
         Without them errors are target - design x.
     guard_denominator : ndarray, shape (g, k), optional
-        For r = 1, denominators at further ground points. They are looked at only where a
+        For r = 1, denominators at further ground points. They are tested only if a
         subset would become the best of its size.
     margin : float
         A subset is infeasible if one of its denominators is below this.
@@ -78,7 +78,7 @@ class SubsetSystem:
         g = 0 if self.guard_denominator is None else len(self.guard_denominator)
         if k > MAX_COLUMNS:
             raise TermselError(f"subsets of {k} terms cannot be enumerated",
-                               hint=f"Offer at most {MAX_COLUMNS}, or search with a heuristic.")
+                               hint=f"Allow at most {MAX_COLUMNS}, or search with a heuristic.")
         for name, shape in (
             ("target", (m, r)), ("check_design", (c, k)), ("check_target", (c, r)),
             ("denominator", (m, k)), ("check_denominator", (c, k)),
@@ -91,9 +91,9 @@ class SubsetSystem:
             if array is not None and not np.isfinite(array).all():
                 raise ValueError(f"{name} is not finite")
             if r != 1 and array is not None and name.endswith("denominator"):
-                raise ValueError(f"{name} needs a single right-hand side")
+                raise ValueError(f"{name} requires a single right-hand side")
         if (self.check_design is None) != (self.check_target is None):
-            raise ValueError("check_design and check_target go together")
+            raise ValueError("check_design and check_target must be given together")
         if not np.isfinite(self.design).all():
             raise ValueError("design is not finite")
 
@@ -126,7 +126,7 @@ class Piece:
 
 @dataclass(frozen=True, eq=False)
 class Walked:
-    """What became of a piece: as in `SubsetResult`."""
+    """Result of a piece, as in `SubsetResult`."""
 
     best: FloatArray
     masks: Masks

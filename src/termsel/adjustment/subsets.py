@@ -1,9 +1,9 @@
 """Every subset of the columns of a least-squares system, with the best of each size proven.
 
 The subsets form a tree: below a subset are those with one further column to the right of its
-last. The columns still to come are kept orthogonal to those in use (modified Gram-Schmidt), and
-the equations of the check points take part in every step, so that their errors stand ready
-without a coefficient being solved for. Half of the subsets have no column to their right and a
+last. The columns still to come are kept orthogonal to those in use (modified Gram-Schmidt). The
+equations of the check points take part in every step, so that their errors are known without
+solving for a coefficient. Half of the subsets have no column to their right and a
 quarter have one: on average a subset costs about one such step.
 
 References
@@ -37,8 +37,8 @@ from termsel.measurements.features import BoolArray, FloatArray, IntArray
 __all__ = ["MAX_COLUMNS", "SCORES", "SubsetResult", "SubsetSystem", "count_subsets",
            "estimate_seconds", "search"]
 
-_PIECE = 1 << 16  # subsets walked between two looks at the outside world: some milliseconds
-_AHEAD = 16  # pieces under way at once, whatever the number of workers
+_PIECE = 1 << 16  # subsets enumerated between two checks for interruption: some milliseconds
+_AHEAD = 16  # pieces in progress at once, whatever the number of workers
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,10 +57,10 @@ class SubsetResult:
         Subsets decided, and to be decided.
     infeasible : int
         Those among the decided that have no score: dependent columns, more columns than
-        rows, a denominator below the margin at a row of the score, or a row without which
-        the rest does not determine the columns (press).
+        rows, a denominator below the margin at a row of the score, or a row that is
+        indispensable to determine the columns (press).
     pruned : int
-        Those among the decided that a lower bound ruled out without a look (rss).
+        Those among the decided that a lower bound ruled out (rss).
     """
 
     best: FloatArray
@@ -96,11 +96,11 @@ def search(
     system : SubsetSystem
     score : {"check", "rss", "press", "kfold"}
         "check": sum of squared errors of the check points. "rss": residual sum of squares of
-        the control rows, where a lower bound spares most of the work. "press": sum of squared
+        the control rows; a lower bound saves most of the work. "press": sum of squared
         leave-one-out errors of the control rows. "kfold": sum of squared errors of the rows
         of each fold under the solution from all other rows.
     folds : sequence of ndarray of int
-        For "kfold": the control rows left out together.
+        For "kfold": the control rows held out together.
     max_terms : int, optional
         Most columns of a subset, forced ones included.
     workers : int
@@ -122,8 +122,8 @@ def search(
     Notes
     -----
     A subset is infeasible if one of its columns keeps no more than `solve.TOLERANCE` of its
-    length beside the columns of the subset that come before it. `solve` pivots instead; the
-    verdicts differ at most where a column is within a small factor of the tolerance.
+    length orthogonal to the columns of the subset before it. `solve` pivots instead; they differ
+    at most if a column is within a small factor of the tolerance.
     """
     systems = stack(system, score, folds, max_terms)
     total = systems.everything.count
@@ -171,9 +171,9 @@ def estimate_seconds(
     max_terms: int | None = None,
     workers: int = 1,
 ) -> float:
-    """Return how long `search` will take [s], from the time of one piece.
+    """Return the estimated time of `search` [s], from the time of one piece.
 
-    For "rss" this is what it would take without its bound.
+    For "rss" this is the time without its bound.
 
     Parameters
     ----------

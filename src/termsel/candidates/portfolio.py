@@ -1,45 +1,34 @@
-"""Candidates that are fitted to features, and the choice among them.
+"""The choice among candidates by leave-one-out, and its repetition in folds.
 
-A candidate takes features and gives a fitted model with the error of each feature under the same
-procedure without it. Nothing here knows of roles: what it is given are features it may use.
+Nothing here knows of roles: what it is given are features it may use.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
-from termsel.adjustment.leave_out import leave_one_out
 from termsel.adjustment.parts import independent_parts
-from termsel.adjustment.solve import Adjustment
-from termsel.candidates.selected import select_forward
-from termsel.candidates.shrunken import average
+from termsel.candidates.candidate import CANDIDATES, Candidate
 from termsel.criteria import Fits
-from termsel.fits.fit import Fit, fit
-from termsel.measurements.features import FeatureSet, FloatArray, Points, no_points
+from termsel.fits.fit import Fit, Undetermined
+from termsel.fits.leave_out import solutions_without_each
+from termsel.measurements.features import FeatureSet, FloatArray, no_points
 from termsel.measurements.places import spatial_order
 from termsel.measurements.scaling import Scaling, scaling_of
-from termsel.models.base import SensorModel
-from termsel.models.monomials import monomials
 from termsel.models.poles import guard_points, pole_violation
-from termsel.models.polynomial import Affine, Polynomial, Polynomial2D, Polynomial3D
-from termsel.models.projective import DLT3D, Projective2D
-from termsel.models.rational import RationalFunctions
-
-SHRUNK = {2: "shrunken-quadratic", 3: "shrunken-cubic"}
-"""Names by degree of the candidates of which one is taken, unless what they do not contain is
-clearly better."""
-
-CONTAINED = ("affine", "quadratic", "cubic")
-"""Limits of the shrunken polynomials, which find them where the points call for them."""
 
 BETTER, CLEARLY = 1.0, 3.0
 """Standard errors by which the logarithms of squared errors must be smaller: of the shrunken cubic
-beside the quadratic, and of what neither contains."""
+than of the quadratic, and of what neither contains."""
 
-SELECTED = "selected"
+RULE = (f"The shrunken quadratic is chosen, unless the shrunken cubic is better by {BETTER:g} "
+        f"standard error, or a model that neither contains by {CLEARLY:g}.")
+"""How `choose` chooses where there are shrunken polynomials, in a sentence."""
+
+LEAST = "The candidate with the smallest leave-one-out RMSE is chosen."
+"""How it chooses where there are none."""
 
 MAX_FOLDS = 20
 """Folds in which the whole choice is repeated; with fewer points each is left out alone."""
@@ -49,34 +38,33 @@ WIDER = 1.5
 
 
 @dataclass(frozen=True, eq=False)
-class Fitted:
-    """A candidate fitted to points.
+class Judged:
+    """A candidate fitted to features, and what leave-one-out says of it.
 
     Parameters
     ----------
-    name : str
+    candidate : Candidate
     fit : Fit
     squares : ndarray, shape (n,)
-        Squared error of each feature under the same procedure without it [pixel^2]: of a point
+        Squared error of each feature under the same procedure without it [px^2]: of a point
         dl^2 + ds^2, of a line the sum over its vertices.
-    effective : float
-        Terms that are free in effect.
     """
 
-    name: str
+    candidate: Candidate
     fit: Fit
     squares: FloatArray
-    effective: float
+
+    @property
+    def name(self) -> str:
+        """Name of the candidate."""
+        return self.candidate.name
 
     @property
     def predicted(self) -> float:
-        """RMSE by leave-one-out [pixel], over points and vertices of lines."""
+        """RMSE by leave-one-out [px], over points and vertices of lines."""
         control = self.fit.control
         return float(np.sqrt(self.squares.sum()
                              / (len(control.points) + 2 * len(control.lines))))
-
-
-Candidate = Callable[[FeatureSet, Scaling], Fitted | None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,30 +73,49 @@ class Choice:
 
     Parameters
     ----------
-    chosen : Fitted
-    fitted : tuple of Fitted
-        All candidates the points determine.
+    chosen : Judged
+    judged : tuple of Judged
+        All candidates the features determine with redundancy.
     """
 
-    chosen: Fitted
-    fitted: tuple[Fitted, ...]
+    chosen: Judged
+    judged: tuple[Judged, ...]
 
 
-def plain(name: str, model: SensorModel) -> Candidate:
-    """Return the candidate that fits all terms of a model by least squares."""
-    def candidate(control: FeatureSet, scaling: Scaling) -> Fitted | None:
-        fitted = fit(model, control, scaling)
-        if not fitted.adjustment.feasible or fitted.adjustment.redundancy < 1 or _pole(fitted):
-            return None
-        squares = left_out_squares(fitted)
-        return None if not np.isfinite(squares).all() else \
-            Fitted(name, fitted, squares, float(fitted.adjustment.n_terms))
-    return candidate
+def portfolio(heights: bool) -> tuple[Candidate, ...]:
+    """Return the candidates to choose from, the plainest first.
+
+    Parameters
+    ----------
+    heights : bool
+        Whether heights are known and differ.
+    """
+    def size(one: Candidate) -> float:
+        model = one.model(heights)
+        return len(model.terms) if model and (one.is_plain or one.kind == "full") else np.inf
+
+    return tuple(sorted((one for one in CANDIDATES if one.model(heights) and one.kind != "ridge"),
+                        key=size))
+
+
+def _judged(candidate: Candidate, control: FeatureSet, heights: bool,
+            scaling: Scaling) -> Judged | None:
+    """Return a candidate fitted and judged; None without redundancy or with a pole."""
+    try:
+        fitted = candidate.fit_control(control, heights, scaling)
+    except Undetermined:
+        return None
+    if fitted.held_out is not None:
+        return Judged(candidate, fitted, fitted.held_out.squares)
+    if fitted.adjustment.redundancy < 1 or _pole(fitted):
+        return None
+    squares = left_out_squares(fitted)
+    return Judged(candidate, fitted, squares) if np.isfinite(squares).all() else None
 
 
 def _pole(fitted: Fit) -> bool:
     """Return whether a denominator falls short of the margin in a box wider than the points'."""
-    guard = guard_points(fitted.scaling.features(fitted.control), no_points())
+    guard = guard_points(fitted.scaled_control, no_points())
     middle = (guard.max(axis=0) + guard.min(axis=0)) / 2
     return bool(pole_violation(fitted.model, fitted.adjustment.coefficients[None],
                                middle + WIDER * (guard - middle))[0] > 0)
@@ -116,6 +123,9 @@ def _pole(fitted: Fit) -> bool:
 
 def left_out_squares(fitted: Fit) -> FloatArray:
     """Return the squared error of each control feature under the fit without it, shape (n,).
+
+    As the criterion press judges: with equations to first order where others are not exact, so
+    that this is closed form throughout.
 
     Parameters
     ----------
@@ -125,94 +135,17 @@ def left_out_squares(fitted: Fit) -> FloatArray:
     Returns
     -------
     ndarray, shape (n,)
-        [pixel^2]; infinite throughout where some feature is indispensable.
+        [px^2]; infinite throughout where some feature is indispensable, and where a denominator
+        falls short.
     """
-    model, control = fitted.model, fitted.scaling.features(fitted.control)
+    model, control = fitted.model, fitted.scaled_control
     parts = independent_parts(model.equations(control), model.axis)
-    terms, used = fitted.terms[None], fitted.used[None]
-    solutions = np.zeros((len(control), *terms.shape))
-    for part in parts:
-        solutions[..., part.columns], determined = leave_one_out(
-            part.equations, terms[:, part.columns], used)
-        if not determined.all():
-            return np.full(len(control), np.inf)
-    fits = Fits(model, control.points, no_points(), fitted.scaling.image_scale, terms,
-                fitted.adjustment.coefficients[None], control.lines, parts)
-    return np.asarray(fits.held_out_each(solutions)[0])
-
-
-def shrunken(family: type[Polynomial], degree: int) -> Candidate:
-    """Return the candidate that averages shrunken polynomials of a degree; for points alone."""
-    def candidate(control: FeatureSet, scaling: Scaling) -> Fitted | None:
-        if len(control.lines):
-            return None
-        model = family(degree=degree)
-        points = scaling.points(control.points)
-        found = average(points.ground, points.image, model.exponents,
-                        None if points.sigma is None else _weights(points))
-        if found is None:
-            return None
-        coefficients = found.coefficients.T.ravel()
-        equations = model.equations(scaling.features(control))
-        k = len(coefficients)
-        residuals = equations.b - equations.A @ coefficients
-        freedom = len(residuals) - found.effective
-        sigma0 = float(np.sqrt(residuals @ residuals / freedom)) if freedom > 0.5 else np.nan
-        fitted = Fit(model, scaling, control, np.ones(k, dtype=bool),
-                     np.ones(len(control), dtype=bool),
-                     Adjustment(coefficients, residuals, np.full(k, np.nan),
-                                round(found.effective), len(residuals), round(found.effective),
-                                float("nan"), sigma0))
-        squares = (found.errors**2).sum(axis=1) * scaling.image_scale**2
-        return Fitted(SHRUNK[degree], fitted, squares, found.effective)
-    return candidate
-
-
-def selected(family: type[Polynomial]) -> Candidate:
-    """Return the candidate that selects terms of a cubic polynomial; for points alone."""
-    def candidate(control: FeatureSet, scaling: Scaling) -> Fitted | None:
-        if len(control.lines):
-            return None
-        model = family(degree=3)
-        points, weights = scaling.points(control.points), _weights(control.points)
-        columns = monomials(points.ground, model.exponents)
-        affine = np.array(model.exponents).sum(axis=1) < 2
-        sides = [select_forward(columns * w[:, None], image * w, affine)
-                 for image, w in zip(points.image.T, weights.T, strict=True)]
-        line, sample = sides
-        if line is None or sample is None:
-            return None
-        errors = np.stack([line.errors, sample.errors], axis=1) / weights * scaling.image_scale
-        fitted = fit(model, control, scaling, np.concatenate([line.terms, sample.terms]))
-        return Fitted(SELECTED, fitted, (errors**2).sum(axis=1),
-                      float(fitted.adjustment.n_terms))
-    return candidate
-
-
-def _weights(points: Points) -> FloatArray:
-    """Return by what the equations of points are multiplied, shape (n, 2)."""
-    return (np.ones_like(points.image) if points.sigma is None
-            else np.asarray(np.median(points.sigma) / points.sigma))
-
-
-def portfolio(heights: bool) -> tuple[Candidate, ...]:
-    """Return the candidates, the plainest first.
-
-    Parameters
-    ----------
-    heights : bool
-        Whether heights are known and differ.
-    """
-    if not heights:
-        return (plain("affine", Polynomial2D(degree=1)), plain("projective", Projective2D()),
-                plain("quadratic", Polynomial2D(degree=2)),
-                plain("cubic", Polynomial2D(degree=3)), selected(Polynomial2D),
-                shrunken(Polynomial2D, 2), shrunken(Polynomial2D, 3))
-    return (plain("affine", Affine()), plain("dlt", DLT3D()),
-            plain("quadratic", Polynomial3D(degree=2)),
-            plain("rfm-2", RationalFunctions(order=2)),
-            plain("cubic", Polynomial3D(degree=3)), plain("rfm-3", RationalFunctions()),
-            selected(Polynomial3D), shrunken(Polynomial3D, 2), shrunken(Polynomial3D, 3))
+    solutions = solutions_without_each(parts, fitted.terms, fitted.used)
+    if solutions is None:
+        return np.full(len(control), np.inf)
+    fits = Fits(model, control.points, no_points(), fitted.scaling.image_scale,
+                fitted.terms[None], fitted.adjustment.coefficients[None], control.lines, parts)
+    return np.asarray(fits.held_out_each(solutions[:, None])[0])
 
 
 def choose(control: FeatureSet, heights: bool) -> Choice | None:
@@ -237,20 +170,20 @@ def choose(control: FeatureSet, heights: bool) -> Choice | None:
         None if the features do not determine any candidate with redundancy.
     """
     scaling = scaling_of(control)
-    fitted = tuple(one for one in (make(control, scaling) for make in portfolio(heights)) if one)
-    if not fitted:
+    judged = tuple(one for one in (_judged(candidate, control, heights, scaling)
+                                   for candidate in portfolio(heights)) if one)
+    if not judged:
         return None
-    named = {one.name: one for one in fitted}
-    quadratic, cubic = (named.get(name) for name in SHRUNK.values())
-    shrunk = cubic or quadratic
-    if cubic and quadratic and _gain(cubic, quadratic) <= BETTER:
-        shrunk = quadratic
-    rivals = [one for one in fitted if shrunk is None or one is shrunk or (
-        one.name not in (*CONTAINED, *SHRUNK.values()) and _gain(one, shrunk) > CLEARLY)]
-    return Choice(min(rivals, key=lambda one: one.predicted), fitted)
+    shrunk = None
+    for one in judged:
+        if one.candidate.kind == "shrunken" and (shrunk is None or _gain(one, shrunk) > BETTER):
+            shrunk = one
+    rivals = [one for one in judged if shrunk is None or one is shrunk or (
+        one.candidate.kind not in ("contained", "shrunken") and _gain(one, shrunk) > CLEARLY)]
+    return Choice(min(rivals, key=lambda one: one.predicted), judged)
 
 
-def _gain(one: Fitted, other: Fitted) -> float:
+def _gain(one: Judged, other: Judged) -> float:
     """Return by how many standard errors one's squared errors are smaller, in logarithms."""
     tiny = np.finfo(float).tiny
     gain = np.log(np.maximum(other.squares, tiny) / np.maximum(one.squares, tiny))
@@ -260,7 +193,7 @@ def _gain(one: Fitted, other: Fitted) -> float:
 def repeated(control: FeatureSet, heights: bool) -> FloatArray | None:
     """Return the errors of points under choices made without them.
 
-    In each fold the whole portfolio is fitted and chosen from anew, so that the errors are
+    In each fold the whole portfolio is fitted and the choice made again, so that the errors are
     those of the choice and not of a model that was chosen by them.
 
     Parameters
@@ -272,7 +205,7 @@ def repeated(control: FeatureSet, heights: bool) -> FloatArray | None:
     Returns
     -------
     ndarray, shape (n, 2), or None
-        Measured minus predicted [pixel]; None if some fold leaves too little to choose by.
+        Measured minus predicted [px]; None if some fold leaves too little to choose by.
     """
     points = control.points
     order = spatial_order(points.ground[:, :2])

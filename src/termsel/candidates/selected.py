@@ -1,4 +1,4 @@
-"""Selection of few terms, term by term, with the errors of the whole selection left out.
+"""Forward selection of few terms, with errors by repeating the whole of it without each point.
 
 Affine terms are always in; the term enters that explains most of what is left, and the number
 of terms is that of the least extended Bayesian information criterion (see
@@ -8,19 +8,24 @@ without each of some folds), as one batch.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import comb
 
 import numpy as np
 
 from termsel.adjustment.solve import TOLERANCE
-from termsel.measurements.features import BoolArray, FloatArray
+from termsel.fits.fit import LEAST_SQUARES, Estimator, Fit, HeldOut, Undetermined
+from termsel.fits.fittable import Fittable
+from termsel.measurements.features import BoolArray, FeatureSet, FloatArray, Points
+from termsel.measurements.scaling import Scaling
+from termsel.models.monomials import monomials
+from termsel.models.polynomial import Polynomial
 
 MAX_FOLDS = 100
 
 
 @dataclass(frozen=True, eq=False)
-class Selected:
+class AxisTerms:
     """Terms selected for one axis.
 
     Parameters
@@ -35,7 +40,59 @@ class Selected:
     errors: FloatArray
 
 
-def select_forward(columns: FloatArray, target: FloatArray, forced: BoolArray) -> Selected | None:
+class ForwardSelection(Estimator):
+    """Least squares with the terms of a polynomial that forward selection chooses for each axis."""
+
+    least_squares = True
+
+    def fit(self, model: Fittable, control: FeatureSet, scaling: Scaling, terms: BoolArray,
+            used: BoolArray) -> Fit:
+        """Fit a polynomial (see `Estimator.fit`), offering all its terms."""
+        assert isinstance(model, Polynomial)
+        given = points_alone(control, used, "a selection of terms")
+        points, weights = scaling.points(given), weights_of(given)
+        columns = monomials(points.ground, model.exponents)
+        affine = np.array(model.exponents).sum(axis=1) < 2
+        sides = [select_forward(columns * w[:, None], image * w, affine)
+                 for image, w in zip(points.image.T, weights.T, strict=True)]
+        line, sample = sides
+        if line is None or sample is None:
+            raise Undetermined(f"{len(points)} control points are too few to select terms by",
+                               hint="Measure more control, or fit the model affine.")
+        errors = np.stack([line.errors, sample.errors], axis=1) / weights * scaling.image_scale
+        chosen = np.concatenate([line.terms, sample.terms])
+        fitted = LEAST_SQUARES.fit(model, control, scaling, chosen, used)
+        return replace(fitted, estimator=self,
+                       held_out=HeldOut(errors, (errors**2).sum(axis=1)))
+
+
+def points_alone(control: FeatureSet, used: BoolArray, what: str) -> Points:
+    """Return the points in use, and refuse lines.
+
+    Parameters
+    ----------
+    control : FeatureSet
+    used : ndarray of bool, shape (len(control),)
+    what : str
+        What does not take lines, as the subject of a sentence.
+
+    Raises
+    ------
+    Undetermined
+    """
+    if len(control.lines):
+        raise Undetermined(f"{what} takes control points alone, and there are control lines",
+                           hint="Leave the lines out, or choose another model.")
+    return control.points.take(used)
+
+
+def weights_of(points: Points) -> FloatArray:
+    """Return by what the equations of points are multiplied, shape (n, 2)."""
+    return (np.ones_like(points.image) if points.sigma is None
+            else np.asarray(np.median(points.sigma) / points.sigma))
+
+
+def select_forward(columns: FloatArray, target: FloatArray, forced: BoolArray) -> AxisTerms | None:
     """Select terms of one axis.
 
     Parameters
@@ -47,9 +104,9 @@ def select_forward(columns: FloatArray, target: FloatArray, forced: BoolArray) -
 
     Returns
     -------
-    Selected or None
-        None if the points without one leave no redundancy of a third of the equations beside
-        the forced terms.
+    AxisTerms or None
+        None if the points without one leave no redundancy of a third of the equations with
+        the forced terms alone.
     """
     n, k = columns.shape
     most = (2 * (n - 1)) // 3 - int(forced.sum())
@@ -94,7 +151,7 @@ def select_forward(columns: FloatArray, target: FloatArray, forced: BoolArray) -
         others, mask = fold != out, best[out]
         x = np.linalg.lstsq(systems[out][:, :k][:, mask], systems[out][:, k])[0]
         errors[~others] = target[~others] - columns[~others][:, mask] @ x
-    return Selected(best[folds], errors)
+    return AxisTerms(best[folds], errors)
 
 
 def _keep_best(left: FloatArray, n: FloatArray, count: int, free: int, used: int,

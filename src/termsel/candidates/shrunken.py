@@ -6,7 +6,7 @@ is normal with the mean 0 and the standard deviation
     size * fall^(a + b + c - 2) * relief^c * own
 
 in units of the noise: the coefficients of a Taylor series of a smooth function fall from order
-to order by one rate, and by a further one with each power of Z, as the relief is shallow beside
+to order by one rate, and by a further one with each power of Z, as the relief is shallow next to
 the scene. Affine terms are free. How large `size` is for line and for sample, and what `fall`
 and `relief` are for both, is not known: the least-squares solutions for all values on a wide
 grid are averaged with their posterior probabilities, and nothing is set. `own` is a factor for
@@ -30,9 +30,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from termsel.adjustment.solve import TOLERANCE
-from termsel.measurements.features import BoolArray, FloatArray, IntArray
+from termsel.adjustment.solve import TOLERANCE, Adjustment
+from termsel.candidates.selected import points_alone, weights_of
+from termsel.fits.fit import Estimator, Fit, HeldOut, Undetermined
+from termsel.fits.fittable import Fittable
+from termsel.measurements.features import BoolArray, FeatureSet, FloatArray, IntArray
+from termsel.measurements.scaling import Scaling
 from termsel.models.monomials import Exponents, monomials
+from termsel.models.polynomial import Polynomial
 
 SIZES = 10.0 ** np.arange(-0.5, 5.5, 0.5)
 """Standard deviations of quadratic coefficients by that of the noise. From where they cannot be
@@ -50,7 +55,7 @@ RELIEFS = (0.03, 0.1, 0.3, 1.0)
 """Coefficients of one power of Z more, by those without."""
 
 DRAWS, SPREAD = 64, 1.0
-"""How often factors of single terms are drawn, beside 1 for all, shared out among all pairs of a
+"""How often factors of single terms are drawn, apart from 1 for all, divided among all pairs of a
 fall and a relief; and their standard deviation in natural logarithms."""
 
 NO_NOISE = 1e-11
@@ -74,8 +79,8 @@ class Average:
     errors : ndarray, shape (n, 2)
         Measured minus predicted by the same procedure without that point.
     effective : float
-        Number of terms of line and sample together that are free in effect: the trace of the
-        matrix that turns measurements into their fitted values.
+        Effective parameters of line and sample together: the trace of the matrix that turns
+        measurements into their fitted values.
     """
 
     coefficients: FloatArray
@@ -97,6 +102,36 @@ class _Side:
     left: FloatArray
     errors: FloatArray
     coefficients: FloatArray
+
+
+class Averaging(Estimator):
+    """The average of a polynomial's shrunken solutions, from control points alone."""
+
+    def fit(self, model: Fittable, control: FeatureSet, scaling: Scaling, terms: BoolArray,
+            used: BoolArray) -> Fit:
+        """Fit a polynomial (see `Estimator.fit`) with all its terms."""
+        assert isinstance(model, Polynomial)
+        points = scaling.points(points_alone(control, used, "a shrunken polynomial"))
+        found = average(points.ground, points.image, model.exponents,
+                        None if points.sigma is None else weights_of(points))
+        if found is None:
+            raise Undetermined(
+                f"{len(points)} control points do not determine an affine model twice over",
+                hint="Measure more control, spread over the area.")
+        coefficients = found.coefficients.T.ravel()
+        equations = model.equations(scaling.features(control))
+        k = len(coefficients)
+        residuals = equations.b - equations.A @ coefficients
+        in_use = residuals[used[equations.feature]]
+        freedom = len(in_use) - found.effective
+        sigma0 = float(np.sqrt(in_use @ in_use / freedom)) if freedom > 0.5 else np.nan
+        adjustment = Adjustment(coefficients, residuals, np.full(k, np.nan),
+                                round(found.effective), len(in_use), round(found.effective),
+                                float("nan"), sigma0)
+        held_out = HeldOut(found.errors * scaling.image_scale,
+                           (found.errors**2).sum(axis=1) * scaling.image_scale**2)
+        return Fit(model, scaling, control, np.ones(k, dtype=bool), used, adjustment, self,
+                   found.effective, held_out)
 
 
 def average(ground: FloatArray, image: FloatArray, exponents: Exponents,
@@ -159,7 +194,7 @@ def _scales(exponents: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class _Design:
-    """Decompositions of the shrunken columns, beside the free ones, one for each group.
+    """Decompositions of the shrunken columns without the free ones, one for each group.
 
     Parameters
     ----------

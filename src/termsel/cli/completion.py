@@ -17,7 +17,7 @@ def completion(context: click.Context, shell: str) -> None:
     """Print a script that completes commands and names in a shell.
 
     It completes commands, options, and the names of problems, models, solvers and data sets,
-    also those of plugins.
+    including those of plugins.
 
     \b
     Examples:

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 def describe(name: str) -> None:
     """Describe a problem, model, solver or anything else that has a name.
 
-    Options are shown with their defaults and what they accept; they are set by
+    Options are shown with their defaults and accepted values; set them with
     `termsel run --set KEY=VALUE`.
 
     \b
@@ -55,7 +55,7 @@ def _describe_problem(entry: Entry) -> None:
         "criterion": recipe.criterion, "solver": recipe.solver,
         "control": recipe.control, "source": recipe.source})
     _options(recipe.options)
-    click.echo("\nModel, solver and criterion have options of their own: "
+    click.echo("\nModel, solver and criterion have their own options: "
                "termsel describe NAME.")
 
 
@@ -63,12 +63,12 @@ def _describe_model(entry: Entry) -> None:
     from termsel.plugins.loading import attempt
 
     _document(entry)
-    _pairs({"heights": "needed" if entry.object.uses_height else "not used"})
+    _pairs({"heights": "required" if entry.object.uses_height else "not used"})
     _options(entry.object.declared_options)
-    # A plugin's model may fail here, and its description is still worth having.
+    # A plugin's model may fail here; its description is still useful.
     terms, reason = attempt(lambda: list(entry.object().terms))
     if terms is None:
-        click.echo(f"\nTerms: cannot be listed: {reason}")
+        click.echo(f"\nTerms cannot be listed: {reason}")
         return
     click.echo(f"\nTerms at the default options: {len(terms)}")
     click.echo(click.wrap_text(", ".join(terms), 78, "  ", "  "))
@@ -80,7 +80,7 @@ def _describe_solver(entry: Entry) -> None:
     _pairs({
         "objectives": f"at most {entry.object.max_objectives}",
         "ends": "by itself" if generations is None else
-                f"with the budget; after {generations} generations where none is given"})
+                f"with the budget; by default after {generations} generations"})
     _options(entry.object.declared_options)
 
 

@@ -19,16 +19,16 @@ from termsel.errors import TermselError
 @click.option("--output", "-o", metavar="FILE", required=True, type=click.Path(path_type=Path),
               help="The file to write.")
 @click.option("--image", metavar="FILE", help="The image, for formats that refer to it.")
-@click.option("--dem", metavar="FILE", help="Raster of heights, for grids of the ground.")
+@click.option("--dem", metavar="FILE", help="Raster of heights, for grids on the ground.")
 @click.option("--set", "settings", metavar="KEY=VALUE", multiple=True,
               help="An option of the format; `termsel describe FORMAT` lists them.")
-@click.option("--overwrite", is_flag=True, help="Replace a file that is there.")
+@click.option("--overwrite", is_flag=True, help="Replace an existing file.")
 def export(folder: Path, to: str, output: Path, image: str | None, dem: str | None,
            settings: tuple[str, ...], overwrite: bool) -> None:
     """Write a result for GDAL, QGIS, OTB, Orthority and others.
 
-    DIR is the folder a run has written with --out. RPCs are read back through GDAL and
-    compared with the fitted model before they take their place.
+    DIR is the folder that a run wrote with --out. RPCs are read back through GDAL and compared
+    with the fitted model before they are put in place.
 
     \b
     Examples:
@@ -50,6 +50,6 @@ def export(folder: Path, to: str, output: Path, image: str | None, dem: str | No
     from termsel.io.export import writer_of
     from termsel.io.result_folder import read_result
 
-    writer_of(to, **options)  # a mistake in these is said before the folder is read
+    writer_of(to, **options)  # report a mistake in these before the folder is read
     write(read_result(folder), to, output, overwrite=overwrite, **options)
     click.echo(f"Written: {output}", err=True)

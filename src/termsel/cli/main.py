@@ -1,6 +1,6 @@
-"""The group of all commands, and what becomes of their errors.
+"""The group of all commands, and the handling of their errors.
 
-Exit codes: 0 done; 2 the user can mend it; 1 a fault of termsel; 130 interrupted. In tests,
+Exit codes: 0 done; 2 the user can correct it; 1 a bug in termsel; 130 interrupted. In tests,
 ``click.testing.CliRunner().invoke(cli, [...])`` gives output and exit code.
 """
 
@@ -19,12 +19,12 @@ from termsel.errors import TermselError, unknown_name
 from termsel.plugins.commands import COMMANDS
 from termsel.version import __version__
 
-MENDABLE, INTERRUPTED = 2, 130
+CORRECTABLE, INTERRUPTED = 2, 130
 
 
 @contextmanager
 def _closed_pipe_ends_quietly() -> Iterator[None]:
-    """End the program without a word when the reader of its output, such as head, is gone."""
+    """End the program silently when the reader of its output, such as head, has ended."""
     try:
         yield
     except BrokenPipeError:
@@ -34,16 +34,16 @@ def _closed_pipe_ends_quietly() -> Iterator[None]:
 
 
 class Commands(click.Group):
-    """Commands that are imported when used: built-in ones, then those of plugins."""
+    """Commands, imported when used: built-in ones, then those of plugins."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
-        """Return the built-in commands; plugins are not loaded, as help has to be quick."""
+        """Return the built-in commands; plugins are not loaded, so that help is quick."""
         return list(COMMANDS)
 
     def get_command(
         self, ctx: click.Context, cmd_name: str
     ) -> click.Command | None:
-        """Return a command; that of a broken plugin is one that says why."""
+        """Return a command; that of a broken plugin tells why it is broken."""
         if cmd_name in COMMANDS:
             module, _, attribute = COMMANDS[cmd_name][0].partition(":")
             command: click.Command = getattr(import_module(module), attribute)
@@ -108,10 +108,10 @@ class Commands(click.Group):
             value = super().main(args, prog_name, complete_var, False, **extra)
         except TermselError as error:
             click.echo(f"Error: {error}", err=True)
-            sys.exit(MENDABLE)
+            sys.exit(CORRECTABLE)
         except click.ClickException as error:
             error.show()
-            sys.exit(MENDABLE)
+            sys.exit(CORRECTABLE)
         except (click.Abort, KeyboardInterrupt):
             click.echo("Interrupted.", err=True)
             sys.exit(INTERRUPTED)
@@ -133,12 +133,12 @@ def _plugin_command(name: str) -> click.Command | None:
 
 
 def _broken_command(name: str, why: str) -> click.Command:
-    def say_why() -> None:
-        raise TermselError(f"{name!r} cannot be used, as {why}",
+    def explain() -> None:
+        raise TermselError(f"the command {name!r} is broken: {why}",
                            hint="Tell its author, or install another version.")
 
     return click.Command(
-        name, callback=say_why, help=f"This command cannot be used, as {why}",
+        name, callback=explain, help=f"This command is broken: {why}",
         context_settings={"ignore_unknown_options": True, "allow_extra_args": True})
 
 

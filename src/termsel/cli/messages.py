@@ -1,4 +1,4 @@
-"""What termsel logs, on stderr."""
+"""Log messages of termsel, on stderr."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import logging
 
 
 def show_messages() -> None:
-    """Print what termsel logs, such as what an enumeration is about to do, on stderr."""
+    """Print the log messages of termsel, such as the plan of an enumeration, on stderr."""
     logger = logging.getLogger("termsel")
     if not logger.handlers:
         handler = logging.StreamHandler()

@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import click
 
 from termsel.cli.tables import print_json, print_table
+
+if TYPE_CHECKING:
+    from termsel.plugins.loading import Plugin, Remark
 
 
 @click.command()
@@ -12,12 +17,12 @@ from termsel.cli.tables import print_json, print_table
 def plugins(as_json: bool) -> None:
     """List plugins, and what is wrong with them.
 
-    A plugin is a package with an entry point in the group `termsel`. One that is broken, or
-    has something under a name that is taken, never stops termsel or another plugin.
+    A plugin is a package with an entry point in the group `termsel`. A plugin that is broken,
+    or uses a name that is taken, never stops termsel or another plugin.
 
     \b
-    TERMSEL_PLUGINS=a,b   uses the plugins of the packages a and b alone, of none if empty
-    TERMSEL_DEBUG=1       shows the traceback of what a plugin raises
+    TERMSEL_PLUGINS=a,b   uses only the plugins of the packages a and b; none if empty
+    TERMSEL_DEBUG=1       shows the traceback of an error in a plugin
 
     \b
     Examples:
@@ -27,21 +32,31 @@ def plugins(as_json: bool) -> None:
     from termsel.plugins.registry import registry
 
     names = registry()
-    failures = names.failures()
-    reasons = {plugin: [f.what for f in failures if (f.plugin, f.distribution)
-                        == (plugin.name, plugin.distribution)] for plugin in names.plugins}
+    failures, notes = names.failures(), names.notes()
     if as_json:
         print_json([{
             "name": plugin.name, "distribution": plugin.distribution, "version": plugin.version,
-            "hooks": list(plugin.hooks), "status": "broken" if wrong else "ok",
-            "reasons": wrong} for plugin, wrong in reasons.items()])
+            "hooks": list(plugin.hooks), "status": _status(plugin, failures),
+            "reasons": _about(plugin, failures), "notes": _about(plugin, notes)}
+            for plugin in names.plugins])
         return
     print_table(
         ("name", "distribution", "version", "status", "hooks"),
-        [(plugin.name, plugin.distribution, plugin.version, "broken" if wrong else "ok",
+        [(plugin.name, plugin.distribution, plugin.version, _status(plugin, failures),
           " ".join(hook.removeprefix("termsel_") for hook in plugin.hooks))
-         for plugin, wrong in reasons.items()])
+         for plugin in names.plugins])
     for command in names.entries("commands"):
         click.echo(f"Command {command.name!r} of {command.provided_by}: {command.summary}")
     for failure in failures:
         click.echo(f"Broken: {failure}")
+    for note in notes:
+        click.echo(f"Note: {note}")
+
+
+def _about(plugin: Plugin, remarks: list[Remark]) -> list[str]:
+    return [remark.what for remark in remarks
+            if (remark.plugin, remark.distribution) == (plugin.name, plugin.distribution)]
+
+
+def _status(plugin: Plugin, failures: list[Remark]) -> str:
+    return "broken" if _about(plugin, failures) else "ok"

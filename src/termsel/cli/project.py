@@ -16,17 +16,17 @@ from termsel.cli.messages import show_messages
                    "id,line,sample of image points.")
 @click.option("--inverse", is_flag=True, help="From the image to the ground.")
 @click.option("--dem", metavar="FILE", type=click.Path(path_type=Path),
-              help="With --inverse: raster of heights the rays are followed to.")
+              help="With --inverse: raster of heights of the ground.")
 @click.option("--height", type=float, help="With --inverse: height of the ground.")
 @click.option("--output", "-o", metavar="FILE", type=click.Path(path_type=Path),
               help="Table to write; stdout by default.")
-@click.option("--overwrite", is_flag=True, help="Replace a file that is there.")
+@click.option("--overwrite", is_flag=True, help="Replace an existing file.")
 def project(folder: Path, points: Path, inverse: bool, dem: Path | None, height: float | None,
             output: Path | None, overwrite: bool) -> None:
     """Compute image positions of ground points, or ground positions of image points.
 
-    DIR is the folder a run has written with --out. The table that is written is headed
-    id,line,sample,x,y,z; cells are blank where a ray meets no ground.
+    DIR is the folder that a run wrote with --out. The output has the columns
+    id,line,sample,x,y,z; cells are blank where a ray does not meet the ground.
 
     \b
     Examples:
@@ -49,5 +49,5 @@ def project(folder: Path, points: Path, inverse: bool, dem: Path | None, height:
         write_text(output, text)
         click.echo(f"Written: {output}", err=True)
     if missed:
-        click.echo(f"Warning: no place was found for {len(missed)} points: "
+        click.echo(f"Warning: no position was found for {len(missed)} points: "
                    f"{', '.join(missed[:10])}{' ...' if len(missed) > 10 else ''}", err=True)

@@ -19,23 +19,23 @@ from termsel.errors import TermselError
 @click.option("--output", "-o", metavar="FILE", required=True, type=click.Path(path_type=Path),
               help="The map to write, a cloud-optimised GeoTIFF.")
 @click.option("--dem", metavar="FILE", type=click.Path(path_type=Path),
-              help="Raster of heights, of the kind the control has.")
-@click.option("--height", type=float, help="Height of the ground, where there is no raster.")
-@click.option("--crs", metavar="CRS", help="CRS of the map; that of the control by default.")
+              help="Raster of heights, with the vertical datum of the control.")
+@click.option("--height", type=float, help="Height of the ground, instead of a raster.")
+@click.option("--crs", metavar="CRS", help="CRS of the map; by default that of the control.")
 @click.option("--res", "resolution", type=click.FloatRange(min=0, min_open=True),
-              help="Size of a pixel in units of the CRS; that of the image by default.")
+              help="Pixel size in units of the CRS; by default that of the image.")
 @click.option("--resampling", default="bilinear", show_default=True, metavar="METHOD",
               help="nearest, bilinear, cubic, cubic_spline, lanczos or average.")
-@click.option("--nodata", type=float, help="Value where the image shows nothing; that of the "
-                                           "image by default, else 0.")
-@click.option("--overwrite", is_flag=True, help="Replace a file that is there.")
-@click.option("--quiet", is_flag=True, help="No progress bar.")
+@click.option("--nodata", type=float, help="Value where the image has no data; by default that of "
+                                           "the image, else 0.")
+@click.option("--overwrite", is_flag=True, help="Replace an existing file.")
+@click.option("--quiet", is_flag=True, help="Show no progress bar.")
 def rectify(folder: Path, image: Path, output: Path, dem: Path | None, height: float | None,
             crs: str | None, resolution: float | None, resampling: str, nodata: float | None,
             overwrite: bool, quiet: bool) -> None:
     """Resample an image to a map, by GDAL's warper through the fitted model.
 
-    DIR is the folder a run has written with --out.
+    DIR is the folder that a run wrote with --out.
 
     \b
     Examples:
@@ -51,7 +51,7 @@ def rectify(folder: Path, image: Path, output: Path, dem: Path | None, height: f
 
     result = read_result(folder)
     if dem is None and height is None and result.fit.model.uses_height:
-        raise TermselError("where the image lies on the map depends on the height of the ground",
+        raise TermselError("the place of the image on the map depends on the height of the ground",
                            hint="Give --dem FILE or --height H.")
     with _bar(quiet) as progress:
         warp(result, image, output, dem=dem, height=height, crs=crs, resolution=resolution,
@@ -61,7 +61,7 @@ def rectify(folder: Path, image: Path, output: Path, dem: Path | None, height: f
 
 @contextmanager
 def _bar(quiet: bool) -> Iterator[Callable[[float], None] | None]:
-    """Yield what shows the share that is done, None where nobody would see it."""
+    """Yield a function that shows the fraction done, or None if nobody would see it."""
     if quiet or not sys.stderr.isatty():
         yield None
         return

@@ -32,11 +32,11 @@ INTERRUPTED = 130
               help="Control lines, likewise.")
 @click.option("--areas", metavar="FILE", type=click.Path(path_type=Path),
               help="Areas, by their corners: as lines along their edges, or as centroids where "
-                   "the problem is one of points; --set areas_as=boundary or centroid chooses.")
+                   "points are the control; --set areas_as=boundary or centroid chooses.")
 @click.option("--format", "formats", metavar="NAME", multiple=True,
               shell_complete=complete("readers"),
-              help="Read the file in this format whatever it looks like; with several files "
-                   "give it for each, in the order points, lines, areas.")
+              help="Read the file in this format, whatever it looks like. With several files, give "
+                   "one for each, in the order points, lines, areas.")
 @click.option("--dem", metavar="FILE", type=click.Path(path_type=Path),
               help="Raster of heights, for points and lines that have none.")
 @click.option("--raster", metavar="FILE",
@@ -47,8 +47,8 @@ INTERRUPTED = 130
               help="CRS of the ground coordinates: EPSG:4979 for longitude, latitude and "
                    "ellipsoidal height; `local` for plane coordinates without a CRS.")
 @click.option("--fit-crs", metavar="CRS",
-              help="Fit the model in geodetic, projected (UTM) or geocentric coordinates, in "
-                   "EPSG:n, or in what predicts best of the first three: auto.")
+              help="Coordinates the model is fitted in: geodetic, projected (UTM), geocentric or "
+                   "EPSG:n. auto takes the one of the first three that predicts best.")
 @click.option("--model", metavar="NAME", shell_complete=complete("models"),
               help="Sensor model; see `termsel list models`.")
 @click.option("--solver", metavar="NAME", shell_complete=complete("solvers"),
@@ -56,9 +56,9 @@ INTERRUPTED = 130
 @click.option("--criterion", metavar="NAME", shell_complete=complete("criteria"),
               help="What is minimised; see `termsel list criteria`.")
 @click.option("--strategy", type=click.Choice(["auto", "as-asked"]),
-              help="`auto` chooses among plain and shrunken models of points by the accuracy it "
-                   "predicts; `as-asked` runs the problem's solver. By default auto for rfm-terms "
-                   "and poly-terms, unless a method or a budget is asked for.")
+              help="`auto` chooses among plain and shrunken models of points by predicted RMSE; "
+                   "`as-asked` runs the problem's solver. auto is the default for rfm-terms "
+                   "and poly-terms, unless you ask for a method or a budget.")
 @click.option("--set", "settings", metavar="KEY=VALUE", multiple=True,
               help="An option of the problem, model, solver, criterion, data or file format; "
                    "may be repeated. `termsel describe NAME` lists them.")
@@ -67,7 +67,7 @@ INTERRUPTED = 130
 @click.option("--generations", type=click.IntRange(min=1),
               help="Stop after N generations beyond the first population.")
 @click.option("--evaluations", type=click.IntRange(min=1),
-              help="Stop the solver after N evaluations; those of the polish come on top.")
+              help="Stop the solver after N evaluations; the local refinement has its own.")
 @click.option("--seconds", type=click.FloatRange(min=0, min_open=True),
               help="Stop after S seconds.")
 @click.option("--out", metavar="DIR", type=click.Path(path_type=Path),
@@ -87,8 +87,8 @@ def run(
 ) -> None:
     """Search for the terms or control features that serve best.
 
-    Points in the role check judge each selection; independent points judge the result and
-    take no part in any choice. Ctrl-C ends the search with the best found so far.
+    Check points judge each selection. Independent points judge the result and take no part in any
+    choice. Ctrl-C ends the search and keeps the best selection so far.
 
     \b
     Examples:
@@ -104,17 +104,17 @@ def run(
         raise TermselError("fit_crs is given twice", hint="Give it once.")
     files = [path for path in (points, lines, areas) if path is not None]
     if dataset is not None and files:
-        raise TermselError("--dataset and files of your own exclude each other",
+        raise TermselError("--dataset cannot be combined with files",
                            hint="Give --dataset NAME, or --points FILE and --lines FILE.")
     of_files = {"--crs": crs, "--format": formats, "--dem": dem, "--raster": raster,
                 "--image-lines": image_lines}
     for name, value in of_files.items():
         if value and not files:
-            raise TermselError(f"{name} speaks of a file of points or lines, and none is given",
+            raise TermselError(f"{name} requires --points or --lines",
                                hint=f"Give --points FILE, or leave {name} out.")
 
     if exports and out is None:
-        raise TermselError("--export needs a folder to write to", hint="Give --out DIR.")
+        raise TermselError("--export requires --out", hint="Give a folder: --out DIR.")
     show_messages()
 
     from termsel.io.export import export, writer_of
@@ -143,7 +143,7 @@ def run(
             export(result, to, out / name, overwrite=True)
             click.echo(f"Written: {out}/{name}", err=True)
     if result.interrupted:
-        click.echo("Interrupted. The same command with the same seed takes the same way again.",
+        click.echo("Interrupted. The same command with the same seed repeats the same search.",
                    err=True)
         sys.exit(INTERRUPTED)
 

@@ -27,7 +27,7 @@ from termsel.cli.tables import print_json, print_table
 @click.option("--set", "settings", metavar="KEY=VALUE", multiple=True,
               help="An option of the problem, model, solver, criterion or data.")
 @click.option("--repeats", type=click.IntRange(min=2), default=20, show_default=True,
-              help="How often control and check points are shared out anew.")
+              help="How many times control and check points are drawn.")
 @click.option("--threshold", type=click.FloatRange(0, 1, min_open=True), default=0.6,
               show_default=True, help="Frequency from which on a term is stable.")
 @click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True)
@@ -38,10 +38,10 @@ def stability(
     solver: str | None, criterion: str | None, settings: tuple[str, ...], repeats: int,
     threshold: float, seed: int, evaluations: int | None, as_json: bool,
 ) -> None:
-    """Show how often each term is selected when points are shared out anew.
+    """Show how often each term is selected as control and check points change.
 
-    Terms selected often are fitted to control and check points together, and judged by the
-    independent ones.
+    Terms selected often are fitted to control and check points together. Independent points judge
+    them.
 
     \b
     Examples:
@@ -68,9 +68,9 @@ def stability(
                f"{len(found.stable)} terms in at least {threshold:.0%} of them.")
     independent = found.rmse.get("independent")
     if not found.determined:
-        click.echo("The stable terms alone are no model; lower --threshold.")
+        click.echo("The stable terms alone are no model. Lower --threshold.")
     elif independent is not None:
-        click.echo(f"Fitted to control and check together: {independent.total:.3f} pixel on "
+        click.echo(f"Fitted to control and check together: {independent.total:.3f} px on "
                    f"{independent.n} independent points.")
     others = [term for term in found.terms if term not in found.stable]
     if found.determined and others:

@@ -12,6 +12,7 @@ import numpy as np
 from termsel.adjustment.equations import line_normals
 from termsel.adjustment.parts import Part
 from termsel.criteria.losses import SQUARES, figure
+from termsel.fits.fittable import Fittable
 from termsel.measurements.features import (
     BoolArray,
     FeatureSet,
@@ -21,7 +22,6 @@ from termsel.measurements.features import (
     Points,
     no_lines,
 )
-from termsel.models.base import SensorModel
 from termsel.models.poles import POLE_MARGIN
 from termsel.models.quotient import RationalModel
 from termsel.options import Configurable
@@ -32,30 +32,30 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Fits:
-    """A population of fitted models, as a criterion sees it.
+    """A population of fitted models, as criteria get it.
 
     Parameters
     ----------
-    model : SensorModel
+    model : Fittable
     control, check : Points
         In scaled coordinates.
     pixels : float
-        Pixels per scaled image unit.
+        px per scaled image unit.
     terms : ndarray of bool, shape (p, k)
         Terms in use.
     coefficients : ndarray, shape (p, k)
     lines : Lines
         Control lines in scaled coordinates.
     parts : tuple of Part
-        The systems the coefficients were solved from. Criteria that look at the check points
-        alone do without these and what follows.
+        The systems from which the coefficients were solved. Criteria of the check points alone
+        need neither these nor what follows.
     used : ndarray of bool, shape (p, n), optional
         Control features in use, points before lines; None if features are not selected.
     gene_of_term : ndarray of int, shape (k,), optional
-        Terms with one number are switched together; None if each stands for itself.
+        Terms with the same number are switched together; None if each is switched alone.
     """
 
-    model: SensorModel
+    model: Fittable
     control: Points
     check: Points
     pixels: float
@@ -68,7 +68,7 @@ class Fits:
 
     @cached_property
     def check_errors(self) -> FloatArray:
-        """Predicted minus measured line and sample of the check points [pixel], (p, n, 2)."""
+        """Predicted minus measured line and sample of the check points [px], (p, n, 2)."""
         predicted = self.model.predict(self.coefficients, FeatureSet(self.control, self.lines),
                                        self.check.ground)
         return np.asarray((predicted - self.check.image) * self.pixels)
@@ -81,7 +81,7 @@ class Fits:
         return np.ones((len(self.terms), len(FeatureSet(self.control, self.lines))), dtype=bool)
 
     def held_out(self, coefficients: FloatArray, features: IntArray) -> FloatArray:
-        """Return squared errors of control features under solutions they took no part in.
+        """Return squared errors of control features held out from the solutions.
 
         Parameters
         ----------
@@ -93,8 +93,8 @@ class Fits:
         -------
         ndarray, shape (p, n)
             Of a point dl^2 + ds^2, of a line the sum of the squared distances of its ground
-            vertices from the image line [pixel^2]; infinite where a denominator falls short
-            of POLE_MARGIN.
+            vertices from the image line [px^2]; infinite if a denominator is below
+            POLE_MARGIN.
         """
         owner, ground = self._vertices
         seen = np.isin(owner, features)
@@ -107,12 +107,12 @@ class Fits:
                                  features)
 
     def held_out_each(self, coefficients: FloatArray) -> FloatArray:
-        """Return squared errors of all control features, each under a solution without it.
+        """Return squared errors of all control features, each held out from its solution.
 
         Parameters
         ----------
         coefficients : ndarray, shape (n, p, k)
-            Without feature 0 to n - 1.
+            Solutions that hold out feature 0 to n - 1.
 
         Returns
         -------
@@ -123,7 +123,7 @@ class Fits:
         if not isinstance(model, RationalModel) or model.corrects:
             return np.concatenate([self.held_out(one, features[i:i + 1])
                                    for i, one in enumerate(coefficients)], axis=1)
-        # Numerators and denominators are linear: those of unit vectors tell all.
+        # Numerators and denominators are linear: those of unit vectors suffice.
         owner, ground = self._vertices
         solutions = coefficients[owner] if len(self.lines) else coefficients
         one_each = np.eye(coefficients.shape[2])
@@ -138,7 +138,7 @@ class Fits:
 
     @cached_property
     def _vertices(self) -> tuple[IntArray, FloatArray]:
-        """Points and ground vertices of lines: the features they are of, and where they are."""
+        """Points and ground vertices of lines: their features and their positions."""
         n = len(self.control)
         return (np.concatenate([np.arange(n), n + np.repeat(self.lines.feature, 2)]),
                 np.concatenate([self.control.ground, self.lines.ground.reshape(-1, 3)]))
@@ -188,10 +188,10 @@ class Criterion(Configurable, ABC):
     """A figure of merit of fitted models; smaller is better."""
 
     needs_check: ClassVar[bool] = True
-    """Whether the figure is that of check points; others do without any."""
+    """Whether the figure requires check points."""
 
     is_rmse: bool = True
-    """Whether the figure is an RMSE [pixel], of which a standard error can be given."""
+    """Whether the figure is an RMSE [px], for which a standard error can be given."""
 
     subset_score: str = ""
     """Score of `termsel.adjustment.subsets.search` from which the figure follows, if any."""
@@ -200,11 +200,11 @@ class Criterion(Configurable, ABC):
     def score(self, fits: Fits) -> FloatArray:
         """Return one figure for each of the p fitted models, shape (p,).
 
-        A model without a finite figure counts as one that cannot be used.
+        A model without a finite figure counts as unusable.
         """
 
     def subset_cost(self, scores: FloatArray, system: SubsetSystem) -> FloatArray:
-        """Return what adds up over the parts, from the best score of each size.
+        """Return the part of the figure that adds up over the parts, from the best score per size.
 
         Parameters
         ----------
@@ -216,21 +216,21 @@ class Criterion(Configurable, ABC):
         return scores
 
     def subset_folds(self, control: Points) -> tuple[IntArray, ...]:
-        """Return the control points left out together, for the subset score "kfold"."""
+        """Return the control points held out together, for the subset score "kfold"."""
         return ()
 
 
 class CheckRmse(Criterion):
-    """RMSE over the check points [pixel]: the fitness of all five papers.
+    """RMSE over the check points [px]: the fitness of all five papers.
 
-    sqrt(mean(dl^2 + ds^2)) over points. A search drives it below what the model achieves
-    elsewhere, so it is never an accuracy.
+    sqrt(mean(dl^2 + ds^2)) over points. A search minimises it below what the model achieves
+    elsewhere, so it is not an estimate of the accuracy.
     """
 
     name = "check-rmse"
     subset_score = "check"
 
     def score(self, fits: Fits) -> FloatArray:
-        """Return the RMSE [pixel]."""
+        """Return the RMSE [px]."""
         with np.errstate(over="ignore", invalid="ignore"):
             return np.asarray(np.sqrt((fits.check_errors**2).sum(axis=2).mean(axis=1)))

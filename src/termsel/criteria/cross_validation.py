@@ -19,7 +19,7 @@ _SOLUTIONS = 1 << 22
 
 
 class _LeftOut(Criterion):
-    """Base of criteria that put together the errors of control features left out."""
+    """Base of criteria of the errors of control features that are held out."""
 
     needs_check = False
     declared_options: ClassVar[tuple[Option, ...]] = (LOSS, THRESHOLD)
@@ -30,17 +30,17 @@ class _LeftOut(Criterion):
             self.is_rmse, self.subset_score = False, ""
 
     def combined(self, fits: Fits, squares: FloatArray) -> FloatArray:
-        """Return the RMSE, or what the loss makes of the errors."""
+        """Return the RMSE, or the figure of another loss."""
         return fits.rmse(squares, self.options["loss"], self.options["threshold"])
 
 
 class Press(_LeftOut):
-    """RMSE of each control feature, predicted from all others [pixel]; needs no check points.
+    """RMSE of each control feature, predicted from all others [px]; needs no check points.
 
-    A feature leaves with all its rows, and what is squared is its true image error under the
-    solution without it, over the denominator of that solution. A selection in which some
-    feature is indispensable has no figure. Where features are selected too, only those in use
-    are judged, so that a search is free to leave out awkward ones.
+    A feature is held out with all its rows (leave-one-out). Its squared error is the true image
+    error under that solution, with the denominator of that solution. A selection in which some
+    feature is indispensable has no figure. If features are selected too, only those in use
+    count, so that a search can drop difficult ones.
 
     References
     ----------
@@ -51,7 +51,7 @@ class Press(_LeftOut):
     subset_score = "press"
 
     def score(self, fits: Fits) -> FloatArray:
-        """Return the RMSE [pixel]."""
+        """Return the RMSE [px]."""
         p, k = fits.terms.shape
         used = fits.in_use
         n = used.shape[1]
@@ -69,11 +69,11 @@ class Press(_LeftOut):
 
 
 class KFold(_LeftOut):
-    """RMSE of the control features of each fold, predicted from all other folds [pixel].
+    """RMSE of the control features of each fold, predicted from all other folds [px].
 
-    The control on offer is shared out among the folds once, whatever features are selected.
-    Folds that are blocks of the scene tell how a model carries over gaps in the control, which
-    random ones, like `press`, do not. Needs no check points.
+    All available control is assigned to the folds once, whatever features are selected. Folds
+    that are blocks of the scene show how a model extrapolates over gaps in the control; random
+    ones, like `press`, do not. Needs no check points.
 
     References
     ----------
@@ -83,10 +83,10 @@ class KFold(_LeftOut):
     name = "kfold"
     subset_score = "kfold"
     declared_options = (
-        Option("folds", 5, "Folds of control features; with more folds than features each is "
-               "left out alone.", int, 2),
-        Option("repeats", 1, "How many times the features are shared out: at random anew, or into "
-               "blocks along axes that are turned by a share of 90 degrees.", int, 1),
+        Option("folds", 5, "Folds of control features; with more folds than features each is held "
+                           "out alone.", int, 2),
+        Option("repeats", 1, "How many times features are assigned to folds: again at random, or "
+                             "in blocks along axes turned by parts of 90 degrees.", int, 1),
         Option("how", "spatial", "Folds as blocks of neighbours on the ground, or at random.",
                choices=("spatial", "random")),
         Option("fold_seed", 0, "Seed of random folds.", int, 0),
@@ -94,7 +94,7 @@ class KFold(_LeftOut):
     )
 
     def score(self, fits: Fits) -> FloatArray:
-        """Return the RMSE [pixel]."""
+        """Return the RMSE [px]."""
         used = fits.in_use
         squares = np.zeros(used.shape)
         for fold in self.folds(fits.control, fits.lines):
@@ -112,7 +112,7 @@ class KFold(_LeftOut):
         ----------
         points : Points
         lines : Lines
-            They stand where the middle of their ground vertices is.
+            Their position is the middle of their ground vertices.
         """
         xy = np.concatenate([points.ground[:, :2],
                              lines.by_feature(lines.ground[:, :, :2].mean(axis=1))])

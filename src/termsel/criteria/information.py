@@ -17,26 +17,26 @@ if TYPE_CHECKING:
     from termsel.adjustment.subset_system import SubsetSystem
 
 NO_RESIDUAL = 1e-9
-"""Root mean square residual, as a part of the image's half-range, that counts as none: rounding
-error, of which no logarithm is worth taking."""
+"""Root mean square residual, relative to the image's half-range, that counts as zero: rounding
+error, whose logarithm has no meaning."""
 
 
 class Ebic(Criterion):
-    """Extended Bayesian information criterion of the control residuals; not in pixels.
+    """Extended Bayesian information criterion of the control residuals; not in px.
 
-    n ln(RSS / n) + k ln n + 2 gamma ln C(P, k), added up over line and sample where they are
-    independent: n equations, k terms in use of P on offer, RSS of the linearised, weighted
-    residuals in the scaled image unit. The last part is what plain BIC lacks: the more
+    n ln(RSS / n) + k ln n + 2 gamma ln C(P, k), added up over line and sample if they are
+    independent: n equations, k terms in use of P available, RSS of the linearised, weighted
+    residuals in the scaled image unit. Plain BIC lacks the last part: the more
     selections of a size there are, the better one of them fits by chance. Terms of line and
     sample that are switched together are one choice and one system with a common variance.
 
-    The criterion holds for n much larger than k. As k nears n, ln(RSS / n) falls without bound,
-    and a term without any meaning lowers n ln(RSS / n) by about n / (n - k) where it should by
-    1. Selections of less redundancy than `min_redundancy` therefore have no figure. At the
-    default, a third of the equations, the gain is 3, about the ln n that such a term is charged
-    for 20 equations. A search finds the luckiest of many such terms: where control is plentiful,
-    two thirds serve better. As n must be the same, the criterion cannot select features. It
-    needs no check points.
+    The criterion is valid for n much larger than k. As k nears n, ln(RSS / n) falls without
+    bound, and a meaningless term lowers n ln(RSS / n) by about n / (n - k) instead of 1.
+    Selections with less redundancy than `min_redundancy` therefore have no figure. At the
+    default, a third of the equations, the gain is 3, about the penalty ln n of such a term for
+    20 equations. A search finds the luckiest of many such terms: if control is plentiful, two
+    thirds are better. As n must be the same, the criterion cannot select features. It needs no
+    check points.
 
     References
     ----------
@@ -48,10 +48,11 @@ class Ebic(Criterion):
     is_rmse = False
     subset_score = "rss"
     declared_options = (
-        Option("gamma", 1.0, "Weight of the number of selections there are; 0 is BIC.", float, 0,
+        Option("gamma", 1.0, "Weight of the number of possible selections; 0 is BIC.", float, 0,
                1),
-        Option("min_redundancy", None, "Least number of equations minus terms, of line and of "
-               "sample; by default a third of the equations, and at least 1.", int, 1),
+        Option("min_redundancy", None, "Least number of equations minus terms, for line and for "
+                                       "sample; by default a third of the equations, and at least "
+                                       "1.", int, 1),
     )
 
     def score(self, fits: Fits) -> FloatArray:
@@ -63,7 +64,7 @@ class Ebic(Criterion):
             If features are selected.
         """
         if fits.used is not None:
-            raise TermselError("criterion 'ebic' cannot select control features: it compares "
+            raise TermselError("criterion 'ebic' cannot select control features, as it compares "
                                "models of the same observations",
                                hint="Choose --criterion check-rmse, press or kfold.")
         genes = fits.gene_of_term
@@ -94,7 +95,7 @@ class Ebic(Criterion):
 
 
 def _chosen_together(parts: tuple[Part, ...], genes: IntArray) -> list[tuple[Part, ...]]:
-    """Return the parts, those of common genes as one."""
+    """Return the parts; parts with common genes are joined."""
     of_parts = [set(genes[part.columns].tolist()) for part in parts]
     if len(parts) == 2 and of_parts[0] & of_parts[1]:
         return [parts]

@@ -1,4 +1,4 @@
-"""Errors of features as one figure, which a few wrong ones upset or not."""
+"""Errors of features as one figure, robust against blunders or not."""
 
 from __future__ import annotations
 
@@ -9,27 +9,27 @@ from termsel.options import Option
 
 SQUARES, HUBER, MEDIAN = "squares", "huber", "median"
 
-LOSS = Option("loss", SQUARES, "How the errors of features make one figure: squares, their RMSE; "
-              "or huber or median, which wrongly measured features upset less.",
+LOSS = Option("loss", SQUARES, "Figure of the errors of features: squares, their RMSE; or huber or "
+                               "median, which are robust against blunders.",
               choices=(SQUARES, HUBER, MEDIAN))
-THRESHOLD = Option("threshold", 2.0, "With Huber's loss, the distance from which on errors count "
-                   "linearly, by the median distance.", float, 0.1)
+THRESHOLD = Option("threshold", 2.0, "With Huber's loss, the distance, relative to the median "
+                                     "distance, beyond which errors count linearly.", float, 0.1)
 
 NORMAL = float(1.0 / np.sqrt(np.log(2.0)))
-"""RMSE of points by the median of their distances, for normal errors: sqrt(2) by
+"""Ratio of the RMSE of points to the median of their distances, for normal errors: sqrt(2) over
 sqrt(2 ln 2)."""
 
 
 def figure(distances: FloatArray, weights: FloatArray, loss: str = SQUARES,
            threshold: float = 2.0) -> FloatArray:
-    """Return the RMSE of errors, or what is close to it for normal ones without wrong ones.
+    """Return the RMSE of errors, or a figure close to it for normal errors without blunders.
 
     Parameters
     ----------
     distances : ndarray, shape (p, n)
-        Error of each feature [pixel].
+        Error of each feature [px].
     weights : ndarray, shape (p, n)
-        For how many errors each stands; 0 for a feature that is not in use.
+        Number of errors that each represents; 0 for a feature that is not in use.
     loss : {"squares", "huber", "median"}
         sqrt(mean(rho(d))) with rho(d) = d^2, or for "huber" d^2 up to c and 2 c d - c^2 beyond, c
         the threshold times the median distance; or the median distance times 1 / sqrt(ln 2).
@@ -38,7 +38,7 @@ def figure(distances: FloatArray, weights: FloatArray, loss: str = SQUARES,
     Returns
     -------
     ndarray, shape (p,)
-        Infinite without a feature in use, and where the error of one in use is not finite.
+        Infinite without a feature in use, and if the error of one in use is not finite.
     """
     used: BoolArray = weights > 0
     counted = np.asarray(used.any(axis=1) & ~(used & ~np.isfinite(distances)).any(axis=1))

@@ -1,4 +1,4 @@
-"""Criteria that some wrong check points do not upset."""
+"""Criteria that are robust against blunders in check points."""
 
 from __future__ import annotations
 
@@ -10,19 +10,19 @@ from termsel.measurements.features import FloatArray
 
 
 def _figure(fits: Fits, loss: str, threshold: float = THRESHOLD.default) -> FloatArray:
-    """Return the figure of the distances sqrt(dl^2 + ds^2) of the check points [pixel]."""
+    """Return the figure of the distances sqrt(dl^2 + ds^2) of the check points [px]."""
     with np.errstate(over="ignore", invalid="ignore"):
         distances = np.hypot(fits.check_errors[..., 0], fits.check_errors[..., 1])
     return figure(distances, np.ones_like(distances), loss, threshold)
 
 
 class Median(Criterion):
-    """Median distance of the check points, as an RMSE [pixel].
+    """Median distance of the check points, as an RMSE [px].
 
     The median of sqrt(dl^2 + ds^2), times 1 / sqrt(ln 2), so that for normal errors it is the
-    RMSE. Up to half of the check points may be wrong. It is blind for how large the largest
-    errors are, also those of a poor model. The control is adjusted by least squares all the
-    same: wrong points in it are not for a criterion.
+    RMSE. Up to half of the check points may be blunders. The figure ignores the size of the
+    largest errors, also those of a poor model. The control is still adjusted by least squares: a
+    criterion does not handle blunders in it.
 
     References
     ----------
@@ -33,17 +33,17 @@ class Median(Criterion):
     is_rmse = False
 
     def score(self, fits: Fits) -> FloatArray:
-        """Return the figure [pixel]."""
+        """Return the figure [px]."""
         return _figure(fits, MEDIAN)
 
 
 class Huber(Criterion):
-    """Huber's loss of the check points, as an RMSE [pixel].
+    """Huber's loss of the check points, as an RMSE [px].
 
     sqrt(mean(rho(d))) over the distances d = sqrt(dl^2 + ds^2), where rho(d) is d^2 up to c and
     2 c d - c^2 beyond, and c is `threshold` times the median distance under the same model.
-    Without wrong points it is close to the RMSE, with them it grows with their number
-    rather than with their size.
+    Without blunders it is close to the RMSE; with them it grows with their number rather than
+    with their size.
 
     References
     ----------
@@ -55,5 +55,5 @@ class Huber(Criterion):
     declared_options = (THRESHOLD,)
 
     def score(self, fits: Fits) -> FloatArray:
-        """Return the figure [pixel]."""
+        """Return the figure [px]."""
         return _figure(fits, HUBER, self.options["threshold"])

@@ -14,7 +14,7 @@ from termsel.fits.fit import Fit
 from termsel.measurements.features import FloatArray, Lines, select
 
 BEYOND = 3.0
-"""Standard deviations beyond which a measurement is called probably wrong."""
+"""Standard deviations beyond which a measurement is called a probable blunder."""
 
 NORMAL_MEDIAN = 0.6745
 """Median absolute value of a standard normal variable."""
@@ -33,13 +33,12 @@ class Doubts:
     Parameters
     ----------
     sigma : float
-        Standard deviation of a measured coordinate [pixel], from the median error of all control
+        Standard deviation of a measured coordinate [px], from the median error of all control
         features on offer, those in use enlarged by what the adjustment takes from them; few
-        wrong ones, used or not, do not move it. Where deviations are given, it is that of a
+        blunders, used or not, do not move it. Where deviations are given, it is that of a
         feature with the median one.
     wrong : mapping
-        Features whose error is beyond 3 sigma, with that error [pixel]: probably measured or
-        matched wrongly.
+        Probable blunders: features whose error is beyond 3 sigma, with that error [px].
     in_use : tuple of str
         Those of them that the selection uses all the same.
     spare : tuple of str
@@ -53,11 +52,11 @@ class Doubts:
 
 
 def doubts(fit: Fit) -> Doubts | None:
-    """Return which features are probably wrong, and which merely were not needed.
+    """Return which features are probable blunders, and which merely were not needed.
 
     The error of a point is the larger of those in line and sample, that of a line the largest
     distance of a projected vertex from the image line. Yavari et al. 2018 remark that OWDIS
-    leaves wrong lines out; to tell them from superfluous ones is termsel's own.
+    leaves blunders out; to tell them from superfluous ones is termsel's own.
 
     Parameters
     ----------

@@ -38,7 +38,7 @@ def warnings_of(control: FeatureSet, used: BoolArray, check: Points) -> Iterator
             found.append(f"{far.sum()} of 4 corners of the image")
     if found:
         yield (f"Extrapolation: {' and '.join(found)} lie far outside the control in use. The "
-               "accuracy given does not hold there.")
+               "given RMSE does not hold there.")
     heights, others = control.ground_vertices()[:, 2], check.ground[:, 2]
     span = float(np.ptp(heights))
     if len(others) and span > 0:

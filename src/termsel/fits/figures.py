@@ -1,17 +1,15 @@
-"""Figures of a fit: RMSE by role, and baselines."""
+"""Figures of a fit: RMSE and residuals by role, and baselines."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from termsel.fits.fit import Fit, Rmse
-
-if TYPE_CHECKING:
-    pass
+from termsel.fits.fit import GIVEN, Fit, Rmse
+from termsel.fits.residuals import Residuals, control_residuals, point_residuals
 from termsel.measurements.roles import Observations
 
 ROLES = ("control", "check", "independent")
@@ -26,7 +24,7 @@ Rmses = Mapping[str, Rmse | None]
 
 @dataclass(frozen=True)
 class Baseline:
-    """A fit without any search, beside which the selection is shown.
+    """A fit without any search, with which the selection is compared.
 
     Parameters
     ----------
@@ -41,7 +39,7 @@ class Baseline:
     rmse : mapping
         By role; None where there are no points, or where the model is not determined.
     predicted : float, optional
-        RMSE by leave-one-out over the features it was fitted to [pixel].
+        RMSE by leave-one-out over the features it was fitted to [px].
     """
 
     name: str
@@ -55,7 +53,7 @@ class Baseline:
 def plain_rmse(rmse: Rmses) -> dict[str, Any]:
     """Return RMSE by role as result.json holds them; null where there are no points.
 
-    That by leave-one-out stands beside them, if there is one.
+    That by leave-one-out comes with them, if there is one.
     """
     nothing = {"line": None, "sample": None, "total": None, "n": 0}
     return {role: nothing if value is None else
@@ -79,28 +77,51 @@ def baseline(name: str, fitted: Fit, predicted: float | None, observations: Obse
     name : str
     fitted : Fit
     predicted : float or None
-        RMSE by leave-one-out [pixel].
+        RMSE by leave-one-out [px].
     observations : Observations
     roles : tuple of str
         What it was fitted to.
     """
-    return Baseline(name, int(fitted.terms.sum()), roles,
-                    name == "ridge" or fitted.adjustment.feasible,
+    return Baseline(name, int(fitted.terms.sum()), roles, fitted.determined,
                     figures(in_role(fitted, observations), observations), predicted)
 
 
 def in_role(fitted: Fit, observations: Observations) -> Fit:
-    """Return a fit whose control figures are of the control alone, whatever it was fitted to."""
+    """Return a fit whose control figures are of the control alone, whatever it was fitted to.
+
+    It cannot be repeated without a feature, as it does not know all that it was fitted to.
+    """
     control = observations.control
     if fitted.control is control:
         return fitted
-    return replace(fitted, control=control, used=np.ones(len(control), dtype=bool))
+    return replace(fitted, control=control, used=np.ones(len(control), dtype=bool),
+                   estimator=GIVEN, held_out=None)
 
 
 def figures(fitted: Fit, observations: Observations) -> dict[str, Rmse | None]:
-    """Return the RMSE by role, and where control corrects itself, leave-one-out beside it."""
+    """Return the RMSE by role, and where control corrects itself, also that by leave-one-out."""
     found = {"control": fitted.control_rmse(), "check": fitted.rmse(observations.check),
              "independent": fitted.rmse(observations.independent)}
-    if fitted.model.corrects:
+    if fitted.model.corrects and fitted.estimator.repeatable:
         found[LEAVE_ONE_OUT] = fitted.leave_one_out_rmse()
     return found
+
+
+def residuals_of(chosen: Fit, observations: Observations, *,
+                 check_used: bool = False) -> Residuals:
+    """Return the residuals of all features that have a role.
+
+    Parameters
+    ----------
+    chosen : Fit
+        Fitted to the control of the observations.
+    observations : Observations
+    check_used : bool
+        Whether the check points took part in the adjustment too.
+    """
+    check, independent = observations.check, observations.independent
+    return Residuals((
+        *control_residuals(observations.control, chosen.used,
+                           chosen.errors(observations.control.points), chosen.line_errors()),
+        *point_residuals(check, chosen.errors(check), "check", check_used),
+        *point_residuals(independent, chosen.errors(independent), "independent", False)))

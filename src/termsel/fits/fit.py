@@ -1,29 +1,33 @@
-"""One fitted model: its adjustment, its residuals, its RMSE."""
+"""One fitted model: its adjustment, its residuals, its RMSE, and itself without each feature."""
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from termsel.adjustment.equations import Equations, line_normals
+from termsel.adjustment.equations import line_normals
+from termsel.adjustment.parts import independent_parts
 from termsel.adjustment.solve import Adjustment, solve
+from termsel.errors import TermselError
+from termsel.fits.adjust import adjust
+from termsel.fits.fittable import Fittable
+from termsel.fits.leave_out import solutions_without_each
+from termsel.fits.locate import Surface, locate
+from termsel.fits.residuals import Residuals, control_residuals
 from termsel.measurements.features import BoolArray, FeatureSet, FloatArray, Points
 from termsel.measurements.scaling import Scaling, scaling_of
-from termsel.models.base import SensorModel
-from termsel.models.locate import Surface, locate
-
-ITERATIONS = 20
-"""Most Gauss-Newton steps of a fit; two or three are usual."""
-
-HALVINGS = tuple(0.5**i for i in range(8))
-"""Shares of a Gauss-Newton step that are tried in turn."""
+from termsel.threads import one_blas_thread
 
 
 @dataclass(frozen=True)
 class Rmse:
-    """Root mean square errors [pixel] over n features.
+    """Root mean square errors [px] over n features.
 
     `total` is sqrt(mean(dl^2 + ds^2)) over points. For control lines the error is the
     distance of each projected ground vertex from the image line, taken along its normal.
@@ -35,6 +39,122 @@ class Rmse:
     n: int
 
 
+class Undetermined(TermselError):
+    """The control does not determine the terms of a model."""
+
+
+class Estimator(ABC):
+    """How terms and coefficients are found from control: by least squares, by shrinkage ..."""
+
+    least_squares: ClassVar[bool] = False
+    """Whether the coefficients are those of least squares, which the adjustment describes; others
+    are determined whatever the adjustment says of the terms."""
+
+    repeatable: ClassVar[bool] = True
+    """Whether the estimator can be applied again, such as without a feature."""
+
+    @abstractmethod
+    def fit(self, model: Fittable, control: FeatureSet, scaling: Scaling, terms: BoolArray,
+            used: BoolArray) -> Fit:
+        """Fit a model to control features.
+
+        Parameters
+        ----------
+        model : Fittable
+        control : FeatureSet
+            In px and ground units.
+        scaling : Scaling
+        terms : ndarray of bool, shape (k,)
+            Terms in use; an estimator that selects terms offers itself all of them.
+        used : ndarray of bool, shape (len(control),)
+            Features in use.
+
+        Raises
+        ------
+        Undetermined
+            By an estimator that finds no solution.
+        """
+
+    def without_each(self, fitted: Fit) -> Iterator[Fit]:
+        """Yield a fit of this estimator without each feature in use, by repeating it."""
+        for out in np.flatnonzero(fitted.used):
+            used = fitted.used.copy()
+            used[out] = False
+            yield self.fit(fitted.model, fitted.control, fitted.scaling, fitted.terms, used)
+
+
+@dataclass(frozen=True)
+class LeastSquares(Estimator):
+    """The coefficients of the least squares of distances in the image.
+
+    Parameters
+    ----------
+    iterated : bool
+        Whether to go on from equations that hold to first order to the least squares of
+        distances; else the fit is the one a search judges.
+    """
+
+    least_squares = True
+    iterated: bool = True
+
+    def fit(self, model: Fittable, control: FeatureSet, scaling: Scaling, terms: BoolArray,
+            used: BoolArray) -> Fit:
+        """Fit a model (see `Estimator.fit`); `Fit.determined` says whether there is one."""
+        model = model.prepared(scaling, control.crs)
+        features = scaling.features(control)
+        adjustment = (adjust(model, features, terms, used) if self.iterated
+                      else solve(model.equations(features), terms, used))
+        return Fit(model, scaling, control, terms, used, adjustment, self)
+
+    def without_each(self, fitted: Fit) -> Iterator[Fit]:
+        """Yield the fits without each feature, in closed form.
+
+        Where equations are not exact, they are those about the solution: each fit is then one
+        Gauss-Newton step away from it. Models that correct by their control are fitted again.
+        """
+        model, features = fitted.model, fitted.scaled_control
+        equations = (model.linearised(features, fitted.adjustment.coefficients)
+                     if self.iterated else None) or model.equations(features)
+        solutions = None if model.corrects else solutions_without_each(
+            independent_parts(equations, model.axis), fitted.terms, fitted.used)
+        if solutions is None:
+            yield from super().without_each(fitted)
+            return
+        for out in np.flatnonzero(fitted.used):
+            used = fitted.used.copy()
+            used[out] = False
+            # Of the adjustment, only the coefficients are those of the others.
+            yield replace(fitted, used=used, adjustment=replace(
+                fitted.adjustment, coefficients=solutions[out]))
+
+
+class Given(Estimator):
+    """Coefficients from elsewhere: a solver's own, those of a record or of more features."""
+
+    repeatable = False
+
+    def fit(self, model: Fittable, control: FeatureSet, scaling: Scaling, terms: BoolArray,
+            used: BoolArray) -> Fit:
+        """Refuse, as it is not known how the coefficients were found."""
+        raise TermselError("this fit has coefficients from elsewhere, so it cannot be repeated "
+                           "without a feature",
+                           hint="Fit the model with termsel.fit to leave features out.")
+
+
+LEAST_SQUARES, GIVEN = LeastSquares(), Given()
+
+
+@dataclass(frozen=True, eq=False)
+class HeldOut:
+    """Errors of control points under the same procedure without them.
+
+    `errors` are measured minus predicted [px], shape (n, 2), `squares` dl^2 + ds^2, shape (n,).
+    """
+
+    errors: FloatArray
+    squares: FloatArray
+
+
 @dataclass(frozen=True, eq=False)
 class Fit:
     """A model fitted to control features.
@@ -44,40 +164,106 @@ class Fit:
     model : SensorModel
     scaling : Scaling
     control : FeatureSet
-        All control features on offer [pixel, ground units].
+        All control features on offer [px, ground units].
     terms : ndarray of bool, shape (k,)
+        Terms in use.
     used : ndarray of bool, shape (len(control),)
         Features in the adjustment, points before lines.
     adjustment : Adjustment
+        In scaled coordinates.
+    estimator : Estimator
+        How the coefficients were found.
+    trace : float, optional
+        Trace of the matrix that turns measurements into fitted values, where coefficients are
+        shrunk.
+    held_out : HeldOut, optional
+        Errors without each point, where the estimator finds them on its way.
     """
 
-    model: SensorModel
+    model: Fittable
     scaling: Scaling
     control: FeatureSet
     terms: BoolArray
     used: BoolArray
     adjustment: Adjustment
+    estimator: Estimator = LEAST_SQUARES
+    trace: float | None = None
+    held_out: HeldOut | None = None
 
-    def with_coefficients(self, coefficients: FloatArray) -> Fit:
+    @property
+    def scaled_control(self) -> FeatureSet:
+        """The control features on offer in scaled coordinates."""
+        return self.scaling.features(self.control)
+
+    @property
+    def determined(self) -> bool:
+        """True if the control determines the coefficients."""
+        return not self.estimator.least_squares or self.adjustment.feasible
+
+    @property
+    def effective(self) -> float:
+        """Effective parameters: the number of terms, or the trace where they are shrunk."""
+        return float(self.adjustment.n_terms) if self.trace is None else self.trace
+
+    @property
+    def coefficients(self) -> dict[str, float]:
+        """Coefficients of the terms in use by name, in scaled coordinates."""
+        return self._by_term(self.adjustment.coefficients)
+
+    @property
+    def standard_deviations(self) -> dict[str, float]:
+        """Standard deviations of the coefficients by name, in scaled coordinates.
+
+        NaN without redundancy and for coefficients that are not those of least squares.
+        """
+        return self._by_term(self.adjustment.deviations)
+
+    def _by_term(self, values: FloatArray) -> dict[str, float]:
+        return {str(self.model.terms[i]): float(values[i]) for i in np.flatnonzero(self.terms)}
+
+    def with_coefficients(self, coefficients: FloatArray, estimator: Estimator = GIVEN,
+                          trace: float = np.nan) -> Fit:
         """Return the fit with coefficients that are not those of least squares."""
-        equations = self.model.equations(self.scaling.features(self.control))
+        equations = self.model.equations(self.scaled_control)
         unknown = np.full(len(coefficients), np.nan)
-        return replace(self, adjustment=replace(
+        return replace(self, estimator=estimator, trace=trace, held_out=None, adjustment=replace(
             self.adjustment, coefficients=coefficients, deviations=unknown,
             residuals=equations.b - equations.A @ coefficients, sigma0=float("nan"),
             correlations=None))
 
-    def project(self, ground: FloatArray) -> FloatArray:
-        """Return line and sample [pixel] of ground points, shape (n, 2)."""
+    def project(self, ground: ArrayLike) -> FloatArray:
+        """Return where ground points are seen.
+
+        Parameters
+        ----------
+        ground : array_like, shape (n, 3)
+            In the CRS of the control; NaN for heights a plane model does without.
+
+        Returns
+        -------
+        ndarray, shape (n, 2)
+            Line and sample [px]; NaN where a height that the model uses is NaN.
+
+        Raises
+        ------
+        TermselError
+            If the array has another shape.
+        """
+        places = np.asarray(ground, dtype=np.float64)
+        if places.ndim != 2 or places.shape[1] != 3:
+            raise TermselError(f"ground points have shape {places.shape}, expected (n, 3)")
         used = self.scaling.features(self.control.take(self.used))
         scaled = self.model.predict(self.adjustment.coefficients, used,
-                                    self.scaling.ground(ground))
-        return self.scaling.pixels(scaled)
+                                    self.scaling.ground(places))
+        image = self.scaling.pixels(scaled)
+        if self.model.uses_height:
+            image[np.isnan(places[:, 2])] = np.nan
+        return image
 
-    def locate(self, image: ArrayLike, height: ArrayLike | Surface) -> FloatArray:
-        """Return the ground points seen at image points (see `termsel.models.locate.locate`)."""
+    def locate(self, image: ArrayLike, heights: ArrayLike | Surface) -> FloatArray:
+        """Return the ground points seen at image points (see `termsel.fits.locate.locate`)."""
         centre, scale = self.ground_box()
-        return locate(self.project, image, height, centre=centre, scale=scale)
+        return locate(self.project, image, heights, centre=centre, scale=scale)
 
     def ground_box(self) -> tuple[FloatArray, FloatArray]:
         """Return middle and half-range of the control, shapes (3,), in its own CRS."""
@@ -87,7 +273,7 @@ class Fit:
         return np.array(box.ground_offset), np.array(box.ground_scale)
 
     def image_box(self) -> tuple[tuple[float, float], tuple[float, float]]:
-        """Return first and last line and sample [pixel]: of the image, or of the control."""
+        """Return first and last line and sample [px]: of the image, or of the control."""
         if self.control.image_size is not None:
             lines, samples = self.control.image_size
             return (0.0, 0.0), (lines - 1.0, samples - 1.0)
@@ -96,11 +282,11 @@ class Fit:
         return (top, left), (bottom, right)
 
     def errors(self, points: Points) -> FloatArray:
-        """Return measured minus computed line and sample [pixel], shape (n, 2)."""
+        """Return measured minus computed line and sample [px], shape (n, 2)."""
         return points.image - self.project(points.ground)
 
     def line_errors(self) -> FloatArray:
-        """Return the errors of the control lines' ground vertices [pixel], shape (n, 2, 2).
+        """Return the errors of the control lines' ground vertices [px], shape (n, 2, 2).
 
         For each line and vertex: the vector along the normal from the projected vertex to
         the image line, as line and sample.
@@ -111,19 +297,59 @@ class Fit:
         distance = rho[:, None] - np.einsum("ia,iva->iv", normal, image)
         return np.asarray(distance[..., None] * normal[:, None, :])
 
-    def control_rmse(self) -> Rmse | None:
-        """Return the RMSE of the control features in use."""
-        return _rmse(self._control_errors(self.used), int(self.used.sum()))
+    @property
+    def residuals(self) -> Residuals:
+        """Measured minus computed of all control features on offer, as a table."""
+        return control_residuals(self.control, self.used, self.errors(self.control.points),
+                                 self.line_errors())
+
+    @property
+    def leave_one_out(self) -> Residuals:
+        """Measured minus predicted of each control feature by the same procedure without it.
+
+        In closed form for least squares, for lines under separate denominators to first order
+        about the solution; else by repeating the fit, as where a model corrects predictions by
+        its control. A feature on offer that is not in use has its residual.
+
+        Raises
+        ------
+        TermselError
+            If the control without some feature does not determine the terms, or the
+            coefficients were given.
+        """
+        each, determined = self._left_out
+        if not determined:
+            raise Undetermined("without one of its control features the fit is not determined",
+                               hint="Measure more control, or choose a model with fewer terms.")
+        n = len(self.control.points)
+        points, lines = self.errors(self.control.points), self.line_errors()
+        for out, errors in zip(np.flatnonzero(self.used), each, strict=True):
+            if out < n:
+                points[out] = errors[0]
+            else:
+                lines[self.control.lines.feature == out - n] = errors.reshape(-1, 2, 2)
+        return control_residuals(self.control, self.used, points, lines)
 
     def leave_one_out_rmse(self) -> Rmse | None:
-        """Return the RMSE of the control features in use, each under the fit without it."""
-        one_each = np.eye(len(self.used), dtype=bool)[self.used]
-        errors = [fit(self.model, self.control, self.scaling, self.terms, self.used & ~one)
-                  ._control_errors(one) for one in one_each]
-        return _rmse(np.concatenate(errors), len(errors))
+        """Return the RMSE of the control features in use, each under the fit without it.
 
-    def _control_errors(self, features: BoolArray) -> FloatArray:
-        """Return the errors of some control features [pixel], of lines at each vertex."""
+        Where the others do not determine the terms, their least-norm solution counts.
+        """
+        each, _ = self._left_out
+        return rmse_of(np.concatenate(each), len(each))
+
+    @cached_property
+    def _left_out(self) -> tuple[tuple[FloatArray, ...], bool]:
+        """Errors of each feature in use by the fit without it, and whether all are determined."""
+        return (_repeated(self) if self.held_out is None
+                else (tuple(self.held_out.errors[:, None]), True))
+
+    def control_rmse(self) -> Rmse | None:
+        """Return the RMSE of the control features in use."""
+        return rmse_of(self.control_errors(self.used), int(self.used.sum()))
+
+    def control_errors(self, features: BoolArray) -> FloatArray:
+        """Return the errors of some control features [px], of lines at each vertex."""
         some = self.control.take(features)
         errors = [self.errors(some.points)]
         if len(some.lines):
@@ -133,89 +359,42 @@ class Fit:
 
     def rmse(self, points: Points) -> Rmse | None:
         """Return the RMSE of points that took no part in the adjustment; None without points."""
-        return _rmse(self.errors(points), len(points))
+        return rmse_of(self.errors(points), len(points))
 
 
-def _rmse(errors: FloatArray, n: int) -> Rmse | None:
+@one_blas_thread
+def _repeated(fitted: Fit) -> tuple[tuple[FloatArray, ...], bool]:
+    others = list(fitted.estimator.without_each(fitted))
+    return (tuple(other.control_errors(fitted.used & ~other.used) for other in others),
+            all(other.determined for other in others))
+
+
+def rmse_of(errors: FloatArray, n: int) -> Rmse | None:
+    """Return the RMSE of errors, shape (..., 2), of n features; None without any."""
     if not n:
         return None
     line, sample = np.sqrt((errors**2).mean(axis=0)).tolist()
     return Rmse(line, sample, float(np.hypot(line, sample)), n)
 
 
-def fit(model: SensorModel, control: FeatureSet, scaling: Scaling,
+def fit(model: Fittable, control: FeatureSet, scaling: Scaling,
         terms: BoolArray | None = None, used: BoolArray | None = None, *,
         iterated: bool = True) -> Fit:
-    """Fit a model to control features.
+    """Fit a model to control features by least squares, whether or not they determine it.
 
     Parameters
     ----------
-    model : SensorModel
+    model : Fittable
     control : FeatureSet
-        In pixels and ground units.
+        In px and ground units.
     scaling : Scaling
     terms : ndarray of bool, shape (k,), optional
         Terms in use; all by default.
     used : ndarray of bool, shape (len(control),), optional
         Features in use; all by default.
     iterated : bool
-        Whether to go on from equations that hold to first order to the least squares of
-        distances; else the fit is the one a search judges.
+        As for `LeastSquares`.
     """
     terms = np.ones(len(model.terms), dtype=bool) if terms is None else terms
     used = np.ones(len(control), dtype=bool) if used is None else used
-    model = model.prepared(scaling, control.crs)
-    features = scaling.features(control)
-    adjustment = (adjust(model, features, terms, used) if iterated
-                  else solve(model.equations(features), terms, used))
-    return Fit(model, scaling, control, terms, used, adjustment)
-
-
-def adjust(model: SensorModel, features: FeatureSet, terms: BoolArray,
-           used: BoolArray) -> Adjustment:
-    """Return the least squares of distances, by Gauss-Newton where equations are not exact.
-
-    A step that does not lessen the sum of squared distances is halved, and where that does not
-    help the search ends.
-
-    Parameters
-    ----------
-    model : SensorModel
-        Prepared for the features.
-    features : FeatureSet
-        In scaled coordinates.
-    terms, used : ndarray of bool
-        As for `fit`.
-    """
-    adjustment = solve(model.equations(features), terms, used)
-
-    def left(equations: Equations, coefficients: FloatArray) -> FloatArray:
-        """Return what the rows in use leave, pseudo-observations with them."""
-        A, b = equations.take(used[equations.feature], np.ones_like(terms)).held()
-        return np.asarray(b - A @ coefficients)
-
-    equations = (model.linearised(features, adjustment.coefficients)
-                 if adjustment.feasible else None)
-    for _ in range(ITERATIONS):
-        if equations is None:
-            break
-        v = left(equations, adjustment.coefficients)
-        step = solve(equations, terms, used).coefficients - adjustment.coefficients
-        for share in HALVINGS:
-            coefficients = adjustment.coefficients + share * step
-            nearer = model.linearised(features, coefficients)
-            assert nearer is not None
-            w = left(nearer, coefficients)
-            if w @ w < (1 - 1e-10) * (v @ v):
-                break
-        else:
-            break
-        there = solve(nearer, terms, used)
-        if not there.feasible:  # near a pole, where the equations say nothing of what is determined
-            break
-        equations = nearer
-        adjustment = replace(there, coefficients=coefficients,
-                             residuals=equations.b - equations.A @ coefficients)
-    return adjustment
-
-
+    return LeastSquares(iterated).fit(model, control, scaling, terms, used)

@@ -9,9 +9,14 @@ from typing import Any
 
 import numpy as np
 
-from termsel.fits.fit import Fit
-from termsel.measurements.features import FloatArray, IntArray, Lines, select
-from termsel.measurements.roles import Observations
+from termsel.measurements.features import (
+    FeatureSet,
+    FloatArray,
+    IntArray,
+    Lines,
+    Points,
+    select,
+)
 
 
 @dataclass(frozen=True)
@@ -27,11 +32,11 @@ class Residual:
     used : bool
         Whether the feature took part in the adjustment.
     line, sample : float
-        Measured minus computed [pixel]; for a vertex, from its projection to the image line.
+        Measured minus computed [px]; for a vertex, from its projection to the image line.
     x, y, z : float
         Ground coordinates; NaN for a height that is not known.
     distance : float
-        Length of that vector [pixel].
+        Length of that vector [px].
     """
 
     id: str
@@ -68,37 +73,39 @@ class Residuals(tuple[Residual, ...]):
             for i, residual in enumerate(self)]}
 
 
-def residuals_of(chosen: Fit, observations: Observations, *,
-                 check_used: bool = False) -> Residuals:
-    """Return the residuals of all features that have a role.
+def control_residuals(control: FeatureSet, used: Iterable[bool], errors: FloatArray,
+                      line_errors: FloatArray) -> Residuals:
+    """Return the errors of control features as a table.
 
     Parameters
     ----------
-    chosen : Fit
-        Fitted to the control of the observations.
-    observations : Observations
-    check_used : bool
-        Whether the check points took part in the adjustment too.
+    control : FeatureSet
+    used : iterable of bool, length len(control)
+    errors : ndarray, shape (n, 2)
+        Of the points [px].
+    line_errors : ndarray, shape (n_lines, 2, 2)
+        Of both ground vertices of the lines [px].
     """
-    return Residuals(_each(chosen, observations, check_used))
+    return Residuals(_of_control(control, tuple(bool(on) for on in used), errors, line_errors))
 
 
-def _each(chosen: Fit, observations: Observations, check_used: bool) -> Iterator[Residual]:
-    points, lines = observations.control.points, observations.control.lines
-    used = tuple(bool(on) for on in chosen.used)
-    yield from _rows(points.ids, chosen.errors(points), points.ground, "control",
-                     used[:len(points)])
-    errors, piece = chosen.line_errors(), _pieces(lines)
+def point_residuals(points: Points, errors: FloatArray, role: str, used: bool) -> Residuals:
+    """Return the errors of points [px], shape (n, 2), that all have one role, as a table."""
+    return Residuals(_rows(points.ids, errors, points.ground, role, (used,) * len(points)))
+
+
+def _of_control(control: FeatureSet, used: tuple[bool, ...], errors: FloatArray,
+                line_errors: FloatArray) -> Iterator[Residual]:
+    points, lines = control.points, control.lines
+    yield from _rows(points.ids, errors, points.ground, "control", used[:len(points)])
+    piece = _pieces(lines)
     for i in range(piece.max(initial=-1) + 1):
         which = piece == i
         features = len(points) + lines.feature[which]
         for vertex in (0, 1):
-            yield from _rows(select(lines.ids, which), errors[which, vertex],
+            yield from _rows(select(lines.ids, which), line_errors[which, vertex],
                              lines.ground[which, vertex], "control",
                              tuple(used[f] for f in features), f"vertex {2 * i + vertex + 1}")
-    for role, others in (("check", observations.check), ("independent", observations.independent)):
-        yield from _rows(others.ids, chosen.errors(others), others.ground, role,
-                         (check_used and role == "check",) * len(others))
 
 
 def _rows(ids: tuple[str, ...], errors: FloatArray, ground: FloatArray, role: str,

@@ -1,4 +1,4 @@
-"""Write a file whole or not at all."""
+"""Write a file completely or not at all."""
 
 from __future__ import annotations
 
@@ -36,7 +36,8 @@ def atomic_path(path: Path | str) -> Iterator[Path]:
     if target.exists() and not target.is_file():
         raise TermselError("this is not an ordinary file and cannot be replaced", file=path,
                            hint="Give the name of a file to write.")
-    if not os.access(target.parent, os.W_OK | os.X_OK):  # said before long work, by its own name
+    # Before long work, and with the name as given.
+    if not os.access(target.parent, os.W_OK | os.X_OK):
         why = "no permission" if target.parent.is_dir() else "there is no such folder"
         raise _cannot_write(path, why)
     # Not tempfile: its files are private to the user, those of open() follow the umask. The
@@ -53,7 +54,7 @@ def atomic_path(path: Path | str) -> Iterator[Path]:
 
 
 def require_new(path: Path) -> None:
-    """Refuse to replace a file that nobody has said may be replaced.
+    """Refuse to replace an existing file without permission.
 
     Raises
     ------
@@ -61,17 +62,17 @@ def require_new(path: Path) -> None:
         If there is such a file.
     """
     if path.exists():
-        raise TermselError("this file exists already", file=path,
-                           hint="Choose another name, or give --overwrite.")
+        raise TermselError("this file already exists", file=path,
+                           hint="Choose another name, or add --overwrite.")
 
 
 def _cannot_write(path: Path | str, why: str) -> TermselError:
     return TermselError(f"cannot write this file: {why}", file=path,
-                        hint="Check that the folder exists, may be written to and has room.")
+                        hint="Check that the folder exists, is writable and has free space.")
 
 
 def write_bytes(path: Path | str, data: bytes) -> None:
-    """Write `data` to `path`, whole or not at all.
+    """Write `data` to `path`, completely or not at all.
 
     Raises
     ------
@@ -83,7 +84,7 @@ def write_bytes(path: Path | str, data: bytes) -> None:
 
 
 def write_text(path: Path | str, text: str) -> None:
-    """Write `text` to `path` as UTF-8 with its line ends as they are, whole or not at all.
+    """Write `text` to `path` as UTF-8 with its line ends as they are, completely or not at all.
 
     Raises
     ------

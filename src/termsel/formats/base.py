@@ -20,16 +20,16 @@ _UTF16 = (b"\xff\xfe", b"\xfe\xff")
 class Reader(Configurable, ABC):
     """Reads one format of ground control features.
 
-    The options a reader declares are given by ``--set``, or to `termsel.read`.
+    Options that a reader declares are given with ``--set``, or to `termsel.read`.
 
     Attributes
     ----------
     name : str
         As in ``termsel list readers``.
     summary : str
-        One line that says what a file of this format holds and how it begins.
+        One line: what a file of this format holds and how it begins.
     areas : bool
-        Whether what it returns as points or lines are areas, which ``--areas`` takes. Such a
+        Whether it reads areas, given with ``--areas``, as points or lines. Such a
         reader has the option `areas_as`: "boundary" for lines, "centroid" for points.
     """
 
@@ -65,14 +65,14 @@ class Reader(Configurable, ABC):
         Raises
         ------
         TermselError
-            Naming file, line and column, for anything in the file the user must mend.
+            Naming file, line and column, for anything in the file that the user must correct.
         """
 
 
 class Writer(Configurable, ABC):
     """Writes a result in one format.
 
-    The options a writer declares are given by ``--image``, ``--dem`` and ``--set``.
+    Options that a writer declares are given with ``--image``, ``--dem`` and ``--set``.
 
     Attributes
     ----------
@@ -81,7 +81,7 @@ class Writer(Configurable, ABC):
     summary : str
         One line that says what is written and who reads it.
     suffix : str
-        What the names of such files end with, as ``termsel run --export`` names them.
+        Ending of the file names that ``termsel run --export`` chooses.
     """
 
     name: ClassVar[str]
@@ -93,12 +93,12 @@ class Writer(Configurable, ABC):
         """Return True if this format can hold `result`."""
 
     def files(self, path: Path) -> tuple[Path, ...]:
-        """Return all files that are written for `path`, none of which is replaced unasked."""
+        """Return all files written for `path`; none is replaced without permission."""
         return (path,)
 
     @abstractmethod
     def write(self, result: Result, path: Path) -> None:
-        """Write `result` to `path`, whole or not at all (`termsel.formats.atomic`).
+        """Write `result` to `path`, completely or not at all (`termsel.formats.atomic`).
 
         Raises
         ------
@@ -109,7 +109,7 @@ class Writer(Configurable, ABC):
 
 def located(error: TermselError, file: Path, line: int | None = None,
             column: str | None = None) -> TermselError:
-    """Return `error` with the place it was found at.
+    """Return `error` with the place where it was found.
 
     Parameters
     ----------
@@ -141,13 +141,13 @@ def read_text(path: Path) -> str:
     if is_utf16(data):
         raise utf16_error(path)
     if b"\0" in data:
-        raise TermselError("this is a binary file, expected UTF-8 text", file=path)
+        raise TermselError("this file is binary, expected UTF-8 text", file=path)
     try:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         line = error.object[:error.start].count(b"\n") + 1
-        raise TermselError("this text is not UTF-8", file=path, line=line,
-                           hint="Save it again with the encoding UTF-8.") from error
+        raise TermselError("the text of this file is not UTF-8", file=path, line=line,
+                           hint="Save it with the encoding UTF-8.") from error
 
 
 def read_head(path: Path, expected: str) -> bytes:
@@ -157,7 +157,7 @@ def read_head(path: Path, expected: str) -> bytes:
     ----------
     path : pathlib.Path
     expected : str
-        A sentence on what the file should be.
+        A sentence that says what the file should be.
 
     Raises
     ------
@@ -170,8 +170,8 @@ def read_head(path: Path, expected: str) -> bytes:
         with path.open("rb") as file:
             head = file.read(_HEAD)
     except FileNotFoundError as error:
-        raise TermselError("there is no such file", file=path,
-                           hint="Check the name and the folder it is given from.") from error
+        raise TermselError("this file does not exist", file=path,
+                           hint="Check the name and the folder.") from error
     except OSError as error:
         raise _unreadable(path, error) from error
     if not head.strip():
@@ -189,5 +189,5 @@ def is_utf16(head: bytes) -> bool:
 
 
 def utf16_error(path: Path) -> TermselError:
-    return TermselError("this text is UTF-16, expected UTF-8", file=path,
-                        hint="Save it again with the encoding UTF-8.")
+    return TermselError("the text of this file is UTF-16, expected UTF-8", file=path,
+                        hint="Save it with the encoding UTF-8.")

@@ -1,4 +1,4 @@
-"""Heights from a raster, for files that give none."""
+"""Heights from a raster, for files without heights."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class Dem:
     def __call__(self, xy: FloatArray) -> FloatArray:
         """Return heights, shape (n,), of x and y, shape (n, 2); NaN where there are none.
 
-        Heights are those of the pixels' centres. In the outer half of the outermost pixels
+        Heights are those of the pixel centres. In the outer half of the outermost pixels
         they are constant across the edge.
         """
         x, y = self.to_raster.transform(*np.asarray(xy, dtype=np.float64).T)
@@ -103,17 +103,18 @@ def open_dem(path: Path, crs: str) -> Iterator[Dem]:
         and that of `crs` are known and differ; if `crs` is "local".
     """
     if crs == LOCAL:
-        raise TermselError("heights cannot be taken from a raster without a CRS", file=path,
+        raise TermselError("a raster gives heights only to ground coordinates with a "
+                           "CRS", file=path,
                            hint="State the CRS of the ground coordinates instead of local.")
     with open_raster(path) as raster:
         try:
             from pyproj import CRS, Transformer
         except ImportError:
-            raise TermselError("heights need the package pyproj, which is not installed",
+            raise TermselError("heights require the package pyproj, which is not installed",
                                hint='Install it: pip install "termsel[gis]".') from None
         if raster.crs is None or raster.transform.is_identity:
             raise TermselError("this raster is not georeferenced", file=path,
-                               hint="Heights need a raster with a geotransform and a CRS.")
+                               hint="Give a raster with a geotransform and a CRS.")
         unit = (raster.units[0] or "").lower()
         if raster.count != 1 or unit not in _METRES:
             what = f"has {raster.count} bands" if raster.count != 1 else f"is in {unit}"
@@ -124,8 +125,8 @@ def open_dem(path: Path, crs: str) -> Iterator[Dem]:
         if datum and stated and datum != stated:
             raise TermselError(
                 f"the heights of this raster are {datum}, those of the ground coordinates {stated}",
-                file=path, hint="termsel does not convert heights: give a raster of the other "
-                                "kind, or a --crs that says nothing of heights, such as EPSG:4326.")
+                file=path, hint="termsel does not convert heights. Give a raster with the same "
+                                "heights, or a --crs without a vertical datum, such as EPSG:4326.")
         to_raster = Transformer.from_crs(CRS.from_user_input(crs).to_2d(), own.to_2d(),
                                          always_xy=True)
         yield Dem(path, raster, to_raster, datum or "not declared by the raster")
@@ -133,7 +134,7 @@ def open_dem(path: Path, crs: str) -> Iterator[Dem]:
 
 @contextmanager
 def surface_of(dem: Path | str | None, crs: str, height: float) -> Iterator[Dem | float]:
-    """Open a raster of heights, or yield the height that stands for it where there is none.
+    """Open a raster of heights, or yield a constant height in its place.
 
     Parameters
     ----------
@@ -167,7 +168,7 @@ def with_heights(features: FeatureSet, dem: Path) -> FeatureSet:
     Raises
     ------
     TermselError
-        As `open_dem`; naming all features outside the raster or on pixels without data.
+        As `open_dem`; names all features outside the raster or on pixels without data.
     """
     ground = features.ground_vertices()
     unknown = np.isnan(ground[:, 2])
@@ -180,10 +181,9 @@ def with_heights(features: FeatureSet, dem: Path) -> FeatureSet:
         owner = features.points.ids + tuple(np.repeat(features.lines.ids, 2))
         names = list(dict.fromkeys(str(owner[i]) for i in np.flatnonzero(gone)))
         named = ", ".join(names[:_NAMED]) + (" ..." if len(names) > _NAMED else "")
-        raise TermselError(f"there is no height here for {len(names)} of {len(features)} features, "
-                           f"outside the raster or without data: {named}", file=dem, ids=names,
-                           hint="Give a larger raster, fill its holes, or leave these features "
-                                "out.")
+        raise TermselError(f"{len(names)} of {len(features)} features are outside the raster or "
+                           f"where it has no data: {named}", file=dem, ids=names,
+                           hint="Give a larger raster, fill its holes, or remove these features.")
     n = len(features.points)
     statement = (f"{unknown.sum()} of {len(ground)} heights from {dem.name}, bilinear; vertical "
                  f"datum: {datum}")

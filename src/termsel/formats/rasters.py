@@ -26,22 +26,22 @@ def require_rasterio() -> Any:
     try:
         import rasterio
     except ImportError:
-        raise TermselError("this needs the packages for rasters, and rasterio is not installed",
-                           hint='Install them: pip install "termsel[gis]".') from None
-    # GDAL's errors come as exceptions, and termsel says what they mean; the log says them twice.
+        raise TermselError("this requires rasterio, which is not installed",
+                           hint='Install it: pip install "termsel[gis]".') from None
+    # GDAL's errors come as exceptions, which termsel explains; the log would repeat them.
     logging.getLogger("rasterio").addHandler(logging.NullHandler())
     return rasterio
 
 
 def empty_tiff() -> bytes:
-    """Return a GeoTIFF of one pixel, for files that GDAL reads only beside an image."""
+    """Return a GeoTIFF with a single pixel, for files that GDAL reads only next to an image."""
     return tiff_bytes(np.zeros((1, 1, 1), dtype=np.uint8))
 
 
 def tiff_bytes(pixels: Any, **profile: Any) -> bytes:
     """Return a GeoTIFF of pixels, shape (bands, lines, samples), made in memory.
 
-    A file that is written as bytes is known to be whole; GDAL may not say that a disk was full.
+    A file that is written as bytes is complete; GDAL may not report a full disk.
     """
     rasterio = require_rasterio()
     with warnings.catch_warnings():
@@ -80,12 +80,12 @@ def open_raster(path: Path | str) -> Iterator[Any]:
             yield raster
     except (rasterio.errors.RasterioError, rasterio.errors.RasterioIOError) as error:
         if not Path(path).exists():
-            raise TermselError("there is no such file", file=path,
-                               hint="Check the name and the folder it is given from.") from error
-        # What rasterio says of a failed read is only that its cause says more.
+            raise TermselError("this file does not exist", file=path,
+                               hint="Check the name and the folder.") from error
+        # rasterio's own message only points to the cause.
         reason = str(error.__cause__ or error).rstrip(".")
         raise TermselError(f"GDAL cannot read this raster: {reason}", file=path,
-                           hint="Is it whole, and an image?") from error
+                           hint="Is it complete, and an image?") from error
 
 
 def positions(raster: Any, x: FloatArray, y: FloatArray) -> FloatArray:

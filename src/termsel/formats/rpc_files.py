@@ -37,7 +37,7 @@ def read_rpc(path: Path | str) -> Rpc:
     ----------
     path : path-like
         RPB, _RPC.TXT, DIMAP version 1 to 3, DigitalGlobe XML, VRT or PAM (.aux.xml), or an
-        image with an RPC in its tags or in a file beside it, which GDAL reads (extra `gis`).
+        image with an RPC in its tags or in a file next to it, which GDAL reads (extra `gis`).
 
     Raises
     ------
@@ -75,7 +75,7 @@ def _read(path: Path, head: bytes) -> Rpc:
                 _number(number, name, line)
             items[item] = value
     if not items.keys() & (RPB_NAMES.keys() | {"LINE_NUM_COEFF_1"}):
-        raise TermselError("this file holds no RPC", file=path, hint=f"Expected {KNOWN}.")
+        raise TermselError("this file has no RPC", file=path, hint=f"Expected {KNOWN}.")
     return from_items(items)
 
 
@@ -86,7 +86,7 @@ def from_items(items: Mapping[str, str]) -> Rpc:
     ----------
     items : mapping of str to str
         Such as LINE_OFF; coefficients as LINE_NUM_COEFF with 20 numbers or as LINE_NUM_COEFF_1
-        and so on. Units behind numbers are disregarded.
+        and so on. Units after numbers are ignored.
 
     Raises
     ------
@@ -95,7 +95,7 @@ def from_items(items: Mapping[str, str]) -> Rpc:
     """
     def one(name: str) -> float:
         if not (found := items.get(name, "").split()):
-            raise TermselError(f"the RPC lacks {name}", hint="Is the file whole?")
+            raise TermselError(f"the RPC lacks {name}", hint="Is the file complete?")
         return _number(found[0], name)
 
     def twenty(name: str) -> tuple[float, ...]:
@@ -103,7 +103,7 @@ def from_items(items: Mapping[str, str]) -> Rpc:
             found = tuple(_number(text, name) for text in _NUMBERS.findall(items[name]))
             if len(found) != N_COEFFICIENTS:
                 raise TermselError(f"{name} has {len(found)} numbers, expected {N_COEFFICIENTS}",
-                                   hint="Is the file whole?")
+                                   hint="Is the file complete?")
             return found
         return tuple(one(f"{name}_{i + 1}") for i in range(N_COEFFICIENTS))
 
@@ -131,7 +131,7 @@ def _from_xml(path: Path) -> Rpc:
         root = ElementTree.fromstring(path.read_bytes())
     except ElementTree.ParseError as error:
         raise TermselError(f"this XML cannot be read: {error}", file=path,
-                           line=error.position[0], hint="Is the file whole?") from error
+                           line=error.position[0], hint="Is the file complete?") from error
     if root.tag == "Dimap_Document":
         return _from_dimap(root)
     items = {item.get("key", ""): item.text or "" for domain in root.iter("Metadata")
@@ -140,7 +140,7 @@ def _from_xml(path: Path) -> Rpc:
         digital_globe = {rpb.upper(): name for name, rpb in (RPB_NAMES | ERROR_NAMES).items()}
         items = {digital_globe[name]: text for name, text in _texts(root) if name in digital_globe}
     if not items:
-        raise TermselError(f"this XML <{root.tag}> holds no RPC", file=path,
+        raise TermselError(f"this XML <{root.tag}> has no RPC", file=path,
                            hint=f"Expected {KNOWN}.")
     return from_items(items)
 
@@ -153,8 +153,8 @@ def _from_dimap(root: ElementTree.Element) -> Rpc:
     """
     model, domain = root.find(".//Global_RFM"), root.find(".//RFM_Validity")
     if model is None or domain is None:
-        raise TermselError("this DIMAP file has no Global_RFM with its RFM_Validity",
-                           hint="The RPC of an image is in the file RPC_*.XML beside it.")
+        raise TermselError("this DIMAP file has no Global_RFM with RFM_Validity",
+                           hint="The RPC of an image is in the file RPC_*.XML next to it.")
     values = model.find("GroundtoImage_Values")
     first = "1"
     if values is None:

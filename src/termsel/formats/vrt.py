@@ -13,7 +13,7 @@ from termsel.formats.rasters import open_raster
 from termsel.options import Option
 from termsel.results.result import Result
 
-IMAGE = Option("image", None, "The image; without it the VRT has its size and no pixels.")
+IMAGE = Option("image", None, "The image; if not given, the VRT has a size but no pixels.")
 """Option of every writer of a VRT."""
 
 _DATA_TYPES = {
@@ -31,7 +31,7 @@ class Gcp:
     ----------
     id : str
     line, sample : float
-        [pixel]; the centre of the upper-left pixel is (0, 0).
+        [px]; the centre of the upper-left pixel is (0, 0).
     x, y, z : float
     """
 
@@ -75,12 +75,12 @@ def picture_for(result: Result, image: Path | str | None) -> Picture:
     ----------
     result : Result
     image : path-like, optional
-        Without it the size is that of the image, where it is known, or of the measured points.
+        If not given, the size is that of the image, if known, or of the measured points.
 
     Raises
     ------
     TermselError
-        If GDAL cannot read the image, or it has another size than the result's.
+        If GDAL cannot read the image, or its size differs from that of the result.
     """
     known = result.features.image_size
     if image is None:
@@ -90,13 +90,13 @@ def picture_for(result: Result, image: Path | str | None) -> Picture:
     bottom, right = result.features.image_vertices().max(axis=0)
     if known is None and (bottom > picture.size[0] or right > picture.size[1]):
         raise TermselError(f"the image has {picture.size[0]} lines and {picture.size[1]} samples, "
-                           f"and features were measured up to line {bottom:g} and sample "
+                           f"but features extend to line {bottom:g} and sample "
                            f"{right:g}", file=image,
-                           hint="Give the image the features were measured in.")
+                           hint="Give the image in which the features were measured.")
     if known is not None and picture.size != known:
         raise TermselError(f"the image has {picture.size[0]} lines and {picture.size[1]} samples, "
-                           f"that of the result has {known[0]} and {known[1]}", file=image,
-                           hint="Give the image the features were measured in.")
+                           f"the image of the result {known[0]} and {known[1]}", file=image,
+                           hint="Give the image in which the features were measured.")
     return picture
 
 
@@ -128,7 +128,7 @@ def vrt_text(
     ----------
     picture : Picture
     folder : pathlib.Path
-        Where the VRT will be; the image is named from there.
+        Folder of the VRT; the path of the image is relative to it.
     domains : mapping, optional
         Metadata items by domain, such as "RPC".
     gcps : sequence of Gcp, optional

@@ -1,4 +1,1 @@
-"""Files in and out: one module a family of formats.
-
-`base` holds what every format shares, `atomic` writes a file whole or not at all.
-"""
+"""Verbs on files: read, export, project, rectify, and the folder of a result."""

@@ -29,8 +29,8 @@ def writer_of(to: str, **options: Any) -> Writer:
     TermselError
         For an unknown name or option.
     """
-    writer: Writer = registry().get("writers", to)
-    return type(writer)(**options) if options else writer
+    writer: type[Writer] = registry().get("writers", to)
+    return writer(**options)
 
 
 def export(result: Result, to: str, path: Path | str, *, overwrite: bool = False,
@@ -44,22 +44,22 @@ def export(result: Result, to: str, path: Path | str, *, overwrite: bool = False
         As in ``termsel list writers``.
     path : path-like
     overwrite : bool
-        Whether a file that is there may be replaced, such as a vendor's RPC.
+        Whether an existing file may be replaced, such as a vendor's RPC.
     **options
         Options of the writer, such as `image`.
 
     Raises
     ------
     TermselError
-        If there is no such format or option, the format does not hold this result, the file
+        If there is no such format or option, the format cannot hold this result, the file
         exists and may not be replaced, or it cannot be written.
     """
     path = Path(path)
     writer = writer_of(to, **options)
     if not writer.accepts(result):
         others = ", ".join(entry.name for entry in registry().entries("writers")
-                           if entry.object.accepts(result))
-        raise TermselError(f"the format {to} does not hold this result",
+                           if entry.object().accepts(result))
+        raise TermselError(f"the format {to} cannot hold this result",
                            hint=f"termsel describe {to} says what it needs. Formats that do: "
                                 f"{others}.")
     if not overwrite:

@@ -62,9 +62,9 @@ def project_table(
             raise TermselError("--dem and --height exclude each other", hint="Give one of them.")
         if height is not None and not np.isfinite(height):
             raise TermselError(f"the height of the ground cannot be {height}",
-                               hint="Give a number.")
+                               hint="Give a finite number.")
         if dem is None and height is None and model.uses_height:
-            raise TermselError("where a ray meets the ground depends on its height",
+            raise TermselError("the ground position depends on the height",
                                hint="Give --dem FILE or --height H.")
         with surface_of(dem, crs, 0.0 if height is None else height) as surface:
             ground = result.locate(image, surface)
@@ -72,18 +72,19 @@ def project_table(
             ground[:, 2] = np.nan
     else:
         if dem is not None or height is not None:
-            raise TermselError("--dem and --height are for the way from image to ground",
-                               hint="Give --inverse too, or leave them out.")
+            raise TermselError("--dem and --height require --inverse",
+                               hint="Add --inverse, or remove them.")
         names = ("x", "y", "z") if model.uses_height else ("x", "y")
         table = _table(path, *names)
         if table.crs and table.crs != normalise(crs):
-            raise TermselError(f"the file declares the CRS {table.crs}, the control is in {crs}",
-                               file=path, hint="Transform the points.")
+            raise TermselError(f"the file declares the CRS {table.crs}, but the control is in "
+                               f"{crs}",
+                               file=path, hint="Transform the points to the CRS of the control.")
         ground = np.full((len(table.lines), 3), np.nan)
         ground[:, :len(names)] = table.stack(*names)
         blank = np.flatnonzero(np.isnan(ground[:, len(names) - 1]))
         if blank.size:
-            raise table.error("the height is blank, and the model needs it", int(blank[0]), "z")
+            raise table.error("the height is blank, but the model requires it", int(blank[0]), "z")
         with np.errstate(all="ignore"):
             image = result.project(ground)
         image[~np.isfinite(image)] = np.nan
@@ -98,5 +99,5 @@ def project_table(
 
 def _table(path: Path, *meanings: str) -> Table:
     if not path.is_file():
-        raise TermselError("there is no such file", file=path)
+        raise TermselError("this file does not exist", file=path)
     return read_table(path, _ID | {meaning: COORDINATES[meaning] for meaning in meanings})

@@ -1,4 +1,4 @@
-"""Files of ground control features, read by whatever reader is installed."""
+"""Files of ground control features, read by the installed readers."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def read(
     dem: Path | str | None = None,
     **options: Any,
 ) -> FeatureSet:
-    """Return the control features of files of points, of lines and of areas.
+    """Return the control features in files of points, lines and areas.
 
     Parameters
     ----------
@@ -38,7 +38,7 @@ def read(
     crs : str, optional
         CRS of the ground coordinates, where no file declares it: "EPSG:n", WKT, or "local".
     format : str or sequence of str, optional
-        Names of readers, in the order of the files, instead of judging by the content.
+        Names of the readers, in the order of the files; by default judged by the content.
     dem : path-like, optional
         Raster of heights, from which unknown ones are taken; see
         `termsel.formats.heights.with_heights`.
@@ -52,7 +52,7 @@ def read(
     Raises
     ------
     TermselError
-        Naming file, line and column, for anything the user can mend.
+        Naming file, line and column, for anything the user can correct.
     """
     paths = [None if path is None else Path(path) for path in (points, lines, areas)]
     features = read_features(
@@ -66,7 +66,7 @@ def read(
 
     return with_heights(features, Path(dem))
 
-def read_file(path: Path, readers: Iterable[Reader], format: str | None = None,
+def read_file(path: Path, readers: Iterable[type[Reader]], format: str | None = None,
               options: Mapping[str, Any] | None = None) -> FeatureSet:
     """Return the features of a file, with the first reader that recognises its content.
 
@@ -78,20 +78,20 @@ def read_file(path: Path, readers: Iterable[Reader], format: str | None = None,
     Raises
     ------
     TermselError
-        As `find_reader`, or if the content is at fault.
+        As `find_reader`, or if the content is invalid.
     """
     return find_reader(path, readers, format, options).read(path)
 
 
-def find_reader(path: Path, readers: Iterable[Reader], format: str | None = None,
+def find_reader(path: Path, readers: Iterable[type[Reader]], format: str | None = None,
                 options: Mapping[str, Any] | None = None) -> Reader:
     """Return the first reader that recognises the content of a file.
 
     Parameters
     ----------
     path : pathlib.Path
-    readers : iterable of Reader
-        In the order they are asked.
+    readers : iterable of type
+        Subclasses of Reader, in the order they are asked.
     format : str, optional
         The name of the reader to use, whatever the content looks like.
     options : mapping, optional
@@ -100,7 +100,7 @@ def find_reader(path: Path, readers: Iterable[Reader], format: str | None = None
     Raises
     ------
     TermselError
-        If there is no such reader, an option does not take its value, the file is missing,
+        If there is no such reader, an option does not accept its value, the file is missing,
         empty, a folder or not readable, or no reader recognises it.
     """
     known = [_with_options(reader, options or {}) for reader in readers]
@@ -115,18 +115,17 @@ def find_reader(path: Path, readers: Iterable[Reader], format: str | None = None
     if is_utf16(head):
         raise utf16_error(path)
     kind = "binary file" if b"\0" in head else "file"
-    raise TermselError(f"this {kind} is in no format termsel knows", file=path, hint=expected)
+    raise TermselError(f"this {kind} is in no format that termsel knows", file=path, hint=expected)
 
 
-def _with_options(reader: Reader, given: Mapping[str, Any]) -> Reader:
-    own = {o.name: given[o.name] for o in reader.declared_options if o.name in given}
-    return type(reader)(**{**reader.options, **own}) if own else reader
+def _with_options(reader: type[Reader], given: Mapping[str, Any]) -> Reader:
+    return reader(**{o.name: given[o.name] for o in reader.declared_options if o.name in given})
 
 
 def read_features(points: Path | None, lines: Path | None, *, areas: Path | None = None,
-                  crs: str | None, readers: Iterable[Reader], formats: Sequence[str] = (),
+                  crs: str | None, readers: Iterable[type[Reader]], formats: Sequence[str] = (),
                   options: Mapping[str, Any] | None = None) -> FeatureSet:
-    """Return the points, lines and areas of a file each, in one CRS.
+    """Return the points, lines and areas of one file each, in one CRS.
 
     Parameters
     ----------
@@ -135,9 +134,9 @@ def read_features(points: Path | None, lines: Path | None, *, areas: Path | None
         points or lines.
     crs : str, optional
         What the user states; needed where no file declares one.
-    readers : iterable of Reader
+    readers : iterable of type
     formats : sequence of str
-        Names of the readers of the files, in their order, as far as they are to be forced.
+        Names of the readers of the files, in their order, as far as they are forced.
     options : mapping, optional
         Options of the readers.
 
@@ -155,8 +154,8 @@ def read_features(points: Path | None, lines: Path | None, *, areas: Path | None
     stated = None if crs is None else normalise(crs)
     paths = list(dict.fromkeys(path for path in (points, lines, areas) if path is not None))
     if len(formats) > len(paths):
-        raise TermselError(f"{len(formats)} formats are given for {len(paths)} files",
-                           hint="Give --format once for each file, that of the points first.")
+        raise TermselError(f"there are {len(formats)} --format for {len(paths)} files",
+                           hint="Give --format once per file, that of the points first.")
     chosen = {path: find_reader(path, known, name, options)
               for path, name in zip_longest(paths, formats)}
     _refuse_idle(options or {}, chosen)
@@ -184,14 +183,14 @@ def read_features(points: Path | None, lines: Path | None, *, areas: Path | None
 
 def _check_areas(path: Path, reader: Reader, asked: bool) -> None:
     if not reader.areas:
-        raise TermselError(f"the file holds no areas: it is read as {reader.name}", file=path,
+        raise TermselError(f"the file has no areas: it is read as {reader.name}", file=path,
                            hint="Give points with --points and lines with --lines.")
     if not asked:
-        raise TermselError("the file holds areas", file=path, hint="Give it with --areas alone.")
+        raise TermselError("the file has areas", file=path, hint="Give it with --areas alone.")
 
 
 def _with_areas(features: FeatureSet, areas: FeatureSet, path: Path) -> FeatureSet:
-    """Return the features with areas among them, each as what it was read as."""
+    """Return the features together with the areas, as points or lines as they were read."""
     both = set(features.ids) & set(areas.ids)
     if both:
         raise TermselError(f"{min(both)!r} is the id of an area and of a point or line",
@@ -206,23 +205,24 @@ def _with_areas(features: FeatureSet, areas: FeatureSet, path: Path) -> FeatureS
 def _refuse_idle(options: Mapping[str, Any], chosen: Mapping[Path, Reader]) -> None:
     for key in options:
         if not any(key in reader.options for reader in chosen.values()):
+            names = dict.fromkeys(reader.name for reader in chosen.values())
             raise TermselError(
-                f"option {key!r} means nothing to " + " and ".join(
-                    f"{reader.name}, the format of {path}" for path, reader in chosen.items()),
-                hint="Leave it out, or force another format with --format.")
+                f"{' and '.join(names)} {'have' if len(names) > 1 else 'has'} no option {key!r}",
+                file=" and ".join(map(str, chosen)),
+                hint="Remove it, or choose another format with --format.")
 
 
 def _check_kinds(path: Path, counts: dict[str, int], asked: dict[str, bool]) -> None:
     there = [kind for kind, count in counts.items() if count]
     for kind in counts:
         if asked[kind] and kind not in there:
-            raise TermselError(f"the file holds no {kind}", file=path, hint=" ".join(
-                f"It holds {other}: give it with --{other}." for other in there) or None)
+            raise TermselError(f"the file has no {kind}", file=path, hint=" ".join(
+                f"It has {other}: give it with --{other}." for other in there) or None)
     for kind in there:
         if not asked[kind]:
-            raise TermselError(f"the file also holds {kind}", file=path,
+            raise TermselError(f"the file also has {kind}", file=path,
                                hint=f"Give it with --{kind} too, or keep points and lines in "
-                                    "files of their own.")
+                                    "separate files.")
 
 
 def _agreed_crs(sets: dict[Path, FeatureSet], stated: str | None) -> str:
@@ -240,9 +240,9 @@ def _agreed_crs(sets: dict[Path, FeatureSet], stated: str | None) -> str:
         elif declared != agreed and (stated, declared) != ("EPSG:4979", "EPSG:4326"):
             raise TermselError(
                 f"the file declares the CRS {declared}, but {source} says {agreed}", file=path,
-                hint="Mend the one that is wrong; termsel does not transform coordinates.")
+                hint="Correct one of them; termsel does not transform coordinates.")
     if agreed is None:
-        raise TermselError("the CRS of the ground coordinates is not known",
+        raise TermselError("the CRS of the ground coordinates is unknown",
                            file=" and ".join(str(path) for path in sets),
                            hint=f"State it with --crs: {EXAMPLES}.")
     return agreed

@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from termsel.errors import TermselError
-from termsel.fits.rpc_fit import GOOD, RpcFit, rpc_of
 from termsel.formats.atomic import atomic_path, require_new, write_text
 from termsel.formats.heights import surface_of
 from termsel.formats.rasters import open_raster, require_rasterio
@@ -22,6 +21,7 @@ from termsel.formats.vrt import Picture, picture_for, vrt_text
 from termsel.formats.writers.grids import GeolocationVrt
 from termsel.measurements.crs import LOCAL, horizontal, normalise
 from termsel.measurements.features import FloatArray
+from termsel.models.rpc_fit import GOOD, RpcFit, rpc_of
 
 if TYPE_CHECKING:
     from termsel.results.result import Result
@@ -30,7 +30,7 @@ log = logging.getLogger(__name__)
 
 RESAMPLING = ("nearest", "bilinear", "cubic", "cubic_spline", "lanczos", "average")
 
-_TILE = 1024  # pixels of the map along either side that are warped at once
+_TILE = 1024  # size of the tiles that are warped at once [px of the map]
 _NARROW = 128  # across, where GDAL interpolates places along lines between ends and middle
 _OUTLINE = 33  # places along either side of the image its extent on the map is found by
 _LARGEST = 2e5  # pixels along either side of a map; more is a mistake in --res
@@ -52,7 +52,7 @@ def rectify(
 ) -> None:
     """Resample an image to a map.
 
-    A fit that an RPC stands for within 0.05 pixel is warped as RPC, with the heights of the
+    A fit that an RPC represents within 0.05 px is warped as RPC, with the heights of the
     raster looked up for every pixel of the map; any other by a geolocation array whose rays
     meet the raster.
 
@@ -64,7 +64,7 @@ def rectify(
     output : path-like
         Cloud-optimised GeoTIFF.
     dem : path-like, optional
-        Raster of heights, as those of the control.
+        Raster of heights, with the vertical datum of the control.
     height : float, optional
         Of the ground, where no raster is given; that of the middle of the control by default.
     crs : str, optional
@@ -79,13 +79,13 @@ def rectify(
     overwrite : bool
         Whether a file that is there may be replaced.
     progress : callable, optional
-        Told the share that is done, 0 to 1.
+        Called with the fraction that is done, 0 to 1.
 
     Raises
     ------
     TermselError
         If rasterio is not installed; if image or raster of heights cannot be read or do not
-        fit the result; if the image lies nowhere on the map; if the file exists and may not be
+        fit the result; if no part of the image is on the map; if the file exists and may not be
         replaced, or cannot be written.
     """
     require_rasterio()
@@ -93,7 +93,7 @@ def rectify(
     if not overwrite:
         require_new(output)
     if normalise(result.features.crs) == LOCAL:
-        raise TermselError("plane coordinates without a CRS give no map",
+        raise TermselError("a map requires a CRS, but the result has plane coordinates without one",
                            hint="State the CRS of the ground coordinates when you run termsel.")
     if resampling not in RESAMPLING:
         raise TermselError(f"unknown resampling {resampling!r}",
@@ -129,7 +129,7 @@ def _source(result: Result, picture: Picture, vrt: Path, dem: Path | str | None,
     write_text(vrt, vrt_text(picture, vrt.parent, domains={"RPC": rpc_items(found.rpc)}))
     if dem is None:
         return vrt, {"RPC_HEIGHT": height}
-    # Heights are those of the control: no change of datum behind the back of the fit.
+    # Heights are those of the control: the datum must not change after the fit.
     return vrt, {"RPC_DEM": str(Path(dem).resolve()), "RPC_DEM_APPLY_VDATUM_SHIFT": "FALSE"}
 
 
@@ -151,8 +151,8 @@ def _map(result: Result, dem: Path | str | None, height: float, target: str,
     outline = _ground(result, dem, height, target)
     known = outline[np.isfinite(outline).all(axis=-1)]
     if not len(known):
-        raise TermselError("the image lies nowhere on the raster of heights", file=dem,
-                           hint="Give one that covers the image.")
+        raise TermselError("the image is outside the raster of heights", file=dem,
+                           hint="Give a raster that covers the image.")
     if resolution is None:
         (top, left), (bottom, right) = result.fit.image_box()
         along, across = (np.linalg.norm(np.diff(outline, axis=axis), axis=-1) for axis in (0, 1))
@@ -191,7 +191,7 @@ def _ground(result: Result, dem: Path | str | None, height: float, target: str,
 
 
 def _held(nodata: float, dtype: str) -> float:
-    """Return a value for empty pixels, refusing what pixels of this type cannot hold."""
+    """Return a value for empty pixels; refuse what pixels of this type cannot hold."""
     from rasterio.dtypes import in_dtype_range
 
     if not in_dtype_range(nodata, dtype) or (np.dtype(dtype).kind in "iu"
@@ -257,5 +257,5 @@ def _gdal_faults(output: Path) -> Iterator[None]:
             yield
     except (RasterioError, CPLE_BaseError) as error:
         raise TermselError(f"GDAL cannot make this map: {error}", file=output,
-                           hint="Look at the image, the raster of heights, and the room on the "
+                           hint="Check the image, the raster of heights, and the free space on the "
                                 "disk.") from error

@@ -1,4 +1,4 @@
-"""The folder of a result: result.json, what it was made of, and tables for people."""
+"""The folder of a result: result.json, what it was made from, and tables for people."""
 
 from __future__ import annotations
 
@@ -15,9 +15,8 @@ import numpy as np
 
 from termsel.errors import TermselError
 from termsel.fits.diagnosis import Diagnosis, Doubts, Significance
-from termsel.fits.figures import Baseline
+from termsel.fits.figures import Baseline, residuals_of
 from termsel.fits.fit import Fit, Rmse, fit
-from termsel.fits.residuals import residuals_of
 from termsel.formats.atomic import write_text
 from termsel.formats.base import located, read_text
 from termsel.formats.readers.csv_tables import (
@@ -41,13 +40,13 @@ RESIDUAL_COLUMNS = ("id", "kind", "role", "used", "residual_line", "residual_sam
 
 
 def claim_folder(folder: Path) -> None:
-    """Make the folder, and refuse it now rather than after a long search.
+    """Make the folder, or refuse it before a long search.
 
     Raises
     ------
     TermselError
-        If it cannot be made or written to, or holds features that are not those of a result and
-        would be replaced.
+        If it cannot be made or written to, or has files of features that are not those of a result
+        and would be replaced.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -58,15 +57,15 @@ def claim_folder(folder: Path) -> None:
         raise TermselError(f"cannot write to the folder {folder}", hint="Choose another --out.")
     for name in (POINTS, LINES):
         if (folder / name).exists() and not (folder / RECORD).exists():
-            raise TermselError("the result would replace this file, which is of no result",
+            raise TermselError("the result would replace this file, which is not part of a result",
                                file=folder / name, hint="Choose another --out.")
 
 
 def write_result(result: Result, folder: Path) -> None:
-    """Write result.json, residuals.csv, summary.txt and the features, each whole or not at all.
+    """Write result.json, residuals.csv, summary.txt and the features, no file incomplete.
 
-    With points.csv and lines.csv the folder says all there is to know of the result, wherever
-    the files are by then that the features came from.
+    With points.csv and lines.csv the folder is self-contained: the files that the features came
+    from are not needed any more.
 
     Parameters
     ----------
@@ -116,7 +115,7 @@ def read_result(folder: Path | str) -> Result:
         raise TermselError(f"this is not a result: {error}", file=path,
                            hint="Run the search again.") from error
     if not isinstance(record, dict) or record.get("schema") != SCHEMA:
-        raise TermselError(f"this is not a result of the form {SCHEMA}", file=path,
+        raise TermselError(f"this is not a result with the schema {SCHEMA}", file=path,
                            hint="Run the search again with this version of termsel.")
     try:
         seals = record[SEALS]
@@ -135,7 +134,7 @@ def read_result(folder: Path | str) -> Result:
 
 
 def _read_features(folder: Path, record: Mapping[str, Any]) -> FeatureSet:
-    """Return the features of a result, refusing other features than it was made of."""
+    """Return the features of a result; refuse features other than those it was made from."""
     data = record.get("data", {})
     size = data.get("image_size")
     normalise(data["crs"])
@@ -151,22 +150,21 @@ def _read_features(folder: Path, record: Mapping[str, Any]) -> FeatureSet:
              "independent": observations.independent.ids, "off": observations.off}
     for role, ids in roles.items():
         if set(ids) != set(data.get("roles", {}).get(role, ())):
-            raise TermselError(f"{POINTS} and {LINES} do not hold the features in the role {role} "
-                               f"that {RECORD} names", file=folder,
-                               hint="Leave the files of a result as they are; run the search "
-                                    "again.")
+            raise TermselError(f"{POINTS} and {LINES} do not have the {role} features that "
+                               f"{RECORD} names", file=folder,
+                               hint="Leave the files of a result unchanged; run the search again.")
     return features
 
 
 def _refuse_changed(changed: bool, path: Path) -> None:
-    """Refuse a file that is not as the run left it."""
+    """Refuse a file that was changed after the run."""
     if changed:
-        raise TermselError("this is not what the run wrote: the file was changed since", file=path,
-                           hint="Leave the files of a result as they are; run the search again.")
+        raise TermselError("this file was changed after the run wrote it", file=path,
+                           hint="Leave the files of a result unchanged; run the search again.")
 
 
 def residuals_csv(result: Result) -> str:
-    """Return the residuals of all features [pixel] as CSV."""
+    """Return the residuals of all features [px] as CSV."""
     text = io.StringIO()
     table = csv.writer(text, lineterminator="\n")
     table.writerow(RESIDUAL_COLUMNS)
@@ -177,19 +175,19 @@ def residuals_csv(result: Result) -> str:
 
 
 def result_from(record: Mapping[str, Any], features: FeatureSet) -> Result:
-    """Return the result of a record and the features it speaks of.
+    """Return the result of a record and its features.
 
     Parameters
     ----------
     record : mapping
         The content of result.json.
     features : FeatureSet
-        Each point has the role it played.
+        Each point has its role.
 
     Raises
     ------
     TermselError
-        If the model is not known here or its options are not.
+        If the model or one of its options is unknown.
     KeyError, TypeError, ValueError
         If the record is not one that `Result.to_dict` has made.
     """

@@ -14,11 +14,11 @@ from termsel.measurements.features import FloatArray, Lines, Points
 FORMS = ("boundary", "centroid")
 
 _FLAT = 1e-9  # area over the square of the extent; rounding of metres in a UTM zone is below
-_MANY = 1000  # corners beyond which crossing edges, a matter of their square, are not looked for
+_MANY = 1000  # most corners for which crossing edges, at quadratic cost, are looked for
 
 
 class CornerError(TermselError):
-    """An area that is none, and the corner at which that is seen.
+    """An invalid area, and the corner that shows it.
 
     Parameters
     ----------
@@ -43,7 +43,7 @@ class Area:
     ----------
     id : str
     image : array_like, shape (n, 2)
-        Line and sample [pixel] of at least three corners, in order around the area. The first
+        Line and sample [px] of at least three corners, in order around the area. The first
         may be repeated at the end.
     ground : array_like, shape (n, 3)
         X, Y, Z of the same corners; NaN for heights that are not known.
@@ -54,8 +54,7 @@ class Area:
     ------
     TermselError
         If image and ground have different numbers of corners; a `CornerError` for fewer than
-        three, for one that comes twice, for corners on one straight line and for edges that
-        cross.
+        three, for a repeated one, for corners on one straight line and for edges that cross.
     """
 
     id: str
@@ -70,7 +69,7 @@ class Area:
             raise TermselError(
                 f"area {self.id!r} has corners of the shapes {image.shape} in the image and "
                 f"{ground.shape} on the ground, expected (n, 2) and (n, 3)", ids=[self.id],
-                hint="Measure each corner in both.")
+                hint="Measure each corner in the image and on the ground.")
         if n > 1 and (image[0] == image[-1]).all() and (ground[0, :2] == ground[-1, :2]).all():
             image, ground = image[:-1], ground[:-1]
         object.__setattr__(self, "image", image)
@@ -91,7 +90,7 @@ def boundary(areas: Sequence[Area]) -> Lines:
     -------
     Lines
         Those of one area are pieces of one feature. An edge that neighbours share, with the same
-        X and Y at its ends, is taken once, by the one that has fewer so far: each keeps some.
+        X and Y at its ends, is used once, by the area that has fewer so far: each keeps some.
 
     Raises
     ------
@@ -101,21 +100,21 @@ def boundary(areas: Sequence[Area]) -> Lines:
 
     Notes
     -----
-    Yavari, Valadan Zoej and Salehi (2018) name areas beside points and lines as control
-    features; that an area enters by its boundary or its centroid is termsel's own formulation.
+    Yavari, Valadan Zoej and Salehi (2018) name areas as control features, next to points
+    and lines; that an area enters by its boundary or its centroid is termsel's own formulation.
     """
     for area in areas:
         if area.role in ("check", "independent"):
             raise TermselError(
                 f"the boundary of area {area.id!r} cannot have the role {area.role!r}",
-                hint="Lines are control features: control, off or blank. Centroids take all "
-                     "roles (--set areas_as=centroid).", ids=[area.id])
+                hint="Lines are always control: use control, off or blank. Centroids can have any "
+                     "role (--set areas_as=centroid).", ids=[area.id])
     on = [area for area in areas if area.role != "off"]
     own = _own_edges(on)
     for area, edges in zip(on, own, strict=True):
         if not edges:
-            raise TermselError(f"all edges of area {area.id!r} are edges of other areas that lie "
-                               "on the same side", ids=[area.id], hint="Leave one of them out.")
+            raise TermselError(f"all edges of area {area.id!r} belong to other areas on the same "
+                               "side", ids=[area.id], hint="Remove one of these areas.")
     return Lines(tuple(area.id for area, edges in zip(on, own, strict=True) for _ in edges),
                  np.concatenate([np.empty((0, 2, 2)), *(
                      _edges(area.image)[edges] for area, edges in zip(on, own, strict=True))]),
@@ -158,8 +157,8 @@ def centroid(ring: ArrayLike) -> FloatArray:
     -------
     ndarray, shape (2,) or (3,)
         By the area in the plane of the first two coordinates, from the triangles between the
-        mean corner and each edge. The third coordinate is the mean over that area; NaN where
-        one is unknown.
+        mean corner and each edge. The third coordinate is the mean over that area; NaN if one is
+        unknown.
     """
     corners = np.asarray(ring, dtype=np.float64)
     # About the mean corner, so that large coordinates do not cancel.
@@ -170,7 +169,7 @@ def centroid(ring: ArrayLike) -> FloatArray:
 
 
 def _own_edges(areas: Sequence[Area]) -> list[list[int]]:
-    """Return the numbers of each area's edges, without those that another area takes."""
+    """Return the numbers of each area's edges, without those that another area uses."""
     # By its ends: the first area on either side of an edge, and the number it has there.
     sides: dict[frozenset[tuple[float, ...]], dict[bool, tuple[int, int]]] = {}
     for i, area in enumerate(areas):
@@ -202,15 +201,15 @@ def _refuse_bad(name: str, ring: FloatArray, where: str) -> None:
     place = "in the image" if where == "image" else "on the ground"
     if n < 3:
         raise CornerError(f"area {name!r} has {n} corner" + "s" * (n != 1), max(n - 1, 0), where,
-                          "An area needs at least three.")
+                          "An area requires at least three.")
     _, first, inverse = np.unique(ring, axis=0, return_index=True, return_inverse=True)
     before = first[inverse.ravel()]
     if (before != np.arange(n)).any():
         corner = int(np.argmax(before != np.arange(n)))
-        raise CornerError(f"corner {corner + 1} of area {name!r} is {place} where its corner "
-                          f"{before[corner] + 1} is", corner, where,
-                          "Give every corner once; only the first may be repeated at the end, "
-                          "both in the image and on the ground.")
+        raise CornerError(f"corner {corner + 1} of area {name!r} repeats corner "
+                          f"{before[corner] + 1} {place}", corner, where,
+                          "Give every corner once; only the first may be repeated at the end, in "
+                          "the image and on the ground.")
     edges = _edges(ring - ring.mean(axis=0))
     if abs(_cross(edges[:, 0], edges[:, 1]).sum()) <= _FLAT * float(np.ptp(ring, axis=0).max())**2:
         raise CornerError(f"area {name!r} has no extent {place}", 0, where,

@@ -39,7 +39,7 @@ _UTM = re.compile(r"EPSG:32([67])(0[1-9]|[1-5]\d|60)")
 _WKT = re.compile(r"(GEOG|GEOD|GEOC|PROJ|COMP|LOCAL_CS|ENG|BOUND|DERIVED)\w*\s*\[.*\]",
                   re.IGNORECASE | re.DOTALL)
 
-# The code of the whole stands last, as that of WKT's outermost bracket.
+# The code of the whole CRS is last, in WKT's outermost bracket.
 _AUTHORITY = re.compile(r'(?:ID|AUTHORITY)\s*\[\s*"EPSG"\s*,\s*"?(\d{1,9})"?\s*\]\s*\]\s*$',
                         re.IGNORECASE)
 
@@ -50,7 +50,7 @@ _UTM_RANGE = {"6": ((0.0, -9.4e6), (1e6, 9.4e6)), "7": ((0.0, 0.0), (1e6, 10.5e6
 
 
 def normalise(crs: str) -> str:
-    """Return the one form of a CRS that names are compared in.
+    """Return the normal form of a CRS, in which names are compared.
 
     Parameters
     ----------
@@ -67,8 +67,8 @@ def normalise(crs: str) -> str:
     Raises
     ------
     TermselError
-        For text in none of these forms, and, where pyproj is installed, for a code that does
-        not exist, WKT that cannot be read, or a CRS without horizontal coordinates.
+        For text in none of these forms. If pyproj is installed, also for a code that does not
+        exist, WKT that cannot be read, or a CRS without horizontal coordinates.
     """
     text = crs.strip()
     if text.lower() == LOCAL:
@@ -106,7 +106,7 @@ def is_geographic(crs: str) -> bool:
     Returns
     -------
     bool
-        False also for a CRS whose kind only pyproj knows, where it is not installed.
+        Also False for a CRS whose kind only pyproj knows, if that is not installed.
 
     Raises
     ------
@@ -117,7 +117,7 @@ def is_geographic(crs: str) -> bool:
 
 
 def to_wgs84(crs: str) -> Transformation:
-    """Return what turns ground coordinates into WGS84 longitude, latitude, ellipsoidal height.
+    """Return a function from ground coordinates to WGS84 longitude, latitude, ellipsoidal height.
 
     Parameters
     ----------
@@ -134,12 +134,12 @@ def to_wgs84(crs: str) -> Transformation:
 
 @lru_cache
 def transformation(source: str, target: str, *, strict: bool = True) -> Transformation:
-    """Return what turns ground coordinates of one CRS into those of another.
+    """Return a function that transforms ground coordinates from one CRS to another.
 
     Parameters
     ----------
     source, target : str
-        As for `normalise`; where a CRS does not say what heights are, they are taken as
+        As for `normalise`; if a CRS has no vertical datum, heights are taken as
         ellipsoidal.
     strict : bool
         Whether coordinates that cannot be transformed are an error; else they become infinite.
@@ -160,16 +160,16 @@ def transformation(source: str, target: str, *, strict: bool = True) -> Transfor
         return np.asarray
     into = "longitude and latitude" if target in WGS84 else _short(target)
     if LOCAL in (source, target):
-        raise TermselError(f"plane coordinates without a CRS cannot be turned into {into}",
-                           hint="State the CRS the ground coordinates are in.")
+        raise TermselError(f"plane coordinates without a CRS cannot be transformed to {into}",
+                           hint="State the CRS of the ground coordinates.")
     try:
         from pyproj import Transformer
         from pyproj.exceptions import ProjError
     except ImportError:
-        raise TermselError(f"turning {_short(source)} into {into} needs the package pyproj, which "
-                           "is not installed",
+        raise TermselError(f"the transformation of {_short(source)} to {into} requires the package "
+                           "pyproj, which is not installed",
                            hint='Install it: pip install "termsel[gis]".') from None
-    failure = f"coordinates in {_short(source)} cannot be turned into {into}"
+    failure = f"coordinates in {_short(source)} cannot be transformed to {into}"
     known = [_with_pyproj(name) for name in (source, target)]
     ends = [one if len(one.axis_info) > 2 else one.to_3d() for one in known if one is not None]
     try:
@@ -179,8 +179,8 @@ def transformation(source: str, target: str, *, strict: bool = True) -> Transfor
         if not grids:
             raise TermselError(f"{failure}: {error}") from error
         raise TermselError(
-            f"{failure} without the grid {' or '.join(grids)}, which PROJ does not have",
-            hint=f"Get it: pyproj sync --file {grids[0]}, or PROJ_NETWORK=ON. Or give "
+            f"{failure}: PROJ does not have the grid {' or '.join(grids)}",
+            hint=f"Get it with pyproj sync --file {grids[0]}, or set PROJ_NETWORK=ON. Or give "
                  "ellipsoidal heights, as in EPSG:4979.") from error
 
     def convert(ground: FloatArray) -> FloatArray:
@@ -206,7 +206,7 @@ def is_geocentric(crs: str) -> bool:
 
 
 def height_reference(crs: str) -> str:
-    """Return what the heights of a CRS refer to, in words; "" for "local".
+    """Return the vertical datum of a CRS, in words; "" for "local".
 
     Parameters
     ----------
@@ -225,7 +225,7 @@ def height_reference(crs: str) -> str:
 
 
 def vertical_datum(crs: CRS) -> str:
-    """Return what the heights of a CRS refer to, "" where it does not say.
+    """Return the vertical datum of a CRS, "" if it has none.
 
     Parameters
     ----------
@@ -280,7 +280,7 @@ def check_ground(features: FeatureSet) -> None:
     if kind == "geographic":
         metres = (np.abs(xy) > 360).any(axis=1).mean() > 0.5
         hint = ("These look like metres: state the projected CRS with --crs." if metres else
-                "x is longitude and y latitude, in degrees.")
+                "x must be longitude and y latitude, in degrees.")
         _check_range(xy, ids, *_DEGREES, f"cannot be longitude and latitude in {crs}", hint)
     elif kind == "projected":
         if (np.abs(xy) <= (180, 90)).all():
@@ -293,7 +293,7 @@ def check_ground(features: FeatureSet) -> None:
         if utm:
             _check_range(xy, ids, *_UTM_RANGE[utm[1]],
                          f"cannot be easting and northing in {crs} (UTM)",
-                         "x is easting and y northing, in metres; is this the CRS of the file?")
+                         "x must be easting and y northing, in metres; check the CRS of the file.")
 
 
 def _missing_grids(source: CRS, target: CRS) -> list[str]:
@@ -301,7 +301,7 @@ def _missing_grids(source: CRS, target: CRS) -> list[str]:
     from pyproj.transformer import TransformerGroup
 
     with catch_warnings():
-        simplefilter("ignore")  # that grids are missing
+        simplefilter("ignore")  # warnings of missing grids
         group = TransformerGroup(source, target, always_xy=True)
     return list(dict.fromkeys(grid.short_name for operation in group.unavailable_operations
                               for grid in operation.grids if not grid.available))

@@ -1,4 +1,4 @@
-"""Declaration of a data set that is known by name."""
+"""Declaration of a data set that has a name."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class DatasetSpec:
     load : callable
         Returns the FeatureSet; called when the data are needed.
     simulated : bool
-        True where the measurements were computed, not made; shown wherever the data appear.
+        True if the measurements were computed; shown wherever the data appear.
     """
 
     name: str

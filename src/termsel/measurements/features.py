@@ -44,11 +44,11 @@ def _check_finite(values: FloatArray, ids: Sequence[str], kind: str, what: str) 
     if bad.any():
         name = ids[int(np.argmax(bad))]
         raise TermselError(f"{kind} {name!r} has {what} that are not finite numbers",
-                           hint="Mend the values or remove the feature.", ids=[name])
+                           hint="Correct the values or remove the feature.", ids=[name])
 
 
 def _check_heights(z: FloatArray, ids: Sequence[str], kind: str) -> None:
-    """Refuse infinite heights; blank heights are NaN and are for models without height."""
+    """Refuse infinite heights; blank heights are NaN and suit models without height."""
     bad = np.isinf(z.reshape(len(ids), -1)).any(axis=1)
     if bad.any():
         name = ids[int(np.argmax(bad))]
@@ -72,11 +72,11 @@ class Points:
     ids : sequence of str, length n
         Unique names.
     image : array_like, shape (n, 2)
-        Line and sample [pixel]; the centre of the upper-left pixel is (0, 0).
+        Line and sample [px]; the centre of the upper-left pixel is (0, 0).
     ground : array_like, shape (n, 3)
         X, Y, Z in the units of the feature set's CRS; NaN for a height that is not known.
     sigma : array_like, shape (n, 2), optional
-        Standard deviations of line and sample [pixel].
+        Standard deviations of line and sample [px].
     roles : sequence of str, length n, optional
         Role given in the file: "control", "check", "independent", "off" or "" for none.
 
@@ -149,7 +149,7 @@ class Points:
 class Lines:
     """Conjugate straight lines, whose end points are not conjugate.
 
-    Lines with one id are pieces of one feature, such as a polyline: they are selected and left
+    Lines with one id are pieces of one feature, such as a polyline: they are selected and held
     out together.
 
     Parameters
@@ -157,11 +157,11 @@ class Lines:
     ids : sequence of str, length n
         Name of the feature each line is, or is a piece of.
     image : array_like, shape (n, 2, 2)
-        Two measured image points a line, each as line and sample [pixel].
+        Two measured image points per line, each as line and sample [px].
     ground : array_like, shape (n, 2, 3)
-        Two ground vertices a line, X, Y, Z; NaN for heights that are not known.
+        Two ground vertices per line, X, Y, Z; NaN for heights that are not known.
     sigma : array_like, shape (n,), optional
-        Standard deviation of the measured image points across the line [pixel].
+        Standard deviation of the measured image points across the line [px].
 
     Raises
     ------
@@ -202,7 +202,7 @@ class Lines:
 
     def _check_duplicates(self) -> None:
         ends = np.nan_to_num(self.ground, nan=0.0)
-        # One order of the ends, by X, then Y, then Z, so that a line met backwards is found.
+        # One order of the ends, by X, then Y, then Z, so that a reversed line is found too.
         differs = ends[:, 0] != ends[:, 1]
         first_difference = np.argmax(differs, axis=1)
         each = np.arange(len(ends))
@@ -271,7 +271,7 @@ def _join_sigma(first: Points | Lines, second: Points | Lines) -> FloatArray | N
     given = [part.sigma for part in (first, second) if part.sigma is not None]
     if not given:
         return None
-    # That is what features without any weigh in an adjustment.
+    # Features without a standard deviation have this weight in an adjustment.
     shape = given[0].shape[1:]
     return np.concatenate([
         np.full((len(part), *shape), np.median(given[0])) if part.sigma is None else part.sigma
@@ -300,14 +300,14 @@ class FeatureSet:
         Coordinate reference system of the ground coordinates, such as "EPSG:4979", or
         "local" for plane coordinates without one.
     image_size : tuple of int, optional
-        Lines and samples of the image [pixel].
+        Lines and samples of the image [px].
     noise : float, optional
-        Standard deviation of the image measurements [pixel], where it is known, as it is
-        for simulated data.
+        Standard deviation of the image measurements [px], if it is known, as for
+        simulated data.
     heights : str
-        Where heights were taken from and what they refer to, where a raster gave them.
+        Source and vertical datum of the heights, if a raster gave them.
     fit_crs : str, optional
-        CRS that models are fitted in, where it is another than `crs`.
+        CRS of the fit, if it differs from `crs`.
 
     Raises
     ------

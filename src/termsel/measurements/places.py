@@ -15,8 +15,8 @@ from termsel.measurements.features import (
 def spatial_order(xy: ArrayLike) -> IntArray:
     """Return an order of points in which neighbours in the list are neighbours in the plane.
 
-    The points are halved at the median of their longer side, again and again; the order is
-    that of the leaves.
+    The points are halved repeatedly at the median of their longer side; the order is that of the
+    leaves.
 
     Parameters
     ----------
@@ -41,7 +41,7 @@ def spatial_order(xy: ArrayLike) -> IntArray:
 
 
 def centres(control: FeatureSet) -> FloatArray:
-    """Return the image position of each feature, of lines the middle, shape (f, 2)."""
+    """Return the image position of each feature, the middle for lines, shape (f, 2)."""
     lines = control.lines
     return np.concatenate([control.points.image, lines.by_feature(lines.image.mean(axis=1))])
 
@@ -57,8 +57,8 @@ def beyond(control: FloatArray, places: FloatArray) -> FloatArray:
     Returns
     -------
     ndarray, shape (m,)
-        The largest distance from a side of the hull, by the longer side of the control's box; 0
-        inside, infinite where the control has no hull.
+        The largest distance from a side of the hull, divided by the longer side of the control's
+        box; 0 inside, infinite if the control has no hull.
     """
     from scipy.spatial import ConvexHull, QhullError
 

@@ -23,26 +23,38 @@ ASSIGNABLE = ("control", "check", "independent")
 THIRDS = (1 / 3, 1 / 3, 1 / 3)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Observations:
-    """Measured features, each in the one role it plays in a run.
+    """Measured features, each point in the one role it plays in a run.
 
     Parameters
     ----------
+    features : FeatureSet
+        All points, each with its role, and the control lines.
     control : FeatureSet
         Control points and control lines; lines are always control.
     check : Points
         Judge the fitness of a choice.
     independent : Points
         Judge the result; no choice ever sees them.
-    off : tuple of str
-        Ids of points that take no part.
     """
 
+    features: FeatureSet
     control: FeatureSet
     check: Points
     independent: Points
-    off: tuple[str, ...] = ()
+
+    @property
+    def off(self) -> tuple[str, ...]:
+        """Ids of points that take no part."""
+        points = self.features.points
+        return tuple(name for name, role in zip(points.ids, points.roles, strict=True)
+                     if role == "off")
+
+    def fitted_in(self, crs: str) -> Observations:
+        """Return the observations with the CRS a model is to be fitted in."""
+        return replace(self, features=replace(self.features, fit_crs=crs),
+                       control=replace(self.control, fit_crs=crs))
 
 
 def assign(
@@ -52,7 +64,7 @@ def assign(
     fractions: Sequence[float] = THIRDS,
     rng: np.random.Generator,
 ) -> tuple[str, ...]:
-    """Share out the roles control, check and independent.
+    """Assign the roles control, check and independent.
 
     Parameters
     ----------
@@ -76,7 +88,7 @@ def assign(
     """
     shares = np.asarray(fractions, dtype=np.float64)
     if shares.shape != (3,) or not np.isfinite(shares).all() or (shares < 0).any() or not shares[0]:
-        raise TermselError(f"fractions {list(fractions)} do not share out the points",
+        raise TermselError(f"fractions {list(fractions)} do not assign the points",
                            hint="Give three numbers: control (above 0), check, independent.")
     xy = np.asarray(xy, dtype=np.float64)
     n = len(xy)
@@ -112,10 +124,10 @@ def observe(
     control : {"points", "lines", "both"}
         Which features are control. With "lines", control points stay out.
     how : {"file", "stratified", "random"}
-        "file" keeps the roles that the file gives and shares out the blank ones by
-        stratification; the others disregard the file's roles, except "off".
+        "file" keeps the roles of the file and assigns the blank ones by stratification; the
+        others disregard the file's roles, except "off".
     fractions : sequence of 3 floats
-        Shares of control, check and independent among the points to be shared out. With
+        Shares of control, check and independent among the points that are assigned a role. With
         control from lines alone, all of them become check and independent points.
     rng : numpy.random.Generator
 
@@ -140,38 +152,11 @@ def observe(
     if blank.size:
         shares = (0.0, *fractions[1:]) if control == "lines" else tuple(fractions)
         # By the ground, so that what an independent point's image coordinates are changes no role.
-        roles[blank] = _share_out(points.ground[blank, :2], shares, how, rng)
-    keep_control = roles == "control" if control != "lines" else np.zeros(len(points), dtype=bool)
-    off = (roles == "off") | ((roles == "control") & ~keep_control)
-    return Observations(
-        control=features.with_(points=points.take(keep_control) if keep_control.any()
-                               else no_points(),
-                               lines=no_lines() if control == "points" else features.lines),
-        check=points.take(roles == "check"),
-        independent=points.take(roles == "independent"),
-        off=tuple(points.ids[i] for i in np.flatnonzero(off)))
-
-
-def together(observations: Observations) -> FeatureSet:
-    """Return control and check points as control."""
-    control = observations.control
-    return control.with_(points=join_points(control.points, observations.check))
-
-
-def with_roles(features: FeatureSet, observations: Observations) -> FeatureSet:
-    """Return the features, each point with the role it has in the observations.
-
-    Parameters
-    ----------
-    features : FeatureSet
-        What the observations were made of. Lines that are not control are left out.
-    observations : Observations
-    """
-    role = {name: role for role, ids in (
-        ("control", observations.control.points.ids), ("check", observations.check.ids),
-        ("independent", observations.independent.ids), ("off", observations.off)) for name in ids}
-    points = replace(features.points, roles=tuple(role[name] for name in features.points.ids))
-    return features.with_(points=points, lines=observations.control.lines)
+        roles[blank] = _assign_blank(points.ground[blank, :2], shares, how, rng)
+    if control == "lines":
+        roles[roles == "control"] = "off"
+    return by_roles(features.with_(points=replace(points, roles=tuple(roles)),
+                                   lines=no_lines() if control == "points" else features.lines))
 
 
 def by_roles(features: FeatureSet) -> Observations:
@@ -180,21 +165,34 @@ def by_roles(features: FeatureSet) -> Observations:
     Parameters
     ----------
     features : FeatureSet
-        As from `with_roles`.
+        Its lines are control.
     """
     points, roles = features.points, np.array(features.points.roles, dtype=object)
     control, check, independent = (points.take(roles == role) if (roles == role).any()
                                    else no_points() for role in ASSIGNABLE)
-    return Observations(features.with_(points=control), check, independent,
-                        tuple(points.ids[i] for i in np.flatnonzero(roles == "off")))
+    return Observations(features, features.with_(points=control), check, independent)
 
 
-def _share_out(xy: FloatArray, shares: Sequence[float], how: str,
+def together(observations: Observations) -> FeatureSet:
+    """Return control and check points as control."""
+    control = observations.control
+    return control.with_(points=join_points(control.points, observations.check))
+
+
+def check_as_control(observations: Observations) -> Observations:
+    """Return the observations with all check points as further control."""
+    points = observations.features.points
+    roles = tuple("control" if role == "check" else role for role in points.roles)
+    return Observations(observations.features.with_(points=replace(points, roles=roles)),
+                        together(observations), no_points(), observations.independent)
+
+
+def _assign_blank(xy: FloatArray, shares: Sequence[float], how: str,
                rng: np.random.Generator) -> tuple[str, ...]:
     how = "stratified" if how == "file" else how
     if shares[0] > 0:
         return assign(xy, how=how, fractions=shares, rng=rng)
-    # Lines are the control: the points are shared between check and independent.
+    # Lines are the control: the points become check and independent.
     as_control = {"control": "check", "check": "independent"}
     drawn = assign(xy, how=how, fractions=(shares[1], shares[2], 0.0), rng=rng)
     return tuple(as_control[role] for role in drawn)

@@ -17,20 +17,20 @@ from termsel.measurements.features import FeatureSet, FloatArray, Lines, Points
 class Scaling:
     """Ground and image offsets and scales.
 
-    Line and sample share one scale, so that a residual in scaled units is the same number
-    of pixels along either axis and the normal of an image line keeps unit length.
+    Line and sample share one scale, so that a residual in scaled units is the same in px
+    along both axes and the normal of an image line keeps unit length.
 
     Parameters
     ----------
     ground_offset, ground_scale : tuple of 3 floats
         Mid-range and half-range of X, Y, Z, in the CRS of the fit.
     image_offset : tuple of 2 floats
-        Mid-range of line and sample [pixel].
+        Mid-range of line and sample [px].
     image_scale : float
-        The larger half-range of line and sample [pixel].
+        The larger half-range of line and sample [px].
     crs, fit_crs : str
-        Of the ground coordinates, and of those a model is fitted in, where it is another; else
-        both are empty.
+        CRS of the ground coordinates and CRS of the fit, if these differ; else both are
+        empty.
     """
 
     ground_offset: tuple[float, float, float]
@@ -44,7 +44,7 @@ class Scaling:
         """Return scaled ground coordinates; unknown heights become 0."""
         fitted = in_fit_crs(np.asarray(ground, dtype=np.float64), self.crs, self.fit_crs)
         scaled = (fitted - self.ground_offset) / self.ground_scale
-        # Places without coordinates in the CRS of the fit are seen nowhere near the image.
+        # Places without coordinates in the CRS of the fit are far outside the image.
         return np.nan_to_num(scaled, nan=0.0, posinf=_FAR, neginf=-_FAR)
 
     def unscaled(self, ground: ArrayLike) -> FloatArray:
@@ -57,7 +57,7 @@ class Scaling:
         return np.asarray((np.asarray(image) - self.image_offset) / self.image_scale)
 
     def pixels(self, scaled: ArrayLike) -> FloatArray:
-        """Return image coordinates [pixel] from scaled ones."""
+        """Return image coordinates [px] from scaled ones."""
         return np.asarray(np.asarray(scaled) * self.image_scale + self.image_offset)
 
     def points(self, points: Points) -> Points:
@@ -106,7 +106,7 @@ def in_fit_crs(ground: FloatArray, crs: str, fit_crs: str) -> FloatArray:
     ground : ndarray, shape (..., 3)
         Unknown heights, NaN, stay unknown.
     crs, fit_crs : str
-        If either is empty, the coordinates are those of the fit as they are.
+        If either is empty, the coordinates are returned as they are.
     """
     if not (crs and fit_crs):
         return ground

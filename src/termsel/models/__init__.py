@@ -1,7 +1,22 @@
 """Sensor models: ground to image, as named terms."""
 
 from termsel.models.base import SensorModel
-from termsel.models.polynomial import Polynomial2D
+from termsel.models.polynomial import Affine, Polynomial2D, Polynomial3D
+from termsel.models.projective import DLT2D, DLT3D, Projective2D
 from termsel.models.quotient import Blocks, RationalModel
+from termsel.models.rational import RationalFunctions
+from termsel.models.terms import Term
 
-__all__ = ["Blocks", "Polynomial2D", "RationalModel", "SensorModel"]
+__all__ = [
+    "DLT2D",
+    "DLT3D",
+    "Affine",
+    "Blocks",
+    "Polynomial2D",
+    "Polynomial3D",
+    "Projective2D",
+    "RationalFunctions",
+    "RationalModel",
+    "SensorModel",
+    "Term",
+]

@@ -10,6 +10,8 @@ import numpy as np
 
 from termsel.adjustment.equations import Equations
 from termsel.errors import TermselError
+from termsel.fits.fit import Fit
+from termsel.fits.of_features import control_of, fit_features
 from termsel.measurements.crs import to_wgs84
 from termsel.measurements.features import FeatureSet, FloatArray, IntArray
 from termsel.measurements.scaling import Scaling
@@ -26,8 +28,8 @@ class SensorModel(Configurable, ABC):
     """A mapping from ground to image whose terms can be switched on and off.
 
     A model works in scaled coordinates: image and ground within about [-1, 1] (see
-    `termsel.measurements.scaling`). One that must know where on Earth it is finds that in
-    `scaling` and `crs`, or asks `geographic`.
+    `termsel.measurements.scaling`). A model that depends on its place on Earth finds it in
+    `scaling` and `crs`, or calls `geographic`.
     """
 
     uses_height: ClassVar[bool] = True
@@ -39,7 +41,7 @@ class SensorModel(Configurable, ABC):
     """Of the ground coordinates; empty before the model is `prepared`."""
 
     def prepared(self, scaling: Scaling, crs: str) -> Self:
-        """Return the model for features that are scaled like this, as each fit asks for it.
+        """Return the model for features with this scaling, as every fit calls it.
 
         Parameters
         ----------
@@ -50,13 +52,40 @@ class SensorModel(Configurable, ABC):
         Raises
         ------
         TermselError
-            By a model that is not for features there.
+            If the model is not valid at this place.
         """
         if (self.scaling, self.crs) == (scaling, crs):
             return self
         ready = copy(self)
         ready.scaling, ready.crs = scaling, crs
         return ready
+
+    def fit(self, features: FeatureSet) -> Fit:
+        """Fit all terms to control features by least squares.
+
+        Parameters
+        ----------
+        features : FeatureSet
+            Lines, and points with the role control or none, are control. Points with the role
+            check, independent or off are left out.
+
+        Raises
+        ------
+        TermselError
+            If there is no control, the control does not determine the terms, or heights that the
+            model uses are unknown.
+
+        Examples
+        --------
+        >>> import termsel
+        >>> scene = termsel.simulate_scene("ikonos-hamedan")
+        >>> fitted = termsel.Polynomial2D(degree=2).fit(scene)
+        >>> fitted.adjustment.redundancy
+        20
+        """
+        control = control_of(features)
+        require_heights(self, control)
+        return fit_features(self, control)
 
     def geographic(self, ground: FloatArray) -> FloatArray:
         """Return WGS84 longitude, latitude [deg] and ellipsoidal height [m], shape (n, 3).
@@ -69,17 +98,17 @@ class SensorModel(Configurable, ABC):
         Raises
         ------
         TermselError
-            If the model is not prepared, or its CRS cannot be turned into WGS84.
+            If the model is not prepared, or its CRS cannot be converted to WGS84.
         """
         if self.scaling is None:
-            raise TermselError(f"model {self.name!r} does not know where its features are",
-                               hint="Give it to a fit, or call its method prepared first.")
+            raise TermselError(f"model {self.name!r} is not prepared: its place is not known",
+                               hint="Fit it, or call its method prepared first.")
         return to_wgs84(self.crs)(self.scaling.unscaled(ground))
 
     def as_rpc(self, coefficients: FloatArray) -> Rpc | None:
-        """Return the RPC that projects as the model does, or None, by default, for none known.
+        """Return the RPC that projects as the model does; None, the default, if none is known.
 
-        Rational functions and polynomials need not say; their terms tell.
+        Rational functions and polynomials need not define it: termsel reads it from their terms.
 
         Parameters
         ----------
@@ -90,7 +119,7 @@ class SensorModel(Configurable, ABC):
     @property
     @abstractmethod
     def terms(self) -> tuple[str, ...]:
-        """Names of the k terms."""
+        """Names of the k terms, such as "line.num:X2Y" (see `termsel.Term`)."""
 
     @property
     def axis(self) -> IntArray:
@@ -115,7 +144,7 @@ class SensorModel(Configurable, ABC):
     def linearised(self, features: FeatureSet, coefficients: FloatArray) -> Equations | None:
         """Return the equations about a solution, where `equations` hold to first order only.
 
-        A fit goes on from them to the least squares of pixel distances (Gauss-Newton).
+        With them a fit iterates to the least squares of distances in the image (Gauss-Newton).
 
         Parameters
         ----------
@@ -160,8 +189,8 @@ class SensorModel(Configurable, ABC):
     def corrects(self) -> bool:
         """True if the control corrects predictions directly, not by the coefficients alone.
 
-        A control feature then helps to predict itself: its residual says less than elsewhere,
-        and nothing where the model interpolates.
+        A control feature then helps to predict itself. Its residual is too small, and zero where
+        the model interpolates.
         """
         own = type(self)
         return (own.residual_weights is not SensorModel.residual_weights
@@ -171,8 +200,8 @@ class SensorModel(Configurable, ABC):
                 ground: FloatArray) -> FloatArray:
         """Return image positions, with the correction that the control gives, if any.
 
-        By default what `residual_weights` makes of the residuals of the control points is
-        added to `project`. A model with another second step overrides this.
+        By default the correction from `residual_weights` is added to `project`. A model with
+        another second step overrides this.
 
         Parameters
         ----------
@@ -221,12 +250,11 @@ def require_heights(model: SensorModel, features: FeatureSet) -> None:
     Raises
     ------
     TermselError
-        Naming the features and models that do without.
+        Naming the features, and a model that needs no heights.
     """
     missing = features.without_height()
     if model.uses_height and missing:
         some = ", ".join(missing[:5]) + (" ..." if len(missing) > 5 else "")
         raise TermselError(
-            f"model {model.name!r} needs heights, and they are unknown for {len(missing)} of the "
-            f"features: {some}",
+            f"model {model.name!r} needs heights; {len(missing)} features have none: {some}",
             hint="Add heights, or choose a plane model such as --model poly2d.", ids=missing[:1])

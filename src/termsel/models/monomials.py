@@ -6,7 +6,10 @@ import numpy as np
 
 from termsel.measurements.features import FloatArray
 
-Exponents = tuple[tuple[int, int, int], ...]
+Exponent = tuple[int, int, int]
+"""Powers of X, Y and Z in a monomial."""
+
+Exponents = tuple[Exponent, ...]
 
 
 def graded_exponents(degree: int, variables: int) -> Exponents:
@@ -33,7 +36,7 @@ def graded_exponents(degree: int, variables: int) -> Exponents:
         if variables == 3 or i + j == total)
 
 
-def monomial_name(exponent: tuple[int, int, int]) -> str:
+def monomial_name(exponent: Exponent) -> str:
     """Return the name of a monomial, such as "X2Y"; "1" for the constant."""
     name = "".join(f"{letter}{power if power > 1 else ''}"
                    for letter, power in zip("XYZ", exponent, strict=True) if power)

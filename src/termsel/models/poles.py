@@ -1,9 +1,10 @@
-"""Poles: places in the scene where a denominator falls short."""
+"""Poles: places in the scene where a denominator is too small."""
 
 from __future__ import annotations
 
 import numpy as np
 
+from termsel.fits.fittable import Fittable
 from termsel.measurements.crs import is_geocentric
 from termsel.measurements.features import (
     FeatureSet,
@@ -11,18 +12,17 @@ from termsel.measurements.features import (
     Points,
 )
 from termsel.measurements.places import spatial_order
-from termsel.models.base import SensorModel
 
 POLE_MARGIN = 0.1
 """Least value of a denominator over the scene; vendor RPCs stay within some hundredths of 1."""
 
 
-HOPELESS = 1e9
+LARGEST_SHORTFALL = 1e9
 """Largest shortfall of a denominator; finite, so that it can be compared."""
 
 GUARDED = 100
-"""Features at which denominators are looked at beside the grid; polynomials of third order
-have no room for a pole between so many."""
+"""Features at which denominators are tested, next to the grid. Polynomials of third order have
+no room for a pole between so many."""
 
 
 _GRID = np.stack(np.meshgrid(*[np.linspace(-1.0, 1.0, n) for n in (5, 5, 3)]), -1).reshape(-1, 3)
@@ -31,9 +31,9 @@ _GRID = np.stack(np.meshgrid(*[np.linspace(-1.0, 1.0, n) for n in (5, 5, 3)]), -
 def guard_points(control: FeatureSet, check: Points) -> FloatArray:
     """Return scaled ground points at which denominators must stay positive.
 
-    A grid over the box of X, Y, Z of control and check features, and features themselves:
-    all of them up to GUARDED, of more an even choice over the scene. In geocentric coordinates,
-    where X, Y, Z are not along and across the ground, the box is turned to the features.
+    They are a grid over the box around control and check features, and the features themselves.
+    Of more than GUARDED features, an even choice over the scene is taken. In geocentric
+    coordinates the box is turned to the features, as X, Y, Z are not along the ground.
     """
     vertices = np.concatenate([control.ground_vertices(), check.ground])
     axes = np.eye(3)
@@ -47,11 +47,11 @@ def guard_points(control: FeatureSet, check: Points) -> FloatArray:
     return np.concatenate([vertices, grid @ axes.T])
 
 
-def pole_violation(model: SensorModel, coefficients: FloatArray,
+def pole_violation(model: Fittable, coefficients: FloatArray,
                    ground: FloatArray) -> FloatArray:
-    """Return by how much denominators fall short of POLE_MARGIN, shape (p,); 0 is safe."""
+    """Return how far denominators are below POLE_MARGIN, shape (p,); 0 is safe."""
     below = model.denominators(coefficients, ground)
     if below is None:
         return np.zeros(len(coefficients))
-    least = np.nan_to_num(below, nan=-HOPELESS).min(axis=(1, 2))
-    return np.asarray(np.clip(POLE_MARGIN - least, 0.0, HOPELESS))
+    least = np.nan_to_num(below, nan=-LARGEST_SHORTFALL).min(axis=(1, 2))
+    return np.asarray(np.clip(POLE_MARGIN - least, 0.0, LARGEST_SHORTFALL))

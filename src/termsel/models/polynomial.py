@@ -37,15 +37,15 @@ class Polynomial2D(Polynomial):
     References
     ----------
     Valadan Zoej et al. 2002, eqs. 1 and 2; Zakaryaie Nejad et al. 2015, eqs. 1 and 2. Their
-    double sums run over all i, j up to n; their 15 and 21 terms are those of total degree
-    4 and 5, which is what `degree` counts here.
+    double sums run over all i, j up to n, but they count 15 and 21 terms, those of total degree
+    4 and 5. `degree` is the total degree.
     """
 
     name = "poly2d"
     variables = 2
     uses_height = False
     declared_options: ClassVar[tuple[Option, ...]] = (
-        Option("degree", 4, "Total degree; 4 gives 15 terms an axis, 5 gives 21.", int, 1, 8),)
+        Option("degree", 4, "Total degree; 4 gives 15 terms per axis, 5 gives 21.", int, 1, 8),)
 
 
 class Polynomial3D(Polynomial):
@@ -53,7 +53,7 @@ class Polynomial3D(Polynomial):
 
     name = "poly3d"
     declared_options = (
-        Option("degree", 2, "Total degree; 2 gives 10 terms an axis, 3 gives 20.", int, 1, 5),)
+        Option("degree", 2, "Total degree; 2 gives 10 terms per axis, 3 gives 20.", int, 1, 5),)
 
 
 class Affine(Polynomial):

@@ -37,8 +37,8 @@ class Projective2D(Projective):
 
     References
     ----------
-    Valadan Zoej et al. 2002, eq. 3, where the numerator of y repeats the coefficients of x by
-    a misprint.
+    Valadan Zoej et al. 2002, eq. 3. By a misprint, the numerator of y there repeats the
+    coefficients of x.
     """
 
     name = "projective2d"
@@ -58,12 +58,12 @@ class DLT2D(Projective):
 
         (a3 + a0 X + a1 Y + a2 XY) / (1 + c0 X + c1 Y + c2 XY)
 
-    for the line, likewise with b for the sample: 11 terms, in which the four d are absorbed.
-    They are no constraint: any 11 values arise, for instance from Z = XY.
+    for the line, likewise with b for the sample: 11 terms, which absorb the four d. The d are
+    no constraint: any 11 values arise, for instance from Z = XY.
 
-    With a plane, Z = d0 + d1 X + d2 Y, the same substitution leaves a quotient of linear forms,
-    8 terms. Whatever plane it was, that is `projective2d`: a tilted plane is no relief to a
-    projective transformation. What the DLT adds to it is XY alone.
+    With a plane, Z = d0 + d1 X + d2 Y, the same substitution gives a quotient of linear forms,
+    8 terms. For any plane this is `projective2d`, as a projective transformation takes up a
+    tilted plane. The DLT adds XY alone to it.
 
     References
     ----------
@@ -73,8 +73,8 @@ class DLT2D(Projective):
     name = "dlt2d"
     uses_height = False
     declared_options = (
-        Option("relief", "xy", "Heights as a function of X and Y: with the term d3 XY, or a plane, "
-               "which is projective2d.", choices=("xy", "plane")),)
+        Option("relief", "xy", "Heights as a function of X and Y: with the term d3 XY; or a plane, "
+               "which makes the model projective2d.", choices=("xy", "plane")),)
 
     @cached_property
     def exponents(self) -> Exponents:

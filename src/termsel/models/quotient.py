@@ -14,6 +14,7 @@ from termsel.adjustment.lines import approximate_image, image_equations
 from termsel.errors import TermselError
 from termsel.measurements.features import FeatureSet, FloatArray, IntArray
 from termsel.models.base import BOTH, LINE, SAMPLE, SensorModel
+from termsel.models.terms import AXES, Term
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,13 +38,13 @@ class Blocks:
     shared_denominator: FloatArray | None = None
 
 
-# In the order of the terms: block, prefix of its term names, image axis.
+# In the order of the terms: block, and image axis and part of its terms.
 _LAYOUT = (
-    ("line", "line.num", LINE),
-    ("line_denominator", "line.den", LINE),
-    ("sample", "sample.num", SAMPLE),
-    ("sample_denominator", "sample.den", SAMPLE),
-    ("shared_denominator", "den", BOTH),
+    ("line", LINE, "numerator"),
+    ("line_denominator", LINE, "denominator"),
+    ("sample", SAMPLE, "numerator"),
+    ("sample_denominator", SAMPLE, "denominator"),
+    ("shared_denominator", BOTH, "denominator"),
 )
 
 
@@ -84,7 +85,7 @@ class RationalModel(SensorModel):
         sample = self.blocks(np.zeros((1, 3)))
         layout = []
         start = 0
-        for block, prefix, axis in _LAYOUT:
+        for block, axis, part in _LAYOUT:
             columns = getattr(sample, block)
             if columns is None or not columns.shape[1]:
                 continue
@@ -93,9 +94,9 @@ class RationalModel(SensorModel):
             if len(names) != width:
                 raise TermselError(
                     f"model {self.name!r} names {len(names)} of {width} columns of {block!r}",
-                    hint="Tell the author of the model.")
+                    hint="Report this to the author of the model.")
             layout.append((block, slice(start, start + width), axis,
-                           tuple(f"{prefix}:{name}" for name in names)))
+                           tuple(str(Term(AXES[axis], part, name)) for name in names)))
             start += width
         return tuple(layout)
 
@@ -137,17 +138,17 @@ class RationalModel(SensorModel):
         nl l(G) + ns s(G) = rho, with unit normal (nl, ns) and offset rho of the image line
         in Hesse form. This is linear for polynomials; with a shared denominator it becomes
         linear when multiplied by it. With separate denominators the products of image
-        coordinate and denominator need the image position of the vertex, which is taken from
+        coordinate and denominator need the image position of the vertex. It is taken from
         `approximate_image`: this is a Gauss-Newton step from that polynomial to the least
-        squares of distances in the image. A fit goes on from there by `linearised`.
+        squares of distances in the image. A fit iterates from there by `linearised`.
         (With the measured offset across the image line the coefficients would be biased, as
         rows and right-hand side then share its error.)
 
         Rows are weighted by `row_weights`.
 
-        The vector form follows from the requirement that conjugate lines coincide; the
-        published line equations of line-based RFMs (Teo 2013; Yavari et al. 2018) could
-        not be consulted, so this is termsel's own formulation.
+        The vector form follows from the requirement that conjugate lines coincide. It is
+        termsel's own: the published line equations of line-based RFMs (Teo 2013; Yavari et al.
+        2018) could not be consulted.
         """
         points, lines = features.points, features.lines
         if self.exact_for_lines or not len(lines):
@@ -163,8 +164,8 @@ class RationalModel(SensorModel):
     def linearised(self, features: FeatureSet, coefficients: FloatArray) -> Equations | None:
         """Return the equations of points and lines about a solution (Gauss-Newton).
 
-        Only for lines under separate denominators; points alone, and lines under polynomials or a
-        shared denominator, keep the linear equations that the literature solves.
+        Only for lines with separate denominators. All other cases keep the linear equations that
+        the literature solves: points alone, and lines with polynomials or a shared denominator.
         """
         if self.exact_for_lines or not len(features.lines):
             return None

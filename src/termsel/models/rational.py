@@ -11,16 +11,17 @@ from termsel.adjustment.equations import Equations
 from termsel.measurements.features import FeatureSet, FloatArray
 from termsel.models.monomials import RPC00B, Exponents, monomial_name, monomials
 from termsel.models.quotient import Blocks, RationalModel
+from termsel.models.terms import Term
 from termsel.options import Option
 
 _TERMS_OF_ORDER = {1: 4, 2: 10, 3: 20}
 
 
 RIDGE = 0.01
-"""Control lines leave next to undetermined what numerators and denominators have in common, which
-then grows to poles. With errors of a pixel in an image of ten thousand this is a standard
-deviation of 0.002 for a coefficient: satellites' are smaller; and one of 0.3, as a photograph
-has, loses 0.0002 of it where there are fifty equations. A DLT on lines is determined without."""
+"""Control lines hardly determine what numerators and denominators have in common, which then grows
+to poles. With errors of 1 px in an image of 10 000 px this is a standard deviation of 0.002 for a
+coefficient. Those of satellites are smaller. One of 0.3, as of a photograph, loses 0.0002 with
+fifty equations. A DLT is determined by lines without it."""
 
 
 class RationalFunctions(RationalModel):
@@ -30,9 +31,9 @@ class RationalFunctions(RationalModel):
     has 78 terms. The equations are linearised by multiplication with the denominator, as is
     usual in terrain-dependent RFM.
 
-    Regularisation is that of Tao and Hu 2001 (a constant on the diagonal of the normal equations),
-    but of denominators alone: numerators of satellite images have large coefficients, which a
-    constant would pull away from the truth. Its default is termsel's own.
+    Regularisation is that of Tao and Hu 2001: a constant on the diagonal of the normal equations.
+    It applies to denominators alone. Numerators of satellite images have large coefficients, which
+    it would bias. Its default is termsel's own.
 
     References
     ----------
@@ -44,11 +45,11 @@ class RationalFunctions(RationalModel):
     declared_options = (
         Option("order", 3, "Order of the polynomials: 4, 10 or 20 monomials each.", int, 1, 3),
         Option("denominators", "separate",
-               "Whether line and sample have a denominator each, one together, or none.",
+               "Whether line and sample have separate denominators, share one, or have none.",
                choices=("separate", "shared", "none")),
-        Option("ridge", None, "Weight, in scaled coordinates, of pseudo-observations that the "
-               "coefficients of denominators are zero; 0 for none. By default "
-               f"{RIDGE} with control lines, unless for a DLT (order 1, shared), and else none.",
+        Option("ridge", None, "Weight of pseudo-observations that the coefficients of denominators "
+               f"are zero, in scaled coordinates; 0 for none. By default {RIDGE} with control "
+               "lines, but none for a DLT (order 1, shared) or for points alone.",
                float, 0.0),
     )
 
@@ -82,7 +83,7 @@ class RationalFunctions(RationalModel):
         if ridge is None:
             is_dlt = self.options["order"] == 1 and self.exact_for_lines
             ridge = RIDGE if len(features.lines) and not is_dlt else 0.0
-        below = np.array(["den:" in name for name in self.terms])
+        below = np.array([Term.parse(name).is_denominator for name in self.terms])
         return np.sqrt(ridge) * below if ridge and below.any() else None
 
     def column_names(self, block: str) -> tuple[str, ...]:

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from termsel.errors import TermselError
+from termsel.fits.locate import Surface, locate
 from termsel.measurements.features import FloatArray
-from termsel.models.locate import Surface, locate
 from termsel.models.monomials import RPC00B, monomials
 
 Coefficients = tuple[float, ...]
@@ -21,31 +21,34 @@ N_COEFFICIENTS = len(RPC00B)
 class Rpc:
     """Line and sample as quotients of cubic polynomials of longitude, latitude and height.
 
-    With X, Y, Z = (ground - ground_offset) / ground_scale, line = image_offset[0] +
-    image_scale[0] * P(X, Y, Z) / Q(X, Y, Z), and sample likewise.
+    With X, Y, Z = (ground - ground_offset) / ground_scale,
+
+        line = image_offset[0] + image_scale[0] P(X, Y, Z) / Q(X, Y, Z),
+
+    and sample likewise.
 
     Parameters
     ----------
     image_offset, image_scale : tuple of 2 floats
-        Of line and sample [pixel]; the centre of the upper-left pixel is (0, 0), as in RPB
+        Of line and sample [px]; the centre of the upper-left pixel is (0, 0), as in RPB
         and _RPC.TXT files.
     ground_offset, ground_scale : tuple of 3 floats
         Of WGS84 longitude, latitude [deg] and ellipsoidal height [m].
     line_numerator, line_denominator, sample_numerator, sample_denominator : tuple of 20 floats
         In RPC00B order.
     error_bias, error_random : float, optional
-        Root mean square of bias and of random error [m], where the vendor states them.
+        Root mean square of bias and of random error [m], if the vendor states them.
 
     Raises
     ------
     TermselError
-        For coefficients that are not 20, values that are not finite, scales of 0, or a
-        denominator of zeros.
+        If there are not 20 coefficients, a value is not finite, a scale is 0, or all of a
+        denominator is 0.
 
     Notes
     -----
-    NGA STDI-0002-1, appendix E, "RPC00B". Evaluated as GDAL does, for which longitudes that
-    differ by a full turn are the same.
+    NGA STDI-0002-1, appendix E, "RPC00B". Evaluated as in GDAL: longitudes that differ by a
+    full turn are the same.
     """
 
     image_offset: tuple[float, float]
@@ -67,8 +70,8 @@ class Rpc:
                      "sample_denominator"):
             values = getattr(self, name)
             if len(values) != N_COEFFICIENTS:
-                raise TermselError(f"the RPC has {len(values)} coefficients as "
-                                   f"{name.replace('_', ' ')}, expected {N_COEFFICIENTS}")
+                raise TermselError(f"the {name.replace('_', ' ')} of the RPC has {len(values)} "
+                                   f"coefficients, expected {N_COEFFICIENTS}")
             _require_finite(values, name)
             if name.endswith("denominator") and not any(values):
                 raise TermselError(f"all coefficients of the RPC's {name.replace('_', ' ')} are 0",
@@ -89,7 +92,7 @@ class Rpc:
         Returns
         -------
         ndarray, shape (n, 2)
-            Line and sample [pixel].
+            Line and sample [px].
         """
         away = np.asarray(ground, dtype=np.float64) - self.ground_offset
         away[:, 0] -= 360.0 * ((away[:, 0] > 270).astype(float) - (away[:, 0] < -270))
@@ -105,9 +108,9 @@ class Rpc:
         Parameters
         ----------
         image : array_like, shape (n, 2)
-            Line and sample [pixel].
+            Line and sample [px].
         height : array_like, shape (n,), a number, or callable
-            Ellipsoidal heights [m], or what gives them for longitudes and latitudes, (n, 2).
+            Ellipsoidal heights [m], or a function of longitudes and latitudes, shape (n, 2).
 
         Returns
         -------

@@ -1,9 +1,5 @@
-"""Plugins: what they provide (`hookspecs`), and the registry of everything provided (`manager`).
+"""Plugins: what they provide (`hookspecs`), and the registry of everything provided.
 
 The built-in models, problems, solvers and so on are registered through the same hooks, in
-`builtin`.
+`builtin`. This package imports none of its modules: `termsel --help` reads its `commands` alone.
 """
-
-from termsel.plugins.hookspecs import hookimpl
-
-__all__ = ["hookimpl"]

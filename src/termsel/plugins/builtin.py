@@ -38,11 +38,11 @@ def termsel_problems() -> Iterable[Recipe]:
 
 
 @hookimpl
-def termsel_criteria() -> Iterable[Criterion]:
+def termsel_criteria() -> Iterable[type[Criterion]]:
     """Return the built-in criteria."""
     from termsel.criteria import CheckRmse, Ebic, Huber, KFold, Median, Press
 
-    return [CheckRmse(), Press(), KFold(), Ebic(), Median(), Huber()]
+    return [CheckRmse, Press, KFold, Ebic, Median, Huber]
 
 
 @hookimpl
@@ -78,7 +78,7 @@ def termsel_datasets() -> Iterable[DatasetSpec]:
 
 
 @hookimpl
-def termsel_readers() -> Iterable[Reader]:
+def termsel_readers() -> Iterable[type[Reader]]:
     """Return the built-in readers."""
     from termsel.formats.readers.areas_table import AreasCsv
     from termsel.formats.readers.asp_gcp import AspGcp
@@ -90,12 +90,12 @@ def termsel_readers() -> Iterable[Reader]:
     from termsel.formats.readers.qgis_points import QgisPoints
 
     # A table of corners has all columns of points, so it is asked for first.
-    return [AreasCsv(), PointsCsv(), LinesCsv(), QgisPoints(), GeoJsonPoints(), GeoJsonLines(),
-            VectorLines(), GdalGcps(), EnviPoints(), AspGcp()]
+    return [AreasCsv, PointsCsv, LinesCsv, QgisPoints, GeoJsonPoints, GeoJsonLines,
+            VectorLines, GdalGcps, EnviPoints, AspGcp]
 
 
 @hookimpl
-def termsel_writers() -> Iterable[Writer]:
+def termsel_writers() -> Iterable[type[Writer]]:
     """Return the built-in writers."""
     from termsel.formats.writers.grids import GcpGridVrt, GeolocationVrt
     from termsel.formats.writers.residuals import ResidualsGeopackage
@@ -108,5 +108,5 @@ def termsel_writers() -> Iterable[Writer]:
         QgisPoints,
     )
 
-    return [Rpb(), RpcTxt(), RpcVrt(), GcpGridVrt(), GeolocationVrt(), QgisPoints(), GcpVrt(),
-            OrthorityGeojson(), PointsTable(), LinesTable(), ResidualsGeopackage()]
+    return [Rpb, RpcTxt, RpcVrt, GcpGridVrt, GeolocationVrt, QgisPoints, GcpVrt,
+            OrthorityGeojson, PointsTable, LinesTable, ResidualsGeopackage]

@@ -7,7 +7,7 @@ command is used.
 COMMANDS = {
     "run": ("termsel.cli.run:run", "Search for the terms or control features that serve best."),
     "stability": ("termsel.cli.stability:stability",
-                  "Show how often each term is selected when points are shared out anew."),
+                  "Show how often each term is selected as control and check points change."),
     "export": ("termsel.cli.export:export",
                "Write a result for GDAL, QGIS, OTB, Orthority and others."),
     "project": ("termsel.cli.project:project",

@@ -5,7 +5,7 @@ A plugin is a module named by an entry point of the group ``termsel``::
     [project.entry-points.termsel]
     demo = "termsel_demo"
 
-Its functions bear the name of a hook and the decorator `hookimpl`, and return what the plugin
+Its functions have the name of a hook and the decorator `hookimpl`, and return what the plugin
 adds::
 
     from termsel import hookimpl
@@ -14,8 +14,13 @@ adds::
     def termsel_models():
         return [DLT]
 
-A function may leave out arguments it does not need. termsel calls each function once a
-process, when something of its kind is wanted.
+What has options of its own (models, solvers, criteria, readers, writers) is returned as its class.
+What is a plain description (problems as `Recipe`, data sets as `DatasetSpec`) is returned as an
+instance. Criteria, readers and writers that are returned as instances still load, with a note in
+``termsel plugins``.
+
+A function may omit arguments it does not need. termsel calls each function once per process, when
+something of its kind is needed.
 """
 
 # Specifications are never called: they have no bodies.
@@ -71,13 +76,13 @@ def termsel_problems() -> Iterable[Recipe]:
 
 
 @hookspec
-def termsel_criteria() -> Iterable[Criterion]:
-    """Return criteria, by which a search judges fitted models.
+def termsel_criteria() -> Iterable[type[Criterion]]:
+    """Return criteria, the figures of merit that a search minimises.
 
     Returns
     -------
-    iterable of Criterion
-        Instances with their default options, each with a `name` as in ``--criterion``.
+    iterable of type
+        Subclasses of `Criterion`, each with a `name` as in ``--criterion``.
     """
 
 
@@ -94,7 +99,7 @@ def termsel_solvers() -> Iterable[type[Solver]]:
 
 @hookspec
 def termsel_datasets() -> Iterable[DatasetSpec]:
-    """Return data sets that are known by name.
+    """Return named data sets.
 
     Returns
     -------
@@ -104,25 +109,25 @@ def termsel_datasets() -> Iterable[DatasetSpec]:
 
 
 @hookspec
-def termsel_readers() -> Iterable[Reader]:
+def termsel_readers() -> Iterable[type[Reader]]:
     """Return readers of files of ground control features.
 
     Returns
     -------
-    iterable of Reader
-        Instances. The first whose `sniff` recognises a file reads it; built-in readers are
-        asked first.
+    iterable of type
+        Subclasses of `Reader`. The first whose `sniff` recognises a file reads it; built-in
+        readers are asked first.
     """
 
 
 @hookspec
-def termsel_writers() -> Iterable[Writer]:
+def termsel_writers() -> Iterable[type[Writer]]:
     """Return writers of results.
 
     Returns
     -------
-    iterable of Writer
-        Instances, each with a `name` as in ``termsel export --to``.
+    iterable of type
+        Subclasses of `Writer`, each with a `name` as in ``termsel export --to``.
     """
 
 
@@ -130,20 +135,20 @@ def termsel_writers() -> Iterable[Writer]:
 def termsel_commands(cli: click.Group) -> None:
     """Add commands to the command line.
 
-    The hook is called for a command that is not built in and for ``termsel plugins``, but
-    not for ``termsel --help``, which has to be quick.
+    The hook is called for a command that is not built in, and for ``termsel plugins``. It is not
+    called for ``termsel --help``, which must be quick.
 
     Parameters
     ----------
     cli : click.Group
-        Takes the commands: ``cli.add_command(command)`` or ``@cli.command()``. It is a group
-        of the plugin's own; what it holds is added to termsel's commands afterwards.
+        Takes the commands: ``cli.add_command(command)`` or ``@cli.command()``. Each plugin has
+        its own group; its commands are added to those of termsel afterwards.
     """
 
 
 @hookspec
 def termsel_run_finished(result: Result) -> None:
-    """Take note of a finished run, for a log or a database of runs.
+    """Receive a finished run, for a log or a database of runs.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Finding plugins and loading them one at a time, so that a broken one harms nothing else."""
+"""Find plugins and load them one at a time, so that a broken one harms nothing else."""
 
 from __future__ import annotations
 
@@ -45,21 +45,21 @@ class Plugin:
     version: str
     hooks: tuple[str, ...] = ()
 
-    def failure(self, what: str) -> PluginFailure:
-        """Return the record of something that does not work."""
-        return PluginFailure(self.name, self.distribution, self.version, what)
+    def remark(self, what: str) -> Remark:
+        """Return a remark on the plugin."""
+        return Remark(self.name, self.distribution, self.version, what)
 
 
 @dataclass(frozen=True)
-class PluginFailure:
-    """Something of a plugin that does not work.
+class Remark:
+    """What a plugin's author should know: something that does not work, or is deprecated.
 
     Parameters
     ----------
     plugin, distribution, version : str
         As in `Plugin`.
     what : str
-        What is wrong, after the hook concerned if there is one.
+        What it is, after the hook concerned if there is one.
     """
 
     plugin: str
@@ -117,7 +117,7 @@ class Loader:
         self._manager = pluggy.PluginManager(PROJECT)
         self._manager.add_hookspecs(hookspecs)
         self.plugins: list[Plugin] = []
-        self.failures: list[PluginFailure] = []
+        self.failures: list[Remark] = []
         self._load(Plugin("builtin", PROJECT, __version__), lambda: builtin)
         points = self._installed() if entry_points is None else entry_points
         external = [(_plugin_of(point), point) for point in points]
@@ -178,11 +178,11 @@ class Loader:
         # Its other hooks count: it may be written for a later termsel that has more of them.
         for hook in hooks:
             if hook not in HOOKS:
-                self.failures.append(plugin.failure(str(unknown_name("hook", hook, HOOKS))))
+                self.failures.append(plugin.remark(str(unknown_name("hook", hook, HOOKS))))
 
     def _fail(self, plugin: Plugin, what: str) -> None:
         self.plugins.append(plugin)
-        self.failures.append(plugin.failure(what))
+        self.failures.append(plugin.remark(what))
 
 
 def _key(plugin: Plugin) -> str:

@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cache, partial
 from importlib.metadata import EntryPoint
 from typing import TYPE_CHECKING, Any
 
 from termsel.errors import unknown_name
+from termsel.options import Configurable
 from termsel.plugins.commands import COMMANDS
 from termsel.plugins.hookspecs import PROJECT
 from termsel.plugins.kinds import KINDS, summary
-from termsel.plugins.loading import Loader, Plugin, PluginFailure, attempt, canonical
+from termsel.plugins.loading import Loader, Plugin, Remark, attempt, canonical
 
 if TYPE_CHECKING:
     from termsel.results.result import Result
@@ -22,12 +23,12 @@ _PACKAGES = {
     "termsel-hybrids": ("multiquadric", "pointwise", "hybrid-1", "hybrid-3"),
     "termsel-rpc": ("rpc-gcps", "rpc-shift", "rpc-drift", "rpc-affine", "pushbroom-refine"),
 }
-"""What the packages beside termsel provide, for whoever asks for it without having them."""
+"""What the optional packages provide, for an error that names the missing package."""
 
 
 @dataclass(frozen=True)
 class Entry:
-    """Something that can be asked for by name.
+    """Something that has a name.
 
     Parameters
     ----------
@@ -38,13 +39,16 @@ class Entry:
     provided_by : str
         The distribution it comes from.
     object : object
-        The class or instance itself.
+        The class; of problems and data sets the `Recipe` or `DatasetSpec`.
+    note : str
+        What is deprecated in how it is provided, if anything.
     """
 
     name: str
     summary: str
     provided_by: str
     object: Any
+    note: str = ""
 
     def answers_to(self, name: str) -> bool:
         """Return True for the entry's name, bare or with its distribution before it."""
@@ -53,22 +57,38 @@ class Entry:
                                      and bare == self.name.rpartition(":")[2])
 
 
-class Registry:
-    """Everything that can be asked for by name.
+@dataclass(frozen=True)
+class Provided:
+    """All that plugins provide of a kind.
 
-    Plugins are loaded at once; each is asked for things of a kind when that kind is wanted.
+    Parameters
+    ----------
+    entries : list of Entry
+    failures, notes : list of Remark
+        What does not work; and what works, in a way that is deprecated.
+    """
+
+    entries: list[Entry] = field(default_factory=list)
+    failures: list[Remark] = field(default_factory=list)
+    notes: list[Remark] = field(default_factory=list)
+
+
+class Registry:
+    """Everything that has a name.
+
+    Plugins are loaded at once; their hooks are called when a kind is needed.
 
     Parameters
     ----------
     entry_points : iterable of importlib.metadata.EntryPoint, optional
-        The plugins besides termsel's own. By default those that are installed, restricted to
-        the distributions that the environment variable ``TERMSEL_PLUGINS`` lists, separated
-        by commas, where it is set.
+        Plugins to load after termsel's own. By default those that are installed; if the
+        environment variable ``TERMSEL_PLUGINS`` is set, only those of the distributions it
+        lists, separated by commas.
     """
 
     def __init__(self, entry_points: Iterable[EntryPoint] | None = None) -> None:
         self._loader = Loader(entry_points)
-        self._provided: dict[str, tuple[list[Entry], list[PluginFailure]]] = {}
+        self._provided: dict[str, Provided] = {}
 
     @property
     def plugins(self) -> tuple[Plugin, ...]:
@@ -84,7 +104,7 @@ class Registry:
             One of `KINDS`: "problems", "models", "solvers", "criteria", "datasets",
             "readers" or "writers"; or "commands", those that plugins add.
         """
-        return list(self._collect(kind)[0])
+        return list(self._collect(kind).entries)
 
     def names(self, kind: str) -> list[str]:
         """Return the names of everything of a kind."""
@@ -115,7 +135,7 @@ class Registry:
         return [(kind, entry) for kind in KINDS for entry in self.entries(kind)
                 if entry.answers_to(name)]
 
-    def failures(self, *kinds: str) -> list[PluginFailure]:
+    def failures(self, *kinds: str) -> list[Remark]:
         """Return what does not work: plugins that cannot be loaded, then things of the kinds.
 
         Parameters
@@ -125,11 +145,22 @@ class Registry:
         """
         found = list(self._loader.failures)
         for kind in kinds or (*KINDS, "commands"):
-            found += self._collect(kind)[1]
+            found += self._collect(kind).failures
         return found
 
+    def notes(self, *kinds: str) -> list[Remark]:
+        """Return what works in a way that is deprecated.
+
+        Parameters
+        ----------
+        *kinds : str
+            As for `entries`; all of them by default.
+        """
+        return [note for kind in kinds or (*KINDS, "commands")
+                for note in self._collect(kind).notes]
+
     def hint(self, name: str, *kinds: str) -> str:
-        """Return where an unknown name may belong, as a sentence, or nothing."""
+        """Return a sentence on where an unknown name may come from, or nothing."""
         installed = {plugin.distribution for plugin in self.plugins}
         for package, names in _PACKAGES.items():
             if name in names and package not in installed:
@@ -141,28 +172,29 @@ class Registry:
                 "see termsel plugins.")
 
     def notify_run_finished(self, result: Result) -> None:
-        """Tell every plugin that a run is finished; warn on stderr of those that fail."""
+        """Call the hook of every plugin for a finished run; warn on stderr of those that fail."""
         hook = f"{PROJECT}_run_finished"
         for plugin, call in self._loader.implementations(hook):
             _, reason = attempt(partial(call, result=result))
             if reason is not None:
-                print(f"Warning: {plugin.failure(f'{hook}: {reason}')}", file=sys.stderr)
+                print(f"Warning: {plugin.remark(f'{hook}: {reason}')}", file=sys.stderr)
 
-    def _collect(self, kind: str) -> tuple[list[Entry], list[PluginFailure]]:
-        """Return the entries of a kind and what is wrong with others, asking plugins once."""
+    def _collect(self, kind: str) -> Provided:
+        """Return what is provided of a kind, asking plugins once."""
         if kind not in self._provided:
             hook = f"{PROJECT}_{kind}"
-            entries: list[Entry] = []
-            failures: list[PluginFailure] = []
+            found = Provided()
             for plugin, call in self._loader.implementations(hook):
                 offered, faults = (_things(kind, plugin, call) if kind in KINDS
                                    else _commands(plugin, call))
                 for entry in offered:
-                    clash = _add(entries, entry, kind)
+                    clash = _add(found.entries, entry, kind)
                     if clash is not None:
                         faults.append(clash)
-                failures += [plugin.failure(f"{hook}: {fault}") for fault in faults]
-            self._provided[kind] = entries, failures
+                    if entry.note:
+                        found.notes.append(plugin.remark(f"{hook}: {entry.note}"))
+                found.failures.extend(plugin.remark(f"{hook}: {fault}") for fault in faults)
+            self._provided[kind] = found
         return self._provided[kind]
 
 
@@ -197,14 +229,18 @@ def _listed(call: Callable[..., Any]) -> list[Any]:
 
 def _entry(kind: str, plugin: Plugin, thing: Any) -> Entry:
     made = KINDS[kind].made(thing)
-    return Entry(made.name, summary(made), plugin.distribution, made)
+    note = ""
+    if isinstance(thing, Configurable):
+        note = (f"returned {made.name!r} as an instance, which is deprecated; return the class "
+                f"{type(thing).__name__}")
+    return Entry(made.name, summary(made), plugin.distribution, made, note)
 
 
 def _commands(plugin: Plugin, call: Callable[..., Any]) -> tuple[list[Entry], list[str]]:
     """Return the commands a plugin adds, and what is wrong."""
     import click
 
-    # A group of its own, so that it is known whose commands they are and none is replaced.
+    # Each plugin has its own group, so that none replaces a command of another.
     group = click.Group()
     _, reason = attempt(partial(call, cli=group))
     return ([Entry(name, command.get_short_help_str(), plugin.distribution, command)

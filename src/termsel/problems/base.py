@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from termsel.adjustment.subset_system import SubsetSystem
 
 WORST = 1e9
-"""Objective of an individual that cannot be judged; finite, so that it can be compared."""
+"""Objective of an individual without a figure; finite, so that it can be compared."""
 
 
 @dataclass(frozen=True)
@@ -59,8 +59,7 @@ class Genome:
     Raises
     ------
     TermselError
-        For a label that no segment has, a gene both on and off, or a cardinality that cannot
-        be reached.
+        For a label that no segment has, a gene both on and off, or a cardinality out of reach.
     """
 
     def __init__(self, segments: Iterable[Segment], *, on: Iterable[str] = (),
@@ -73,8 +72,8 @@ class Genome:
         self.free = ~(self.on | self.off)
         both = self.on & self.off
         if both.any():
-            raise TermselError(f"gene {self.labels[int(np.argmax(both))]!r} is to be always on and "
-                               "always off")
+            raise TermselError(f"gene {self.labels[int(np.argmax(both))]!r} is forced both on and "
+                               "off", hint="Remove it from force_on or from force_off.")
         self._refuse_unreachable()
 
     def _refuse_unreachable(self) -> None:
@@ -83,10 +82,10 @@ class Genome:
             least_on, most_on = int(self.on[where].sum()), int((~self.off[where]).sum())
             if segment.minimum > min(most, most_on) or least_on > most:
                 raise TermselError(
-                    f"of the {len(segment.labels)} genes {segment.name!r}, {segment.minimum} to "
-                    f"{most} are to be on, which forced genes or their number do not allow",
+                    f"{segment.minimum} to {most} of the {len(segment.labels)} genes "
+                    f"{segment.name!r} must be on; forced genes or their number do not allow it",
                     hint="Lower the minimum, raise the maximum (of terms: max_share) or force "
-                         "fewer.")
+                         "fewer genes.")
 
     def _mark(self, labels: Iterable[str]) -> BoolArray:
         marked = np.zeros(self.size, dtype=bool)
@@ -103,22 +102,22 @@ class Genome:
                 for s, end in zip(self.segments, ends, strict=True)}
 
     def random(self, rng: np.random.Generator, n: int) -> BoolArray:
-        """Return n individuals, each with a share of genes on that is drawn anew.
+        """Return n individuals, each with its own random share of genes on.
 
-        The share is uniform between 0 and 1, so that small and large selections are met
-        alike; with one half for all, a genome of 78 would hardly ever see 20.
+        The share is uniform between 0 and 1, so that small and large selections are equally
+        frequent. With one half for all, a genome of 78 would hardly ever have 20 on.
         """
         share = rng.uniform(0.0, 1.0, (n, 1))
         return self.repair(rng.uniform(size=(n, self.size)) < share, rng)
 
     def repair(self, genes: BoolArray, rng: np.random.Generator) -> BoolArray:
-        """Return genes that keep the forced genes and each segment's cardinality.
+        """Return genes that satisfy the forced genes and each segment's cardinality.
 
         Parameters
         ----------
         genes : ndarray of bool, shape (p, size)
         rng : numpy.random.Generator
-            Draws which genes are switched where there are too many or too few.
+            Draws which genes are switched where too many or too few are on.
         """
         genes = (genes | self.on) & ~self.off
         for segment, where in zip(self.segments, self.slices().values(), strict=True):
@@ -141,7 +140,7 @@ class Evaluation:
     ----------
     objectives : ndarray, shape (p, m)
     violation : ndarray, shape (p,)
-        0 for a feasible individual, else by how much it fails.
+        0 for a feasible individual, else by how much it violates the constraints.
     """
 
     objectives: FloatArray
@@ -172,7 +171,7 @@ class Selection:
 
 @dataclass(frozen=True, eq=False)
 class EnumerablePart:
-    """Genes whose part of the objective depends on no others, and can be walked exactly.
+    """Genes whose part of the objective depends on no others, and can be enumerated.
 
     Parameters
     ----------
@@ -184,9 +183,9 @@ class EnumerablePart:
     cost : callable
         Turns the best score of every size, shape (k + 1,), into what adds up over the parts.
     folds : tuple of ndarray of int
-        For the score "kfold": the control rows left out together.
+        For the score "kfold": the control rows of each fold.
     pixels : float
-        Pixels per unit of the system's target.
+        px per unit of the system's target.
     """
 
     genes: IntArray
@@ -227,11 +226,10 @@ class Problem(ABC):
         Raises
         ------
         TermselError
-            If the space of this problem cannot be walked subset by subset.
+            If the subsets of this problem cannot be enumerated.
         """
-        raise TermselError("this problem is not one of terms as columns of a linear system, "
-                           "which this solver needs",
-                           hint="Choose another, such as --solver ga or --solver swap.")
+        raise TermselError("this solver needs a problem whose terms are columns of a linear system",
+                           hint="Choose another solver, such as --solver ga or --solver swap.")
 
     def design(self) -> FloatArray:
         """Return the columns of the full design matrix, one a gene, shape (m, genome.size).
@@ -244,9 +242,10 @@ class Problem(ABC):
         raise TermselError("this problem has no design matrix with a column for every gene",
                            hint="Choose a solver that needs none, such as --solver ga.")
 
+
 @dataclass(frozen=True, eq=False)
 class Inputs:
-    """What a problem is made of.
+    """What a problem is built from.
 
     Parameters
     ----------
@@ -256,7 +255,7 @@ class Inputs:
     check : Points
         Check points in scaled coordinates.
     pixels : float
-        Pixels per scaled image unit.
+        px per scaled image unit.
     criterion : Criterion
     options : dict
         Values of the recipe's options.

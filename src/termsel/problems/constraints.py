@@ -1,8 +1,7 @@
-"""What a user wants of any selection: some always or never, few terms, with their parents."""
+"""Constraints of selections: forced genes, hierarchy of monomials, most terms."""
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable
 from dataclasses import replace
 
@@ -11,45 +10,43 @@ import numpy as np
 from termsel.adjustment.parts import Part
 from termsel.errors import TermselError, unknown_name
 from termsel.measurements.features import BoolArray, FloatArray, IntArray
-from termsel.models.monomials import monomial_name
+from termsel.models.terms import Term
 from termsel.options import Option
 from termsel.problems.base import Segment
 
-FORCED = (
-    Option("force_on", None, "Terms and features that every selection has, with commas between: "
-           "ids of features; `line.num:X`, `num:X` for both axes, or `X` wherever it stands."),
-    Option("force_off", None, "Terms and features that no selection has, in the same way."),
+FORCE_OPTIONS = (
+    Option("force_on", None, "Terms and features that every selection has, separated by commas. "
+           "Give ids of features; `line.num:X`, `num:X` for both axes, or `X` in all parts."),
+    Option("force_off", None, "Terms and features that no selection has, given in the same way."),
 )
 """Options of problems that select anything."""
 
-WISHES = (
-    *FORCED,
-    Option("hierarchy", False, "A monomial only together with those it contains, of one power "
-           "less, such as X2Y with XY and X2.", bool),
-    Option("max_share", None, "Most terms of line and of sample, as a share of their equations, "
-           "0 to 1; both together where lines or a denominator couple them. One degree of freedom "
-           "is left in any case. By default two thirds; 1, which is no cap, for methods of papers "
-           "and yardsticks where the solver is asked for by name.", float, 0.0, 1.0),
-    Option("shrink", False, "Shrink the coefficients of the selection by ridge regression, the "
-           "more the higher the order of a term.", bool),
+TERM_OPTIONS = (
+    *FORCE_OPTIONS,
+    Option("hierarchy", False, "Select a monomial only together with those of one power less, "
+           "such as X2Y with XY and X2.", bool),
+    Option("max_share", None, "Most terms per axis, as a share of its equations, 0 to 1; of both "
+           "axes together where lines or a denominator couple them. At least one degree of freedom "
+           "is kept. By default two thirds; 1, which is no cap, for a published method or a "
+           "yardstick that --solver names.", float, 0.0, 1.0),
+    Option("shrink", False, "Shrink the coefficients of the selection by ridge regression; terms "
+           "of higher order more.", bool),
 )
 """Options of problems that select terms."""
 
-_MONOMIAL = re.compile(r"(?:([XYZ])(\d?))(?:([XYZ])(\d?))?(?:([XYZ])(\d?))?")
+
+def listed(value: str | None) -> list[str]:
+    """Return the names in the value of an option, which are separated by commas."""
+    return [name for name in (part.strip() for part in (value or "").split(",")) if name]
 
 
-def listed(wish: str | None) -> list[str]:
-    """Return the names that an option lists with commas between."""
-    return [name for name in (part.strip() for part in (wish or "").split(",")) if name]
-
-
-def forced(wish: str | None, labels: tuple[str, ...], ids: tuple[str, ...]) -> list[str]:
+def forced(value: str | None, labels: tuple[str, ...], ids: tuple[str, ...]) -> list[str]:
     """Return the labels of the genes that an option names.
 
     Parameters
     ----------
-    wish : str or None
-        Value of the option.
+    value : str or None
+        Of the option.
     labels : tuple of str
         Of all genes of terms, such as "line.num:X", or "num:X" for both axes.
     ids : tuple of str
@@ -61,9 +58,9 @@ def forced(wish: str | None, labels: tuple[str, ...], ids: tuple[str, ...]) -> l
         For a name that no term or feature has.
     """
     found: list[str] = []
-    for name in listed(wish):
-        named = [label for label in labels
-                 if label == name or label.endswith((f".{name}", f":{name}"))]
+    for name in listed(value):
+        named = [label for label, term in zip(labels, map(Term.parse, labels), strict=True)
+                 if name in (label, str(term.shared), term.column)]
         named += [one for one in ids if one == name]
         if not named:
             what = " or ".join(["term"] * bool(labels) + ["feature"] * bool(ids))
@@ -72,31 +69,20 @@ def forced(wish: str | None, labels: tuple[str, ...], ids: tuple[str, ...]) -> l
     return found
 
 
-def parents(terms: tuple[str, ...]) -> tuple[IntArray, IntArray]:
-    """Return pairs of terms, the second a monomial of one power less in the first's block.
+def parents(names: tuple[str, ...]) -> tuple[IntArray, IntArray]:
+    """Return pairs of terms, the second a monomial of one power less in the first's part.
 
     Parameters
     ----------
-    terms : tuple of str
-        Such as "line.num:X2Y"; others have no parents.
+    names : tuple of str
+        Of all terms (see `termsel.Term.parents`).
     """
-    index = {name: i for i, name in enumerate(terms)}
-    child, parent = [], []
-    for name, i in index.items():
-        prefix, colon, monomial = name.rpartition(":")
-        match = _MONOMIAL.fullmatch(monomial)
-        if not match:
-            continue
-        powers = {letter: int(power or 1) for letter, power in
-                  zip(match.groups()[::2], match.groups()[1::2], strict=True) if letter}
-        for letter in powers:
-            less = {**powers, letter: powers[letter] - 1}
-            x, y, z = (less.get(variable, 0) for variable in "XYZ")
-            above = index.get(f"{prefix}{colon}{monomial_name((x, y, z))}")
-            if above is not None:
-                child.append(i)
-                parent.append(above)
-    return np.array(child, dtype=np.intp), np.array(parent, dtype=np.intp)
+    terms = [Term.parse(name) for name in names]
+    index = {term: i for i, term in enumerate(terms)}
+    pairs = [(i, index[parent]) for i, term in enumerate(terms) for parent in term.parents
+             if parent in index]
+    child, parent = np.array(pairs, dtype=np.intp).reshape(-1, 2).T
+    return child, parent
 
 
 def orphans(terms: BoolArray, pairs: tuple[IntArray, IntArray]) -> FloatArray:
@@ -106,12 +92,12 @@ def orphans(terms: BoolArray, pairs: tuple[IntArray, IntArray]) -> FloatArray:
 
 
 MAX_SHARE = 2 / 3
-"""Terms of a selection by their equations, at most, where nothing else is said: a third of the
-equations is redundant then. docs/explanation/selection.md has what that does."""
+"""Default of the most terms as a share of their equations: a third of the equations is
+redundant."""
 
 
 def most_terms(equations: IntArray, share: float, least: int = 1) -> IntArray:
-    """Return how many terms so many equations bear.
+    """Return how many terms so many equations support.
 
     Parameters
     ----------
@@ -122,18 +108,18 @@ def most_terms(equations: IntArray, share: float, least: int = 1) -> IntArray:
         Fewest degrees of freedom.
     """
     rounding = 1e-9
-    borne = np.floor(share * equations + rounding).astype(np.intp)
-    return np.asarray(np.minimum(borne, equations - least))
+    supported = np.floor(share * equations + rounding).astype(np.intp)
+    return np.asarray(np.minimum(supported, equations - least))
 
 
 def excess(parts: tuple[Part, ...], terms: BoolArray, features: BoolArray | None, share: float,
            least: int = 1) -> FloatArray:
-    """Return how many terms are in use beyond those the equations in use bear, shape (p,).
+    """Return how many terms are in use in excess of what the equations in use support, shape (p,).
 
     Parameters
     ----------
     parts : tuple of Part
-        Each bears its own terms.
+        Each supports its own terms.
     terms : ndarray of bool, shape (p, k)
     features : ndarray of bool, shape (p, f), optional
         Features in use; all by default.
@@ -152,10 +138,10 @@ def excess(parts: tuple[Part, ...], terms: BoolArray, features: BoolArray | None
 
 def capped(segments: Iterable[Segment], gene_of_term: IntArray, parts: tuple[Part, ...],
            share: float) -> list[Segment]:
-    """Return the segments of terms with a maximum that no selection with less excess passes.
+    """Return the segments of terms with a maximum that no selection without excess is above.
 
-    It keeps a search from what `excess` would count; where several segments share equations, or
-    features are selected too, there is more to count.
+    The maximum keeps a search from most of what `excess` would count. `excess` counts more where
+    several segments share equations, or features are selected too.
 
     Parameters
     ----------
@@ -168,7 +154,7 @@ def capped(segments: Iterable[Segment], gene_of_term: IntArray, parts: tuple[Par
     Raises
     ------
     TermselError
-        If a segment may have no term at all.
+        If a segment may not have any term.
     """
     found, start = [], 0
     for segment in segments:
@@ -179,9 +165,10 @@ def capped(segments: Iterable[Segment], gene_of_term: IntArray, parts: tuple[Par
             columns = np.bincount(gene_of_term[part.columns], minlength=start)[genes]
             if columns.any():
                 equations = len(part.equations.b)
-                bears = int(most_terms(np.array(equations), share))
+                supported = int(most_terms(np.array(equations), share))
                 # Genes of no column here are free; the others switch as many as the fewest do.
-                most = min(most, int((columns == 0).sum()) + bears // columns[columns > 0].min())
+                most = min(most, int((columns == 0).sum())
+                           + supported // columns[columns > 0].min())
         if most < 1:
             of = segment.name.replace(".", " of ")
             raise TermselError(f"max_share={share:.2g} allows no {of}: the control gives "

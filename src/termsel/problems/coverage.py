@@ -1,4 +1,4 @@
-"""How widely chosen features lie over the image."""
+"""How much of the image the selected features cover."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def hull_areas(points: FloatArray, masks: BoolArray) -> FloatArray:
     Returns
     -------
     ndarray, shape (p,)
-        0 for fewer than three points, and for points on one line.
+        0 for fewer than three points, and for points on a straight line.
     """
     order = np.lexsort((points[:, 1], points[:, 0]))
     centred = np.ascontiguousarray((points - points.mean(axis=0))[order].T)
@@ -58,9 +58,9 @@ def hull_areas(points: FloatArray, masks: BoolArray) -> FloatArray:
 
 
 def uncovered_share(points: FloatArray, masks: BoolArray) -> FloatArray:
-    """Return the share of the image that the hull of each selection leaves out, shape (p,).
+    """Return the share of the image outside the hull of each selection, shape (p,).
 
-    The image is the smallest rectangle around all points on offer. (Covered area as an
+    The image is the smallest rectangle around all candidate points. (Covered area as an
     objective: Konugurthi et al. 2016; their formula could not be consulted.)
 
     Parameters

@@ -1,4 +1,4 @@
-"""Term selections as columns of least-squares systems that can be walked subset by subset."""
+"""Term selections as columns of least-squares systems whose subsets can be enumerated."""
 
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ def enumerable_parts(inputs: Inputs, equations: Equations, genome: Genome,
                      ) -> tuple[EnumerablePart, ...]:
     """Return the parts of a term selection from control points.
 
-    With a mask for each axis the line's terms and the sample's are two systems; with one mask
-    they are one system with two right-hand sides, if their columns are the same.
+    With a mask for each axis, line and sample are two systems. With a shared mask they are one
+    system with two right-hand sides, if their columns are the same.
 
     Parameters
     ----------
@@ -48,24 +48,24 @@ def enumerable_parts(inputs: Inputs, equations: Equations, genome: Genome,
         Scaled ground points at which denominators must reach `margin`.
     margin : float
     pairs : tuple of ndarray of int, optional
-        Terms, and for each a parent that has to be with it.
+        Terms, and for each a parent that must be selected with it.
 
     Raises
     ------
     TermselError
-        If the axes are coupled, or criterion or model cannot be walked.
+        If the axes are coupled, or criterion or model do not allow an enumeration.
     """
     model, criterion = inputs.model, inputs.criterion
     if not isinstance(model, RationalModel):
-        raise _unwalkable(f"model {model.name!r} is not a RationalModel")
+        raise _not_enumerable(f"model {model.name!r} is not a RationalModel")
     if not criterion.subset_score:
-        raise _unwalkable(f"criterion {criterion.name!r} is not a sum over check or control rows")
+        raise _not_enumerable(f"criterion {criterion.name!r} is no sum over check or control rows")
     axis = model.axis
     if (row_axes(equations.A, axis) == 2).any() or (axis == 2).any():
-        raise _unwalkable("lines or a shared denominator couple the axes")
+        raise _not_enumerable("lines or a shared denominator couple the axes")
     if equations.prior is not None:
-        raise _unwalkable(f"model {model.name!r} holds coefficients by pseudo-observations, which "
-                          "are no rows of the control (--set ridge=0 has none)")
+        raise _not_enumerable(f"model {model.name!r} has pseudo-observations, which are no rows "
+                              "of the control (--set ridge=0 removes them)")
     _refuse_other_errors(inputs)
     parents = np.zeros((len(axis), len(axis)), dtype=bool)
     if pairs is not None:
@@ -88,20 +88,20 @@ def enumerable_parts(inputs: Inputs, equations: Equations, genome: Genome,
 
 
 def _refuse_other_errors(inputs: Inputs) -> None:
-    """Refuse scores of control rows where a row's error is not that of its point [pixel]."""
+    """Refuse scores of control rows where a row's error is not that of its point [px]."""
     name, points = inputs.criterion.name, inputs.control.points
     if inputs.criterion.subset_score not in ("press", "kfold"):
         return
     if points.sigma is not None and np.ptp(points.sigma) > 0:
-        raise _unwalkable(f"standard deviations weight the rows, and {name!r} is of pixels")
+        raise _not_enumerable(f"standard deviations weight the rows, but {name!r} is in px")
     if inputs.model.corrects:
-        raise _unwalkable(f"model {inputs.model.name!r} corrects its predictions by the control, "
-                          f"which {name!r} would have to do anew for every feature left out")
+        raise _not_enumerable(f"model {inputs.model.name!r} corrects its predictions by the "
+                              f"control; {name!r} would need a correction for every fold")
 
 
-def _unwalkable(why: str) -> TermselError:
-    return TermselError(f"this solver needs terms as columns of linear systems, one an axis: {why}",
-                        hint="Choose another, such as --solver ga or --solver swap.")
+def _not_enumerable(why: str) -> TermselError:
+    return TermselError(f"this solver needs one linear system per axis: {why}",
+                        hint="Choose another solver, such as --solver ga or --solver swap.")
 
 
 def _side(model: RationalModel, inputs: Inputs, equations: Equations, side: int,
@@ -125,11 +125,11 @@ def _with_check(system: SubsetSystem, model: RationalModel, inputs: Inputs,
     weights = model.residual_weights(points.ground, check.ground)
     A, b = judged.A, judged.b
     if weights is None and model.corrects:
-        raise _unwalkable(f"the second step of model {model.name!r} is not linear in its terms")
+        raise _not_enumerable(f"the second step of model {model.name!r} is not linear in its terms")
     if weights is not None:
         # The correction is linear in the residuals of the control, hence in the unknowns.
-        plain = _axis_of_points(model, points, side)
-        A, b = A - weights @ plain.A, b - weights @ plain.b
+        of_control = _axis_of_points(model, points, side)
+        A, b = A - weights @ of_control.A, b - weights @ of_control.b
     return replace(system, check_design=A, check_target=b[:, None],
                    check_denominator=_below(model, check.ground, side))
 
@@ -154,8 +154,8 @@ def _merge(sides: list[SubsetSystem], genes: list[IntArray]) -> SubsetSystem:
     alike = (np.array_equal(genes[0], genes[1]) and line.denominator is None
              and np.array_equal(line.design, sample.design))
     if not alike:
-        raise _unwalkable("with one mask for both axes, line and sample must have the same "
-                          "columns and no denominators; --set mask=per-axis can be walked")
+        raise _not_enumerable("with a shared mask, line and sample must have the same "
+                              "columns and no denominators; use --set mask=per-axis")
     check_target = (None if line.check_target is None or sample.check_target is None
                     else np.concatenate([line.check_target, sample.check_target], axis=1))
     return SubsetSystem(

@@ -1,4 +1,4 @@
-"""Objectives beside the criterion: fewer terms or features, sounder or wider spread ones."""
+"""Further objectives: number, correlation, condition and spread of what is selected."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from termsel.problems.coverage import uncovered_share
 
 
 @dataclass(frozen=True, eq=False)
-class Chosen:
-    """What a population selects, as an objective sees it.
+class PopulationSelection:
+    """What the individuals of a population select, for objectives.
 
     Parameters
     ----------
@@ -36,26 +36,26 @@ class Chosen:
     features: BoolArray
 
 
-def n_terms(chosen: Chosen) -> FloatArray:
+def n_terms(selected: PopulationSelection) -> FloatArray:
     """Return the number of terms in use."""
-    return np.asarray(chosen.terms.sum(axis=1), dtype=np.float64)
+    return np.asarray(selected.terms.sum(axis=1), dtype=np.float64)
 
 
-def n_features(chosen: Chosen) -> FloatArray:
+def n_features(selected: PopulationSelection) -> FloatArray:
     """Return the number of control features in use."""
-    return np.asarray(chosen.features.sum(axis=1), dtype=np.float64)
+    return np.asarray(selected.features.sum(axis=1), dtype=np.float64)
 
 
-def max_correlation(chosen: Chosen) -> FloatArray:
+def max_correlation(selected: PopulationSelection) -> FloatArray:
     """Return the largest absolute correlation between two columns in use.
 
-    Correlations are those of Akhoundi Khezrabad et al. 2020, eq. 3, over all control, but of
-    line and sample each for itself where they are independent: in one matrix the two
-    constants would be each other's negative. Columns without variance correlate with
-    nothing. (As an objective: Gholinejad et al. 2019.)
+    Correlations are those of Akhoundi Khezrabad et al. 2020, eq. 3, over all control. Where line
+    and sample are independent, each has a matrix of its own: in a common one the two constants
+    would be each other's negative. Columns without variance have no correlation. (As an
+    objective: Gholinejad et al. 2019.)
     """
-    largest = np.zeros(len(chosen.terms))
-    for part in chosen.parts:
+    largest = np.zeros(len(selected.terms))
+    for part in selected.parts:
         design = part.equations.A
         A = design - design.mean(axis=0)
         lengths = np.linalg.norm(A, axis=0)
@@ -63,18 +63,18 @@ def max_correlation(chosen: Chosen) -> FloatArray:
         A = A / np.where(varies, lengths, np.inf)
         correlation = np.abs(A.T @ A)
         np.fill_diagonal(correlation, 0.0)
-        terms = chosen.terms[:, part.columns]
+        terms = selected.terms[:, part.columns]
         for row, mask in zip(correlation, terms.T, strict=True):
             here = np.where(terms, row, 0.0).max(axis=1)
             largest = np.maximum(largest, np.where(mask, here, 0.0))
     return np.minimum(largest, 1.0)
 
 
-def log_condition(chosen: Chosen) -> FloatArray:
+def log_condition(selected: PopulationSelection) -> FloatArray:
     """Return log10 of the condition number of the used rows and columns, scaled to length 1."""
-    A, feature = chosen.equations.A, chosen.equations.feature
-    result = np.empty(len(chosen.terms))
-    for i, (terms, features) in enumerate(zip(chosen.terms, chosen.features, strict=True)):
+    A, feature = selected.equations.A, selected.equations.feature
+    result = np.empty(len(selected.terms))
+    for i, (terms, features) in enumerate(zip(selected.terms, selected.features, strict=True)):
         part = A[np.ix_(features[feature], terms)]
         lengths = np.linalg.norm(part, axis=0) if part.size else np.zeros(1)
         if not part.size or (lengths == 0).any() or part.shape[0] < part.shape[1]:
@@ -88,29 +88,29 @@ def log_condition(chosen: Chosen) -> FloatArray:
 _SINGULAR = 16.0
 
 
-def uncovered(chosen: Chosen) -> FloatArray:
-    """Return the share of the image that the hull of the chosen features leaves out."""
-    return uncovered_share(centres(chosen.control), chosen.features)
+def uncovered(selected: PopulationSelection) -> FloatArray:
+    """Return the share of the image outside the hull of the selected features."""
+    return uncovered_share(centres(selected.control), selected.features)
 
 
-def unevenness(chosen: Chosen) -> FloatArray:
-    """Return how unevenly the chosen features lie: 0 where all are as far from a neighbour.
+def unevenness(selected: PopulationSelection) -> FloatArray:
+    """Return the unevenness of the selected features: 0 if all are equally far from the nearest.
 
-    The coefficient of variation of the distances to the nearest chosen neighbour in the
+    The coefficient of variation of the distances to the nearest selected neighbour in the
     image; 1 for fewer than three features. termsel's own measure.
     """
-    places = centres(chosen.control)
+    places = centres(selected.control)
     distance = np.linalg.norm(places[:, None] - places[None], axis=2)
     np.fill_diagonal(distance, np.inf)
-    result = np.ones(len(chosen.features))
-    for i, mask in enumerate(chosen.features):
+    result = np.ones(len(selected.features))
+    for i, mask in enumerate(selected.features):
         if mask.sum() >= 3:
             nearest = distance[np.ix_(mask, mask)].min(axis=1)
             result[i] = nearest.std() / nearest.mean() if nearest.mean() > 0 else 1.0
     return result
 
 
-OBJECTIVES: dict[str, Callable[[Chosen], FloatArray]] = {
+OBJECTIVES: dict[str, Callable[[PopulationSelection], FloatArray]] = {
     "n_terms": n_terms, "n_features": n_features, "max_correlation": max_correlation,
     "log_condition": log_condition, "uncovered": uncovered, "unevenness": unevenness}
-"""Objectives by name; all are to be small."""
+"""Objectives by name; all are minimised."""

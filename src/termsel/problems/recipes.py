@@ -1,4 +1,4 @@
-"""Recipes: named problems with everything they need by default."""
+"""Recipes: named problems with all their defaults."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 
 from termsel.options import Option
 from termsel.problems.base import Inputs, Problem
-from termsel.problems.constraints import FORCED, WISHES
+from termsel.problems.constraints import FORCE_OPTIONS, TERM_OPTIONS
 from termsel.problems.selection import SelectionProblem
 
 
@@ -24,16 +24,16 @@ class Recipe:
     model, dataset, criterion, solver : str
         Names of the defaults, so that the problem's name alone runs.
     model_options : mapping
-        Options of the default model that differ from the model's own defaults.
+        Options of the default model that differ from the defaults of the model.
     control : {"points", "lines"}
         Kind of control features.
     options : tuple of Option
         Further settings of the problem.
     second : str
-        The objective beside the criterion where a solver for several is asked for.
+        The second objective of a solver for several objectives.
     portfolio : bool
-        Whether the strategy "auto" may answer the problem: what is wanted is the best model of
-        the points, by whatever terms.
+        Whether the strategy "auto" may answer the problem: it asks for the best model of the
+        points, with any terms.
     source : str
         The paper the problem comes from.
     """
@@ -53,41 +53,41 @@ class Recipe:
     source: str = ""
 
 
-MASK = Option("mask", "per-axis", "Whether line and sample select their terms each or together.",
-              choices=("per-axis", "shared"))
+MASK = Option("mask", "per-axis", "Whether line and sample select their terms separately or "
+              "together.", choices=("per-axis", "shared"))
 MIXED = Option("mixed", False, "Use control points and control lines together in one adjustment.",
                bool)
 COUNTS = (
-    Option("min_features", None, "Fewest control features of a selection; by default free.",
+    Option("min_features", None, "Fewest control features of a selection; by default not limited.",
            int, 1),
-    Option("max_features", None, "Most control features of a selection; by default free. With "
-           "the same number for both, m of n features are chosen.", int, 1),
-    Option("max_uncovered", None, "Largest share of the image that the hull of the chosen "
-           "features may leave out, 0 to 1; by default free.", float, 0.0, 1.0),
+    Option("max_features", None, "Most control features of a selection; by default not limited. "
+           "The same number for both selects m of n features.", int, 1),
+    Option("max_uncovered", None, "Largest share of the image outside the hull of the selected "
+           "features, 0 to 1; by default not limited.", float, 0.0, 1.0),
 )
 
-TERMS = Option("terms", None, "Terms of the model in use, with commas between; by default all.")
+TERMS = Option("terms", None, "Terms of the model in use, separated by commas; by default all.")
 STEPS = Option("steps", "joint", "Whether terms and features are selected together; or terms "
-               "first, with all features, then features under these terms; or the reverse.",
+               "first, with all features, then features with these terms; or the reverse.",
                choices=("joint", "terms-first", "features-first"))
 
 OBJECTIVES = Option(
-    "objectives", None, "Objectives beside the criterion, with commas between: n_terms, "
-    "n_features, max_correlation, log_condition, uncovered, unevenness. By default none, or, "
-    "with a solver for several, the number of what is selected.")
+    "objectives", None, "Objectives next to the criterion, separated by commas: n_terms, "
+    "n_features, max_correlation, log_condition, uncovered, unevenness. By default none; with a "
+    "solver for several objectives, the second objective of the problem.")
 RECOMMEND = Option(
-    "recommend", None, "Which member of a front is the selection: the one with the least second "
-    "objective, or with exact the fewest terms, within one standard error of the best criterion; "
-    "the knee; or the best criterion. By default one-standard-error with several objectives, "
-    "best otherwise and for a criterion without a standard error.",
+    "recommend", None, "Which member of a front is the selection: the knee; the best criterion; "
+    "or, within one standard error of the best, the least second objective (with exact the fewest "
+    "terms). By default one-standard-error with several objectives and a criterion that has a "
+    "standard error; otherwise best.",
     choices=("one-standard-error", "knee", "best"))
 RECOMMEND_TERMS = replace(RECOMMEND, doc=RECOMMEND.doc.replace(
-    "or the best criterion. By", "the least EBIC; or the best criterion. By"),
+    "the best criterion; or,", "the best criterion; the least EBIC; or,"),
     choices=(*RECOMMEND.choices, "ebic"))
 
-_BOTH = (MASK, MIXED, *WISHES, OBJECTIVES)
+_BOTH = (MASK, MIXED, *TERM_OPTIONS, OBJECTIVES)
 OF_TERMS = (*_BOTH, RECOMMEND_TERMS)
-OF_FEATURES = (TERMS, MIXED, *COUNTS, *FORCED, OBJECTIVES, RECOMMEND)
+OF_FEATURES = (TERMS, MIXED, *COUNTS, *FORCE_OPTIONS, OBJECTIVES, RECOMMEND)
 OF_BOTH = (*_BOTH, RECOMMEND, *COUNTS, STEPS)
 
 
@@ -97,12 +97,12 @@ def feature_options(**defaults: Any) -> tuple[Option, ...]:
     Parameters
     ----------
     **defaults
-        Of options that have others there, such as ``max_features=6``.
+        Defaults that differ there, such as ``max_features=6``.
     """
     options = {option.name: option for option in OF_FEATURES}
     for name, default in defaults.items():
         options[name] = replace(options[name], default=default,
-                                doc=options[name].doc.replace("; by default free", ""))
+                                doc=options[name].doc.replace("; by default not limited", ""))
     return tuple(options.values())
 
 

@@ -19,6 +19,7 @@ from termsel.measurements.features import (
 from termsel.measurements.places import centres
 from termsel.models.base import LINE, SAMPLE
 from termsel.models.poles import POLE_MARGIN, guard_points, pole_violation
+from termsel.models.terms import Term
 from termsel.problems.base import (
     WORST,
     EnumerablePart,
@@ -32,24 +33,24 @@ from termsel.problems.base import (
 from termsel.problems.constraints import capped, excess, forced, listed, orphans, parents
 from termsel.problems.coverage import uncovered_share
 from termsel.problems.enumeration import enumerable_parts
-from termsel.problems.objectives import OBJECTIVES, Chosen
+from termsel.problems.objectives import OBJECTIVES, PopulationSelection
 
 
 class SelectionProblem(Problem):
-    """Switch terms, features or both; fit by least squares; judge by the criterion.
+    """Select terms, features or both; fit by least squares; score by the criterion.
 
     Parameters
     ----------
     inputs : Inputs
     terms, features : bool
-        What the chromosome selects. What it does not select is all in use.
+        What the chromosome selects. All of what it does not select is in use.
     mask : {"per-axis", "shared"}
-        Whether line and sample have a gene each for a monomial, or one together.
+        Whether line and sample have separate genes for a monomial, or share one.
 
     Raises
     ------
     TermselError
-        If the model cannot be selected from in this way, or the control is too small.
+        If the model does not allow this selection, or there is too little control.
     """
 
     def __init__(self, inputs: Inputs, *, terms: bool, features: bool,
@@ -74,9 +75,9 @@ class SelectionProblem(Problem):
         if features:
             if model.corrects:
                 raise TermselError(
-                    f"features cannot be selected under model {model.name!r}, which corrects its "
+                    f"features cannot be selected with model {model.name!r}: it corrects its "
                     "predictions by all control features",
-                    hint="Choose a model without such a step, such as --model poly3d.")
+                    hint="Choose a model without such a correction, such as --model poly3d.")
             segments.append(Segment("features", control.ids, *_feature_counts(inputs)))
         self._terms_in_use = _terms_in_use(inputs)
         labels = tuple(label for segment in segments for label in segment.labels
@@ -85,7 +86,7 @@ class SelectionProblem(Problem):
         self.genome = Genome(segments, on=forced(inputs.options.get("force_on"), labels, ids),
                              off=forced(inputs.options.get("force_off"), labels, ids))
         self._pairs = parents(names) if inputs.options.get("hierarchy") else None
-        self._refuse_hopeless(terms)
+        self._require_solvable(terms)
 
     def frozen(self, genes: BoolArray, which: BoolArray) -> SelectionProblem:
         """Return the problem with some genes no longer free.
@@ -96,7 +97,8 @@ class SelectionProblem(Problem):
             What the frozen genes are.
         which : ndarray of bool, shape (genome.size,)
             Which genes are frozen. A segment that is frozen whole need no longer keep its
-            minimum and maximum, and terms that are frozen beyond max_share are free of it.
+            minimum and maximum. If all terms are frozen and are more than max_share allows,
+            that limit no longer holds.
         """
         old = self.genome
         segments = [
@@ -117,10 +119,10 @@ class SelectionProblem(Problem):
         problem.objectives = (criterion.name,)
         return problem
 
-    def _refuse_hopeless(self, selects_terms: bool) -> None:
-        """Refuse before any search what no selection could solve."""
+    def _require_solvable(self, selects_terms: bool) -> None:
+        """Refuse control that no selection could solve the model from."""
         most = self.genome.segments[-1].maximum if self._selects_features else None
-        # Who asks for so few features that the model is just determined gets it.
+        # A user may ask for so few features that the model is just determined.
         self._least_freedom = 1 if most is None or selects_terms else 0
         for part in self._parts:
             columns = int(self._terms_in_use[part.columns].sum())
@@ -129,9 +131,9 @@ class SelectionProblem(Problem):
             if not selects_terms and rows < columns + self._least_freedom:
                 raise TermselError(
                     f"model {self.inputs.model.name!r} has {columns} terms to be determined "
-                    f"together and the control gives {rows} equations"
-                    + (", which leaves no redundancy" if rows == columns else "")
-                    + ("" if most is None else f" with {most} features at most"),
+                    f"together; the control gives {rows} equations"
+                    + ("" if most is None else f" with at most {most} features")
+                    + (", so there is no redundancy" if rows == columns else ""),
                     hint=("Give more control" if most is None else "Raise max_features")
                     + ", lower the order or degree of the model (--set order=1, "
                       "--set degree=1), or select terms.")
@@ -139,11 +141,17 @@ class SelectionProblem(Problem):
     def evaluate(self, genes: BoolArray) -> Evaluation:
         """Return the criterion and the violation of a population (see `Problem.evaluate`).
 
-        The violation counts terms that are not determined, those beyond what the equations bear
-        (option "max_share", and one degree of freedom), axes without a numerator term,
-        by how much a denominator falls short of POLE_MARGIN somewhere in the scene, and by how
-        much the share of the image left out exceeds the option "max_uncovered"; it is 1 where
-        nothing of this is wrong and yet the criterion has no figure.
+        The violation is the sum of:
+
+        - the number of terms that are not determined;
+        - the number of terms in excess of what the equations support (option "max_share", and one
+          degree of freedom);
+        - the number of axes without a term of the numerator;
+        - the number of parents that are missing (option "hierarchy");
+        - how far a denominator is below POLE_MARGIN somewhere in the scene;
+        - how far the uncovered share of the image is above the option "max_uncovered".
+
+        It is 1 where all of these are 0 and the criterion has no figure.
         """
         inputs = self.inputs
         terms, features = self.masks(genes)
@@ -163,7 +171,7 @@ class SelectionProblem(Problem):
                 None if features is None else features[good], self._gene_of_term))
         violation[~np.isfinite(score)] = 1.0
         score = np.minimum(np.nan_to_num(score, nan=WORST, posinf=WORST), WORST)
-        return Evaluation(self._others(score, terms, features), violation)
+        return Evaluation(self._all_objectives(score, terms, features), violation)
 
     def _lacking_spread(self, features: BoolArray | None) -> FloatArray | float:
         most = self.inputs.options.get("max_uncovered")
@@ -172,16 +180,16 @@ class SelectionProblem(Problem):
         share = uncovered_share(centres(self.inputs.control), features)
         return np.asarray(np.maximum(share - most, 0.0))
 
-    def _others(self, score: FloatArray, terms: BoolArray,
+    def _all_objectives(self, score: FloatArray, terms: BoolArray,
                 features: BoolArray | None) -> FloatArray:
-        """Return the criterion with the objectives beside it, in their order, shape (p, m)."""
+        """Return the criterion and the further objectives, in their order, shape (p, m)."""
         if len(self.objectives) == 1:
             return score[:, None]
         control = self.inputs.control
-        chosen = Chosen(self.equations, self._parts, control, terms,
-                        np.ones((len(terms), len(control)), dtype=bool)
-                        if features is None else features)
-        return np.column_stack([score, *(OBJECTIVES[name](chosen)
+        if features is None:
+            features = np.ones((len(terms), len(control)), dtype=bool)
+        selected = PopulationSelection(self.equations, self._parts, control, terms, features)
+        return np.column_stack([score, *(OBJECTIVES[name](selected)
                                          for name in self.objectives[1:])])
 
     def masks(self, genes: BoolArray) -> tuple[BoolArray, BoolArray | None]:
@@ -198,7 +206,7 @@ class SelectionProblem(Problem):
                          ids if features is None else select(ids, features[0]))
 
     def parts(self) -> tuple[EnumerablePart, ...]:
-        """Return line and sample as parts that can be walked (see `Problem.parts`)."""
+        """Return line and sample as parts that can be enumerated (see `Problem.parts`)."""
         if self._gene_of_term is None or self._selects_features:
             return super().parts()
         return enumerable_parts(self.inputs, self.equations, self.genome, self._gene_of_term,
@@ -256,12 +264,12 @@ def _feature_counts(inputs: Inputs) -> tuple[int, int | None]:
     counts = {name: inputs.options.get(name) for name in ("min_features", "max_features")}
     for name, count in counts.items():
         if count is not None and not 1 <= count <= n:
-            raise TermselError(f"option {name!r} is {count} and there are {n} control features "
-                               "to select from", hint=f"Give a number from 1 to {n}.")
+            raise TermselError(f"option {name!r} is {count}; there are {n} control features to "
+                               "select from", hint=f"Give a number from 1 to {n}.")
     least, most = counts.values()
     if least is not None and most is not None and least > most:
-        raise TermselError(f"option 'min_features' is {least} and 'max_features' {most}",
-                           hint="Give at most as many for min_features as for max_features.")
+        raise TermselError(f"option 'min_features' is {least}, more than 'max_features', {most}",
+                           hint="Lower min_features or raise max_features.")
     return least or 0, most
 
 
@@ -270,7 +278,7 @@ def _term_segments(names: tuple[str, ...], axis: IntArray, mask: str,
     """Return the segments of term genes and the gene that switches each term."""
     if mask == "shared":
         # "line.num:X2Y" and "sample.num:X2Y" share the gene "num:X2Y".
-        shared = [name.split(".", 1)[-1] for name in names]
+        shared = [str(Term.parse(name).shared) for name in names]
         labels = tuple(dict.fromkeys(shared))
         return ([Segment("terms", labels)],
                 np.array([labels.index(name) for name in shared], dtype=np.intp))

@@ -47,7 +47,7 @@ def of_record(record: Mapping[str, Any]) -> str:
 
 
 def sealed(record: Mapping[str, Any], features: FeatureSet) -> dict[str, Any]:
-    """Return the content of result.json with checksums of itself and of the features beside it.
+    """Return the content of result.json with checksums of itself and of its features.
 
     Parameters
     ----------

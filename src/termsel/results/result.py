@@ -15,9 +15,9 @@ from termsel.errors import TermselError
 from termsel.fits.diagnosis import Diagnosis
 from termsel.fits.figures import Baseline, Rmses, finite_or_none, plain_rmse
 from termsel.fits.fit import Fit
+from termsel.fits.locate import Surface
 from termsel.fits.residuals import Residuals
 from termsel.measurements.features import FeatureSet, FloatArray
-from termsel.models.locate import Surface
 from termsel.problems.base import Selection
 from termsel.results.checksums import sealed
 from termsel.results.text import summary
@@ -56,8 +56,8 @@ class Result:
     seconds : float
     interrupted : bool
     polish : mapping, optional
-        First objective as the solver found it and after the polish, and the evaluations of
-        the polish, which come on top of the solver's.
+        First objective as the solver found it and after local refinement, and the evaluations of
+        the refinement, which come on top of the solver's.
     fit : Fit
         The fitted model.
     residuals : Residuals
@@ -107,7 +107,7 @@ class Result:
 
     @property
     def hit_rate(self) -> float:
-        """Share of all evaluations, with those of the polish, that were looked up."""
+        """Share of all evaluations, with those of local refinement, that were looked up."""
         polish = self.polish or {"lookups": 0, "evaluations": 0}
         return float((self.lookups + polish["lookups"])
                      / (self.evaluations + polish["evaluations"]))
@@ -163,7 +163,7 @@ class Result:
         Parameters
         ----------
         size : tuple of int
-            Lines and samples [pixel].
+            Lines and samples [px].
         """
         control = replace(self.fit.control, image_size=size)
         return replace(self, features=replace(self.features, image_size=size),
@@ -180,7 +180,7 @@ class Result:
         Returns
         -------
         ndarray, shape (n, 2)
-            Line and sample [pixel]; NaN where a coordinate that the model uses is not finite.
+            Line and sample [px]; NaN where a coordinate that the model uses is not finite.
 
         Raises
         ------
@@ -201,7 +201,7 @@ class Result:
         Parameters
         ----------
         image : array_like, shape (n, 2)
-            Line and sample [pixel].
+            Line and sample [px].
         height : array_like, shape (n,), a number, or callable
             Heights, or what gives them for x and y, shape (n, 2), such as a DEM.
 
@@ -217,7 +217,7 @@ class Result:
 
         Rational functions and polynomials to the third degree of WGS84 longitude, latitude and
         ellipsoidal height are RPCs as they are. Any other fit is replaced by the RPC next to
-        it, and what that costs is logged; `termsel.fits.rpc_fit.rpc_of` returns it.
+        it, and what that costs is logged; `termsel.models.rpc_fit.rpc_of` returns it.
 
         Raises
         ------
@@ -225,7 +225,7 @@ class Result:
             If the ground coordinates cannot be turned into longitude and latitude, or no RPC
             comes near the fit.
         """
-        from termsel.fits.rpc_fit import rpc_of
+        from termsel.models.rpc_fit import rpc_of
 
         return rpc_of(self.fit).rpc
 

@@ -6,14 +6,13 @@ import textwrap
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
+from termsel.candidates.candidate import named
+from termsel.candidates.portfolio import LEAST, RULE
 from termsel.fits.diagnosis import BEYOND, CORRELATED
 from termsel.fits.figures import LEAVE_ONE_OUT, ROLES
 
 _WIDTH = 88
 _LONGEST_FRONT = 40
-_TITLES = {"all-terms": "conventional (all)", "dlt": "DLT", "rfm-2": "second-order RFM",
-           "rfm-3": "full RFM", "ridge": "full RFM, ridge", "selected": "selected cubic",
-           "shrunken-quadratic": "shrunken quadratic", "shrunken-cubic": "shrunken cubic"}
 
 
 Record = Mapping[str, Any]
@@ -70,9 +69,10 @@ def _head(record: Record) -> Iterator[str]:
                "this")
     yield (f"Search: {record['evaluations']} evaluations ({record['lookups']} looked up), "
            f"{record['generations']} generations, {record['seconds']:.1f} s")
-    if polish := record["polish"]:
-        yield (f"Polish: {record['criterion']} {polish['found']:.4g} as {record['solver']} found "
-               f"it, {polish['polished']:.4g} after {polish['evaluations']} evaluations more")
+    if refined := record["polish"]:
+        yield (f"Local refinement: {record['criterion']} {refined['found']:.4g} as "
+               f"{record['solver']} found it, {refined['polished']:.4g} after "
+               f"{refined['evaluations']} evaluations more")
     if record["certificate"]:
         exact = "--set recommend=best" if record["solver"] == "exact" else \
             "--solver exact" + " --set max_share=1" * (share == 1.0)
@@ -80,20 +80,32 @@ def _head(record: Record) -> Iterator[str]:
 
 
 def _strategy(strategy: Mapping[str, Any], seconds: float) -> Iterator[str]:
-    """Yield the candidates with their predicted accuracy, the chosen one marked."""
+    """Yield the candidates with their leave-one-out RMSE, the chosen one marked."""
     chosen = strategy["chosen"]
     predicted = strategy["predicted"]
-    yield (f"Chosen: {_TITLES.get(chosen, chosen)}, fitted to control and check together; "
-           + (f"predicted accuracy {predicted:.3f} pixel; " if predicted is not None else "")
+    yield (f"Chosen: {_title(chosen)}, fitted to control and check together; "
+           + (f"predicted RMSE {predicted:.3f} px; " if predicted is not None else "")
            + f"{seconds:.1f} s")
     yield ""
-    yield f"{'candidate':<24}{'terms':>6}{'free in effect':>16}{'leave-one-out':>16}"
+    yield f"{'candidate':<24}{'terms':>6}{'effective':>16}{'leave-one-out':>16}"
     for one in strategy["candidates"]:
         mark = " <-" if one["name"] == chosen else ""
-        yield (f"{_TITLES.get(one['name'], one['name']):<24}{one['n_terms']:>6}"
+        yield (f"{_title(one['name']):<24}{one['n_terms']:>6}"
                f"{one['effective']:>16.1f}{one['predicted']:>16.3f}{mark}")
-    yield (f"the predicted accuracy is that of the whole choice, repeated in {strategy['folds']} "
-           "folds")
+    shrunken = any(one.kind == "shrunken" for listed in strategy["candidates"]
+                   if (one := named(listed["name"])))
+    yield from textwrap.wrap(f"<- {RULE if shrunken else LEAST}", _WIDTH,
+                             subsequent_indent="   ")
+    yield (f"The predicted RMSE is that of the whole choice, repeated in {strategy['folds']} "
+           "folds.")
+
+
+def _title(name: str) -> str:
+    """Return the title of a baseline in tables."""
+    candidate = named(name)
+    if candidate is None:
+        return "conventional (all)" if name == "all-terms" else name
+    return candidate.short or name
 
 
 def _certificate(certificate: Mapping[str, Any], exact: str) -> str:
@@ -114,10 +126,10 @@ def _share(chosen: int, offered: int) -> str:
 
 
 def _table(record: Record) -> Iterator[str]:
-    yield f"{'RMSE [pixel]':<24}{'terms':>6}{'control':>12}{'check':>12}{'independent':>14}"
+    yield f"{'RMSE [px]':<24}{'terms':>6}{'control':>12}{'check':>12}{'independent':>14}"
     strategy, baselines = record["strategy"], record["baselines"]
     rows = [("selection" + " *" * bool(strategy), record["selection"]["n_terms"], record["rmse"])]
-    rows += [(_TITLES.get(b["name"], b["name"]) + " *" * ("check" in b["fitted_to"]), b["n_terms"],
+    rows += [(_title(b["name"]) + " *" * ("check" in b["fitted_to"]), b["n_terms"],
               b["rmse"]) for b in baselines]
     for name, n_terms, rmse in rows:
         control, check, independent = (_figure(rmse[role]) for role in ROLES)
@@ -134,9 +146,9 @@ def _table(record: Record) -> Iterator[str]:
     if strategy:
         yield "independent = the accuracy"
     elif record["criterion"] == "check-rmse":
-        yield "check = the fitness the search drove down; independent = the accuracy"
+        yield "check = the fitness, which the search minimised; independent = the accuracy"
     else:
-        yield f"the search drove down {record['criterion']}; independent = the accuracy"
+        yield f"the search minimised {record['criterion']}; independent = the accuracy"
 
 
 def _front(record: Record) -> Iterator[str]:
@@ -147,7 +159,7 @@ def _front(record: Record) -> Iterator[str]:
     names = list(front[0]["objectives"])
     yield "Front: " + "".join(f"{name:>16}" for name in names) + f"{'independent':>14}"
     if len(front) > _LONGEST_FRONT:
-        yield f"       {len(front)} members; all of them stand in result.json"
+        yield f"       {len(front)} members; result.json lists all of them"
         return
     for member in front:
         total = member["rmse"]["independent"]["total"]
@@ -183,12 +195,12 @@ def _foot(record: Record) -> Iterator[str]:
 
 
 def _doubts(doubts: Record | None) -> Iterator[str]:
-    """Yield which features are probably wrong."""
+    """Yield which features are probable blunders."""
     if doubts is None:
         return
     wrong, in_use, spare = doubts["wrong"], doubts["in_use"], doubts["spare"]
     if wrong:
-        title = f"Probably wrong (beyond {BEYOND:g} sigma, {BEYOND * doubts['sigma']:.2g} px)"
+        title = f"Probable blunders (beyond {BEYOND:g} sigma, {BEYOND * doubts['sigma']:.2g} px)"
         yield from _names(title, (
             f"{name} ({wrong[name]:.1f} px{', in use' * (name in in_use)})"
             for name in sorted(wrong, key=lambda name: -wrong[name])))

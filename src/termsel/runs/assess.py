@@ -1,34 +1,27 @@
-"""What a search found: its figures, its front, and what it is to be compared with."""
+"""What a search found: its figures, its front, and what it is compared with."""
 
 from __future__ import annotations
 
-import platform
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict, replace
-from importlib.metadata import version
-from typing import TYPE_CHECKING, Any
+from dataclasses import asdict
+from typing import Any
 
 import numpy as np
 
 from termsel.candidates.compare import compare
-from termsel.candidates.ridge import shrunken_coefficients
+from termsel.candidates.ridge import RidgeByOrder
 from termsel.fits.diagnosis import diagnose
-from termsel.fits.figures import LEAVE_ONE_OUT, baseline, figures, plain_rmse
+from termsel.fits.figures import baseline, figures, plain_rmse, residuals_of
 from termsel.fits.fit import Fit, fit
-from termsel.fits.residuals import residuals_of
-from termsel.measurements.crs import height_reference
 from termsel.measurements.features import BoolArray
-from termsel.measurements.roles import with_roles
 from termsel.models.poles import guard_points, pole_violation
 from termsel.problems.base import Selection
-from termsel.results.checksums import of_features
 from termsel.results.result import Result
 from termsel.runs.judge import judge, name_conventional, notes_on
+from termsel.runs.provenance import data_of, versions
+from termsel.runs.task import Task
 from termsel.solvers.exact import gap
 from termsel.solvers.search import Search
-
-if TYPE_CHECKING:
-    from termsel.runs.task import Task
 
 
 def assess(task: Task, found: Search) -> Result:
@@ -43,20 +36,14 @@ def assess(task: Task, found: Search) -> Result:
     """
     observations = task.observations
     selection = task.problem.decode(found.genes)
-    chosen = fit_of(task, selection)
-    objectives, feasible = found.objectives.tolist(), found.violation == 0
-    if task.options["problem"].get("shrink"):
-        found = replace(found, coefficients=shrunken_coefficients(
-            task.model, task.scaling.features(observations.control), chosen.terms, chosen.used))
-    if found.coefficients is not None:
-        chosen = chosen.with_coefficients(found.coefficients)
-        feasible = True  # whatever least squares leave undetermined
-        objectives = []  # those of least squares are not those of these coefficients
+    chosen = _estimated(task, selection, found)
+    judged = chosen.estimator.least_squares
     # The coefficients may be others than those the search saw, so poles are looked for again.
-    feasible = feasible and not _has_pole(task, chosen)
+    feasible = (found.violation == 0 if judged else chosen.determined) \
+        and not _has_pole(task, chosen)
+    # The objectives of least squares are not those of other coefficients.
+    objectives = found.objectives.tolist() if judged else []
     rmse = figures(chosen, observations)
-    if found.coefficients is not None:
-        rmse.pop(LEAVE_ONE_OUT, None)  # that would be of least squares too
     everything = fit(task.model, observations.control, task.scaling)
     comparison = compare(observations)
     baselines = (baseline("all-terms", everything, None, observations, ("control",)),
@@ -66,7 +53,8 @@ def assess(task: Task, found: Search) -> Result:
         criterion=task.criterion.name, seed=found.seed,
         options={**task.options, "model": task.model.options, "solver": task.solver.options,
                  "criterion": task.criterion.options},
-        data=data_of(task), selection=selection, feasible=feasible, rmse=rmse,
+        data=data_of(task.features, task.source, observations), selection=selection,
+        feasible=feasible, rmse=rmse,
         baselines=baselines,
         judgement=judge(name_conventional(task.problem.genome, observations),
                         task.criterion.name, rmse, baselines, comparison.reference, feasible,
@@ -78,15 +66,23 @@ def assess(task: Task, found: Search) -> Result:
         polish=asdict(found.polish) if found.polish else None, fit=chosen,
         residuals=residuals_of(chosen, observations),
         diagnosis=diagnose(chosen),
-        features=with_roles(task.features, observations), versions=versions(),
-        front=tuple(_front(task, found)), certificate=_certificate(task, found))
+        features=observations.features, versions=versions(),
+        front=tuple(_front(task, found)), certificate=_certificate(task, found, chosen))
 
 
-def _certificate(task: Task, found: Search) -> Mapping[str, Any] | None:
+def _estimated(task: Task, selection: Selection, found: Search) -> Fit:
+    """Return the fit of a selection, by the estimator that the task or the solver asks for."""
+    chosen = fit_of(task, selection)
+    if task.options["problem"].get("shrink"):
+        return RidgeByOrder().fit(task.model, chosen.control, task.scaling, chosen.terms,
+                                  chosen.used)
+    return chosen if found.coefficients is None else chosen.with_coefficients(found.coefficients)
+
+
+def _certificate(task: Task, found: Search, chosen: Fit) -> Mapping[str, Any] | None:
     """Return what the solver proved, or how far its find is from the proven optimum."""
     if (found.certificate is not None or found.violation or found.interrupted
-            or found.coefficients is not None
-            or len(found.objectives) > 1):
+            or not chosen.estimator.least_squares or len(found.objectives) > 1):
         return found.certificate
     return gap(task.problem, float(found.objectives[0]))
 
@@ -133,26 +129,3 @@ def _has_pole(task: Task, chosen: Fit) -> bool:
 def _mask(names: tuple[str, ...], chosen: Iterable[str]) -> BoolArray:
     wanted = set(chosen)
     return np.array([name in wanted for name in names], dtype=bool)
-
-
-def data_of(task: Task) -> dict[str, Any]:
-    """Return what a result says of the features it was made of."""
-    observations = task.observations
-    return {
-        "source": task.source, "sha256": of_features(task.features), "crs": task.features.crs,
-        "fit_crs": task.features.fit_crs or task.features.crs,
-        "heights": task.features.heights or height_reference(task.features.crs) or None,
-        "noise": task.features.noise,
-        "image_size": task.features.image_size and list(task.features.image_size),
-        "counts": {"control": len(observations.control.points), "check": len(observations.check),
-                   "independent": len(observations.independent),
-                   "lines": len(observations.control.lines.features), "off": len(observations.off)},
-        "roles": {"control": list(observations.control.ids), "off": list(observations.off),
-                  "check": list(observations.check.ids),
-                  "independent": list(observations.independent.ids)}}
-
-
-def versions() -> dict[str, str]:
-    """Return the versions of termsel and what it computes with."""
-    packages = ("termsel", "numpy", "scipy", "numba", "deap", "pymoo")
-    return {"python": platform.python_version(), **{name: version(name) for name in packages}}

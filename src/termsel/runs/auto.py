@@ -1,10 +1,10 @@
-"""The strategy "auto": the best model of the points, with an accuracy that can be believed."""
+"""The strategy "auto": the best model of the points, with an estimate of its accuracy."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -14,18 +14,16 @@ from termsel.candidates.portfolio import MAX_FOLDS, portfolio, repeated
 from termsel.errors import TermselError
 from termsel.fits.diagnosis import NORMAL_MEDIAN, diagnose
 from termsel.fits.extrapolation import warnings_of
-from termsel.fits.figures import figures, in_role
-from termsel.fits.residuals import residuals_of
+from termsel.fits.figures import figures, in_role, residuals_of
 from termsel.measurements.features import FeatureSet, FloatArray, no_points, select
-from termsel.measurements.roles import together, with_roles
+from termsel.measurements.roles import Observations, together
+from termsel.models.base import SensorModel
 from termsel.problems.base import Selection
 from termsel.problems.recipes import Recipe
 from termsel.results.result import Result
-from termsel.runs.assess import data_of, versions
-from termsel.runs.judge import PLAIN, judge_choice
-
-if TYPE_CHECKING:
-    from termsel.runs.task import Task
+from termsel.runs.judge import judge_choice
+from termsel.runs.provenance import data_of, versions
+from termsel.runs.task import Request
 
 NAMES = ("auto", "as-asked")
 
@@ -35,7 +33,7 @@ given, beyond which a point is named as perhaps wrong, and the number of points 
 fewer, each may be hard to predict from the others."""
 
 ROUNDING = 1e-6
-"""Errors that are none [pixel]."""
+"""Errors that are none [px]."""
 
 
 def wanted(strategy: str | None, recipe: Recipe, asked: Mapping[str, Any]) -> bool:
@@ -72,13 +70,14 @@ def wanted(strategy: str | None, recipe: Recipe, asked: Mapping[str, Any]) -> bo
     return True
 
 
-def choose_for(task: Task, seed: int) -> Result:
+def choose_for(request: Request, observations: Observations, seed: int) -> Result:
     """Return the choice from the portfolio as a result.
 
     Parameters
     ----------
-    task : Task
-        Whose observations are taken; its model and solver are not.
+    request : Request
+        Its model and solver take no part.
+    observations : Observations
     seed : int
         For the record: nothing is drawn.
 
@@ -92,46 +91,50 @@ def choose_for(task: Task, seed: int) -> Result:
         If control and check points together determine no candidate with redundancy.
     """
     start = time.perf_counter()
-    observations = task.observations
     both, heights = together(observations), has_heights(observations)
     comparison = compare(observations)
     if comparison.choice is None:
         raise TermselError(
             f"{len(both)} control and check points are too few for any model with redundancy, or "
             "lie badly", hint="Measure more, spread over the scene: an affine model needs 5.")
-    chosen, candidates = comparison.choice.chosen, comparison.choice.fitted
+    chosen, candidates = comparison.choice.chosen, comparison.choice.judged
     errors = repeated(both, heights)
     predicted = None if errors is None else float(np.sqrt((errors**2).sum(axis=1).mean()))
     fitted = in_role(chosen.fit, observations)
     model = fitted.model
     rmse = figures(fitted, observations)
     # The chosen one is the selection, and is not shown twice unless it is plain.
-    baselines = tuple(b for b in comparison.baselines if b.name in PLAIN or b.name != chosen.name)
+    baselines = tuple(b for b in comparison.baselines
+                      if b.name != chosen.name or chosen.candidate.is_plain)
     folds = min(MAX_FOLDS, len(both))
     return Result(
-        problem=task.recipe.name, model=model.name, solver="auto", criterion="press", seed=seed,
-        options={"problem": {}, "data": task.options["data"], "model": model.options,
+        problem=request.recipe.name, model=model.name, solver="auto", criterion="press", seed=seed,
+        options={"problem": {}, "data": request.options["data"], "model": model.options,
                  "solver": {}, "criterion": {}},
-        data=data_of(task),
+        data=data_of(request.features, request.source, observations),
         selection=Selection(select(model.terms, fitted.terms), observations.control.ids),
         feasible=True, rmse=rmse, baselines=baselines,
-        judgement=judge_choice(chosen.name, predicted, rmse, baselines, task.features.noise),
-        notes=tuple(_notes(task, both, errors)), objectives={"press": chosen.predicted},
+        judgement=judge_choice(chosen.candidate, predicted, rmse, baselines,
+                               request.features.noise),
+        notes=tuple(_notes(request.model, observations, errors)),
+        objectives={"press": chosen.predicted},
         evaluations=len(portfolio(heights)) * (1 + folds), lookups=0, generations=0,
         seconds=time.perf_counter() - start, interrupted=False, polish=None, fit=fitted,
         residuals=residuals_of(fitted, observations, check_used=True),
         diagnosis=diagnose(fitted),
-        features=with_roles(task.features, observations), versions=versions(),
+        features=observations.features, versions=versions(),
         strategy={
             "name": "auto", "chosen": chosen.name, "predicted": predicted, "folds": folds,
             "fitted_to": ["control", "check"],
             "candidates": [
                 {"name": one.name, "model": one.fit.model.name,
-                 "n_terms": int(one.fit.terms.sum()), "effective": one.effective,
+                 "n_terms": int(one.fit.terms.sum()), "effective": one.fit.effective,
                  "predicted": one.predicted} for one in candidates]})
 
 
-def _notes(task: Task, both: FeatureSet, errors: FloatArray | None) -> list[str]:
+def _notes(model: SensorModel, observations: Observations,
+           errors: FloatArray | None) -> list[str]:
+    both = together(observations)
     notes = [*warnings_of(both, np.ones(len(both), dtype=bool), no_points())]
     if errors is None:
         notes.append("The points are too few to repeat the choice without some of them, so it "
@@ -139,9 +142,9 @@ def _notes(task: Task, both: FeatureSet, errors: FloatArray | None) -> list[str]
     elif far := _far(both, errors):
         notes.append(f"Far from where the others predict them: {far}. Where one is measured "
                      "wrongly, give it the role off and run again.")
-    if has_heights(task.observations) and not task.model.uses_height:
-        notes.append(f"Heights are known and were used. --model {task.model.name} keeps to a "
-                     "plane model.")
+    if has_heights(observations) and not model.uses_height:
+        notes.append(f"Heights are known and were used. --model {model.name} keeps to a plane "
+                     "model.")
     return notes
 
 

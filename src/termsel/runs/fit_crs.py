@@ -30,15 +30,16 @@ SYSTEMS = {"geodetic": "EPSG:4979", "projected": "", "geocentric": "EPSG:4978"}
 """CRS of each kind of coordinates; the UTM zone of projected ones is that of the features."""
 
 FIT_CRS = Option(
-    "fit_crs", None, "CRS the model is fitted in: geodetic (WGS84 longitude, latitude, ellipsoidal "
-    "height), projected (the UTM zone of the features), geocentric (WGS84 X, Y, Z), EPSG:n, or "
-    "auto, the one of the first three that predicts best by leave-one-out; that of the ground "
-    "coordinates by default. Coordinates of files and results stay in their own.")
+    "fit_crs", None, "CRS the model is fitted in; by default that of the ground coordinates. "
+    "geodetic is WGS84 longitude, latitude and ellipsoidal height; projected is the UTM zone of "
+    "the features; geocentric is WGS84 X, Y, Z; EPSG:n is any other. auto takes the one of the "
+    "first three that predicts best by leave-one-out. Coordinates of files and results stay in "
+    "their own CRS.")
 
 
 def with_fit_crs(choice: str, features: FeatureSet, observations: Observations,
-                 model: SensorModel) -> tuple[FeatureSet, Observations]:
-    """Return features and observations that say what CRS a model is to be fitted in.
+                 model: SensorModel) -> Observations:
+    """Return observations that say in which CRS a model is fitted.
 
     Parameters
     ----------
@@ -75,8 +76,7 @@ def with_fit_crs(choice: str, features: FeatureSet, observations: Observations,
     transformation(features.crs, fit_crs)(known)  # what cannot be transformed is said now
     if fit_crs == normalise(features.crs) or WGS84.issuperset((fit_crs, normalise(features.crs))):
         fit_crs = ""
-    return (replace(features, fit_crs=fit_crs),
-            replace(observations, control=replace(observations.control, fit_crs=fit_crs)))
+    return observations.fitted_in(fit_crs)
 
 
 def fit_crs_of(choice: str, features: FeatureSet) -> str:

@@ -3,36 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from termsel.candidates.candidate import Candidate, named
 from termsel.criteria import Criterion
 from termsel.fits.diagnosis import PARALLEL, orientation_spread
 from termsel.fits.extrapolation import warnings_of
+from termsel.fits.figures import Baseline
 from termsel.fits.fit import Fit, Rmse, fit
 from termsel.measurements.roles import Observations
 from termsel.problems.base import Genome
 from termsel.solvers.search import Search
 
-if TYPE_CHECKING:
-    from termsel.fits.figures import Baseline
-
 ALIKE = 1.05
 """Two RMSE whose ratio is below this are called alike: with a few dozen independent points
 an RMSE is itself uncertain by more."""
-
-TITLES = {
-    "affine": "an affine polynomial", "dlt": "a DLT", "projective": "a projective transformation",
-    "quadratic": "a quadratic polynomial", "cubic": "a cubic polynomial",
-    "rfm-2": "a second-order RFM", "rfm-3": "a third-order RFM",
-    "selected": "a cubic polynomial of selected terms",
-    "shrunken-quadratic": "a shrunken quadratic polynomial",
-    "shrunken-cubic": "a shrunken cubic polynomial"}
-"""Baselines among which leave-one-out chooses, in words."""
-
-PLAIN = ("affine", "dlt", "projective", "quadratic", "cubic", "rfm-2")
-"""Those that need neither selection nor shrinkage."""
 
 
 def judge(conventional: str, criterion: str, rmse: Mapping[str, Rmse | None],
@@ -54,25 +40,26 @@ def judge(conventional: str, criterion: str, rmse: Mapping[str, Rmse | None],
         Name of the baseline that leave-one-out over control and check chooses; may be empty.
     feasible : bool
     noise : float or None
-        Standard deviation of the measurements [pixel], where it is known.
+        Standard deviation of the measurements [px], where it is known.
     """
     if not feasible:
-        return ("This does not satisfy all conditions: it has undetermined or too many terms, an "
-                "axis without terms or a pole in the scene, and no better was found. Do not use "
-                "it; give more control or a smaller model.")
+        return ("This selection does not satisfy all conditions, and no better one was found. It "
+                "has undetermined or too many terms, an axis without terms, or a pole in the "
+                "scene. Do not use it: give more control or choose a smaller model.")
     mine = rmse["independent"]
     if mine is None:
         return ("There are no independent points, so the accuracy of this selection is not "
-                f"known: {criterion} is what the search drove down.")
+                f"known. The search minimised {criterion}.")
     sentences = [_compare("The selection is", mine.total, baselines[0], conventional)
                  + f" on {mine.n} independent points."]
     best = next((b for b in baselines if b.name == reference), None)
-    if best is not None:
-        title = (f"{TITLES[reference]} over control and check together, which leave-one-out "
+    candidate = named(reference)
+    if best is not None and candidate is not None:
+        title = (f"{candidate.title} over control and check together, which leave-one-out "
                  "chooses,")
         ratio = _ratio(mine.total, _independent(best))
         if ratio > ALIKE:
-            advice = ("Use --strategy auto instead" if reference not in PLAIN else
+            advice = ("Use --strategy auto instead" if not candidate.is_plain else
                       "Use something plainer")
             sentences.append(f"{advice}: {title} is {_times(ratio)} better "
                              f"({_px(_independent(best))}).")
@@ -88,34 +75,33 @@ def judge(conventional: str, criterion: str, rmse: Mapping[str, Rmse | None],
     return " ".join(sentences)
 
 
-def judge_choice(chosen: str, predicted: float | None, rmse: Mapping[str, Rmse | None],
+def judge_choice(chosen: Candidate, predicted: float | None, rmse: Mapping[str, Rmse | None],
                  baselines: tuple[Baseline, ...], noise: float | None) -> str:
     """Return some sentences on what the choice of a strategy is worth.
 
     Parameters
     ----------
-    chosen : str
-        Name of the candidate.
+    chosen : Candidate
     predicted : float or None
-        RMSE of the choice repeated in folds [pixel].
+        RMSE of the choice repeated in folds [px].
     rmse : mapping
         Of the choice, by role.
     baselines : tuple of Baseline
     noise : float or None
-        Standard deviation of the measurements [pixel], where it is known.
+        Standard deviation of the measurements [px], where it is known.
     """
     mine = rmse["independent"]
-    expected = "" if predicted is None else f" and predicts {_px(predicted)}"
-    start = f"Leave-one-out over control and check chooses {TITLES[chosen]}{expected}."
+    expected = "" if predicted is None else f", with a predicted RMSE of {_px(predicted)}"
+    start = f"Leave-one-out over control and check chooses {chosen.title}{expected}."
     if mine is None:
         return f"{start} There are no independent points to confirm it."
-    sentences = [start, f"{mine.n} independent points, which took no part, say "
+    sentences = [start, f"The RMSE of {mine.n} independent points, which took no part, is "
                         f"{_px(mine.total)}."]
-    others = [b for b in baselines
-              if b.predicted is not None and b.name in PLAIN and b.name != chosen]
+    others = [(b.predicted, b, other) for b in baselines if b.predicted is not None
+              and (other := named(b.name)) and other.is_plain and other is not chosen]
     if others:
-        best = min(others, key=_predicted)
-        sentences.append(_compare("That is", mine.total, best, f"{TITLES[best.name]}, the best "
+        _, best, other = min(others, key=lambda one: one[0])
+        sentences.append(_compare("That is", mine.total, best, f"{other.title}, the best "
                                   "of the other plain structures by leave-one-out") + ".")
     if noise is not None:
         sentences.append(f"Measurement noise alone gives {_px(noise * np.sqrt(2))}.")
@@ -132,10 +118,6 @@ def name_conventional(genome: Genome, observations: Observations) -> str:
     if "features" not in segments:
         return "all terms"
     return f"{features} with all terms" if terms else features
-
-
-def _predicted(baseline: Baseline) -> float:
-    return float("inf") if baseline.predicted is None else baseline.predicted
 
 
 def _independent(baseline: Baseline) -> float:
@@ -182,9 +164,9 @@ def notes_on(observations: Observations, criterion: Criterion, found: Search,
         spread = orientation_spread(lines)
         if spread < PARALLEL:
             yield (f"The lines in use run nearly alike (orientation spread {spread:.2g} of 1): "
-                   "along them the model is hardly fixed.")
-    prior = chosen.model.equations(chosen.scaling.features(chosen.control)).prior
-    if prior is not None and prior[chosen.terms].any() and found.coefficients is None:
+                   "along them the model is hardly determined.")
+    prior = chosen.model.equations(chosen.scaled_control).prior
+    if prior is not None and prior[chosen.terms].any() and chosen.estimator.least_squares:
         yield (f"Pseudo-observations of weight {prior.max()**2:.3g} hold coefficients of "
                "denominators near zero (--set ridge=...); they do not count as redundancy.")
     if found.interrupted:
@@ -196,7 +178,7 @@ def notes_on(observations: Observations, criterion: Criterion, found: Search,
                "RMSE: the selection is fitted to the check points.")
     yield from warnings_of(observations.control, chosen.used, observations.check)
     seen = found.objectives[0]
-    if (criterion.name == "check-rmse" and check and found.coefficients is None
+    if (criterion.name == "check-rmse" and check and chosen.estimator.least_squares
             and found.violation == 0 and abs(check.total - seen) > 0.005 * check.total):
         first = fit(chosen.model, chosen.control, chosen.scaling, chosen.terms, chosen.used,
                     iterated=False).rmse(observations.check)
@@ -204,7 +186,7 @@ def notes_on(observations: Observations, criterion: Criterion, found: Search,
             yield (f"The search saw a check RMSE of {seen:.4g} px, with equations to first order; "
                    "the fit was then iterated.")
         else:
-            yield (f"The search drove down an RMSE of {seen:.4g} px over the points that the "
+            yield (f"The search minimised an RMSE of {seen:.4g} px over the points that the "
                    "problem judges by, which are not the check points alone.")
     if chosen.adjustment.redundancy == 0:
         yield "The adjustment has no redundancy: its residuals say nothing."

@@ -4,17 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from termsel.criteria import Ebic
 from termsel.problems.selection import SelectionProblem
+from termsel.runs.task import Task
 from termsel.solvers.exact import gap_of
 from termsel.solvers.search import Search
-
-if TYPE_CHECKING:
-    from termsel.runs.task import Task
 
 
 def recommended(task: Task, found: Search) -> Search:
@@ -57,8 +55,8 @@ def recommended(task: Task, found: Search) -> Search:
         below = (height - height.min()) / np.ptp(height) + (second - second.min()) / np.ptp(second)
         index = int(np.argmin(below))
     elif rule == "ebic" and isinstance(task.problem, SelectionProblem):
-        judged_anew = task.problem.judged_by(Ebic()).evaluate(genes)
-        index = int(np.lexsort((first, judged_anew.objectives[:, 0], judged_anew.violation))[0])
+        by_ebic = task.problem.judged_by(Ebic()).evaluate(genes)
+        index = int(np.lexsort((first, by_ebic.objectives[:, 0], by_ebic.violation))[0])
     return replace(found, genes=found.front[index], objectives=evaluation.objectives[index],
                    violation=float(evaluation.violation[index]),
                    certificate=_of_member(found.certificate, first[index], first.min()))

@@ -1,4 +1,4 @@
-"""One run from names to a Result: prepare the problem, search it, assess what was found."""
+"""One run from names to a result: ask, observe, choose or search, assess, record."""
 
 from __future__ import annotations
 
@@ -9,35 +9,39 @@ from typing import Any
 
 from termsel.adjustment.kernels import needs_compilation
 from termsel.errors import TermselError
+from termsel.io.result_folder import claim_folder, write_result
+from termsel.measurements.features import FeatureSet
 from termsel.plugins.registry import registry
 from termsel.results.result import Result
 from termsel.runs.assess import assess
 from termsel.runs.auto import choose_for, wanted
 from termsel.runs.recommend import recommended
 from termsel.runs.steps import search_in_steps
-from termsel.runs.task import DATA_OPTIONS, Task, prepare
+from termsel.runs.task import DATA_OPTIONS, Task, ask, observe, prepare
 from termsel.solvers.search import Observer
 from termsel.threads import one_blas_thread
 
 log = logging.getLogger(__name__)
 
 
-AUTO: Mapping[str, Any] = {"criterion": "press", "solver": "all-terms"}
-"""What a task is prepared with where the strategy "auto" takes its observations alone."""
-
-
 @one_blas_thread
 def run(
     problem: str | Task,
     *,
+    features: FeatureSet | None = None,
+    dataset: str | None = None,
+    source: str | None = None,
+    model: str | None = None,
+    solver: str | None = None,
+    criterion: str | None = None,
+    options: Mapping[str, Any] | None = None,
+    strategy: str | None = None,
     seed: int = 1,
     generations: int | None = None,
     evaluations: int | None = None,
     seconds: float | None = None,
     observers: Iterable[Observer] = (),
     out: Path | str | None = None,
-    strategy: str | None = None,
-    **prepared: Any,
 ) -> Result:
     """Search a problem and assess the selection.
 
@@ -45,6 +49,13 @@ def run(
     ----------
     problem : str or Task
         A recipe's name, or what `prepare` made of it.
+    features, dataset, source, model, solver, criterion, options
+        As for `prepare`; for a name alone.
+    strategy : {"auto", "as-asked"}, optional
+        "auto" chooses the model itself, among plain and shrunken ones, by what it predicts for
+        points that took no part; "as-asked" runs the problem's solver. By default "auto" where
+        the problem allows it and neither model, solver, criterion, budget nor any option but
+        those of the data is given. A prepared task is always run as asked.
     seed : int
         Seed of the search.
     generations, evaluations : int, optional
@@ -55,13 +66,6 @@ def run(
         Called after each generation.
     out : path, optional
         Folder for result.json, residuals.csv and summary.txt.
-    strategy : {"auto", "as-asked"}, optional
-        "auto" chooses the model itself, among plain and shrunken ones, by what it predicts for
-        points that took no part; "as-asked" runs the problem's solver. By default "auto" where
-        the problem allows it and neither model, solver, criterion, budget nor any option but
-        those of the data is given. A prepared task is always run as asked.
-    **prepared
-        Arguments of `prepare`, where `problem` is a name.
 
     Returns
     -------
@@ -79,34 +83,56 @@ def run(
     >>> round(result.rmse["independent"].total, 1) > 0
     True
     """
-    from termsel.io.result_folder import claim_folder, write_result
-
-    auto = False
+    given: dict[str, Any] = {
+        "features": features, "dataset": dataset, "source": source, "model": model,
+        "solver": solver, "criterion": criterion, "options": options}
+    asked = {name: value for name, value in given.items() if value is not None}
     if isinstance(problem, Task):
-        if prepared:
-            raise TermselError(f"a prepared task takes no {', '.join(sorted(prepared))}",
+        if asked:
+            raise TermselError(f"a prepared task takes no {', '.join(sorted(asked))}",
                                hint="Give them to termsel.prepare.")
         task = problem
+    elif wanted(strategy, registry().get("problems", problem), _method(
+            asked, generations, evaluations, seconds)):
+        return _chosen(problem, asked, seed, out)
     else:
-        auto = wanted(strategy, registry().get("problems", problem), {
-            **{key: prepared.get(key) for key in ("model", "solver", "criterion")},
-            **{f"the option {key}": True for key in prepared.get("options") or ()
-               if key not in {option.name for option in DATA_OPTIONS}},
-            "a budget": any(b is not None for b in (generations, evaluations, seconds))})
-        if auto:  # which uses check points as control and yet shows their figures
-            prepared |= {**AUTO, "options": {"check_as": "judge",
-                                             **(prepared.get("options") or {})}}
-        task = prepare(problem, **prepared)
+        task = prepare(problem, **asked)
+    _begin(out)
+    found = search_in_steps(task, seed=seed, generations=generations, evaluations=evaluations,
+                            seconds=seconds, observers=observers)
+    return _finished(assess(task, recommended(task, found)), out)
+
+
+def _method(asked: Mapping[str, Any], generations: int | None, evaluations: int | None,
+            seconds: float | None) -> dict[str, Any]:
+    """Return what is asked for of a method, which the strategy "auto" would choose itself."""
+    of_data = {option.name for option in DATA_OPTIONS}
+    return {**{key: asked.get(key) for key in ("model", "solver", "criterion")},
+            **{f"the option {key}": True for key in asked.get("options", ())
+               if key not in of_data},
+            "a budget": any(budget is not None for budget in (generations, evaluations, seconds))}
+
+
+def _chosen(problem: str, asked: Mapping[str, Any], seed: int, out: Path | str | None) -> Result:
+    """Return the result of the strategy "auto", which builds no problem."""
+    # It fits to check points as to control, and yet shows their figures.
+    options = {"check_as": "judge", **asked.get("options", {})}
+    request = ask(problem, **{**asked, "criterion": "press", "solver": "all-terms",
+                              "options": options})
+    observations = observe(request)
+    _begin(out)
+    return _finished(choose_for(request, observations, seed), out)
+
+
+def _begin(out: Path | str | None) -> None:
     if out is not None:
         claim_folder(Path(out))
     if needs_compilation():
         log.info("Compiling: the first run on this machine takes some 10 s longer.")
-    if auto:
-        result = choose_for(task, seed)
-    else:
-        found = search_in_steps(task, seed=seed, generations=generations,
-                                evaluations=evaluations, seconds=seconds, observers=observers)
-        result = assess(task, recommended(task, found))
+
+
+def _finished(result: Result, out: Path | str | None) -> Result:
+    """Write a result where it is asked for, and tell the plugins."""
     if out is not None:
         write_result(result, Path(out))
     registry().notify_run_finished(result)

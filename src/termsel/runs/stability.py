@@ -1,4 +1,4 @@
-"""How often terms are selected when control and check points are shared out anew."""
+"""How often each term is selected, over many draws of control and check points."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from termsel.errors import TermselError
 from termsel.fits.figures import Rmses, figures, in_role, plain_rmse
 from termsel.fits.fit import Rmse, fit
 from termsel.measurements.features import BoolArray, FeatureSet, FloatArray, select
-from termsel.measurements.roles import together, with_roles
+from termsel.measurements.roles import together
 from termsel.measurements.scaling import scaling_of
 from termsel.models.poles import guard_points, pole_violation
 from termsel.runs.recommend import recommended
@@ -71,15 +71,19 @@ def stability(
     threshold: float = 0.6,
     seed: int = 1,
     evaluations: int | None = None,
+    features: FeatureSet | None = None,
+    dataset: str | None = None,
+    model: str | None = None,
+    solver: str | None = None,
+    criterion: str | None = None,
     options: Mapping[str, Any] | None = None,
-    **prepared: Any,
 ) -> Stability:
-    """Select terms again and again, with control and check points shared out at random.
+    """Select terms again and again, each time with other control and check points.
 
-    Each repetition draws as many of them for control as there were; independent points stay what
-    they are. The terms selected often are then fitted to control and check points together:
-    stability selection. The frequencies are those the papers show over runs with other
-    seeds; there the data were the same, here they are not.
+    Each repetition draws at random which of them are control, as many as there were; independent
+    points keep their role. The terms selected often are then fitted to control and check points
+    together: stability selection. The papers show such frequencies over runs with other seeds on
+    the same data; here the data differ too.
 
     Parameters
     ----------
@@ -93,9 +97,8 @@ def stability(
         Seed of the shares and of the searches.
     evaluations : int, optional
         Budget of each search; the solver's own by default.
-    options : mapping, optional
-    **prepared
-        Further arguments of `termsel.prepare`.
+    features, dataset, model, solver, criterion, options
+        As for `termsel.prepare`.
 
     Returns
     -------
@@ -120,18 +123,19 @@ def stability(
     """
     if repeats < 2 or not 0 < threshold <= 1:
         raise TermselError(f"{repeats} repetitions with the threshold {threshold} say nothing",
-                           hint="Give at least 2 and a threshold above 0, of 1 at most.")
-    task = prepare(problem, options=options, **prepared)
+                           hint="Give at least 2 repetitions and a threshold above 0, up to 1.")
+    task = prepare(problem, features=features, dataset=dataset, model=model, solver=solver,
+                   criterion=criterion, options=options)
     if any(segment.name == "features" for segment in task.problem.genome.segments) \
             or len(task.observations.control.lines):
         raise TermselError(f"the problem {problem} selects features or has lines as control",
-                           hint="Stability is of terms selected from points: rfm-terms, "
+                           hint="Choose a problem that selects terms from points: rfm-terms, "
                                 "poly-terms.")
     rng = np.random.default_rng(seed)
-    given = {key: value for key, value in prepared.items() if key not in ("features", "dataset")}
     rows = []
     for repetition in range(repeats):
-        again = prepare(problem, features=_shared_out(task, rng), **given,
+        again = prepare(problem, features=_with_drawn_roles(task, rng), model=model,
+                        solver=solver, criterion=criterion,
                         options={**(options or {}), "roles": "file"})
         found = recommended(again, search(again.problem, again.solver, seed=seed + repetition,
                                           evaluations=evaluations))
@@ -143,9 +147,9 @@ def stability(
                      select(task.model.terms, chosen), determined, rmse)
 
 
-def _shared_out(task: Task, rng: np.random.Generator) -> FeatureSet:
-    """Return the features with the roles control and check drawn anew."""
-    features = with_roles(task.features, task.observations)
+def _with_drawn_roles(task: Task, rng: np.random.Generator) -> FeatureSet:
+    """Return the features with other points as control and check."""
+    features = task.observations.features
     roles = np.array(features.points.roles, dtype=object)
     movable = np.flatnonzero(np.isin(roles, ("control", "check")))
     roles[movable] = rng.permutation(roles[movable])

@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from termsel.errors import TermselError
 from termsel.measurements.features import BoolArray
 from termsel.problems.selection import SelectionProblem
+from termsel.runs.task import Task
 from termsel.solvers.search import Search, search
-
-if TYPE_CHECKING:
-    from termsel.runs.task import Task
 
 
 def search_in_steps(task: Task, **how: Any) -> Search:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -11,8 +11,9 @@ import numpy as np
 from termsel.criteria import Criterion
 from termsel.errors import TermselError, unknown_name
 from termsel.fits.diagnosis import orientation_spread
-from termsel.measurements.features import FeatureSet, Points, no_points
-from termsel.measurements.roles import Observations, observe, together
+from termsel.measurements.features import FeatureSet, Points
+from termsel.measurements.roles import Observations, check_as_control
+from termsel.measurements.roles import observe as assign_roles
 from termsel.measurements.scaling import Scaling, scaling_of
 from termsel.models.base import SensorModel, require_heights
 from termsel.options import Option, resolve
@@ -25,24 +26,50 @@ from termsel.solvers.base import Solver
 from termsel.solvers.search import require_able
 
 DATA_OPTIONS = (
-    Option("roles", "file", "Roles of points: as in the file, with blank ones shared out by "
-           "place; or shared out anew by place or at random.",
+    Option("roles", "file", "Roles of points: those of the file, with blank ones assigned by "
+           "place; or all assigned by place or at random.",
            choices=("file", "stratified", "random")),
     Option("fractions", "1:1:1", "Shares of control, check and independent points among those "
-           "shared out."),
-    Option("split", 0, "Seed of the sharing out of roles.", int, 0),
+           "that are assigned a role."),
+    Option("split", 0, "Seed by which roles are assigned.", int, 0),
     Option("check_as", None, "What check points are: judges of each selection, or further control. "
            "By default judges; where points are the control and the criterion needs no check "
            "points, control.", choices=("judge", "control")),
     FIT_CRS,
 )
 
-
 MIN_CONTROL, MIN_CHECK = 3, 2
-
 
 ALL_PARALLEL = 1e-4
 """Orientation spread below which control lines are taken for parallel: within half a degree."""
+
+
+@dataclass(frozen=True, eq=False)
+class Request:
+    """What is asked for: names resolved, options checked, features read.
+
+    Parameters
+    ----------
+    recipe : Recipe
+    model : SensorModel
+        Not yet prepared for the features.
+    criterion : Criterion
+    solver : Solver
+    features : FeatureSet
+        As read, all roles together.
+    source : str
+        Where the features come from.
+    options : mapping
+        Options by part: problem, data.
+    """
+
+    recipe: Recipe
+    model: SensorModel
+    criterion: Criterion
+    solver: Solver
+    features: FeatureSet
+    source: str
+    options: Mapping[str, Mapping[str, Any]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,61 +142,130 @@ def prepare(
     TermselError
         For unknown names or options, and for data the problem cannot be run on.
     """
-    names = registry()
+    request = ask(problem, features=features, dataset=dataset, source=source, model=model,
+                  solver=solver, criterion=criterion, options=options)
+    observations = observe(request)
+    return build(request, observations, *scale(request, observations))
+
+
+def ask(
+    problem: str,
+    *,
+    features: FeatureSet | None = None,
+    dataset: str | None = None,
+    source: str | None = None,
+    model: str | None = None,
+    solver: str | None = None,
+    criterion: str | None = None,
+    options: Mapping[str, Any] | None = None,
+) -> Request:
+    """Return what is asked for, with every name resolved and every option checked.
+
+    Parameters
+    ----------
+    problem, features, dataset, source, model, solver, criterion, options
+        As for `prepare`.
+    """
+    names, given = registry(), dict(options or {})
     recipe: Recipe = names.get("problems", problem)
-    given = dict(options or {})
-    model_type = names.get("models", model or recipe.model)
-    the_criterion: Criterion = names.get("criteria", criterion or recipe.criterion)
-    solver_type = names.get("solvers", solver or recipe.solver)
-    own = {**recipe.model_options} if model is None or model == recipe.model else {}
+    model_type: type[SensorModel] = names.get("models", model or recipe.model)
+    criterion_type: type[Criterion] = names.get("criteria", criterion or recipe.criterion)
+    solver_type: type[Solver] = names.get("solvers", solver or recipe.solver)
     declared = {
-        "problem": recipe.options, "data": DATA_OPTIONS,
-        "model": model_type.declared_options, "criterion": the_criterion.declared_options,
-        "solver": solver_type.declared_options}
+        "problem": recipe.options, "data": DATA_OPTIONS, "model": model_type.declared_options,
+        "criterion": criterion_type.declared_options, "solver": solver_type.declared_options}
     _refuse_unknown(given, declared)
     chosen = {part: {o.name: given[o.name] for o in known if o.name in given}
               for part, known in declared.items()}
-    of_problem = resolve(recipe.options, chosen["problem"])
+    own = recipe.model_options if model in (None, recipe.model) else {}
+    the_criterion = criterion_type(**chosen["criterion"])
+    of_problem = _of_problem(recipe, chosen["problem"], the_criterion, solver_type,
+                             published=solver is not None and solver_type.as_published)
     of_data = resolve(DATA_OPTIONS, chosen["data"])
-    if solver_type.max_objectives > 1 and "objectives" in of_problem:
-        of_problem["objectives"] = of_problem["objectives"] or recipe.second
-    if "max_share" in of_problem and of_problem["max_share"] is None:
-        of_problem["max_share"] = 1.0 if solver and solver_type.as_published else MAX_SHARE
-    the_model = model_type(**{**own, **chosen["model"]})
-    the_criterion = type(the_criterion)(**{**the_criterion.options, **chosen["criterion"]})
-    if "recommend" in of_problem:
-        of_problem["recommend"] = _rule(of_problem["recommend"], the_criterion, solver_type)
-    the_solver = solver_type(**chosen["solver"])
+    if of_data["check_as"] is None:
+        judging = the_criterion.needs_check or _control_of(recipe, of_problem) == "lines"
+        of_data["check_as"] = "judge" if judging else "control"
     if features is None:
         spec = names.get("datasets", dataset or recipe.dataset)
         features = spec.load()
         source = f"{spec.name} (simulated)" if spec.simulated else spec.name
-    observations = observe(
-        features, control="both" if of_problem.get("mixed") else recipe.control,
-        how=of_data["roles"],
-        fractions=_fractions(of_data["fractions"], the_criterion.needs_check),
+    return Request(recipe, model_type(**{**own, **chosen["model"]}), the_criterion,
+                   solver_type(**chosen["solver"]), features, source or "given in Python",
+                   {"problem": of_problem, "data": of_data})
+
+
+def observe(request: Request) -> Observations:
+    """Return the features, each in its role, with the CRS that the model is fitted in.
+
+    Parameters
+    ----------
+    request : Request
+    """
+    recipe, criterion, of_data = request.recipe, request.criterion, request.options["data"]
+    observations = assign_roles(
+        request.features, control=_control_of(recipe, request.options["problem"]),
+        how=of_data["roles"], fractions=_fractions(of_data["fractions"], criterion.needs_check),
         rng=np.random.default_rng(of_data["split"]))
-    if of_data["check_as"] is None:
-        judging = the_criterion.needs_check or not len(observations.control.points)
-        of_data["check_as"] = "judge" if judging else "control"
     if of_data["check_as"] == "control":
-        observations = replace(observations, control=together(observations), check=no_points())
-    require_heights(the_model, _taking_part(observations))
-    _require_enough(observations, recipe, the_criterion)
+        observations = check_as_control(observations)
+    require_heights(request.model, _taking_part(observations))
+    _require_enough(observations, recipe, criterion)
     if of_data["fit_crs"] is not None:
-        features, observations = with_fit_crs(of_data["fit_crs"], features, observations,
-                                              the_model)
+        observations = with_fit_crs(of_data["fit_crs"], request.features, observations,
+                                    request.model)
+    return observations
+
+
+def scale(request: Request, observations: Observations) -> tuple[Scaling, Inputs]:
+    """Return the scaling of the control, and what a problem is made of in scaled coordinates.
+
+    Parameters
+    ----------
+    request : Request
+    observations : Observations
+    """
     scaling = scaling_of(observations.control)
-    the_model = the_model.prepared(scaling, features.crs)
-    inputs = Inputs(the_model, scaling.features(observations.control),
-                    scaling.points(observations.check), scaling.image_scale, the_criterion,
-                    of_problem)
-    the_problem = recipe.build(inputs)
-    require_able(the_problem, the_solver,
-                 [entry.object for entry in names.entries("solvers")])
-    return Task(recipe, the_problem, the_model, the_solver, the_criterion, observations,
-                scaling, features, source or "given in Python",
-                {"problem": of_problem, "data": of_data})
+    return scaling, Inputs(
+        request.model.prepared(scaling, request.features.crs),
+        scaling.features(observations.control), scaling.points(observations.check),
+        scaling.image_scale, request.criterion, dict(request.options["problem"]))
+
+
+def build(request: Request, observations: Observations, scaling: Scaling,
+          inputs: Inputs) -> Task:
+    """Return the task: the recipe's problem, for a solver that can handle it.
+
+    Parameters
+    ----------
+    request : Request
+    observations : Observations
+    scaling : Scaling
+    inputs : Inputs
+    """
+    problem = request.recipe.build(inputs)
+    require_able(problem, request.solver,
+                 [entry.object for entry in registry().entries("solvers")])
+    return Task(request.recipe, problem, inputs.model, request.solver, request.criterion,
+                observations, scaling, request.features, request.source,
+                {"problem": inputs.options, "data": request.options["data"]})
+
+
+def _of_problem(recipe: Recipe, given: Mapping[str, Any], criterion: Criterion,
+                solver: type[Solver], *, published: bool) -> dict[str, Any]:
+    """Return the options of a problem, those decided that depend on criterion and solver."""
+    options = resolve(recipe.options, given)
+    if solver.max_objectives > 1 and "objectives" in options:
+        options["objectives"] = options["objectives"] or recipe.second
+    if "max_share" in options and options["max_share"] is None:
+        options["max_share"] = 1.0 if published else MAX_SHARE
+    if "recommend" in options:
+        options["recommend"] = _rule(options["recommend"], criterion, solver)
+    return options
+
+
+def _control_of(recipe: Recipe, options: Mapping[str, Any]) -> str:
+    """Return which features are control: "points", "lines" or "both"."""
+    return "both" if options.get("mixed") else recipe.control
 
 
 def _rule(asked: str | None, criterion: Criterion, solver: type[Solver]) -> str:
@@ -181,6 +277,15 @@ def _rule(asked: str | None, criterion: Criterion, solver: type[Solver]) -> str:
                                 "press or kfold, these with loss=squares.")
     return asked or ("one-standard-error" if solver.max_objectives > 1 and criterion.is_rmse
                      else "best")
+
+
+def _count(observations: Observations) -> int:
+    """Return how many features there are, in whatever role."""
+    return len(observations.features.points) + len(observations.control.lines.features)
+
+
+def _are(count: int) -> str:
+    return f"{count} is" if count == 1 else f"{count} are"
 
 
 def _refuse_unknown(given: Mapping[str, Any], declared: Mapping[str, Iterable[Option]]) -> None:
@@ -207,7 +312,7 @@ def _fractions(text: str, needs_check: bool) -> tuple[float, ...]:
         shares = ()
     if len(shares) != 3 or not np.isfinite(shares).all() or min(shares) < 0 \
             or (needs_check and not shares[1]):
-        raise TermselError(f"option 'fractions' does not take {text!r}",
+        raise TermselError(f"option 'fractions' cannot be {text!r}",
                            hint="It takes three numbers for control, check and independent, "
                                 "such as 1:1:1 or 0.4:0.3:0.3; check must be above 0 "
                                 "for a criterion that needs check points.")
@@ -218,23 +323,25 @@ def _require_enough(observations: Observations, recipe: Recipe, criterion: Crite
     control, check = observations.control, observations.check
     if len(control) < MIN_CONTROL:
         raise TermselError(
-            f"{len(control)} control features are too few: {recipe.name} needs at least "
-            f"{MIN_CONTROL}", hint="Measure more, or give more of them the role control.")
+            f"Of your {_count(observations)} features {_are(len(control))} control; {recipe.name} "
+            f"needs at least {MIN_CONTROL}",
+            hint="Measure more, or give more of them the role control.")
     if criterion.needs_check and len(check) < MIN_CHECK:
         raise TermselError(
-            f"{len(check)} check points are too few: criterion {criterion.name} needs at least "
-            f"{MIN_CHECK}", hint="Give more points the role check; they judge the fitness of a "
-            "selection. --criterion press does without.")
+            f"Of your {_count(observations)} features {_are(len(check))} check points; the "
+            f"criterion {criterion.name} needs at least {MIN_CHECK}",
+            hint="Give more points the role check; they judge the fitness of a selection. The "
+                 "criterion press needs none (--criterion press).")
     if not np.ptp(control.image_vertices(), axis=0).any():
         raise TermselError("all control features have the same place in the image",
-                           hint="Look whether the columns line and sample are what they say.")
+                           hint="Check that the columns line and sample hold image coordinates.")
     flat = np.ptp(control.ground_vertices()[:, :2], axis=0)
     spread = np.linalg.svd(control.ground_vertices()[:, :2]
                            - control.ground_vertices()[:, :2].mean(axis=0), compute_uv=False)
     if not flat.any() or spread[1] < 1e-6 * spread[0]:
         raise TermselError("all control features lie on one straight line on the ground",
-                           hint="Control must spread over an area to fix a model.")
+                           hint="Add control away from that line: a model needs an area.")
     if not len(control.points) and orientation_spread(control.lines) < ALL_PARALLEL:
         raise TermselError(
-            "all control lines are parallel in the image: along them nothing is measured",
+            "all control lines are parallel in the image, so nothing is measured along them",
             hint="Add lines of another direction, or control points with --set mixed=true.")

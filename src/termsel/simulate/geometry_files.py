@@ -13,7 +13,7 @@ from termsel.formats.base import located, read_head, read_text
 from termsel.simulate.pushbroom import Angle, Pushbroom
 
 SCHEMA = "termsel-pushbroom-1"
-_EXPECTED = f"Expected JSON of the form {SCHEMA}, as termsel.simulate.write_geometry makes it."
+_EXPECTED = f"Expected JSON with the schema {SCHEMA}, from termsel.simulate.write_geometry."
 _ANGLES = ("roll", "pitch", "yaw")
 
 
@@ -28,7 +28,7 @@ def geometry_text(sensor: Pushbroom) -> str:
 
 
 def geometry_from(text: str) -> Pushbroom:
-    """Return the scanner of what `geometry_text` returned.
+    """Return the scanner of a text from `geometry_text`.
 
     Parameters
     ----------
@@ -37,7 +37,7 @@ def geometry_from(text: str) -> Pushbroom:
     Raises
     ------
     TermselError
-        If the text is none, or lacks a field or has one amiss.
+        If the text is not a geometry, or a field is missing or invalid.
     """
     try:
         content = json.loads(text)
@@ -45,15 +45,15 @@ def geometry_from(text: str) -> Pushbroom:
         raise TermselError(f"this is not JSON: {error.msg}", line=error.lineno,
                            hint=_EXPECTED) from error
     if not isinstance(content, dict) or content.get("schema") != SCHEMA:
-        raise TermselError("this is no geometry of a pushbroom scanner", hint=_EXPECTED)
+        raise TermselError("this is not the geometry of a pushbroom scanner", hint=_EXPECTED)
     names = [field.name for field in fields(Pushbroom)]
     for name in names:
         if name not in content:
-            raise TermselError("the geometry lacks a field", column=name, hint=_EXPECTED)
+            raise TermselError("this field of the geometry is missing", column=name, hint=_EXPECTED)
     try:
         return Pushbroom(**{name: _value(name, content[name]) for name in names})
     except (TypeError, ValueError, KeyError, OverflowError) as error:
-        raise TermselError(f"a field of the geometry is amiss: {error}",
+        raise TermselError(f"a field of the geometry is invalid: {error}",
                            hint=_EXPECTED) from error
 
 
@@ -69,7 +69,7 @@ def write_geometry(sensor: Pushbroom, path: Path | str) -> None:
 
 
 def read_geometry(path: Path | str) -> Pushbroom:
-    """Return the scanner of a file that `write_geometry` made.
+    """Return the scanner of a file from `write_geometry`.
 
     Parameters
     ----------

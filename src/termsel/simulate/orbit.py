@@ -36,11 +36,11 @@ def pushbroom_at(
     off_nadir : float
         Angle at the satellite between the Earth's centre and the ray to that place [deg].
     look_azimuth : float
-        Direction of the ray from the flight direction [deg]: 0 ahead, 90 to starboard.
+        Direction of the ray relative to the flight direction [deg]: 0 ahead, 90 to starboard.
     gsd : float
         Distance on the ground between neighbouring pixels at the centre, both ways [m].
     image_size : tuple of int
-        Lines and samples [pixel].
+        Lines and samples [px].
     altitude : float
         Radius of the orbit above the WGS84 semi-major axis [m].
     inclination : float
@@ -64,7 +64,7 @@ def pushbroom_at(
     ratio = np.sin(np.radians(lat)) / np.sin(np.radians(inclination))
     if abs(ratio) >= 1:
         raise TermselError(f"an orbit of {inclination:g} deg does not reach latitude {lat:g} deg",
-                           hint="Take an inclination nearer to 90 deg.")
+                           hint="Choose an inclination nearer to 90 deg.")
     argument = 180 - float(np.degrees(np.arcsin(ratio)))
     sensor = Pushbroom(altitude, inclination, 0.0, argument, *image_size,
                        ifov=gsd / altitude, line_period=gsd / 7000,
@@ -75,7 +75,7 @@ def pushbroom_at(
         line, sample = candidate.centre
         return candidate.locate([[line, sample], [line + 1, sample], [line, sample + 1]], height)
 
-    # Seen from the node the scene is the same for every longitude of the node: find the
+    # Relative to the node the scene is the same for every longitude of the node: find the
     # argument that gives the latitude (descending: a larger argument lies further south),
     # then turn the orbit.
     for _ in range(ITERATIONS):
@@ -85,7 +85,7 @@ def pushbroom_at(
         sensor = replace(sensor, argument=sensor.argument + error)
     else:
         raise TermselError(f"no view {off_nadir:g} deg off nadir reaches latitude {lat:g} deg",
-                           hint="Take a smaller off-nadir angle.")
+                           hint="Choose a smaller off-nadir angle.")
     sensor = replace(sensor, node=(lon - float(seen(sensor)[0, 0]) + 180) % 360 - 180)
     places = to_ecef(np.column_stack([seen(sensor), np.full(3, height)]))
     along, across = np.linalg.norm(places[1:] - places[0], axis=1)

@@ -28,7 +28,7 @@ from termsel.simulate.wgs84 import (
 # height p0 / (rho0 g) = 8434 m of the equivalent homogeneous atmosphere: metres.
 _REFRACTIVITY_COLUMN = 2.778e-4 * 8434.0
 
-_CONVERGED = 1e-8  # pixel
+_CONVERGED = 1e-8  # px
 ITERATIONS = 40
 
 
@@ -75,7 +75,7 @@ class Pushbroom:
     inclination, node, argument : float
         Inclination, longitude of the ascending node and argument of latitude at time 0 [deg].
     n_lines, n_samples : int
-        Size of the image [pixel].
+        Size of the image [px].
     ifov : float
         Instantaneous field of view: detector pitch over focal length [rad].
     line_period : float
@@ -85,12 +85,12 @@ class Pushbroom:
     refraction : bool
         Whether rays are bent by the atmosphere.
     offset : array_like, shape (3,), or (n, 3) for one at each of n times
-        How far the satellite is from that circle: ahead, to starboard and down [m].
+        Offset of the satellite from that circle: ahead, to starboard and down [m].
 
     Raises
     ------
     TermselError
-        If the image is empty, or a length, angle or period that must be positive is not.
+        If the image is empty, or a length, angle or period is not positive.
 
     Notes
     -----
@@ -124,16 +124,17 @@ class Pushbroom:
     def __post_init__(self) -> None:
         for name in ("altitude", "n_lines", "n_samples", "ifov", "line_period"):
             if not getattr(self, name) > 0:
-                raise TermselError(f"{name} of a pushbroom is {getattr(self, name)}",
-                                   hint="It must be positive.")
+                raise TermselError(f"{name} of a pushbroom is {getattr(self, name)}, which is not "
+                                   "positive",
+                                   hint="Give a positive number.")
 
     @property
     def centre(self) -> tuple[float, float]:
-        """Line and sample of the middle of the image [pixel]."""
+        """Line and sample of the middle of the image [px]."""
         return (self.n_lines - 1) / 2, (self.n_samples - 1) / 2
 
     def time(self, line: FloatArray) -> FloatArray:
-        """Return the time of exposure [s] of `line` [pixel]; 0 in the middle of the image."""
+        """Return the time of exposure [s] of `line` [px]; 0 in the middle of the image."""
         return (line - self.centre[0]) * self.line_period
 
     def exposure(self, time: ArrayLike) -> tuple[FloatArray, FloatArray]:
@@ -167,7 +168,7 @@ class Pushbroom:
         return radius * outward + away, orbital @ attitude
 
     def project(self, ground: ArrayLike) -> FloatArray:
-        """Return where ground points are seen.
+        """Return the image positions of ground points.
 
         Parameters
         ----------
@@ -177,17 +178,17 @@ class Pushbroom:
         Returns
         -------
         ndarray, shape (n, 2)
-            Line and sample [pixel], also beyond the edges of the image.
+            Line and sample [px], also beyond the edges of the image.
 
         Raises
         ------
         TermselError
-            For an array of another shape, or points the scanner never passes.
+            For an array of another shape, or points that the scanner never passes.
 
         Notes
         -----
         The line is the root of the along-track camera coordinate over time, found by the
-        secant method for all points at once, to 1e-8 pixel.
+        secant method for all points at once, to 1e-8 px.
         """
         ground = _columns(ground, 3, "ground")
         target, up = to_ecef(ground), vertical(ground)
@@ -202,23 +203,23 @@ class Pushbroom:
             line = line + step
             before = along
             along, sample = self._view(target, up, ground[:, 2], line)
-            # Steps of a few nano-pixels say nothing about the slope, so the last one is kept.
+            # Steps of a few nano-px do not determine the slope, so the last slope is kept.
             np.divide(along - before, step, out=slope, where=np.abs(step) > 1e-4)
             step = -along / slope
         station, _ = self.exposure(self.time(line))
         hidden = active | ~(np.einsum("ni,ni->n", station - target, up) > 0)
         if hidden.any():
-            raise TermselError(f"{int(hidden.sum())} ground points are out of the scanner's sight",
+            raise TermselError(f"{int(hidden.sum())} ground points are out of the scanner's view",
                                hint="Give longitude, latitude and height of points near the scene.")
         return np.stack([line, sample], axis=-1)
 
     def locate(self, image: ArrayLike, height: ArrayLike) -> FloatArray:
-        """Return where the rays of image points reach the given heights.
+        """Return the ground positions of image points at the given heights.
 
         Parameters
         ----------
         image : array_like, shape (n, 2)
-            Line and sample [pixel].
+            Line and sample [px].
         height : array_like, shape (n,) or a number
             Ellipsoidal heights [m].
 
@@ -241,7 +242,7 @@ class Pushbroom:
         straight = _meet(station, np.einsum("nij,nj->ni", rotation, look), height)
         place = from_ecef(straight)
         if self.refraction:
-            # The shift is about a metre and changes by less than a micrometre over itself.
+            # The shift is about a metre and changes by less than a micrometre over that distance.
             for _ in range(2):
                 bent = straight - _refraction(to_ecef(place), vertical(place), height, station)
                 place = from_ecef(bent)
@@ -253,7 +254,7 @@ class Pushbroom:
         Parameters
         ----------
         line : float, optional
-            Line [pixel]; the middle of the image where none is given.
+            Line [px]; by default the middle of the image.
         """
         at = np.array([self.centre[0] if line is None else line])
         station, rotation = self.exposure(self.time(at))
@@ -284,7 +285,7 @@ def _attitude(roll: FloatArray, pitch: FloatArray, yaw: FloatArray) -> FloatArra
 
 def _refraction(target: FloatArray, up: FloatArray, height: FloatArray, station: FloatArray,
                 ) -> FloatArray:
-    """Return the shift from targets to where straight rays would show them [m], (n, 3)."""
+    """Return the shift from targets to their positions on straight rays [m], (n, 3)."""
     pressure = (1 - 2.25577e-5 * height) ** 5.25588  # standard atmosphere, over sea level's
     ray = station - target
     ray = ray / np.linalg.norm(ray, axis=1, keepdims=True)
@@ -294,10 +295,10 @@ def _refraction(target: FloatArray, up: FloatArray, height: FloatArray, station:
 
 
 def _meet(station: FloatArray, ray: FloatArray, height: FloatArray) -> FloatArray:
-    """Return where rays reach ellipsoidal heights, Earth-fixed [m], shape (n, 3).
+    """Return the points where rays reach ellipsoidal heights, Earth-fixed [m], shape (n, 3).
 
-    Starts on the ellipsoid with both axes longer by the height, which is not quite the
-    surface of that height, and goes on by Newton's method along the ray.
+    Starts on the ellipsoid with both axes longer by the height, which is nearly the surface of
+    that height, and continues with Newton's method along the ray.
     """
     axes = np.stack([SEMI_MAJOR + height, SEMI_MAJOR + height, SEMI_MINOR + height], axis=-1)
     s, d = station / axes, ray / axes
@@ -305,7 +306,7 @@ def _meet(station: FloatArray, ray: FloatArray, height: FloatArray) -> FloatArra
     root = b * b - a * c
     if (root <= 0).any():
         raise TermselError(f"the rays of {int((root <= 0).sum())} image points miss the Earth",
-                           hint="Take a smaller off-nadir angle, or points in the image.")
+                           hint="Choose a smaller off-nadir angle, or points in the image.")
     distance = (-b - np.sqrt(root)) / a
     for _ in range(2):
         place = from_ecef(station + distance[:, None] * ray)

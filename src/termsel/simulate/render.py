@@ -1,4 +1,4 @@
-"""Pictures a simulated scanner takes of ground with a pattern on it."""
+"""Images that a simulated scanner takes of ground with a pattern on it."""
 
 from __future__ import annotations
 
@@ -17,22 +17,22 @@ Pattern = Callable[[FloatArray], FloatArray]
 """Brightness, shape (n,), of longitude and latitude [deg], shape (n, 2)."""
 
 _ROUNDS = 12
-_MESH = 4  # pixels; the ground between is interpolated by cubic splines
-_MARGIN = 3  # meshes around the image, as splines are at their worst at the edge
+_MESH = 4  # px; the ground between is interpolated by cubic splines
+_MARGIN = 3  # meshes around the image, as splines are worst at the edge
 
 
 def on_terrain(sensor: Pushbroom, terrain: Heights, image: FloatArray, start: float,
                ) -> FloatArray:
-    """Return where rays of image points meet the terrain.
+    """Return the points where rays of image points meet the terrain.
 
     Parameters
     ----------
     sensor : Pushbroom
     terrain : callable
     image : ndarray, shape (n, 2)
-        Line and sample [pixel].
+        Line and sample [px].
     start : float
-        Height to begin with [m].
+        First approximation of the height [m].
 
     Returns
     -------
@@ -67,7 +67,7 @@ def render(sensor: Pushbroom, terrain: Heights, pattern: Pattern, *, oversample:
            ) -> FloatArray:
     """Return the image a scanner takes of a pattern on the terrain.
 
-    Each pixel is the mean over its area; light and shade of the terrain are not modelled.
+    Each pixel is the mean over its area; shading of the terrain is not modelled.
 
     Parameters
     ----------
@@ -79,7 +79,7 @@ def render(sensor: Pushbroom, terrain: Heights, pattern: Pattern, *, oversample:
     Returns
     -------
     ndarray, shape (n_lines, n_samples)
-        Brightness as of the pattern.
+        Brightness, in the units of the pattern.
     """
     lines, samples = (np.arange(-_MARGIN, -(-size // _MESH) + _MARGIN + 1) * _MESH
                       for size in (sensor.n_lines, sensor.n_samples))

@@ -31,9 +31,9 @@ from termsel.simulate.terrain import Terrain, hilly
 from termsel.simulate.wgs84 import SEMI_MAJOR
 
 _ROLES = ("control", "check", "independent")
-_EDGE = 0.015  # share of the image at each edge where nothing is measured
+_EDGE = 0.015  # fraction of the image at each edge without measurements
 _CANDIDATES = 24  # places tried for each point
-_SMALLEST, _LARGEST = 4.0, 15.0  # sideways displacement of a wrong line [pixel]
+_SMALLEST, _LARGEST = 4.0, 15.0  # sideways displacement of a mismatched line [px]
 
 
 @dataclass(frozen=True)
@@ -51,24 +51,24 @@ class Scene:
     heights : tuple of float
         Lowest and highest terrain in the image, ellipsoidal [m].
     image_size : tuple of int
-        Lines and samples [pixel].
+        Lines and samples [px].
     gsd, altitude : float
         Ground sample distance and altitude of the orbit [m].
     inclination, off_nadir, look_azimuth : float
         See `pushbroom_at` [deg].
     drift : tuple of three tuples
         Change of roll, pitch and yaw from the middle to the end of the scene by each power of
-        time from the first, as movement in the image [pixel]; for yaw, of the array's ends.
+        time from the first, as movement in the image [px]; for yaw, that of the array's ends.
     jitter : tuple of float
-        Amplitudes of roll and pitch [pixel].
+        Amplitudes of roll and pitch [px].
     relief : float
-        Root mean square of the local relief, which no low polynomial follows [m].
+        Root mean square of the local relief, which no low polynomial fits [m].
     roles : tuple of int
         Numbers of control, check and independent points.
     lines, wrong_lines : int
-        Numbers of lines, and of wrongly matched ones among them.
+        Numbers of lines, and of mismatched ones (blunders) among them.
     noise : float
-        Standard deviation of line and sample [pixel].
+        Standard deviation of line and sample [px].
     """
 
     name: str
@@ -94,8 +94,8 @@ class Scene:
 
 SCENES: dict[str, Scene] = {scene.name: scene for scene in (
     Scene("ikonos-hamedan",
-          "simulated IKONOS scene of Hamedan, 1 m: 74 points, 120 lines of which 8 are wrong "
-          "(after Valadan Zoej et al. 2002, Akhoundi Khezrabad et al. 2020)",
+          "simulated IKONOS scene of Hamedan, 1 m: 74 points, 120 lines, 8 of them blunders (after "
+          "Valadan Zoej et al. 2002, Akhoundi Khezrabad et al. 2020)",
           number=1, lon=48.5, lat=34.8, heights=(1700.0, 1990.0), image_size=(7000, 8000), gsd=1.0,
           altitude=681e3, inclination=98.1, off_nadir=20.4, look_azimuth=65.0,
           drift=((1.0, 1.2, 0.2), (1.0, 1.5, 0.2), (0.5, 0.5)), jitter=(0.12, 0.15),
@@ -119,7 +119,7 @@ SCENES: dict[str, Scene] = {scene.name: scene for scene in (
 
 @dataclass(frozen=True)
 class SceneTruth:
-    """What a simulated scene was made from.
+    """Sensor, terrain and blunders of a simulated scene.
 
     Parameters
     ----------
@@ -128,7 +128,7 @@ class SceneTruth:
     terrain : callable
         Ellipsoidal heights [m], shape (n,), of longitude and latitude [deg], shape (n, 2).
     wrong_lines : tuple of str
-        Ids of the wrongly matched lines.
+        Ids of the mismatched lines.
     """
 
     sensor: Pushbroom
@@ -152,13 +152,13 @@ def simulate_scene(
     name : str
         "ikonos-hamedan", "spot-isfahan" or "irs1c-mashad".
     seed : int, optional
-        Draws points, lines and noise; 0 where none is given. Sensor and terrain stay.
+        Draws points, lines and noise; by default 0. Sensor and terrain do not depend on it.
     noise : float, optional
-        Standard deviation of line and sample [pixel]; the scene's, 0.5, where none is given.
+        Standard deviation of line and sample [px]; by default that of the scene, 0.5.
     n_points, n_lines : int, optional
-        Numbers of points and lines; the scene's where none is given.
+        Numbers of points and lines; by default those of the scene.
     wrong_lines : int, optional
-        Number of wrongly matched lines; the scene's share of `n_lines` where none is given.
+        Number of mismatched lines; by default the scene's fraction of `n_lines`.
 
     Returns
     -------
@@ -169,14 +169,14 @@ def simulate_scene(
     Raises
     ------
     TermselError
-        For an unknown name, a negative number or seed, or more wrong lines than lines.
+        For an unknown name, a negative number or seed, or more mismatched lines than lines.
     """
     scene = _scene(name)
     n_lines, wrong = _line_counts(scene, n_lines, wrong_lines)
     n_points = sum(scene.roles) if n_points is None else n_points
     noise = scene.noise if noise is None else noise
     if n_points < 0 or not 0 <= noise < float("inf"):
-        raise TermselError(f"{n_points} points with a noise of {noise} pixels cannot be simulated",
+        raise TermselError(f"{n_points} points with a noise of {noise} px cannot be simulated",
                            hint="Give a number of points and a noise of at least 0.")
     point_rng, line_rng, wrong_rng, noise_rng = _streams(scene, seed)
     points = _points(scene, point_rng, n_points)
@@ -196,7 +196,7 @@ def scene_truth(
     n_lines: int | None = None,
     wrong_lines: int | None = None,
 ) -> SceneTruth:
-    """Return sensor, terrain and wrong lines of what `simulate_scene` gives.
+    """Return sensor, terrain and mismatched lines of a scene from `simulate_scene`.
 
     Parameters
     ----------
@@ -231,13 +231,14 @@ def _line_counts(scene: Scene, n_lines: int | None, wrong: int | None) -> tuple[
     if wrong is None:
         wrong = round(n_lines * scene.wrong_lines / scene.lines) if scene.lines else 0
     if not 0 <= wrong <= n_lines:
-        raise TermselError(f"{wrong} wrong ones among {n_lines} lines cannot be simulated",
-                           hint="Give numbers of at least 0, and no more wrong lines than lines.")
+        raise TermselError(f"{wrong} mismatched lines among {n_lines} cannot be simulated",
+                           hint="Give numbers of at least 0, and not more mismatched lines than "
+                                "lines.")
     return n_lines, wrong
 
 
 def _streams(scene: Scene, seed: int | None) -> list[Generator]:
-    """Return generators of points, lines, wrong lines and noise, each a stream of its own."""
+    """Return generators of points, lines, mismatches and noise, each a separate stream."""
     if seed is not None and seed < 0:
         raise TermselError(f"the seed is {seed}", hint="Give a whole number of at least 0.")
     return np.random.default_rng([scene.number, seed or 0]).spawn(4)
@@ -282,10 +283,10 @@ def _shaken(scene: Scene, sensor: Pushbroom) -> Pushbroom:
 
 
 def _on_ground(name: str, image: FloatArray) -> FloatArray:
-    """Return lon, lat, height, shape (n, 3), where rays of image points meet the terrain."""
+    """Return lon, lat, height, shape (n, 3), of image points on the terrain."""
     sensor, terrain, _ = _geometry(name)
     height = np.full(len(image), sum(SCENES[name].heights) / 2)
-    # Slopes are gentle, so each round leaves about a twentieth of the error.
+    # Slopes are gentle, so each iteration leaves about a twentieth of the error.
     for _ in range(8):
         place = sensor.locate(image, height)
         height = terrain(place)
@@ -318,7 +319,7 @@ def _points(scene: Scene, rng: Generator, count: int) -> Points:
         tried = extent * rng.uniform(_EDGE, 1 - _EDGE, (_CANDIDATES, 2))
         apart = np.linalg.norm(tried[:, None] - image[done], axis=2)
         # Best candidate (Mitchell 1991) over all points and over those of its role, which are
-        # three times as thin.
+        # three times as sparse.
         same = roles[done] == roles[i]
         room = np.minimum(apart.min(axis=1, initial=np.inf),
                           apart[:, same].min(axis=1, initial=np.inf) / np.sqrt(3))
@@ -330,9 +331,9 @@ def _points(scene: Scene, rng: Generator, count: int) -> Points:
 
 
 def _lines(scene: Scene, rng: Generator, count: int) -> Lines:
-    """Return lines free of noise, crowded like a town's streets, thin elsewhere.
+    """Return lines free of noise, dense like the streets of towns, sparse elsewhere.
 
-    The image line runs through two other places of the ground line than its vertices, in
+    The image line is measured at two places of the ground line other than its vertices, in
     either order.
     """
     if count == 0:
@@ -363,7 +364,7 @@ def _lines(scene: Scene, rng: Generator, count: int) -> Lines:
 
 
 def _picked(rng: Generator, n_lines: int, wrong: int) -> IntArray:
-    """Return which lines are wrong, in order; the first numbers `rng` gives."""
+    """Return which lines are mismatched, in order; the first numbers from `rng`."""
     return np.sort(rng.choice(n_lines, wrong, replace=False))
 
 

@@ -22,11 +22,11 @@ class Terrain:
     lon, lat : float
         Origin of the plane coordinates u (east) and v (north) [deg].
     scale : tuple of float
-        Degrees of longitude and latitude to one unit of u and v.
+        Degrees of longitude and latitude per unit of u and v.
     base, gain : float
         Height [m] = base + gain * (plane + hills) + relief.
     slope : tuple of float
-        Rise of the plane to one unit of u and v.
+        Rise of the plane per unit of u and v.
     hills : tuple of (float, float, float, float)
         Rise, u, v and radius of each Gaussian hill.
     relief : tuple of (float, float, float, float)
@@ -62,7 +62,7 @@ class Terrain:
     def between(self, place: FloatArray, low: float, high: float) -> tuple[Terrain, int, int]:
         """Return the terrain whose heights at some places go from `low` to `high`.
 
-        The relief keeps its size; the gain of the regional form makes up the rest.
+        The relief keeps its size; the gain of the regional form is adapted.
 
         Parameters
         ----------
@@ -100,7 +100,7 @@ def hilly(seed: int, lon: float, lat: float, extent: tuple[float, float], relief
         Width to the east and to the north [m].
     relief : float
         Root mean square of the local relief [m], of wavelengths of a sixth to a third of the
-        extent, which no low polynomial follows.
+        extent, which no low polynomial fits.
     """
     rng = np.random.default_rng(seed)
     scale = (float(np.degrees(extent[0] / 2 / (SEMI_MAJOR * np.cos(np.radians(lat))))),

@@ -13,12 +13,12 @@ from termsel.solvers.base import POLISH, Generation, Solver
 
 
 def deposit(ants: BoolArray) -> FloatArray:
-    """Return what ranked ants leave on the states of genes.
+    """Return the deposit of ranked ants on the states of genes.
 
     Parameters
     ----------
     ants : ndarray of bool, shape (n, g)
-        From best to worst; the best weighs n, the last 1.
+        From best to worst; the best has the weight n, the last 1.
 
     Returns
     -------
@@ -39,7 +39,7 @@ def renew(pheromone: FloatArray, deposited: FloatArray, evaporation: float, leas
     pheromone, deposited : ndarray, shape (2, g)
         On a gene's states off and on.
     evaporation : float
-        Share that evaporates and is deposited anew, rho.
+        Share that evaporates and is replaced by the deposit, rho.
     least, most : float
         Limits, tau_min and tau_max.
     """
@@ -65,7 +65,7 @@ def grafts(stock: BoolArray, scion: BoolArray, genome: Genome) -> BoolArray:
 
 
 def settled(chance: FloatArray, limit: float) -> bool:
-    """Return True where the rarer states of free genes have less than a chance in the mean."""
+    """Return True if the mean chance of the rarer states of free genes is below a limit."""
     return len(chance) > 0 and bool(np.minimum(chance, 1.0 - chance).mean() < limit)
 
 
@@ -83,23 +83,23 @@ class AntColony(Solver):
 
     Baghani 2012 (MSc thesis, K. N. Toosi University of Technology, as cited by Zakaryaie Nejad
     et al. 2015) chose the terms of rational functions by an ant colony. The thesis is not
-    available to us: this is termsel's own formulation, in the manner of the hyper-cube
-    framework (Blum and Dorigo 2004), with deposits by rank (Bullnheimer, Hartl and Strauss
-    1999) and the limits and new starts of the MAX-MIN ant system (Stuetzle and Hoos 2000).
+    available to us, so this is termsel's own formulation. It follows the hyper-cube framework
+    (Blum and Dorigo 2004), with deposits by rank (Bullnheimer, Hartl and Strauss 1999). Limits
+    and restarts are those of the MAX-MIN ant system (Stuetzle and Hoos 2000).
 
     - Each gene, hence each term of each axis, has pheromone on its two states, off and on. An
       ant switches it on with chance tau_on / (tau_off + tau_on). There is no other desirability.
     - tau <- (1 - rho) tau + rho * deposit, within tau_min and tau_max. The best ant of this
       start and the best of this generation deposit, feasible ones first, with weights that
       fall from ``elite`` to 1 and are scaled to add up to 1.
-    - When the rarer state of a gene has a chance below ``restart`` in the mean, the colony has
-      settled: all begins anew, with pheromone 1/2 everywhere.
-    - What a start found is then grafted, segment by segment, on the best of all starts before:
-      where the objective adds up over segments, as over line and sample with points, their
-      best finds come together though no start found both.
-    - The very first ants are drawn as `Genome.random` draws, small and large selections alike;
-      those of later starts follow the even pheromone, to half of the genes, and so find other
-      places. Forced genes and cardinality are kept by `Genome.repair`.
+    - When the mean chance of the rarer state of a gene is below ``restart``, the colony has
+      settled: it restarts, with pheromone 1/2 everywhere.
+    - The result of a start is then grafted, segment by segment, on the best of all earlier
+      starts. Where the objective adds up over segments, as over line and sample with points,
+      their best selections are combined even if no start found both.
+    - The first ants are drawn by `Genome.random`, small and large selections alike; those of
+      later starts follow the even pheromone, have half of the genes, and so search elsewhere.
+      Forced genes and cardinality are kept by `Genome.repair`.
 
     ``Generation.details`` holds the ``pheromone`` the ants followed, shape (2, size): states off
     and on.
@@ -115,8 +115,8 @@ class AntColony(Solver):
         Option("elite", 5, "Number of ants that deposit, w.", int, 1),
         Option("tau_min", 0.02, "Least pheromone of a state, tau_min.", float, 0.0, 0.5),
         Option("tau_max", 0.98, "Most pheromone of a state, tau_max.", float, 0.5, 1.0),
-        Option("restart", 0.05, "Begin anew when the rarer states of genes have a chance below "
-               "this in the mean; 0 never.", float, 0.0, 0.5),
+        Option("restart", 0.05, "Restart when the mean chance of the rarer states of genes is "
+                                "below this; 0 never.", float, 0.0, 0.5),
         POLISH,
     )
 

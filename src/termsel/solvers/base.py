@@ -13,16 +13,16 @@ from termsel.measurements.features import BoolArray
 from termsel.options import Configurable, Option
 from termsel.problems.base import Evaluation, Problem
 
-POLISH = Option("polish", True, "Follow the search by adding, dropping and swapping genes as "
-                "long as that helps, again and again from elsewhere. The result says what the "
-                "solver found and what this added; its evaluations come on top of the budget.",
+POLISH = Option("polish", True, "Local refinement after the search: add, drop and swap genes "
+                "as long as that helps, from many starts. The result records what it added. Its "
+                "evaluations are not part of the budget.",
                 bool)
-"""Declared by solvers whose find is to be polished by the run."""
+"""Declared by solvers after which the run does a local refinement."""
 
 
 @dataclass(frozen=True, eq=False)
 class Generation:
-    """A population and how good it is.
+    """A population and its evaluation.
 
     Parameters
     ----------
@@ -31,7 +31,7 @@ class Generation:
     genes : ndarray of bool, shape (p, size)
     evaluation : Evaluation
     details : mapping
-        What else an observer may want to draw, such as the empires of the ICA.
+        Further values for observers, such as the empires of the ICA.
     """
 
     index: int
@@ -49,8 +49,8 @@ class Solver(Configurable, ABC):
     """Generations of a run without a budget; None for a solver that ends by itself."""
 
     as_published: ClassVar[bool] = False
-    """Whether it is the method of a paper, or a yardstick: asked for by name, it selects from as
-    many terms as are determined, where others keep to a share of the equations."""
+    """Whether it is the method of a paper, or a yardstick: requested by name, it selects from all
+    terms that are determined, while others keep to a fraction of the equations."""
 
     @abstractmethod
     def generations(self, problem: Problem, rng: np.random.Generator) -> Iterator[Generation]:

@@ -17,7 +17,7 @@ class Budget:
     start: float
 
     def share(self, generation: Generation, ledger: Ledger) -> float | None:
-        """Return the spent share of whichever budget is spent first."""
+        """Return the spent fraction of the budget that is spent first."""
         elapsed = time.perf_counter() - self.start
         shares = [value / limit for value, limit in (
             (generation.index, self.generations), (ledger.count, self.evaluations),
@@ -26,7 +26,7 @@ class Budget:
         return min(1.0, max(shares)) if shares else known
 
     def spent(self, generation: Generation, ledger: Ledger) -> bool:
-        """Return True where no further generation may begin."""
+        """Return True if no further generation may begin."""
         return ((self.generations is not None and generation.index >= self.generations)
                 or (self.evaluations is not None and ledger.count >= self.evaluations)
                 or (self.seconds is not None

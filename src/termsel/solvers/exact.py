@@ -22,26 +22,26 @@ from termsel.solvers.base import Generation, Solver
 log = logging.getLogger(__name__)
 
 AFFORDABLE = 1 << 28
-"""Subsets that are walked without asking: less than a minute."""
+"""Subsets that are enumerated by default: less than a minute."""
 
 QUICK = 1 << 22
-"""Subsets that are walked to tell a heuristic's gap: less than a second."""
+"""Subsets that are enumerated for a heuristic's gap: less than a second."""
 
 TIE = 1e-9
-"""Objectives that differ by less than this share are one: rounding differs between paths."""
+"""Objectives that differ relatively by less than this are equal: rounding differs."""
 
 _REPORT_SECONDS = 0.25
 
 
 @dataclass(frozen=True, eq=False)
 class Proof:
-    """What an enumeration of all parts has decided so far.
+    """State of an enumeration of all parts.
 
     Parameters
     ----------
     parts : tuple of EnumerablePart
     results : tuple of SubsetResult
-        One a part.
+        One per part.
     minimum : tuple of int
         Fewest genes of each part.
     size : int
@@ -113,7 +113,7 @@ class Proof:
 
 def prove(problem: Problem, max_terms: int | None = None,
           workers: int | None = None) -> Iterator[Proof]:
-    """Decide every selection of a problem, yielding what is known from time to time.
+    """Decide every selection of a problem, yielding intermediate states.
 
     Parameters
     ----------
@@ -121,7 +121,7 @@ def prove(problem: Problem, max_terms: int | None = None,
     max_terms : int, optional
         Most genes of each part.
     workers : int, optional
-        Threads; all cores by default. The result does not depend on it.
+        Threads; by default all cores. The result does not depend on it.
 
     Yields
     ------
@@ -131,7 +131,7 @@ def prove(problem: Problem, max_terms: int | None = None,
     Raises
     ------
     TermselError
-        If the problem's space cannot be walked.
+        If the problem's space cannot be enumerated.
     """
     parts = problem.parts()
     limits = [_limits(problem, part, max_terms) for part in parts]
@@ -139,8 +139,8 @@ def prove(problem: Problem, max_terms: int | None = None,
                             workers=workers or os.cpu_count() or 1)
              for part, (_, most) in zip(parts, limits, strict=True)]
     minimum = tuple(least for least, _ in limits)
-    # Every part makes its first steps before any is finished, so that whenever the user stops
-    # there is something to show for each.
+    # Every part makes its first steps before any is finished, so that there is a result for each
+    # whenever the user stops.
     results = [next(walk) for walk in walks]
     yield Proof(parts, tuple(results), minimum, problem.genome.size)
     for i, walk in enumerate(walks):
@@ -149,7 +149,7 @@ def prove(problem: Problem, max_terms: int | None = None,
 
 
 def _limits(problem: Problem, part: EnumerablePart, max_terms: int | None) -> tuple[int, int]:
-    """Return the fewest and the most genes of a part, which leave a degree of freedom."""
+    """Return the fewest and the most genes of a part that leave a degree of freedom."""
     slices = problem.genome.slices()
     segment = next(s for s in problem.genome.segments
                    if slices[s.name].start <= part.genes[0] < slices[s.name].stop)
@@ -164,7 +164,7 @@ def count(problem: Problem, max_terms: int | None = None) -> int:
     Raises
     ------
     TermselError
-        If the problem's space cannot be walked.
+        If the problem's space cannot be enumerated.
     """
     return sum(
         subsets.count_subsets(int(problem.genome.free[part.genes].sum()),
@@ -173,19 +173,19 @@ def count(problem: Problem, max_terms: int | None = None) -> int:
 
 
 def gap(problem: Problem, found: float) -> dict[str, Any] | None:
-    """Return how far a find is from the proven optimum, where that is quickly known.
+    """Return the gap between a solution and the proven optimum, if that is known quickly.
 
     Parameters
     ----------
     problem : Problem
     found : float
-        First objective of the find.
+        First objective of the solution.
 
     Returns
     -------
     dict or None
-        A certificate with the optimum and the gap, a share of the optimum. None if the space
-        cannot be walked, has more than QUICK subsets, or holds nothing feasible.
+        A certificate with the optimum and the gap, relative to the optimum. None if the space
+        cannot be enumerated, has more than QUICK subsets, or has nothing feasible.
     """
     try:
         subsets_in_all = count(problem)
@@ -198,7 +198,7 @@ def gap(problem: Problem, found: float) -> dict[str, Any] | None:
     if not front:
         return None
     evaluation = problem.evaluate(front[-1][None])
-    if evaluation.violation[0] > 0:  # the walk and the evaluation differ at a tolerance
+    if evaluation.violation[0] > 0:  # enumeration and evaluation differ at a tolerance
         return None
     optimum = float(evaluation.objectives[0, 0])
     return {"optimal": found <= optimum + TIE * abs(optimum), "subsets": proof.decided,
@@ -206,12 +206,12 @@ def gap(problem: Problem, found: float) -> dict[str, Any] | None:
 
 
 def gap_of(found: float, optimum: float) -> dict[str, float | None]:
-    """Return the optimum, and how far a find is from it as a share of it."""
+    """Return the optimum, and the relative gap of a solution."""
     return {"optimum": optimum, "gap": max(0.0, found / optimum - 1) if optimum > 0 else None}
 
 
 def affordable_terms(problem: Problem) -> int | None:
-    """Return the most terms a part whose subsets are AFFORDABLE, or None for all of them."""
+    """Return the most terms of a part with AFFORDABLE subsets, or None for all of them."""
     if count(problem) <= AFFORDABLE:
         return None
     most = 1
@@ -223,17 +223,17 @@ def affordable_terms(problem: Problem) -> int | None:
 class Exact(Solver):
     """Every selection decided: the optimum, the best of every size, and the proof.
 
-    Depth-first enumeration of all term selections, line and sample each for itself where they
+    Depth-first enumeration of all term selections, line and sample separately where they
     are independent. termsel's own formulation; see `termsel.adjustment.subsets`.
     """
 
     name = "exact"
     default_generations = None
     declared_options = (
-        Option("max_terms", None, "Most terms of an axis; by default all of them, or, in a space "
-               "of more than 2^28 selections, as many as keep it below that. The proof holds "
-               "for selections up to this size.", int, 1),
-        Option("workers", None, "Threads; all cores by default. The result does not depend on "
+        Option("max_terms", None, "Most terms of an axis; by default all, or as many as give at "
+                                  "most 2^28 selections. The proof holds for selections up to this "
+                                  "size.", int, 1),
+        Option("workers", None, "Threads; by default all cores. The result does not depend on "
                "it.", int, 1),
     )
 

@@ -51,7 +51,7 @@ def uniform_crossover(genes: BoolArray, probability: float, rng: np.random.Gener
 
 
 def flip_bits(genes: BoolArray, probability: float, rng: np.random.Generator) -> BoolArray:
-    """Return genes of which each is flipped with the given chance."""
+    """Return genes, each flipped with the given chance."""
     return genes ^ (rng.random(genes.shape) < probability)
 
 
@@ -60,8 +60,8 @@ class GeneticAlgorithm(Solver):
 
     Chromosome, selection and crossover are those of Akhoundi Khezrabad et al. 2020, table 2.
     The operators act on the whole population at once and are registered in a DEAP toolbox,
-    where they can be replaced; DEAP's own draw from the global random state one individual
-    at a time, so they are not used. Infeasible individuals rank behind all feasible ones.
+    where they can be replaced. DEAP's own operators are not used, as they draw one individual
+    at a time from the global random state. Infeasible individuals rank behind all feasible ones.
     """
 
     name = "ga"
@@ -90,7 +90,7 @@ class GeneticAlgorithm(Solver):
         return box
 
     def survivors(self, genes: BoolArray, evaluation: Evaluation) -> IntArray:
-        """Return which chromosomes live on unchanged, at most all but one."""
+        """Return which chromosomes survive unchanged, at most all but one."""
         return evaluation.order()[:min(self.options["elite"], len(genes) - 1)]
 
     def children(self, box: base.Toolbox, genes: BoolArray, evaluation: Evaluation,

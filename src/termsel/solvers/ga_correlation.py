@@ -16,7 +16,7 @@ from termsel.solvers.ga import GeneticAlgorithm
 PRESETS = {"case-1": (1.19, 0.15), "case-2": (1.69, 0.0), "case-3": (1.0, 0.0)}
 """Scale and offset of the cases of Akhoundi Khezrabad et al. 2020, table 3."""
 
-_CONSTANT = 1e-12  # least part of a column's length that must be variation
+_CONSTANT = 1e-12  # least relative variation of a column
 _ROUNDING = 1e-9
 
 
@@ -25,8 +25,8 @@ def correlation_sums(design: FloatArray) -> FloatArray:
 
     Akhoundi Khezrabad et al. 2020, eq. 3 and the last line of eq. 4. The correlation of a
     constant column is undefined: it takes no part in the sums of the others. Its own sum is
-    the least of theirs, for a constant term is needed by every model and rivals none; but the
-    sum of a column of zeros is the largest, for its term cannot be determined.
+    the least of theirs, as every model needs a constant term, which rivals none. The sum of a
+    column of zeros is the largest, as its term cannot be determined.
 
     Parameters
     ----------
@@ -65,23 +65,22 @@ def activation_probabilities(sums: FloatArray, scale: float, offset: float) -> F
     Raises
     ------
     TermselError
-        If a probability is outside 0 to 1; says which scales and offsets are permitted.
+        If a probability is outside 0 to 1; names the permitted scales and offsets.
     """
     freedom = 1.0 - sums / sums.max()
     probability = scale * freedom + offset
     if probability.max() > 1.0 + _ROUNDING:
         widest = float(freedom.max())
-        # Rounded down, so that what is told can be typed.
+        # Rounded down, so that the printed value is accepted.
         largest = np.floor((1.0 - offset) / widest * 1e3) / 1e3
         other = 1.0 - scale * widest
         raise TermselError(
-            f"scale {scale:g} and offset {offset:g} give genes of these data a probability of "
-            f"{probability.max():.3f} to be on",
-            hint=f"With offset {offset:g} a scale of up to {largest:g} is permitted here"
-                 + (f"; with scale {scale:g} an offset of up to {np.floor(other * 1e3) / 1e3:g}"
+            f"with scale {scale:g} and offset {offset:g} a gene has the probability "
+            f"{probability.max():.3f}, which exceeds 1",
+            hint=f"These data allow a scale of up to {largest:g} with offset {offset:g}"
+                 + (f", or an offset of up to {np.floor(other * 1e3) / 1e3:g} with scale {scale:g}"
                     if other >= 0 else "")
-                 + f". Set them with --set preset=own --set scale={largest:g} "
-                   f"--set offset={offset:g}.")
+                 + f". Use --set preset=own --set scale={largest:g} --set offset={offset:g}.")
     return np.asarray(np.clip(probability, 0.0, 1.0))
 
 
@@ -107,21 +106,20 @@ class CorrelationSeededGA(GeneticAlgorithm):
     those of the joint matrix of line and sample over all control, as in the paper; forced
     genes and bounds on their number are kept by repairing the chromosomes afterwards.
 
-    The paper's cases are presets of scale and offset, literally. They were fitted to its
-    matrix, whose probabilities then run from 0.15 to 0.85, 0 to 1 and 0 to 0.59; elsewhere
-    they run as the data have it, and are refused where they exceed 1. Case 3 cannot, and is the
-    paper's fastest: so it is the default. With it the paper saves 37 per cent of the time and
-    its RMSE at independent points grows by 45 per cent. On the simulated scene of that place
-    neither is seen: generations and independent RMSE are as with `ga`. But with 100
-    chromosomes and the paper's mutation of 0.001, case 3 loses terms for good and fails at
-    times, as it does in the paper's table 7.
+    The presets of scale and offset are the paper's cases. They were fitted to its matrix, where
+    the probabilities are 0.15 to 0.85, 0 to 1 and 0 to 0.59; with other data they differ, and
+    are refused if they exceed 1. Case 3 cannot exceed 1 and is the paper's fastest, so it is the
+    default. With it the paper saves 37 per cent of the time, and its RMSE at independent points
+    grows by 45 per cent. The simulated scene of that place shows neither: generations and
+    independent RMSE are as with `ga`. But with 100 chromosomes and the paper's mutation of
+    0.001, case 3 loses terms for good and sometimes fails, as in the paper's table 7.
     """
 
     name = "ga-correlation"
     declared_options = (
         *GeneticAlgorithm.declared_options,
-        Option("preset", "case-3", "Scale and offset: those of a case of Akhoundi Khezrabad et "
-               "al. 2020, table 3 (1.19 and 0.15, 1.69 and 0, 1 and 0), or your own.",
+        Option("preset", "case-3", "Scale and offset: own, or a case of Akhoundi Khezrabad et al. "
+                                   "2020, table 3 (1.19 and 0.15, 1.69 and 0, 1 and 0).",
                choices=(*PRESETS, "own")),
         Option("scale", None, "S of eq. 4, with preset=own.", float, 0.0),
         Option("offset", None, "O of eq. 4, the least probability, with preset=own.", float,
@@ -133,11 +131,11 @@ class CorrelationSeededGA(GeneticAlgorithm):
         given = [name for name in ("scale", "offset") if self.options[name] is not None]
         own = self.options["preset"] == "own"
         if own and len(given) < 2:
-            raise TermselError("preset=own needs both scale and offset",
+            raise TermselError("preset=own requires scale and offset",
                                hint="For example --set preset=own --set scale=1 --set offset=0.")
         if given and not own:
-            raise TermselError(f"option {given[0]!r} is given, but {self.options['preset']} has "
-                               "its own", hint="Add --set preset=own.")
+            raise TermselError(f"option {given[0]!r} requires preset=own, but the preset is "
+                               f"{self.options['preset']}", hint="Add --set preset=own.")
 
     def toolbox(self, problem: Problem, rng: np.random.Generator) -> base.Toolbox:
         """Return the toolbox of the GA with another population."""

@@ -47,7 +47,7 @@ def set_crossover(tuples: IntArray, probability: float, rng: np.random.Generator
     Returns
     -------
     ndarray of int, shape (p, m)
-        Each row ascending, without repetition; two children a pair.
+        Each row ascending, without repetition; two children per pair.
     """
     pairs, m = len(tuples) // 2, tuples.shape[1]
     both = np.sort(tuples[:2 * pairs].reshape(pairs, 2 * m), axis=1)
@@ -67,7 +67,7 @@ def set_crossover(tuples: IntArray, probability: float, rng: np.random.Generator
 
 def replace_one(tuples: IntArray, n: int, probability: float,
                 rng: np.random.Generator) -> IntArray:
-    """Return chromosomes of which some have one number replaced by one they had not.
+    """Return chromosomes, some with one number replaced by one they did not have.
 
     Parameters
     ----------
@@ -94,9 +94,9 @@ def replace_one(tuples: IntArray, n: int, probability: float,
 
 @dataclass(frozen=True, eq=False)
 class Coding:
-    """Selections as tuples of the numbers of what is free to be chosen.
+    """Selections as tuples of the numbers of free genes.
 
-    Where a selection may have fewer than m, numbers that stand for nothing fill its tuple up.
+    If a selection may have fewer than m, blank numbers fill its tuple.
 
     Parameters
     ----------
@@ -105,7 +105,7 @@ class Coding:
     m : int
         How many of them are on at most.
     blanks : int
-        How many fewer there may be: so many numbers, from n, stand for nothing.
+        How many fewer there may be: the number of blank numbers, which start at n.
     forced : ndarray of bool, shape (size,)
         Genes that are always on.
     """
@@ -146,10 +146,9 @@ def coding(genome: Genome) -> Coding:
     if len(genome.segments) > 1:
         names = ", ".join(segment.name for segment in genome.segments)
         raise TermselError(
-            f"solver 'ga-steady' chooses m features of n, and this problem chooses {names}",
-            hint="Choose features alone, such as --problem owdis-points with --set "
-                 "min_features=12 --set max_features=12, or another solver, such as "
-                 "--solver ga.")
+            f"solver 'ga-steady' chooses m features of n, but this problem chooses {names}",
+            hint="Choose only features, as with --problem owdis-points --set min_features=12 --set "
+                 "max_features=12, or use --solver ga.")
     segment = genome.segments[0]
     free, forced = np.flatnonzero(genome.free), int(genome.on.sum())
     most = len(free) if segment.maximum is None else min(segment.maximum - forced, len(free))
@@ -160,19 +159,19 @@ class SteadyStateGA(GeneticAlgorithm):
     """Steady-state GA that chooses m features of n, with m fixed or in a range.
 
     Konugurthi et al. 2016, page 380: a chromosome is a tuple of m feature numbers out of n;
-    about half of the population, the best, lives on; chromosomes drawn at random join every
+    about half of the population, the best, survives; random chromosomes join every
     generation, since a small population lacks most features. The objective is the problem's,
-    by default the RMSE over all check points; the covered area, the paper's other, comes in as
+    by default the RMSE over all check points; the paper's other objective, the covered area, is
     the bound `max_uncovered` of the problem.
 
     Only that page could be consulted. The rest is termsel's own: tournaments; a crossover of
     sets, which keeps what both parents have and fills up from what one of them has, so that no
-    feature is met twice; a mutation that replaces one feature by one the chromosome lacks; and
-    that of equal chromosomes one lives on, for else copies of one fill the population and the
-    search stands still. For m in a range tuples are as long as its end, and some of their
-    numbers stand for no feature. The paper takes 10 chromosomes and 20 generations, of models
-    that need seconds to be judged; selections are judged in microseconds here, so the defaults
-    are ten times that.
+    feature occurs twice; and a mutation that replaces one feature by one the chromosome lacks.
+    Of equal chromosomes only one survives, as copies would otherwise fill the population and
+    stop the search. If m is a range, tuples have its upper end as length, and some of their
+    numbers are blank. The paper uses 10 chromosomes and 20 generations, with models that take
+    seconds to evaluate; here an evaluation takes microseconds, so the defaults are ten times
+    that.
     """
 
     name = "ga-steady"
@@ -180,8 +179,8 @@ class SteadyStateGA(GeneticAlgorithm):
     declared_options: ClassVar[tuple[Option, ...]] = (
         Option("population", 100, "Number of chromosomes; 10 in Konugurthi et al. 2016.", int, 2,
                1_000_000),
-        Option("overlap", 0.5, "Share of the population that lives on, the best; about 0.5 in "
-               "Konugurthi et al. 2016.", float, 0.0, 1.0),
+        Option("overlap", 0.5, "Share of the population that survives, the best; about 0.5 in "
+                               "Konugurthi et al. 2016.", float, 0.0, 1.0),
         Option("immigrants", 0.2, "Share of the new chromosomes that are drawn at random.",
                float, 0.0, 1.0),
         Option("tournament", 2, "Chromosomes drawn for each tournament.", int, 1),
@@ -207,7 +206,7 @@ class SteadyStateGA(GeneticAlgorithm):
         return box
 
     def survivors(self, genes: BoolArray, evaluation: Evaluation) -> IntArray:
-        """Return which chromosomes live on: the best that differ from each other."""
+        """Return which chromosomes survive: the best that differ from each other."""
         order = evaluation.order()
         first = np.sort(np.unique(genes[order], axis=0, return_index=True)[1])
         return order[first][:min(round(self.options["overlap"] * len(genes)), len(genes) - 1)]

@@ -13,11 +13,11 @@ from termsel.options import Option
 from termsel.problems.base import Evaluation
 from termsel.solvers.ga import GeneticAlgorithm
 
-_LEAST = 1e-9  # variance of a rank sum that is none but for rounding
+_LEAST = 1e-9  # variance of a rank sum below which it is rounding
 
 
 def qualification(genes: BoolArray, evaluation: Evaluation) -> FloatArray:
-    """Return how much better chromosomes with a gene rank than those without it.
+    """Return how much better chromosomes with a gene rank than the others.
 
     The statistic of Wilcoxon's rank sum test in units of its standard deviation, with the
     correction for ties; feasible chromosomes rank before all others.
@@ -30,7 +30,7 @@ def qualification(genes: BoolArray, evaluation: Evaluation) -> FloatArray:
     Returns
     -------
     ndarray, shape (g,)
-        Positive where the gene goes with good chromosomes; 0 where all or none have it.
+        Positive if good chromosomes have the gene; 0 if all or none have it.
     """
     p = len(genes)
     both = np.column_stack([evaluation.violation, evaluation.objectives[:, 0]])
@@ -55,25 +55,25 @@ class TransgenicGA(GeneticAlgorithm):
     - A gene is qualified if the chromosomes that have it and those that lack it rank
       differently in the current population, by a two-sided rank sum test at level `alpha`
       (`qualification`).
-    - A transgenic chromosome is a parent, drawn by tournament as any, whose qualified genes are
-      set as the better chromosomes have them, on or off.
-    - A share `transgenic` of the parents becomes so, and each mates with one left as it was.
-      Their children are evaluated, they are not.
+    - A transgenic chromosome is a parent, drawn by tournament like all others, whose qualified
+      genes are set as in the better chromosomes, on or off.
+    - The share `transgenic` of the parents is transgenic, and each mates with an unchanged one.
+      Their children are evaluated; they themselves are not.
 
-    All else is the `ga`.
+    All else is as in `ga`.
     """
 
     name = "ga-transgenic"
     declared_options: ClassVar[tuple[Option, ...]] = (
         *GeneticAlgorithm.declared_options,
-        Option("alpha", 0.05, "Level of the test that qualifies a gene: the share of genes "
-               "without effect that pass.", float, 1e-12, 1.0),
+        Option("alpha", 0.05, "Level of the test that qualifies a gene: share of genes without "
+                              "effect that pass.", float, 1e-12, 1.0),
         Option("transgenic", 0.5, "Share of the parents that are transgenic.", float, 0.0, 0.5),
     )
 
     def children(self, box: base.Toolbox, genes: BoolArray, evaluation: Evaluation,
                  n: int) -> BoolArray:
-        """Return n children of parents some of whom are transgenic."""
+        """Return n children of parents, some of them transgenic."""
         parents = genes[box.select(evaluation.order(), n)]
         coefficient = qualification(genes, evaluation)
         limit = NormalDist().inv_cdf(1.0 - self.options["alpha"] / 2.0)

@@ -14,13 +14,13 @@ from termsel.solvers.base import POLISH, Generation, Solver
 
 
 def costs(evaluation: Evaluation) -> FloatArray:
-    """Return one finite cost a country, in the order of `Evaluation.order`.
+    """Return one finite cost per country, in the order of `Evaluation.order`.
 
     A feasible country costs its first objective. An infeasible one costs more than every
-    feasible one: the worst feasible cost and a penalty, which grows with the rank among the
-    infeasible, by violation and then by objective, up to the spread of the feasible costs (at
-    least a thousandth of the worst, and 1 where all are 0 or none is feasible). The paper knows
-    no infeasible solutions; a penalty in proportion to the violation would drown the feasible
+    feasible one: the worst feasible cost and a penalty. The penalty grows with the rank among the
+    infeasible, by violation and then by objective, up to the spread of the feasible costs. That
+    is at least a thousandth of the worst, and 1 if all are 0 or none is feasible. The paper has
+    no infeasible solutions; a penalty in proportion to the violation would dominate the feasible
     costs in equations (5), (8) and (9).
 
     Parameters
@@ -60,7 +60,7 @@ def normalised_cost(cost: FloatArray, worst: float) -> FloatArray:
 def shares(normalised: FloatArray) -> FloatArray:
     """Return the normalised power of imperialists, equation (6).
 
-    Where all are as bad as the worst country, and the equation is 0/0, all are alike.
+    If all are as bad as the worst country, and the equation is 0/0, all are equal.
     """
     total = normalised.sum()
     return normalised / total if total > 0 else np.full(len(normalised), 1 / len(normalised))
@@ -70,7 +70,7 @@ def sizes(share: FloatArray, colonies: int) -> IntArray:
     """Return the numbers of colonies of imperialists, equation (7).
 
     Rounded by largest remainder: as in the paper wherever its rounded numbers add up to the
-    number of colonies, which they need not.
+    number of colonies, which is not always so.
 
     Parameters
     ----------
@@ -103,7 +103,7 @@ def assimilate(colonies: BoolArray, imperialists: BoolArray, rate: float,
 
 def revolt(colonies: BoolArray, rebels: BoolArray, redrawn: BoolArray,
            drawn: BoolArray) -> BoolArray:
-    """Return colonies some of which had genes drawn anew, figure 4.
+    """Return colonies, some with redrawn genes, figure 4.
 
     Parameters
     ----------
@@ -111,9 +111,9 @@ def revolt(colonies: BoolArray, rebels: BoolArray, redrawn: BoolArray,
     rebels : ndarray of bool, shape (n,)
         Which colonies revolt.
     redrawn : ndarray of bool, shape (n, g)
-        Which genes of a rebel are drawn anew.
+        Which genes of a rebel are redrawn.
     drawn : ndarray of bool, shape (n, g)
-        What is drawn for them.
+        The values drawn for them.
     """
     return np.where(rebels[:, None] & redrawn, drawn, colonies)
 
@@ -144,9 +144,9 @@ def total_power(cost: FloatArray, empire: IntArray, imperialists: IntArray,
 def normalised_power(power: FloatArray) -> FloatArray:
     """Return the normalised power of empires, equation (9).
 
-    The equation divides by the power and takes it to be positive, as of an RMSE. A power of
-    zero counts as the 10^-12th part of the largest. Where a power is negative, as with an
-    information criterion, all are shifted until the least is their spread.
+    The equation divides by the power and assumes that it is positive, as for an RMSE. A power of
+    zero counts as 10^-12 of the largest. If a power is negative, as with an information
+    criterion, all are shifted until the least equals their spread.
 
     Parameters
     ----------
@@ -168,7 +168,7 @@ def possession(normalised: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class Empires:
-    """Who rules whom.
+    """The empires: which imperialist rules which countries.
 
     Parameters
     ----------
@@ -244,26 +244,26 @@ class ImperialistCompetition(Solver):
 
     The discrete algorithm of Zakaryaie Nejad, Ezzatpanah and Ramezani 2015, equations (5) to
     (10), with the parameters of their tables and figure 3. In each generation colonies take
-    over genes of their imperialist, some revolt, a colony better than its imperialist takes its
-    place, and the weakest colony of the weakest empire goes to the winner of a competition. The
-    search ends when one empire is left.
+    over genes of their imperialist, and some revolt. A colony better than its imperialist takes
+    its place, and the weakest colony of the weakest empire goes to the winner of a competition.
+    The search ends when one empire is left.
 
-    Where the paper is silent, and what we chose:
+    Our choices where the paper states nothing:
 
     - Costs of infeasible countries: see `costs`. Ties and divisions by zero in equations (6),
       (8) and (9), and rounding in equation (7): see `shares`, `total_power`,
       `normalised_power` and `sizes`.
     - The share P of colonies that revolt: each colony with chance P, after assimilation and
       before its cost is taken. Figure 4 marks four of eight genes, two of which change: each
-      gene is drawn anew with chance 1/2 (option `redrawn`).
+      gene is redrawn with chance 1/2 (option `redrawn`).
     - A moved colony keeps its genes whether better or worse, as in the paper's figure 3.
     - "Some (usually one)" of the weakest colonies is contested: one.
     - The imperialist of an empire that vanishes becomes a colony of the winner, so that the
       number of countries stays. An imperialist never gives way to a worse one.
-    - There are two imperialists at least, as one alone has nobody to compete with.
-    - D differs little from chance where empires are about equally powerful, so that the last of
-      them pass colonies to and fro for thousands of generations. A run without a budget ends
-      after 100.
+    - There are at least two imperialists, as a single one has no competitor.
+    - D differs little from chance if empires are about equally powerful, so that the last of
+      them exchange colonies for thousands of generations. A run without a budget ends after
+      100.
 
     ``Generation.details`` holds what observers need to draw the empires: ``empire``, the empire
     of each country, int, shape (p,), numbered as at first; ``imperialists``, the rows of the k
@@ -282,8 +282,8 @@ class ImperialistCompetition(Solver):
         Option("assimilation", 0.5, "Chance that a gene of a colony is replaced by that of its "
                "imperialist, AR.", float, 0.0, 1.0),
         Option("revolution", 0.1, "Share of colonies that revolt, P.", float, 0.0, 1.0),
-        Option("redrawn", 0.5, "Chance that a gene of a revolting colony is drawn anew, after "
-               "figure 4.", float, 0.0, 1.0),
+        Option("redrawn", 0.5, "Chance that a gene of a revolting colony is redrawn, after figure "
+                               "4.", float, 0.0, 1.0),
         Option("alpha", 0.08, "Weight of the mean cost of the colonies in the power of an "
                "empire, alpha.", float, 0.0, 1.0),
         POLISH,

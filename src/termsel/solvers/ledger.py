@@ -1,4 +1,4 @@
-"""The ledger of a search: counts evaluations, looks up what it has seen, remembers the best."""
+"""The ledger of a search: counts evaluations, looks up known ones, remembers the best."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from termsel.solvers.base import Generation
 
 @dataclass(frozen=True, eq=False)
 class Progress:
-    """What an observer sees after each generation.
+    """State of a search, as observers get it after each generation.
 
     Parameters
     ----------
@@ -45,7 +45,7 @@ class BudgetSpent(Exception):
 
 
 class Ledger(Problem):
-    """A problem that counts, looks up what it has seen, and remembers the best.
+    """A problem that counts evaluations, looks up known ones, and remembers the best.
 
     Parameters
     ----------
@@ -53,7 +53,7 @@ class Ledger(Problem):
     evaluations : int, optional
         Individuals that may be evaluated.
     deadline : float, optional
-        Time, on the clock of `time.perf_counter`, after which nothing is evaluated.
+        Time by `time.perf_counter` after which nothing is evaluated.
     """
 
     def __init__(self, problem: Problem, *, evaluations: int | None = None,
@@ -73,7 +73,7 @@ class Ledger(Problem):
         self._violation: list[float] = []
 
     def evaluate(self, genes: BoolArray) -> Evaluation:
-        """Return the evaluation, computing only what was not seen before."""
+        """Return the evaluation, computing only what is not known."""
         if self.deadline is not None and self.count and time.perf_counter() > self.deadline:
             raise BudgetSpent
         allowed = len(genes) if self.limit is None else self.limit - self.count
@@ -83,7 +83,7 @@ class Ledger(Problem):
         return evaluation
 
     def decode(self, genes: BoolArray) -> Selection:
-        """Return what one chromosome selects."""
+        """Return the selection of one chromosome."""
         return self.problem.decode(genes)
 
     def parts(self) -> tuple[EnumerablePart, ...]:
@@ -95,12 +95,12 @@ class Ledger(Problem):
         return self.problem.design()
 
     def progress(self, generation: Generation, share: float | None) -> Progress:
-        """Return what an observer is told."""
+        """Return the state for observers."""
         genes = generation.genes[0] if self.best_genes is None else self.best_genes
         return Progress(generation, self.count, share, self.best[1], self.best[0], genes)
 
     def front(self) -> list[BoolArray]:
-        """Return the feasible individuals that none dominates, by first objective."""
+        """Return the feasible non-dominated individuals, by first objective."""
         if not self._objectives:
             return []
         objectives = np.array(self._objectives)
@@ -143,9 +143,9 @@ class Ledger(Problem):
                 or not np.isfinite(evaluation.objectives).all()
                 or not np.isfinite(evaluation.violation).all()):
             raise TermselError(
-                f"problem {type(self.problem).__name__!r} returned an evaluation that is not "
-                f"finite numbers of shape ({n}, {len(self.objectives)}) and ({n},)",
-                hint="Tell the author of the problem.")
+                f"the evaluation of problem {type(self.problem).__name__!r} is not finite with the "
+                f"shapes ({n}, {len(self.objectives)}) and ({n},)",
+                hint="This is a bug in the problem: tell its author.")
 
     def _remember(self, genes: BoolArray, evaluation: Evaluation) -> None:
         first = int(evaluation.order()[0])

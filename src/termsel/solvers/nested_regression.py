@@ -1,4 +1,4 @@
-"""Nested regression: terms added one at a time by what they explain of the residuals."""
+"""Nested regression: terms are added one at a time, by how well they explain the residuals."""
 
 from __future__ import annotations
 
@@ -20,19 +20,18 @@ class NestedRegression(TermRegression):
     together; takes the new residuals from the rational function itself. Ends when the RMS of
     the control and its change are both below the threshold, or with a redundancy of 1.
 
-    Where the code departs from a plain reading we do not follow: it measures R^2 about the
-    mean of the residuals though the regression has no intercept, so that R^2 may pass 1 and
-    the best column be missed; here sums of squares are about 0, which is the same where the
+    We do not follow the code where it departs from the plain method: it measures R^2 about the
+    mean of the residuals although the regression has no intercept, so that R^2 may exceed 1 and
+    the best column be missed. Here sums of squares are about 0, which is the same if the
     residuals have mean 0. Its first residuals are those of 0, here those of the constant.
-    Columns that depend on the chosen ones are passed over; the code leaves them to a
-    pseudo-inverse. With one mask for line and sample R^2 pools both, and both must reach the
-    threshold.
+    Columns that depend on the chosen ones are skipped; the code uses a pseudo-inverse. With
+    one mask for line and sample R^2 pools both, and both must reach the threshold.
     """
 
     name = "nested-regression"
     declared_options = (
-        Option("thumb", 0.5, "RMS of an axis, and its change, below which no term is added "
-               "[pixel]; 0.5 in the authors' code.", float, 0.0),
+        Option("thumb", 0.5, "RMS of an axis, and its change, below which no term is added [px]; "
+                             "0.5 in the authors' code.", float, 0.0),
     )
 
     def choose(self, part: Regression) -> BoolArray:

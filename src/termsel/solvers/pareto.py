@@ -48,7 +48,7 @@ class _Start(Sampling):  # type: ignore[misc]
 
 
 class PymooSolver(Solver):
-    """Base of the solvers that let pymoo search: they differ in what survives.
+    """Base of the solvers that use pymoo: they differ in the survival.
 
     Start, uniform crossover, bit flips and repair are the same for all. The violation is a
     constraint, so that feasible selections come first.
@@ -85,7 +85,7 @@ class PymooSolver(Solver):
         while True:
             asked = algorithm.ask()
             if asked is None or not len(asked):
-                return  # every offspring is a duplicate: nothing is left to try
+                return  # every offspring is a duplicate: there is nothing left to try
             evaluation = problem.evaluate(asked.get("X").astype(bool))
             asked.set("F", evaluation.objectives)
             asked.set("G", evaluation.violation[:, None])
@@ -109,7 +109,7 @@ class Nsga2(PymooSolver):
 
 
 class _AgeSurvival(AGEMOEA2Survival):  # type: ignore[misc]
-    """pymoo's, which divides by zero where a member is best in every objective."""
+    """pymoo's, which divides by zero if a member is best in every objective."""
 
     @staticmethod
     def pairwise_distances(front: FloatArray, p: float) -> FloatArray:
@@ -135,7 +135,7 @@ class AgeMoea2(PymooSolver):
     name = "age-moea2"
 
     def algorithm(self, **common: Any) -> Algorithm:
-        """Return pymoo's AGEMOEA2, with distances that bear fronts of one member."""
+        """Return pymoo's AGEMOEA2, with distances that allow fronts of one member."""
         algorithm = AGEMOEA2(**common)
         algorithm.survival = _AgeSurvival()
         return algorithm
@@ -154,8 +154,8 @@ class SmsEmoa(PymooSolver):
 class Spea2(PymooSolver):
     """SPEA2: survival by strength and nearest neighbours (Zitzler et al. 2001).
 
-    It stands where one might expect MOEA/D, whose pymoo version evaluates one selection at a
-    time and takes no constraints: here that means no batches and no feasibility.
+    It replaces MOEA/D, whose pymoo version evaluates one selection at a time and has no
+    constraints: that would mean no batches and no feasibility.
     """
 
     name = "spea2"

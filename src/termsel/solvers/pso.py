@@ -13,7 +13,7 @@ from termsel.solvers.base import POLISH, Generation, Solver
 
 
 def improved(found: Evaluation, own: Evaluation) -> BoolArray:
-    """Return where individuals are better than those they stand beside, feasible ones first."""
+    """Return where individuals are better than those in the same row, feasible ones first."""
     return np.asarray(
         (found.violation < own.violation)
         | ((found.violation == own.violation)
@@ -50,24 +50,24 @@ def sigmoid(velocity: FloatArray) -> FloatArray:
 class BinarySwarm(Solver):
     """Binary particle swarm: velocities are chances that genes are on.
 
-    Plain binary particle swarm optimisation after Kennedy and Eberhart 1997: a particle's
-    velocity v <- w v + c1 r1 (own best - x) + c2 r2 (leader - x), within +-v_max, gives each
-    gene its chance of being on, 1 / (1 + exp(-v)). Yavari, Valadan Zoej, Mokhtarzade and
+    Plain binary particle swarm optimisation after Kennedy and Eberhart 1997. A particle's
+    velocity is v <- w v + c1 r1 (own best - x) + c2 r2 (leader - x), within +-v_max. It gives
+    each gene its chance of being on, 1 / (1 + exp(-v)). Yavari, Valadan Zoej, Mokhtarzade and
     Mohammadzadeh 2012 brought it to the terms of rational functions; their modification of it
-    is not available to us and is not part of this.
+    is not available to us and is not included.
 
-    What we chose:
+    Our choices:
 
     - Leaders are sought among neighbours in a ring (Kennedy and Mendes 2002), as the swarm then
       settles later; ``neighbours=0`` gives the one leader of the original.
-    - The inertia w stays 1, which is the original without inertia. A smaller one, or one that
-      falls as is common among swarms in continuous spaces, acts the other way round here: it
-      draws velocities to 0, where each gene is on with chance 1/2, and the swarm never settles.
-      ``inertia=0.9`` with ``inertia_last=0.4`` gives it nonetheless.
-    - Particles start with random speeds towards where they are, so that small and large
-      selections among the first ones are looked around.
-    - Own bests and leaders compare feasible ones first. The velocity is not touched where forced
-      genes or cardinality switch a gene.
+    - The inertia w stays 1, which is the original without inertia. A smaller or falling one, as
+      is common in continuous spaces, has the opposite effect here: it draws velocities to 0,
+      where each gene is on with chance 1/2, and the swarm never settles. To use it
+      nevertheless, set ``inertia=0.9`` and ``inertia_last=0.4``.
+    - Particles start with random speeds towards their own positions, so that the first small and
+      large selections are explored.
+    - Feasible selections rank before others, for own bests and for leaders. The velocity is not
+      changed where forced genes or cardinality switch a gene.
 
     ``Generation.details`` holds the ``velocity``, shape (p, size), that led to the genes.
     """
@@ -77,18 +77,19 @@ class BinarySwarm(Solver):
     default_generations = 200
     declared_options = (
         Option("population", 50, "Number of particles.", int, 2, 1_000_000),
-        Option("inertia", 1.0, "Share of its velocity a particle keeps, w, at first.", float,
+        Option("inertia", 1.0, "Share of its velocity that a particle keeps at first, w.", float,
                0.0, 1.0),
-        Option("inertia_last", 1.0, "Share of its velocity a particle keeps, w, at last.", float,
+        Option("inertia_last", 1.0, "Share of its velocity that a particle keeps at the end, "
+                                    "w.", float,
                0.0, 1.0),
-        Option("iterations", 200, "Generations over which the inertia goes from first to last.",
+        Option("iterations", 200, "Generations over which the inertia changes from first to last.",
                int, 1),
-        Option("cognition", 2.0, "Pull of a particle's own best find, c1.", float, 0.0, 10.0),
-        Option("society", 2.0, "Pull of the leader's best find, c2.", float, 0.0, 10.0),
+        Option("cognition", 2.0, "Pull of a particle's own best selection, c1.", float, 0.0, 10.0),
+        Option("society", 2.0, "Pull of the leader's best selection, c2.", float, 0.0, 10.0),
         Option("velocity", 4.0, "Limit of velocities, v_max; at 4 a settled gene still flips once "
                "in 56 times.", float, 0.0, 20.0),
-        Option("neighbours", 3, "Particles on either side in the ring among which a leader is "
-               "sought; 0 for the whole swarm.", int, 0),
+        Option("neighbours", 3, "Neighbours on each side in the ring among which a leader is "
+                                "sought; 0 for the whole swarm.", int, 0),
         POLISH,
     )
 

@@ -1,4 +1,4 @@
-"""Baselines that shrink coefficients: the lasso drops terms on its way, ridge keeps them all."""
+"""Baselines that shrink coefficients: the lasso also drops terms, ridge keeps them all."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class Standard:
 
 
 def standardise(columns: FloatArray, target: FloatArray, unpenalised: FloatArray) -> Standard:
-    """Return columns and target beside the unpenalised columns.
+    """Return columns and target orthogonal to the unpenalised columns.
 
     Parameters
     ----------
@@ -108,7 +108,7 @@ def lasso_path(columns: FloatArray, target: FloatArray, most: int) -> list[Piece
         return pieces
     active = [int(lengths.argmax())]
     gone = -1
-    # Many more pieces than columns would be rounding that walks on the spot.
+    # Many more pieces than columns would be steps of rounding size.
     while active and penalty > EXPLAINED * top and len(pieces) < 20 * k:
         rest = target - columns @ x
         q, triangle = np.linalg.qr(columns[:, active])
@@ -153,7 +153,7 @@ def _shares_to_enter(c: FloatArray, a: FloatArray, penalty: float) -> FloatArray
 
 
 class Lasso(TermRegression):
-    """Lasso: terms that survive an L1 penalty, then adjusted by least squares without it.
+    """Lasso: terms that survive an L1 penalty, then adjusted by plain least squares.
 
     Tibshirani 1996; for the RFM Long, Jiao, He 2015, "RPC estimation via L1-norm-regularized
     least squares (L1LS)", IEEE TGRS 53(8), p. 4554, after the title and the authors' published
@@ -162,20 +162,20 @@ class Lasso(TermRegression):
     section 1), since a selection is judged by its least-squares adjustment.
 
     The penalty is chosen by cross-validation over the control rows: for each fold the path is
-    computed and every selection on it adjusted without the fold, and the penalty of the least
-    sum of squares over all folds is taken. Every folds-th row is one fold, so that nothing is
-    drawn. termsel's own choices: columns have unit length, the constant is not penalised, errors
+    computed and every selection on it adjusted without the fold; the penalty with the least
+    sum of squares over all folds is used. Every folds-th row is one fold, so that nothing is
+    random. termsel's own choices: columns have unit length, the constant is not penalised, errors
     are those of the linearised equations, and a redundancy of at least 1 is left. With one
     mask for line and sample the path is that of multiresponse least angle regression.
 
     The path is exact, and termsel's own. Coordinate descent would converge too slowly: the
-    columns of an RFM are nearly dependent and signal is thousands of times noise, so that it
-    is small penalties that matter.
+    columns of an RFM are nearly dependent and the signal is thousands of times the noise, so
+    that small penalties matter.
     """
 
     name = "lasso"
     declared_options = (
-        Option("folds", 10, "Folds of the cross-validation; as many as control rows at most.",
+        Option("folds", 10, "Folds of the cross-validation; at most as many as control rows.",
                int, 2),
     )
 
@@ -214,9 +214,9 @@ def _squares_left_out(part: Regression, rows: BoolArray, penalties: FloatArray) 
     ----------
     part : Regression
     rows : ndarray of bool, shape (m,)
-        Rows that take part.
+        Rows in use.
     penalties : ndarray, shape (p,)
-        For all rows; with unit columns they go with the root of the number of rows.
+        For all rows; with unit columns they scale with the root of the number of rows.
     """
     unit = part.unit
     path = _path(part, rows)
@@ -242,9 +242,9 @@ class Ridge(Solver):
     once the constant is taken out, and the constant is not penalised; the equations are the
     linearised ones, not reweighted.
 
-    Genes cannot say how much a coefficient is shrunk: the coefficients are yielded in the
-    details of the generation, in the order of the model's terms and for scaled coordinates.
-    The evaluation beside them is that of all terms without a penalty. With fewer equations than
+    Genes do not express how much a coefficient is shrunk, so the details of the generation hold
+    the coefficients, in the order of the model's terms and for scaled coordinates. The
+    generation's evaluation is that of all terms without a penalty. With fewer equations than
     terms GCV tends to no penalty at all, and the L-curve has no true corner, since nothing
     bounds the residuals from below.
     """
@@ -253,8 +253,8 @@ class Ridge(Solver):
     as_published = True
     default_generations: ClassVar[int | None] = None
     declared_options = (
-        Option("choice", "gcv", "How the penalty is chosen: generalised cross-validation or the "
-               "corner of the L-curve.", choices=("gcv", "l-curve")),
+        Option("choice", "gcv", "Choice of the penalty: generalised cross-validation, or the "
+                                "corner of the L-curve.", choices=("gcv", "l-curve")),
     )
 
     def generations(self, problem: Problem, rng: np.random.Generator) -> Iterator[Generation]:

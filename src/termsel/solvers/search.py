@@ -19,9 +19,9 @@ from termsel.solvers.swap import climb, neighbours
 from termsel.threads import one_blas_thread
 
 POLISH_SHARE = 3
-"""Most evaluations of a polish by those of the search before it: as many as let the embedded
-problem of 21 terms an axis end at its proven optimum from most seeds
-(docs/evidence/solver-table.md)."""
+"""Most evaluations of the local refinement, relative to those of the search: enough for most
+seeds to reach the proven optimum of the embedded problem with 21 terms per axis.
+See docs/evidence/solver-table.md."""
 
 
 Observer = Callable[[Progress], None]
@@ -29,14 +29,14 @@ Observer = Callable[[Progress], None]
 
 @dataclass(frozen=True)
 class Polish:
-    """What the local search after a solver added.
+    """What the local refinement after a solver added.
 
     Parameters
     ----------
     found, polished : float
         First objective before and after.
     evaluations, lookups : int
-        On top of those of the solver.
+        In addition to those of the solver.
     """
 
     found: float
@@ -58,25 +58,25 @@ class Search:
     violation : float
         Its violation; 0 is feasible.
     seed, evaluations, generations : int
-        Of the solver, without those of the polish; generations after the first population.
+        Of the solver, without the local refinement; generations after the first population.
     lookups : int
-        How many of these evaluations were looked up, as the same individual had been
-        evaluated before.
+        How many of these evaluations were looked up, as the same individual was already
+        evaluated.
     seconds : float
     interrupted : bool
         True if the user stopped it.
     polish : Polish, optional
-        None where the solver is not polished.
+        None if there is no local refinement after the solver.
     certificate : mapping, optional
         What the solver proved, if anything.
     coefficients : ndarray, shape (k,), optional
-        From a solver that finds coefficients, as ridge does, where others find genes alone.
+        From a solver that finds coefficients, as ridge does; others find only genes.
     front : tuple of ndarray of bool
-        With several objectives all feasible individuals evaluated that no other dominates,
-        each point of the front once, by the first objective; with one, what the solver
-        yields of the kind.
+        With several objectives all feasible, non-dominated individuals evaluated, each point of
+        the front once, by the first objective; with one objective, the front that the solver
+        yields, if any.
     notes : tuple of str
-        What the reader of the result must know of the search.
+        What a reader of the result must know about the search.
     """
 
     genes: BoolArray
@@ -115,17 +115,17 @@ def search(
     seed : int
         Seed of the one random generator of the search.
     generations, evaluations : int, optional
-        Budgets; the search ends with whichever is spent first. Without any budget the
-        solver's default number of generations holds.
+        Budgets; the search ends when the first is spent. Without any budget the solver's
+        default number of generations applies.
     seconds : float, optional
-        Budget of time; the evaluation under way is finished.
+        Budget of time; the current evaluation is finished.
     observers : iterable of callable
         Called with `Progress` after each generation.
 
     Returns
     -------
     Search
-        Also when interrupted with Ctrl-C, once anything has been evaluated.
+        Also when interrupted with Ctrl-C, if anything was evaluated.
 
     Raises
     ------
@@ -135,7 +135,7 @@ def search(
     for name, value in (("generations", generations), ("evaluations", evaluations),
                         ("seconds", seconds)):
         if value is not None and not value > 0:
-            raise TermselError(f"a budget of {value} {name} is not positive")
+            raise TermselError(f"the budget of {value} {name} is not positive")
     require_able(problem, solver)
     if generations is None and evaluations is None and seconds is None:
         generations = solver.default_generations
@@ -163,7 +163,7 @@ def search(
             raise
         done, lookups, interrupted = ledger.count, ledger.lookups, True
     if ledger.best_genes is None:
-        raise TermselError(f"solver {solver.name!r} evaluated nothing", hint="Raise the budget.")
+        raise TermselError(f"solver {solver.name!r} evaluated nothing", hint="Increase the budget.")
     return Search(ledger.best_genes, ledger.best_objectives, ledger.best[0], seed, done,
                   generation.index if generation else 0, lookups,
                   time.perf_counter() - start, interrupted, polish,
@@ -175,14 +175,14 @@ def search(
 
 def require_able(problem: Problem, solver: Solver,
                  others: Iterable[type[Solver]] = ()) -> None:
-    """Refuse a solver that is not for as many objectives as the problem has.
+    """Refuse a solver that cannot handle the number of objectives of the problem.
 
     Parameters
     ----------
     problem : Problem
     solver : Solver
     others : iterable of type[Solver]
-        Solvers among which those that can are named.
+        Solvers; the error names those that can.
 
     Raises
     ------
@@ -194,9 +194,9 @@ def require_able(problem: Problem, solver: Solver,
     able = [other.name for other in others
             if other.min_objectives <= wanted <= other.max_objectives]
     raise TermselError(
-        f"solver {solver.name!r} is not for {wanted} objective{'s' if wanted > 1 else ''}: "
+        f"solver {solver.name!r} cannot handle {wanted} objective{'s' if wanted > 1 else ''}: "
         f"{', '.join(problem.objectives)}",
-        hint=f"Solvers that can: {', '.join(able)}." if able else None)
+        hint=f"Choose one of: {', '.join(able)}." if able else None)
 
 
 def _until_spent(running: Iterator[Generation]) -> Iterator[Generation]:
@@ -207,10 +207,10 @@ def _until_spent(running: Iterator[Generation]) -> Iterator[Generation]:
 
 
 def _polish(ledger: Ledger, rng: np.random.Generator) -> Polish | None:
-    """Climb from the best individual, or look around all members of a front.
+    """Climb from the best individual, or search around all members of a front.
 
-    The evaluations come on top of the solver's, up to POLISH_SHARE times as many; a budget of
-    time holds for both. The first descent is always finished.
+    The evaluations are additional to the solver's, up to POLISH_SHARE times as many; a budget of
+    time applies to both. The first descent is always finished.
     """
     if ledger.best_genes is None:
         return None
@@ -232,9 +232,9 @@ def _polish(ledger: Ledger, rng: np.random.Generator) -> Polish | None:
 
 
 def _widen(ledger: Ledger, most: int) -> None:
-    """Look at all neighbours of all members of the front until no member is new.
+    """Evaluate all neighbours of all members of the front until no member is new.
 
-    A front of many objectives has no end of members, so this ends at `most` evaluations.
+    A front of many objectives has very many members, so this ends at `most` evaluations.
     """
     seen: set[bytes] = set()
     while True:

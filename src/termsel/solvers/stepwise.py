@@ -1,4 +1,4 @@
-"""Baselines that choose terms by tests of significance: no search, no budget."""
+"""Baselines that choose terms by tests of significance, without search or budget."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ from termsel.problems.base import EnumerablePart, Problem
 from termsel.solvers.base import Generation, Solver
 
 EXPLAINED = 1e-12
-"""A target is explained once no more than this part of its length is left: rounding error."""
+"""A target is explained when its residual is below this fraction of its length: rounding."""
 
 
 @dataclass(frozen=True, eq=False)
 class Regression:
-    """The control rows of one part: columns to choose from, and what they are to explain.
+    """The control rows of one part: columns to choose from, and their targets.
 
     With one mask for line and sample there are two targets; their sums of squares and
     degrees of freedom are pooled, as for one adjustment of both.
@@ -34,7 +34,7 @@ class Regression:
     Parameters
     ----------
     genes : ndarray of int, shape (k,)
-        Which genes of the genome switch the columns.
+        The genes that switch the columns.
     columns : ndarray, shape (m, k)
         As in the adjustment.
     target : ndarray, shape (m, r)
@@ -48,7 +48,7 @@ class Regression:
     least, most : int
         How many columns may be chosen; `most` leaves a redundancy of at least 1.
     pixels : float
-        Pixels per unit of the target.
+        px per unit of the target.
     """
 
     genes: IntArray
@@ -64,7 +64,7 @@ class Regression:
 
     @cached_property
     def unit(self) -> FloatArray:
-        """Columns of length 1, or 0 where they are nothing but zeros."""
+        """Columns of length 1, or 0 if they are all zeros."""
         lengths = np.linalg.norm(self.columns, axis=0)
         return np.asarray(self.columns / np.where(lengths > 0, lengths, 1.0))
 
@@ -81,8 +81,8 @@ class Regression:
 def regressions(problem: Problem) -> list[Regression]:
     """Return the parts of a term selection as regressions over their control rows.
 
-    The constant is kept wherever it is not forbidden, as the intercept is in the textbooks
-    and in Long et al. 2014.
+    The constant is kept unless it is forbidden, like the intercept in textbooks and in Long et
+    al. 2014.
 
     Parameters
     ----------
@@ -91,12 +91,12 @@ def regressions(problem: Problem) -> list[Regression]:
     Raises
     ------
     TermselError
-        If the problem's space cannot be walked (see `Problem.parts`), or terms need parents.
+        If the problem's space cannot be enumerated (see `Problem.parts`), or terms need parents.
     """
     if any(part.system.parents is not None for part in problem.parts()):
-        raise TermselError("regression enters and drops term by term and keeps no hierarchy",
-                           hint="Choose a solver that does, such as --solver ga or exact, or leave "
-                                "hierarchy=true out.")
+        raise TermselError("regression adds and drops single terms and cannot keep a hierarchy",
+                           hint="Choose another solver, such as --solver ga or exact, or remove "
+                                "hierarchy=true.")
     return [_regression(problem, part) for part in problem.parts()]
 
 
@@ -120,8 +120,8 @@ def _regression(problem: Problem, part: EnumerablePart) -> Regression:
 def _constant(system: SubsetSystem) -> BoolArray:
     """Return the column of the constant, the first that is the same in every row.
 
-    Where standard deviations weight the control rows it shows only in the check rows, if there
-    are any. Nothing else is taken from those.
+    If standard deviations weight the control rows, only check rows reveal it, if there are any.
+    Nothing else is taken from those.
     """
     constant = np.zeros(system.design.shape[1], dtype=bool)
     for rows in (system.design, system.check_design):
@@ -142,7 +142,7 @@ def generation_of(problem: Problem, parts: list[Regression], chosen: list[BoolAr
     chosen : list of ndarray of bool
         The chosen columns of each part.
     rng : numpy.random.Generator
-        Draws only where a method could not keep the genome's cardinality.
+        Draws only if a method could not keep the genome's cardinality.
     """
     genes = np.zeros((1, problem.genome.size), dtype=bool)
     for part, columns in zip(parts, chosen, strict=True):
@@ -152,7 +152,7 @@ def generation_of(problem: Problem, parts: list[Regression], chosen: list[BoolAr
 
 
 class TermRegression(Solver):
-    """Base of solvers that choose the columns of each part from its control rows alone."""
+    """Base of solvers that choose the columns of each part only from its control rows."""
 
     default_generations: ClassVar[int | None] = None
     as_published = True
@@ -168,7 +168,7 @@ class TermRegression(Solver):
 
 
 def gains(part: Regression, chosen: BoolArray) -> tuple[FloatArray, float]:
-    """Return by how much each further column lowers the residual sum of squares, and that sum.
+    """Return how much each further column lowers the residual sum of squares, and that sum.
 
     Parameters
     ----------
@@ -178,7 +178,7 @@ def gains(part: Regression, chosen: BoolArray) -> tuple[FloatArray, float]:
     Returns
     -------
     gain : ndarray, shape (k,)
-        0 for columns that depend on the chosen ones; the chosen ones are among them.
+        0 for columns that depend on the chosen ones, and for the chosen ones.
     square : float
         The sum with the chosen columns alone.
     """
@@ -193,7 +193,7 @@ def gains(part: Regression, chosen: BoolArray) -> tuple[FloatArray, float]:
 
 
 def losses(part: Regression, chosen: BoolArray) -> tuple[FloatArray, float]:
-    """Return by how much dropping each chosen column raises the residual sum of squares.
+    """Return how much dropping each chosen column raises the residual sum of squares.
 
     Parameters
     ----------
@@ -218,7 +218,7 @@ def losses(part: Regression, chosen: BoolArray) -> tuple[FloatArray, float]:
 
 
 def significance(part: Regression, change: float, square: float, chosen: BoolArray) -> float:
-    """Return the probability of a change this large if a column has no part in the target.
+    """Return the probability of a change this large if a column is not part of the target.
 
     The partial F test of one column: F = (change / r) / (square / f) with r and f degrees of
     freedom. With one target, r = 1, it is the t test of its coefficient, F = t^2.
@@ -257,9 +257,9 @@ class Stepwise(TermRegression):
     significant at `alpha_out`, it leaves. Only control rows take part. The equations are the
     linearised ones, without the gross-error detection of the paper.
 
-    termsel's own choices: the constant is always in; columns that depend on those in use do
-    not enter, and none where it would leave a redundancy below 1; the walk ends as well where
-    it would return to a selection it has been at. With one mask for line and sample their
+    termsel's own choices: the constant is always in use; columns that depend on those in use do
+    not enter, and none enters if that leaves a redundancy below 1; the steps also end when they
+    would return to an earlier selection. With one mask for line and sample their
     sums of squares and degrees of freedom are pooled.
     """
 
@@ -282,8 +282,8 @@ class Stepwise(TermRegression):
         alpha_in, alpha_out = self.options["alpha_in"], self.options["alpha_out"]
         if alpha_in > alpha_out:
             raise TermselError(f"alpha_in is {alpha_in:g} and alpha_out {alpha_out:g}",
-                               hint="Give an alpha_out of at least alpha_in; otherwise terms "
-                                    "enter and leave for ever.")
+                               hint="Give an alpha_out of at least alpha_in; otherwise terms enter "
+                                    "and leave forever.")
         chosen = part.kept.copy()
         seen = {chosen.tobytes()}
         while True:
@@ -297,7 +297,7 @@ class Stepwise(TermRegression):
             chosen = grown
 
     def _grow(self, part: Regression, chosen: BoolArray, alpha: float) -> BoolArray | None:
-        """Return the choice with the best column more, or None where none is to enter."""
+        """Return the choice with the best further column, or None if none enters."""
         count = int(chosen.sum())
         gain, square = gains(part, chosen)
         gain[~part.free] = 0.0
@@ -314,7 +314,7 @@ class Stepwise(TermRegression):
 
 
 def _drop(part: Regression, chosen: BoolArray, alpha: float) -> BoolArray:
-    """Return the choice after dropping, one at a time, what is not significant."""
+    """Return the choice after dropping insignificant columns, one at a time."""
     while chosen.sum() > part.least:
         loss, square = losses(part, chosen)
         loss[~part.free] = np.inf
@@ -327,13 +327,13 @@ def _drop(part: Regression, chosen: BoolArray, alpha: float) -> BoolArray:
 
 
 def independent(part: Regression, most: int) -> BoolArray:
-    """Return the kept columns and the first of the rest that do not depend on those before.
+    """Return the kept columns and the first others that do not depend on earlier ones.
 
     Parameters
     ----------
     part : Regression
     most : int
-        How many columns to return at most.
+        Most columns to return.
     """
     chosen = part.kept.copy()
     q = np.linalg.qr(part.unit[:, chosen])[0]
@@ -350,28 +350,28 @@ def independent(part: Regression, most: int) -> BoolArray:
 
 
 class TTest(TermRegression):
-    """Backward elimination: fit as many terms as can be, drop the least significant till all are.
+    """Backward elimination: fit as many terms as possible, then drop the insignificant ones.
 
     After the significance test of Moghaddam et al. 2017, ISPRS Archives XLII-4/W4, p. 23 (seen
     in abstract only), which drops RPCs that a t test finds insignificant. termsel's own choices:
-    one term leaves at a time, that of the smallest |t|, and all are tested anew; the constant
+    one term leaves at a time, that of the smallest |t|, and all are tested again; the constant
     stays. Only control rows take part. With one mask for line and sample the test of a term is
     the F test of both of its coefficients.
 
-    Elimination has to begin with a determined adjustment that has redundancy to test with: the
-    first columns, in the model's own order, that do not depend on those before. In the order
+    Elimination must begin with a determined adjustment that has redundancy for the tests: the
+    first columns, in the model's own order, that do not depend on earlier ones. In the order
     of an RFM these are low powers before high ones and numerators before denominators. QR with
-    column pivoting, which takes the most independent columns whatever they mean, was tried
-    and drops such as X and Y: on the embedded scenes its RFM misses independent points by up
-    to hundreds of pixels, and with this beginning by 1 to 3.
+    column pivoting, which takes the most independent columns whatever they mean, was tried; it
+    drops columns such as X and Y. On the embedded scenes its RFM misses independent points by
+    up to hundreds of px, while this start misses them by 1 to 3 px.
     """
 
     name = "t-test"
     declared_options = (
-        Option("alpha", 0.05, "Significance level of the two-sided test, the usual one.",
+        Option("alpha", 0.05, "Significance level of the two-sided test.",
                float, 0.0, 1.0),
-        Option("redundancy", None, "Fewest degrees of freedom of an axis to begin with; by default "
-               "a quarter of its equations.", int, 1),
+        Option("redundancy", None, "Fewest degrees of freedom of an axis at the start; by default "
+                                   "a quarter of its equations.", int, 1),
     )
 
     def choose(self, part: Regression) -> BoolArray:

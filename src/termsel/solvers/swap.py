@@ -1,4 +1,4 @@
-"""Local search by adding, dropping and swapping genes; also the polish of other solvers."""
+"""Local search by adding, dropping and swapping genes; also refines the result of others."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from termsel.problems.base import Evaluation, Genome, Problem
 from termsel.solvers.base import Generation, Solver
 
 BATCH = 2000
-"""Most neighbours looked at before a step: all of them for a small genome, while of a large one
-not even the memory would do."""
+"""Most neighbours evaluated before a step: all of a small genome; all of a large one would not
+fit into memory."""
 
 
 def neighbours(genes: BoolArray, genome: Genome) -> Iterator[BoolArray]:
     """Yield all selections one step away, in batches of up to BATCH.
 
-    First come the selections with a gene more or less, then those in which a gene that is on
-    gives its place to another of its segment. Forced genes stay and each segment keeps its
+    First come the selections with one gene more or less, then those in which a gene that is on
+    is replaced by another of its segment. Forced genes stay and each segment keeps its
     cardinality.
 
     Parameters
@@ -44,7 +44,7 @@ def neighbours(genes: BoolArray, genome: Genome) -> Iterator[BoolArray]:
         flips += [on] if count > segment.minimum else []
         swaps.append(np.stack(np.meshgrid(on, off, indexing="ij"), axis=-1).reshape(-1, 2))
     single = np.concatenate([*flips, np.empty(0, dtype=np.intp)])
-    # A flip switches the gene alone: its partner is itself.
+    # A flip switches a single gene: its partner is itself.
     moves = np.concatenate([np.column_stack([single, single]), *swaps])
     for start in range(0, len(moves), BATCH):
         first, second = moves[start:start + BATCH].T
@@ -58,10 +58,10 @@ def descend(problem: Problem, genes: BoolArray, evaluation: Evaluation, index: i
             ) -> Iterator[Generation]:
     """Step to better neighbours until there is none.
 
-    A step goes to the best of the first batch of `neighbours` that holds a better one, and where
-    the descent ends no neighbour at all is better. Where several segments of the genome have a
-    better neighbour, the step takes the best of each, if that is better still: line and sample
-    often are independent.
+    A step goes to the best of the first batch of `neighbours` that has a better one; when the
+    descent ends, no neighbour is better. If several segments of the genome have a better
+    neighbour, the step combines the best of each, if that is better still: line and sample are
+    often independent.
 
     Parameters
     ----------
@@ -76,7 +76,7 @@ def descend(problem: Problem, genes: BoolArray, evaluation: Evaluation, index: i
     Yields
     ------
     Generation
-        One a step, the place reached; the start first.
+        One per step, the selection reached; the start first.
     """
     better = True
     while better:
@@ -93,12 +93,12 @@ def descend(problem: Problem, genes: BoolArray, evaluation: Evaluation, index: i
 
 def climb(problem: Problem, genes: BoolArray, evaluation: Evaluation,
           rng: np.random.Generator, index: int = 0) -> Iterator[list[Generation]]:
-    """Descend from a place, and ever again from elsewhere.
+    """Descend from a selection, then repeatedly from others.
 
     Every second descent starts from a random selection, the others from the best with a random
-    share of its genes flipped, at most half. Of where a descent ends, segments that better the
-    best are taken over, and a descent from there follows. termsel's own formulation: the first
-    kind finds the optimum of small problems, the second betters large ones.
+    share of its genes flipped, at most half. If segments of its end improve the best, they are
+    copied to it, and a descent from there follows. termsel's own formulation: the first kind
+    finds the optimum of small problems, the second improves large ones.
 
     Parameters
     ----------
@@ -139,7 +139,7 @@ def climb(problem: Problem, genes: BoolArray, evaluation: Evaluation,
 
 def _combined(problem: Problem, genes: BoolArray, evaluation: Evaluation, around: BoolArray,
               judged: Evaluation) -> tuple[BoolArray, Evaluation]:
-    """Return the best of a place, those around it, and the best change of each segment."""
+    """Return the best of a selection, its neighbours, and the best change of each segment."""
     order = judged.order()
     best = _better(genes, evaluation, around[order[:1]], judged.take(order[:1]))
     together, changes = genes.copy(), 0
@@ -161,10 +161,9 @@ def _rank(one: Evaluation) -> tuple[float, float]:
 
 
 class Swap(Solver):
-    """Add, drop and swap genes as long as that helps, again and again from elsewhere.
+    """Add, drop and swap genes as long as that helps, from many starts.
 
-    termsel's own formulation; see `climb`. The same is the polish that heuristics are followed
-    by.
+    termsel's own formulation; see `climb`. The same local refinement follows heuristics.
     """
 
     name = "swap"
@@ -172,7 +171,7 @@ class Swap(Solver):
     declared_options = (Option("starts", 20, "Selections to start from.", int, 1),)
 
     def generations(self, problem: Problem, rng: np.random.Generator) -> Iterator[Generation]:
-        """Yield one generation a step of each descent (see `Solver.generations`)."""
+        """Yield one generation per step of each descent (see `Solver.generations`)."""
         genes = problem.genome.random(rng, 1)
         climbing = climb(problem, genes, problem.evaluate(genes), rng)
         for steps in itertools.islice(climbing, self.options["starts"]):

@@ -1,4 +1,4 @@
-"""Yardsticks: solvers that hardly search or do not search at all."""
+"""Yardsticks: solvers that search at random or not at all."""
 
 from __future__ import annotations
 

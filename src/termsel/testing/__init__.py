@@ -1,13 +1,13 @@
-"""Conformance suites: what termsel asks of models, solvers, criteria, readers and writers.
+"""Conformance suites: requirements on models, solvers, criteria, readers and writers.
 
-termsel's own are run through the same checks. In a test of a plugin, either all at once::
+termsel's own pass the same checks. In the test of a plugin, either all at once::
 
     from termsel.testing import check_model
 
     def test_model():
         check_model(DLT)
 
-or each check as a test of its own::
+or each check as a separate test::
 
     import pytest
     from termsel.testing import model_checks
@@ -16,8 +16,8 @@ or each check as a test of its own::
     def test_model(check):
         check.run()
 
-A check that cannot hold is named with the reason, ``expected_failures={"control_kinds": "needs
-points"}``; it then fails if it does hold, so that the list stays true. pytest is not needed.
+Name a check that must fail, with the reason: ``expected_failures={"control_kinds": "requires
+points"}``. It then fails if it passes, so that the list stays correct. pytest is not required.
 """
 
 from termsel.testing.checks import Check

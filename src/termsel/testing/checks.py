@@ -1,4 +1,4 @@
-"""Named checks: how they are made, run and opted out of."""
+"""Named checks: how they are made, run and excepted."""
 
 from __future__ import annotations
 
@@ -14,11 +14,12 @@ from termsel.options import Configurable
 from termsel.plugins.kinds import KINDS, summary
 
 Subject = TypeVar("Subject")
+Made = TypeVar("Made", bound=Configurable)
 
 
 @dataclass(frozen=True)
 class Check:
-    """One thing a plugin must do.
+    """One requirement on a plugin.
 
     Parameters
     ----------
@@ -34,14 +35,14 @@ class Check:
 
 @dataclass(frozen=True)
 class Case:
-    """One object the checks are run on.
+    """One object on which the checks are run.
 
     Parameters
     ----------
     label : str
-        What it is, for messages: a name and the options.
+        Its name and options, for messages.
     make : callable
-        Returns the object, anew for each check.
+        Returns a new object for each check.
     """
 
     label: str
@@ -67,12 +68,12 @@ def assemble(
     Parameters
     ----------
     functions : iterable of callable
-        Each takes what a case makes; its name is the check's.
+        Each takes the object of a case; its name is that of the check.
     cases : iterable of Case
     expected_failures : mapping, optional
-        Names of checks that are known to fail, with the reason. Such a check succeeds where
-        the plugin fails as foretold, and fails where it does not, so that the list stays
-        true.
+        Names of checks that are known to fail, with the reason. Such a check succeeds if
+        the plugin fails as predicted, and fails if it does not, so that the list stays
+        correct.
 
     Raises
     ------
@@ -123,7 +124,7 @@ def _run(name: str, function: Callable[[Any], None], cases: tuple[Case, ...],
 
 def _run_case(name: str, function: Callable[[Any], None], case: Case) -> None:
     try:
-        # A warning such as "divide by zero" would be shown to the user of the plugin.
+        # The user of the plugin would see a warning such as "divide by zero".
         with warnings.catch_warnings():
             warnings.simplefilter("error", RuntimeWarning)
             function(case.make())
@@ -134,6 +135,11 @@ def _run_case(name: str, function: Callable[[Any], None], case: Case) -> None:
                              ) from error
 
 
+def instance(thing: type[Made] | Made) -> Made:
+    """Return an object of a class with its default options; an object as it is."""
+    return thing() if isinstance(thing, type) else thing
+
+
 def label(thing: type[Configurable] | Configurable, options: Mapping[str, Any]) -> str:
     """Return a name with its options, such as "rfm with order=3"."""
     name = getattr(thing, "name", None) or getattr(thing, "__name__", type(thing).__name__)
@@ -142,14 +148,14 @@ def label(thing: type[Configurable] | Configurable, options: Mapping[str, Any]) 
 
 
 def check_declaration(kind: str, thing: Any) -> None:
-    """Require what the hooks require, one line on what the thing is, and options that parse.
+    """Require what the hooks require, a one-line summary, and options that parse.
 
     Parameters
     ----------
     kind : str
         Plural, such as "models".
     thing : object
-        As a hook returns it.
+        The class, as a hook returns it, or an object of it.
     """
     try:
         KINDS[kind].made(thing)

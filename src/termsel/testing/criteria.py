@@ -9,6 +9,7 @@ import numpy as np
 from termsel.criteria import Criterion, Fits
 from termsel.measurements.features import BoolArray, FloatArray, Points
 from termsel.models.polynomial import Polynomial3D
+from termsel.models.terms import Term
 from termsel.problems.base import Inputs
 from termsel.problems.selection import SelectionProblem
 from termsel.testing.checks import (
@@ -16,6 +17,7 @@ from termsel.testing.checks import (
     Check,
     assemble,
     check_declaration,
+    instance,
     label,
     pickled,
     require,
@@ -25,11 +27,11 @@ from termsel.testing.scenes import imaged, seeded
 
 PIXELS = 1000.0
 NOISE = 0.5
-"""Standard deviation of the measurements [pixel]."""
+"""Standard deviation of the measurements [px]."""
 
 
 class _Recorder(Criterion):
-    """Keeps what a criterion is shown."""
+    """Records the input of a criterion."""
 
     name = "recorder"
 
@@ -43,7 +45,7 @@ class _Recorder(Criterion):
 
 
 def declaration(criterion: Criterion) -> None:
-    """It has a name and a docstring, and its options are documented and take their defaults."""
+    """It has a name and a docstring; its options are documented and accept their defaults."""
     check_declaration("criteria", criterion)
 
 
@@ -72,7 +74,7 @@ def smaller_is_better(criterion: Criterion) -> None:
 
 
 def deterministic(criterion: Criterion) -> None:
-    """The same fits are given the same figures, here and in another process."""
+    """The same fits get the same figures, here and in another process."""
     fits = _fits(_masks())
     first = criterion.score(fits)
     again = (criterion.score(fits), type(criterion)(**criterion.options).score(fits),
@@ -82,7 +84,7 @@ def deterministic(criterion: Criterion) -> None:
 
 
 def one_by_one(criterion: Criterion) -> None:
-    """A model's figure does not depend on the other models it is scored with."""
+    """A model's figure does not depend on the models scored with it."""
     masks = _masks()
     together = criterion.score(_fits(masks))
     alone = np.concatenate([criterion.score(_fits(masks[i:i + 1])) for i in range(len(masks))])
@@ -92,7 +94,7 @@ def one_by_one(criterion: Criterion) -> None:
 
 
 def inputs_unchanged(criterion: Criterion) -> None:
-    """It writes to nothing it is given."""
+    """It does not change its inputs."""
     fits = _fits(_masks())
     arrays = {name: value for name, value in vars(fits).items() if isinstance(value, np.ndarray)}
     before = {name: array.copy() for name, array in arrays.items()}
@@ -109,7 +111,7 @@ CRITERION_CHECKS = (declaration, score_shape, score_finite, smaller_is_better, d
 
 
 def criterion_checks(
-    criterion: Criterion,
+    criterion: type[Criterion] | Criterion,
     *,
     expected_failures: Mapping[str, str] | None = None,
 ) -> tuple[Check, ...]:
@@ -117,8 +119,8 @@ def criterion_checks(
 
     Parameters
     ----------
-    criterion : Criterion
-        An object, with the options to check it with.
+    criterion : type or Criterion
+        The class; or an object, with the options to check it with.
     expected_failures : mapping, optional
         Checks it is known to fail, by name, with the reason.
 
@@ -131,12 +133,13 @@ def criterion_checks(
     TermselError
         For an expected failure of a check that does not exist.
     """
-    case = Case(label(criterion, criterion.options), lambda: criterion)
+    made = instance(criterion)
+    case = Case(label(made, made.options), lambda: made)
     return assemble(CRITERION_CHECKS, [case], expected_failures)
 
 
 def check_criterion(
-    criterion: Criterion,
+    criterion: type[Criterion] | Criterion,
     *,
     expected_failures: Mapping[str, str] | None = None,
 ) -> None:
@@ -155,7 +158,7 @@ def check_criterion(
     Examples
     --------
     >>> from termsel.criteria import CheckRmse
-    >>> check_criterion(CheckRmse())
+    >>> check_criterion(CheckRmse)
     """
     run_all(criterion_checks(criterion, expected_failures=expected_failures))
 
@@ -168,15 +171,15 @@ def _masks() -> BoolArray:
     """Return term masks, shape (4, 20), from the true model to ones that lack ever more."""
     names = _model().terms
     lacking: tuple[tuple[str, ...], ...] = ((), ("Z",), ("Z", "Y"), ("Z", "Y", "X"))
-    return np.array([[name.split(":")[1] in {"1", "X", "Y", "Z"} - set(gone) for name in names]
+    return np.array([[Term.parse(name).column in {"1", "X", "Y", "Z"} - set(gone) for name in names]
                      for gone in lacking])
 
 
 def _fits(masks: BoolArray) -> Fits:
-    """Return least-squares fits of an affine scene with noise, as a problem shows them."""
+    """Return least-squares fits of an affine scene with noise, as from a problem."""
     model, rng = _model(), seeded()
     affine = {"1": 0.1, "X": 0.5, "Y": 0.4, "Z": 0.2}
-    truth = np.array([affine.get(name.split(":")[1], 0.0) for name in model.terms])
+    truth = np.array([affine.get(Term.parse(name).column, 0.0) for name in model.terms])
     control, check = (imaged(model, truth, rng, points=40) for _ in range(2))
     noisy = [Points(f.points.ids, f.points.image + rng.normal(0.0, NOISE / PIXELS, (40, 2)),
                     f.points.ground) for f in (control, check)]

@@ -23,18 +23,23 @@ from termsel.testing.scenes import (
 )
 
 EXACT = 1e-6
-"""Error allowed where a model is fitted to what it computed itself, in scaled units."""
+"""Allowed error of a model fitted to its own image positions, in scaled units."""
+
+
+NOISE, REPEATED = 1e-4, 0.05
+"""Noise of points, as a share of the image, and by how much of an error leave-one-out may differ
+from a refit."""
 
 
 FIRST_ORDER = 0.01
-"""Median error allowed where line equations hold to first order, as a share of the image."""
+"""Allowed median error if line equations are of first order, relative to the image."""
 
 
 def control_kinds(model: SensorModel) -> None:
-    """It takes control from points, from lines and from both.
+    """It accepts control from points, from lines and from both.
 
     A model that cannot refuses with a TermselError, and has this check among its expected
-    failures; the others are then run on what it takes.
+    failures; the others are then run on the control it accepts.
     """
     for mix, name in zip(MIXES, ("points alone", "lines alone", "points and lines"), strict=True):
         try:
@@ -56,7 +61,7 @@ def equations(model: SensorModel) -> None:
         for name, value, shape in (("A", found.A, (rows, k)), ("b", found.b, (rows,)),
                                    ("feature", found.feature, (rows,))):
             require(np.shape(value) == shape, f"equations {of}: {name} must have shape {shape}, "
-                    f"two rows a point or line, not {np.shape(value)}")
+                    f"two rows per point or line, not {np.shape(value)}")
         require(np.isfinite(found.A).all() and np.isfinite(found.b).all(),
                 f"equations {of}: A and b must be finite")
         require(np.array_equal(found.feature, np.repeat(features.feature, 2)),
@@ -71,7 +76,7 @@ def _in_pieces(features: FeatureSet) -> FeatureSet:
 
 
 def exact_recovery(model: SensorModel) -> None:
-    """Fitted to points it computed itself, it computes other points right.
+    """Fitted to points it computed itself, it computes other points correctly.
 
     Standard deviations, which weight the points, make no difference.
     """
@@ -85,11 +90,11 @@ def exact_recovery(model: SensorModel) -> None:
 
 
 def recovery_from_lines(model: SensorModel) -> None:
-    """Fitted to lines it computed itself, it computes points right.
+    """Fitted to lines it computed itself, it computes points correctly.
 
     With a denominator for each axis, the equations of lines hold to first order and so does
-    this. Other models than a RationalModel are asked for points and lines together, as lines
-    alone may not suffice them, if they take any.
+    this. Models other than a RationalModel get points and lines together, if they accept lines, as
+    lines alone may not suffice.
     """
     if not any(len(features.lines) for features in accepted_scenes(model)):
         return
@@ -101,7 +106,7 @@ def recovery_from_lines(model: SensorModel) -> None:
         return
     image = model.project(truth, ground)
     allowed = FIRST_ORDER * float(np.ptp(image))
-    # A search has the equations alone; a fit goes on from them and may mend what is wrong in them.
+    # A search has only the equations; a fit continues from them and may correct their errors.
     alone = solve(model.equations(features)).coefficients
     for how, found in (("by equations()", model.predict(alone, features, ground)),
                        ("by a fit", fitted(model, features, ground))):
@@ -112,15 +117,46 @@ def recovery_from_lines(model: SensorModel) -> None:
 
 
 def translation(model: SensorModel) -> None:
-    """Image coordinates that are all shifted alike shift its prediction by as much."""
+    """A shift of all image coordinates shifts its prediction by as much."""
     features, truth, ground = experiment(model, 1, 0)
     shift = np.array([0.1, -0.05])
     points = features.points
     moved = features.with_(points=Points(points.ids, points.image + shift, points.ground))
     error = np.abs(fitted(model, moved, ground) - model.project(truth, ground) - shift).max()
-    require(error <= EXACT, f"with all image coordinates shifted by {shift}, its prediction is "
-                            f"not shifted by as much but {error:.1g} beside; has it a constant "
+    require(error <= EXACT, f"a shift of all image coordinates by {shift} does not shift its "
+                            f"prediction by as much, but differs by {error:.1g}; has it a constant "
                             "term for line and for sample?")
+
+
+def fit(model: SensorModel) -> None:
+    """Its method `fit` recovers what it computed, and leaves one out as refits do."""
+    try:
+        scaled, truth, ground = experiment(model, 1, 0)
+        model.equations(scaled)
+    except TermselError:  # a model of lines alone, as `control_kinds` says
+        return
+    scaling, points = model.scaling, scaled.points
+    require(scaling is not None, "it must be prepared")
+    assert scaling is not None
+    features = FeatureSet(Points(points.ids, scaling.pixels(points.image),
+                                 scaling.unscaled(points.ground)), crs=model.crs)
+    error = np.abs(model.fit(features).project(scaling.unscaled(ground))
+                   - scaling.pixels(model.project(truth, ground))).max() / scaling.image_scale
+    require(error <= EXACT, "fit() to points without noise that project() gave misses other points "
+                            f"by {error:.1g} (scaled units)")
+    noise = NOISE * scaling.image_scale * seeded().normal(size=(len(points), 2))
+    found = model.fit(features.with_(points=replace(
+        features.points, image=features.points.image + noise)))
+    left_out = found.leave_one_out
+    for i in (0, len(points) // 2):
+        others = np.arange(len(points)) != i
+        again = found.estimator.fit(found.model, found.control.take(others), found.scaling,
+                                    found.terms, np.ones(len(points) - 1, dtype=bool))
+        expected = again.errors(found.control.points.take(~others))[0]
+        off = np.hypot(*(expected - (left_out[i].line, left_out[i].sample)))
+        require(off <= REPEATED * (np.hypot(*expected) + NOISE * scaling.image_scale),
+                f"leave_one_out of fit() is {off:.2g} px from a fit without the point; do "
+                "the equations of a point depend on other points?")
 
 
 def _require_recovered(model: SensorModel, features: FeatureSet, truth: FloatArray,

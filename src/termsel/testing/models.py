@@ -30,6 +30,7 @@ from termsel.testing.model_equations import (
     control_kinds,
     equations,
     exact_recovery,
+    fit,
     recovery_from_lines,
     translation,
 )
@@ -47,29 +48,30 @@ PLACE = Scaling((48.5, 34.8, 1850.0), (0.05, 0.04, 150.0), (3500.0, 4000.0), 400
 
 
 def declaration(model: SensorModel) -> None:
-    """It has a name and a docstring, and its options are documented and take their defaults."""
+    """It has a name and a docstring; its options are documented and accept their defaults."""
     check_declaration("models", type(model))
 
 
 def term_names(model: SensorModel) -> None:
-    """Its terms are named, each by another name, and always by the same."""
+    """Its terms have different names, which never change."""
     terms = model.terms
     require(isinstance(terms, tuple) and terms and all(isinstance(t, str) and t for t in terms),
             f"terms must be a tuple of names, not {terms!r}")
     twice = sorted({name for name in terms if terms.count(name) > 1})
-    require(not twice, f"terms must have a name each; more than one is called {', '.join(twice)}")
+    require(not twice, f"terms must have different names; several are called {', '.join(twice)}")
     model.equations(accepted_scenes(model)[-1])
-    again = _anew(model)
+    again = _twin(model)
     require(model.terms == terms and again.terms == terms,
             "terms must be the same names in the same order whenever they are asked for; results "
             "name them")
 
 
 def axis(model: SensorModel) -> None:
-    """It says of each term whether it acts on the line (0), the sample (1) or both (2)."""
+    """It declares for each term whether it acts on the line (0), the sample (1) or both (2)."""
     codes = np.asarray(model.axis)
     k = len(model.terms)
-    require(codes.shape == (k,), f"axis must have shape ({k},), one code a term, not {codes.shape}")
+    require(codes.shape == (k,),
+            f"axis must have shape ({k},), one code per term, not {codes.shape}")
     require(np.issubdtype(codes.dtype, np.integer) and np.isin(codes, (0, 1, 2)).all(),
             f"axis must hold the integers 0 (line), 1 (sample) and 2 (both), not {codes}")
     coefficients, ground = random_coefficients(model, seeded()), random_ground(seeded(), 40)
@@ -85,7 +87,7 @@ def axis(model: SensorModel) -> None:
 
 
 def inputs_unchanged(model: SensorModel) -> None:
-    """It writes to nothing it is given."""
+    """It does not change its inputs."""
     coefficients, ground = random_coefficients(model, seeded()), random_ground(seeded(), 9)
     features = accepted_scenes(model)[-1]
     given = (coefficients, ground, features.points.image, features.points.ground,
@@ -112,7 +114,7 @@ def project_shapes(model: SensorModel) -> None:
 
 
 def batch_project(model: SensorModel) -> None:
-    """Many sets of coefficients at once give what they give one by one."""
+    """Many sets of coefficients at once give the same as one by one."""
     rng = seeded()
     sets = np.stack([random_coefficients(model, rng) for _ in range(6)]).reshape(2, 3, -1)
     ground, control = random_ground(rng, 11), accepted_scenes(model)[-1]
@@ -136,11 +138,11 @@ def batch_project(model: SensorModel) -> None:
 
 
 def deterministic(model: SensorModel) -> None:
-    """The same inputs give the same, from this object and from another like it."""
+    """The same inputs give the same results, from this object and from an equal one."""
     features, ground = accepted_scenes(model)[-1], random_ground(seeded(), 50)
     coefficients = random_coefficients(model, seeded())
     first, image = model.equations(features), model.project(coefficients, ground)
-    for other in (model, _anew(model)):
+    for other in (model, _twin(model)):
         again = other.equations(features)
         require(np.array_equal(first.A, again.A) and np.array_equal(first.b, again.b),
                 "equations() of the same features differ from one call to the next")
@@ -149,7 +151,7 @@ def deterministic(model: SensorModel) -> None:
 
 
 def prepared(model: SensorModel) -> None:
-    """Prepared for features, it knows where they are, and is else the model it was."""
+    """Prepared for features, it has their scaling and CRS, and is otherwise unchanged."""
     before = model.scaling, model.crs
     assert model.scaling is not None
     scaling = replace(model.scaling, image_scale=2 * model.scaling.image_scale)
@@ -173,7 +175,7 @@ def picklable(model: SensorModel) -> None:
 
 
 def masks_stay_finite(model: SensorModel) -> None:
-    """No choice of terms or features, however poor, breaks an evaluation."""
+    """No selection of terms or features, however poor, breaks an evaluation."""
     for features in accepted_scenes(model):
         for what, problem in _problems(model, features):
             size = problem.genome.size
@@ -185,7 +187,7 @@ def masks_stay_finite(model: SensorModel) -> None:
 
 
 def height(model: SensorModel) -> None:
-    """`uses_height` says truly whether the heights matter."""
+    """`uses_height` tells correctly whether heights matter."""
     features, ground = accepted_scenes(model)[-1], random_ground(seeded(), 50)
     coefficients = random_coefficients(model, seeded())
     flat = features.with_(points=replace(features.points, ground=flattened(features.points.ground)),
@@ -204,7 +206,7 @@ def height(model: SensorModel) -> None:
 
 
 def residual_weights(model: SensorModel) -> None:
-    """Weights that spread residuals, where there are any, have a row a place, and are finite."""
+    """Weights that spread residuals, if any, have a row per place and are finite."""
     rng = seeded()
     control = random_ground(rng, 8)
     for m in (0, 1, 5):
@@ -217,7 +219,7 @@ def residual_weights(model: SensorModel) -> None:
 
 MODEL_CHECKS = (
     declaration, term_names, axis, control_kinds, equations, inputs_unchanged, exact_recovery,
-    recovery_from_lines, translation, project_shapes, batch_project, deterministic, prepared,
+    recovery_from_lines, fit, translation, project_shapes, batch_project, deterministic, prepared,
     picklable, masks_stay_finite, height, residual_weights)
 
 
@@ -240,8 +242,8 @@ def model_checks(
     expected_failures : mapping, optional
         Checks it is known to fail, by name, with the reason.
     place : tuple of Scaling and str, optional
-        Scaling and CRS to prepare it for, where it depends on the place: so that with small
-        coefficients it images scaled ground within [-1, 1] within [-1, 1].
+        Scaling and CRS to prepare it for, if it depends on the place. With small coefficients
+        it must then map scaled ground within [-1, 1] to image positions within [-1, 1].
 
     Returns
     -------
@@ -296,7 +298,7 @@ def _made(model: type[SensorModel], options: Mapping[str, Any],
     return model(**options).prepared(*place)
 
 
-def _anew(model: SensorModel) -> SensorModel:
+def _twin(model: SensorModel) -> SensorModel:
     """Return another model with the same options, for the same features."""
     assert model.scaling is not None
     return _made(type(model), model.options, (model.scaling, model.crs))
@@ -318,6 +320,6 @@ def _problems(model: SensorModel, features: FeatureSet) -> list[tuple[str, Selec
     listed = [("terms", SelectionProblem(inputs, terms=True, features=False)),
               ("terms, line and sample together",
                SelectionProblem(inputs, terms=True, features=False, mask="shared"))]
-    if not model.corrects:  # else features cannot be chosen
+    if not model.corrects:  # else features cannot be selected
         listed.append(("features", SelectionProblem(inputs, terms=False, features=True)))
     return listed

@@ -1,4 +1,4 @@
-"""Small problems with known answers, which watch how a solver treats them."""
+"""Small problems with known answers, which check how a solver uses them."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class Toy(Problem):
         self.judge = judge
 
     def evaluate(self, genes: BoolArray) -> Evaluation:
-        """Return what the judge says."""
+        """Return the evaluation by the judge."""
         return Evaluation(*self.judge(genes))
 
     def decode(self, genes: BoolArray) -> Selection:
@@ -56,14 +56,14 @@ class Toy(Problem):
 
 
 class Watched(Problem):
-    """A problem that refuses genes no solver may send, and keeps count.
+    """A problem that refuses genes that no solver may send, and counts evaluations.
 
     Parameters
     ----------
     inner : Problem
     before : callable, optional
-        Called with the number of the call, from 1, before each evaluation; what it raises
-        the solver has to let pass.
+        Called with the number of the call, from 1, before each evaluation; the solver must
+        let its exceptions pass.
     """
 
     def __init__(self, inner: Problem, before: Callable[[int], None] | None = None) -> None:
@@ -76,12 +76,12 @@ class Watched(Problem):
         self.best: tuple[float, float] = (np.inf, np.inf)
 
     def evaluate(self, genes: BoolArray) -> Evaluation:
-        """Return the evaluation of genes that are as they must be.
+        """Return the evaluation of genes, which must be valid.
 
         Raises
         ------
         AssertionError
-            For genes of another type or shape, or that break the genome's rules.
+            For genes of another type or shape, or against the rules of the genome.
         """
         require_genes(self.genome, genes, "evaluate() got")
         self.calls += 1
@@ -96,15 +96,15 @@ class Watched(Problem):
         return found
 
     def decode(self, genes: BoolArray) -> Selection:
-        """Return what the problem within selects."""
+        """Return the selection of the inner problem."""
         return self.inner.decode(genes)
 
     def parts(self) -> tuple[EnumerablePart, ...]:
-        """Return the parts of the problem within."""
+        """Return the parts of the inner problem."""
         return self.inner.parts()
 
     def design(self) -> FloatArray:
-        """Return the design matrix of the problem within."""
+        """Return the design matrix of the inner problem."""
         return self.inner.design()
 
 
@@ -116,7 +116,7 @@ def require_genes(genome: Genome, genes: object, who: str) -> None:
     genome : Genome
     genes : object
     who : str
-        Begins the message: where the genes were met.
+        Start of the message: where the genes come from.
     """
     require(isinstance(genes, np.ndarray) and genes.dtype == np.bool_,
             f"{who} {getattr(genes, 'dtype', type(genes).__name__)}, not an array of bool")
@@ -141,7 +141,7 @@ def kept(genome: Genome, genes: BoolArray) -> BoolArray:
 def twelve_terms() -> SelectionProblem:
     """Return the choice among the 12 terms of a plane polynomial of second degree.
 
-    Half of the terms are needed, and noise makes the others harmful; `optimum` walks through
+    Half of the terms are needed, and noise makes the others harmful; `optimum` enumerates
     all 4096 selections.
     """
     model, rng = Polynomial2D(degree=2), np.random.default_rng(9)

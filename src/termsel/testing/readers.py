@@ -12,7 +12,15 @@ import numpy as np
 from termsel.errors import TermselError
 from termsel.formats.base import Reader
 from termsel.measurements.features import FeatureSet
-from termsel.testing.checks import Case, Check, assemble, check_declaration, require, run_all
+from termsel.testing.checks import (
+    Case,
+    Check,
+    assemble,
+    check_declaration,
+    instance,
+    require,
+    run_all,
+)
 
 HEAD = 65536
 """Bytes of a file that are shown to `sniff`."""
@@ -30,7 +38,7 @@ class Example:
     reader : Reader
     content : bytes
     expected : FeatureSet
-        What the content says.
+        The features in the content.
     filename : str
     """
 
@@ -56,13 +64,13 @@ def declaration(example: Example) -> None:
 
 
 def reads_example(example: Example) -> None:
-    """It reads the example as it is meant, each time, and leaves the file as it was."""
+    """It reads the example correctly, each time, and does not change the file."""
     with TemporaryDirectory() as folder:
         path = _put(example, folder, example.content)
         for _ in range(2):
             _require_same(example.reader.read(path), example.expected, "the example")
         require(path.read_bytes() == example.content, "it changes the file it reads")
-        require(list(Path(folder).iterdir()) == [path], "it leaves other files beside the one read")
+        require(list(Path(folder).iterdir()) == [path], "it creates files next to the one read")
 
 
 def sniffs_example(example: Example) -> None:
@@ -74,7 +82,7 @@ def sniffs_example(example: Example) -> None:
 
 
 def sniffs_anything(example: Example) -> None:
-    """It says no to bytes that mean nothing, and never raises."""
+    """It returns False for bytes without meaning, and never raises."""
     with TemporaryDirectory() as folder:
         for content, what in _noise():
             path = _put(example, folder, content)
@@ -82,7 +90,7 @@ def sniffs_anything(example: Example) -> None:
                 answer = example.reader.sniff(path, content[:HEAD])
             except Exception as error:
                 raise AssertionError(f"sniff() of {what} raises {type(error).__name__}: {error}; "
-                                     "it must say False to what it does not know") from error
+                                     "it must return False for unknown content") from error
             require(answer is False, f"sniff() of {what} must be False, not {answer!r}")
         for size in _cuts(example):
             content = example.content[:size]
@@ -91,7 +99,7 @@ def sniffs_anything(example: Example) -> None:
 
 
 def truncated(example: Example) -> None:
-    """A file that was cut off is read as far as it makes sense, or refused by its name."""
+    """A truncated file is read as far as it makes sense, or refused by its name."""
     with TemporaryDirectory() as folder:
         for size in _cuts(example):
             _read_or_refuse(example, folder, example.content[:size],
@@ -105,7 +113,7 @@ def empty_file(example: Example) -> None:
 
 
 def binary_file(example: Example) -> None:
-    """Bytes that mean nothing are refused by the name of the file."""
+    """Bytes without meaning are refused by the name of the file."""
     for content, what in _noise():
         _require_refused(example, content, what)
 
@@ -118,7 +126,7 @@ def missing_file(example: Example) -> None:
 
 
 def wrong_encoding(example: Example) -> None:
-    """Text that is not UTF-8 is refused by the name of the file, or read right."""
+    """Text that is not UTF-8 is refused by the name of the file, or read correctly."""
     if example.text is None:
         return
     with TemporaryDirectory() as folder:
@@ -129,7 +137,7 @@ def wrong_encoding(example: Example) -> None:
 
 
 def line_ends(example: Example) -> None:
-    """Text is read alike with the line ends of Windows and with a byte order mark."""
+    """Text is read the same with the line ends of Windows and with a byte order mark."""
     if example.text is None:
         return
     lines = example.text.replace("\r\n", "\n")
@@ -152,7 +160,7 @@ READER_CHECKS: tuple[Callable[[Example], None], ...] = (
 
 
 def reader_checks(
-    reader: Reader,
+    reader: type[Reader] | Reader,
     content: bytes,
     expected: FeatureSet,
     *,
@@ -163,13 +171,14 @@ def reader_checks(
 
     Parameters
     ----------
-    reader : Reader
+    reader : type or Reader
+        The class; or an object, with the options to check it with.
     content : bytes
         A file of its format with several features; checks of text are made if it is UTF-8.
     expected : FeatureSet
-        What it says.
+        Its features.
     filename : str
-        A name as such files have.
+        A typical name of such files.
     expected_failures : mapping, optional
         Checks it is known to fail, by name, with the reason.
 
@@ -182,13 +191,14 @@ def reader_checks(
     TermselError
         For an expected failure of a check that does not exist.
     """
-    example = Example(reader, content, expected, filename)
-    name = str(getattr(reader, "name", type(reader).__name__))
+    made = instance(reader)
+    example = Example(made, content, expected, filename)
+    name = str(getattr(made, "name", type(made).__name__))
     return assemble(READER_CHECKS, [Case(name, lambda: example)], expected_failures)
 
 
 def check_reader(
-    reader: Reader,
+    reader: type[Reader] | Reader,
     content: bytes,
     expected: FeatureSet,
     *,
@@ -236,8 +246,8 @@ def _refused(example: Example, path: Path, what: str) -> None:
                                          "raise TermselError(..., file=path)")
         return
     except Exception as error:
-        raise AssertionError(f"{what} raises {type(error).__name__}: {error}; the user can mend "
-                             "it, so raise TermselError(..., file=path)") from error
+        raise AssertionError(f"{what} raises {type(error).__name__}: {error}; the user can "
+                             "correct it, so raise TermselError(..., file=path)") from error
     raise AssertionError(f"{what} is read as if nothing were wrong; raise TermselError")
 
 
@@ -248,7 +258,7 @@ def _require_refused(example: Example, content: bytes, what: str) -> None:
 
 def _read_or_refuse(example: Example, folder: str, content: bytes, what: str,
                     ) -> FeatureSet | None:
-    """Return what is read, or None where a TermselError names the file."""
+    """Return the features read, or None if a TermselError names the file."""
     path = _put(example, folder, content)
     try:
         return example.reader.read(path)
@@ -256,7 +266,7 @@ def _read_or_refuse(example: Example, folder: str, content: bytes, what: str,
         _refused(example, path, what)
     except Exception as error:
         raise AssertionError(f"{what} raises {type(error).__name__}: {error}; raise TermselError("
-                             "..., file=path) for what the user can mend") from error
+                             "..., file=path) for anything the user can correct") from error
     return None
 
 

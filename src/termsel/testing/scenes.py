@@ -1,11 +1,11 @@
-"""Control features whose image a model gives itself, free of noise, in scaled coordinates."""
+"""Control features with image positions by a model, free of noise, in scaled coordinates."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from termsel.errors import TermselError
-from termsel.fits.fit import adjust
+from termsel.fits.adjust import adjust
 from termsel.measurements.features import FeatureSet, FloatArray, Lines, Points, no_lines, no_points
 from termsel.models.base import SensorModel
 
@@ -45,12 +45,12 @@ def random_coefficients(model: SensorModel, rng: np.random.Generator) -> FloatAr
     Raises
     ------
     AssertionError
-        If not even tiny coefficients do.
+        If even tiny coefficients do not.
     """
     ground = random_ground(rng, 500)
     coefficients = rng.uniform(-1.0, 1.0, len(model.terms))
     for _ in range(60):
-        # Copies, so that a model that writes to its inputs fails in the check of that alone.
+        # Copies, so that a model that changes its inputs fails only in that check.
         image = model.project(coefficients.copy(), ground.copy())
         below = model.denominators(coefficients.copy(), ground.copy())
         if (np.isfinite(image).all() and np.abs(image).max() <= 1.0
@@ -65,8 +65,8 @@ def imaged(model: SensorModel, coefficients: FloatArray, rng: np.random.Generato
            points: int = 0, lines: int = 0) -> FeatureSet:
     """Return control features whose image coordinates the model computes itself.
 
-    The ground vertices of a line are imaged onto the image line, but the image points that
-    define it lie elsewhere along it.
+    The ground vertices of a line lie on the image line, but the image points that define it are
+    elsewhere along it.
 
     Parameters
     ----------
@@ -96,8 +96,7 @@ def experiment(model: SensorModel, points: int, lines: int, shrink: float = 1.0,
     ----------
     model : SensorModel
     points, lines : {0, 1}
-        Which features there are; there are enough of either kind to determine all terms
-        twice over.
+        Which features there are; each kind has enough to determine all terms twice over.
     shrink : float
         Factor of the coefficients.
     """
@@ -109,12 +108,12 @@ def experiment(model: SensorModel, points: int, lines: int, shrink: float = 1.0,
 
 
 def accepted_scenes(model: SensorModel) -> list[FeatureSet]:
-    """Return features of the kinds of control the model takes, the fullest last.
+    """Return features of the kinds of control that the model accepts, the fullest last.
 
     Raises
     ------
     AssertionError
-        If it takes none.
+        If it accepts none.
     """
     taken = []
     refusal: TermselError | None = None
@@ -127,7 +126,7 @@ def accepted_scenes(model: SensorModel) -> list[FeatureSet]:
         else:
             taken.append(features)
     if not taken:
-        raise AssertionError(f"equations() refuses points and lines alike: {refusal}")
+        raise AssertionError(f"equations() refuses points and lines: {refusal}")
     return taken
 
 

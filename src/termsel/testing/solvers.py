@@ -21,25 +21,25 @@ from termsel.testing.problems import Watched, require_genes
 from termsel.testing.trial import Trial, global_states, global_states_kept
 
 GENEROUS = 10_000
-"""Evaluations within which one of the feasible selections is to be found."""
+"""Evaluations within which a feasible selection must be found."""
 
 SEEDS = (1, 2, 3, 4)
-"""Searches that must all find the optimum; drawing at random, few do."""
+"""Searches that must all find the optimum; few random searches do."""
 
 ENOUGH = 5000
 """Evaluations of each of these searches, for 4096 selections."""
 
 
 class _Stop(Exception):
-    """What an evaluation raises to see whether a solver lets it pass."""
+    """Exception of an evaluation, which a solver must let pass."""
 
 
 class _Runaway(BaseException):
-    """Ends a solver that went on after an evaluation had failed."""
+    """Ends a solver that continued after an evaluation failed."""
 
 
 def declaration(trial: Trial) -> None:
-    """It has a name and a docstring, and its options are documented and take their defaults."""
+    """It has a name and a docstring; its options are documented and accept their defaults."""
     check_declaration("solvers", type(trial.solver))
     require(isinstance(trial.solver.max_objectives, int) and trial.solver.max_objectives >= 1,
             "max_objectives must be a whole number of at least 1")
@@ -48,7 +48,7 @@ def declaration(trial: Trial) -> None:
 def generations_hold(trial: Trial) -> None:
     """Generations are numbered from 0, and each carries its genes and their evaluation.
 
-    What was yielded stays as it was when the solver goes on.
+    Yielded generations do not change when the solver continues.
     """
     problem = trial.posed(trial.problem())
     kept: list[tuple[Generation, Any, Evaluation]] = []
@@ -79,7 +79,7 @@ def generations_hold(trial: Trial) -> None:
 
 
 def chance_from_rng_alone(trial: Trial) -> None:
-    """The same seed gives the same search, whatever the global random states, which it keeps."""
+    """The same seed gives the same search; global random states are neither used nor changed."""
     with global_states_kept():
         runs = []
         for seed in (1, 2):
@@ -103,10 +103,10 @@ def chance_from_rng_alone(trial: Trial) -> None:
 
 
 def any_problem(trial: Trial) -> None:
-    """It takes problems of which nothing but the genome and the evaluation is known.
+    """It accepts problems that have only a genome and an evaluation.
 
     A solver that needs more refuses with a TermselError, and has this check among its expected
-    failures; the others then do without such problems.
+    failures; the others then omit such problems.
     """
     for problem in (problems.bound(), problems.narrow(1), problems.trap(), problems.hopeless()):
         try:
@@ -116,7 +116,7 @@ def any_problem(trial: Trial) -> None:
 
 
 def genome_kept(trial: Trial) -> None:
-    """It sends and yields bool genes alone that keep forced genes and cardinality."""
+    """It sends and yields only bool genes that keep forced genes and cardinality."""
     problem = Watched(problems.bound() if trial.takes(problems.bound()) else trial.problem())
     for generation in trial.few(problem, 20):
         require_genes(problem.genome, generation.genes, f"generation {generation.index} has")
@@ -124,7 +124,7 @@ def genome_kept(trial: Trial) -> None:
 
 
 def narrow_genomes(trial: Trial) -> None:
-    """A single gene, and genes that are all forced, are no trouble."""
+    """It handles a single gene, and genes that are all forced."""
     for problem in (problems.narrow(1), problems.narrow(2, on=("g1",)),
                     problems.narrow(2, on=("g1", "g2"))):
         if not trial.takes(problem):
@@ -148,7 +148,7 @@ def evaluation_budget(trial: Trial) -> None:
 
 
 def generation_budget(trial: Trial) -> None:
-    """It ends after the generation the budget names."""
+    """It ends after the last generation of the budget."""
     for budget in (1, 3):
         seen: list[int] = []
         trial.search(trial.problem(), generations=budget,
@@ -159,7 +159,7 @@ def generation_budget(trial: Trial) -> None:
 
 
 def errors_pass(trial: Trial) -> None:
-    """What an evaluation raises leaves the solver at once, as the budget needs it."""
+    """An exception of an evaluation leaves the solver at once, as the budget requires."""
     raised: list[int] = []
 
     def before(call: int) -> None:
@@ -185,7 +185,7 @@ def errors_pass(trial: Trial) -> None:
 
 
 def closes(trial: Trial) -> None:
-    """Its iterator can be closed before, between and after generations, and then rests."""
+    """Its iterator can be closed before, between and after generations, and then stops."""
     for taken in (0, 1, 3):
         problem = Watched(trial.problem())
         running = trial.solver.generations(trial.posed(problem), np.random.default_rng(1))
@@ -251,7 +251,7 @@ def feasible_first(trial: Trial) -> None:
 
 
 def hopeless_survived(trial: Trial) -> None:
-    """Where nothing is feasible and all costs are alike, it still returns a finite result."""
+    """If nothing is feasible and all costs are equal, it still returns a finite result."""
     if not trial.takes(problems.hopeless()):
         return
     found = trial.search(problems.hopeless(), generations=10)
@@ -273,21 +273,21 @@ def optimum_found(trial: Trial) -> None:
 
 
 def objectives_respected(trial: Trial) -> None:
-    """It is refused more objectives than it declares, and handles two if it says so."""
+    """The run refuses more objectives than it declares; it handles two if it declares them."""
     if trial.solver.max_objectives < 2:
-        # What the solver cannot take is refused by the run, before the solver sees it.
+        # The run refuses what the solver cannot handle, before the solver gets it.
         try:
             trial.search(problems.two_aims(), evaluations=50)
         except TermselError:
             return
-        raise AssertionError("two objectives are not refused, though max_objectives is 1")
+        raise AssertionError("two objectives are not refused, although max_objectives is 1")
     problem = problems.two_aims()
     last = None
     for last in trial.few(problem, 20):
         require(last.evaluation.objectives.shape == (len(last.genes), 2),
                 "objectives of the generations must have shape (individuals, 2)")
     require(last is not None and len(np.unique(last.evaluation.objectives, axis=0)) > 1,
-            "with two objectives that conflict, the last generation holds one compromise alone")
+            "with two objectives that conflict, the last generation has only one compromise")
 
 
 SOLVER_CHECKS = (
@@ -312,8 +312,8 @@ def solver_checks(
     options : iterable of mapping
         The options to check it with; its defaults by default.
     problem : callable
-        Makes the problem most checks are made with: by default a choice among 12 terms. Give
-        one of about as many genes for a solver that is made for something else.
+        Makes the problem of most checks: by default a selection among 12 terms. Give one with
+        about as many genes for a solver that is made for other problems.
     expected_failures : mapping, optional
         Checks it is known to fail, by name, with the reason.
 
@@ -366,7 +366,7 @@ def check_solver(
 
 def _trial(solver: type[Solver], options: Mapping[str, Any],
            problem: Callable[[], Problem]) -> Trial:
-    """Return the solver without the polish, which the run adds on top of any budget."""
+    """Return the solver without local refinement, which the run adds to any budget."""
     polish = any(option.name == "polish" for option in solver.declared_options)
     return Trial(solver(**{**({"polish": False} if polish else {}), **options}), problem)
 

@@ -1,4 +1,4 @@
-"""A solver on trial: how the checks let it search."""
+"""Searches of the checks with a solver."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from termsel.solvers.ledger import Progress
 from termsel.solvers.search import Search, search
 
 FEW = 4
-"""Generations looked at where more would show no more."""
+"""Generations checked if more would not show more."""
 
 
 class Counted(Problem):
@@ -36,18 +36,18 @@ class Counted(Problem):
         self.objectives = (*inner.objectives, "on")
 
     def evaluate(self, genes: BoolArray) -> Evaluation:
-        """Return the evaluation of the problem within, and the count."""
+        """Return the evaluation of the inner problem, and the count."""
         found = self.inner.evaluate(genes)
         return Evaluation(np.column_stack([found.objectives, genes.sum(axis=1)]), found.violation)
 
     def decode(self, genes: BoolArray) -> Selection:
-        """Return what the problem within selects."""
+        """Return the selection of the inner problem."""
         return self.inner.decode(genes)
 
 
 @dataclass(frozen=True, eq=False)
 class Trial:
-    """A solver, and the problem most checks give it.
+    """A solver, and the problem of most checks.
 
     Parameters
     ----------
@@ -61,7 +61,7 @@ class Trial:
 
     @property
     def goes_on(self) -> bool:
-        """True for a solver that goes on until its budget is spent."""
+        """True for a solver that continues until its budget is spent."""
         return self.solver.default_generations is not None
 
     def posed(self, problem: Problem) -> Problem:
@@ -89,9 +89,9 @@ class Trial:
 
     def search_until(self, reached: Callable[[Progress], bool], problem: Problem, *,
                      seed: int = 1, evaluations: int) -> Search:
-        """Search as a run does, and end as after Ctrl-C where more would show no more.
+        """Search as a run does, and end as after Ctrl-C if more would not show more.
 
-        What was reached has to be what no later generation takes away.
+        Later generations must not be able to undo what was reached.
         """
         def end(progress: Progress) -> None:
             if reached(progress):

@@ -18,7 +18,15 @@ from termsel.results.result import Result
 from termsel.runs.assess import assess
 from termsel.runs.task import prepare
 from termsel.solvers.search import search
-from termsel.testing.checks import Case, Check, assemble, check_declaration, require, run_all
+from termsel.testing.checks import (
+    Case,
+    Check,
+    assemble,
+    check_declaration,
+    instance,
+    require,
+    run_all,
+)
 from termsel.testing.scenes import imaged, random_coefficients, seeded
 
 OLD = b"what was there before"
@@ -28,7 +36,7 @@ Verify = Callable[[Result, Path], None]
 
 @dataclass(frozen=True, eq=False)
 class Export:
-    """A writer and what it is given.
+    """A writer and its inputs.
 
     Parameters
     ----------
@@ -36,7 +44,7 @@ class Export:
     results : tuple of Result
     filename : str
     verify : callable or None
-        Takes a result and the file it was written to; raises where they do not agree.
+        Takes a result and the file it was written to; raises if they do not agree.
     """
 
     writer: Writer
@@ -47,7 +55,7 @@ class Export:
     def accepted(self) -> list[Result]:
         """Return the results the writer accepts, at least one."""
         taken = [result for result in self.results if self.writer.accepts(result)]
-        require(taken, "accepts() takes none of the results; give some it takes as `results`")
+        require(taken, "accepts() refuses all results; give some that it accepts as `results`")
         return taken
 
 
@@ -57,7 +65,7 @@ def declaration(export: Export) -> None:
 
 
 def accepts_answers(export: Export) -> None:
-    """It says of every result whether it can write it, and can write some."""
+    """It tells for every result whether it can write it, and can write some."""
     for result in export.results:
         answer = export.writer.accepts(result)
         require(isinstance(answer, bool), f"accepts() must be True or False, not {answer!r}")
@@ -65,7 +73,7 @@ def accepts_answers(export: Export) -> None:
 
 
 def writes_file(export: Export) -> None:
-    """It writes the file that is asked for and leaves nothing temporary, whatever was there."""
+    """It writes the requested file and leaves nothing temporary, whatever was there."""
     for result in export.accepted():
         with TemporaryDirectory() as folder:
             path = Path(folder) / export.filename
@@ -80,7 +88,7 @@ def writes_file(export: Export) -> None:
 
 
 def result_unchanged(export: Export) -> None:
-    """It writes to nothing it is given."""
+    """It does not change its inputs."""
     for result in export.accepted():
         before = result.to_json()
         with TemporaryDirectory() as folder:
@@ -97,13 +105,13 @@ def unwritable_path(export: Export) -> None:
             taken = Path(folder) / export.filename
             taken.mkdir()
             _refused(export, result, taken, "a path where there is a folder")
-            require(taken.is_dir() and not list(taken.iterdir()), "it writes into a folder that "
-                                                                  "stands where the file should")
+            require(taken.is_dir() and not list(taken.iterdir()), "it writes into a folder "
+                                                                  "with the name of the file")
             _require_tidy(taken)
 
 
 def refuses_others(export: Export) -> None:
-    """A result it does not accept is refused, and the file that was there is left alone."""
+    """A result it does not accept is refused, and an existing file is not changed."""
     for result in export.results:
         if not export.writer.accepts(result):
             with TemporaryDirectory() as folder:
@@ -119,7 +127,7 @@ def refuses_others(export: Export) -> None:
 
 
 def whole_or_nothing(export: Export) -> None:
-    """When the disk is full, the error names the file, and the file that was there stays.
+    """When the disk is full, the error names the file, and an existing file is kept.
 
     The full disk is a limit on the size of files, which Windows does not have; there the check
     does nothing.
@@ -144,7 +152,7 @@ WRITER_CHECKS: tuple[Callable[[Export], None], ...] = (
 
 @cache
 def example_results() -> tuple[Result, ...]:
-    """Return results to write, as many runs give them.
+    """Return results to write, like those of many runs.
 
     One has rational functions and geographic coordinates, one a plane polynomial and plane
     coordinates. Both select terms for 60 points that were computed, not measured.
@@ -170,7 +178,7 @@ def example_results() -> tuple[Result, ...]:
 
 
 def writer_checks(
-    writer: Writer,
+    writer: type[Writer] | Writer,
     *,
     filename: str,
     results: Iterable[Result] | None = None,
@@ -181,14 +189,15 @@ def writer_checks(
 
     Parameters
     ----------
-    writer : Writer
+    writer : type or Writer
+        The class; or an object, with the options to check it with.
     filename : str
-        A name as such files have.
+        A typical name of such files.
     results : iterable of Result, optional
-        What it is to write; those of `example_results` by default.
+        Results to write; by default those of `example_results`.
     verify : callable, optional
         Takes a result and the path it was written to; reads the file back and raises
-        AssertionError where it does not say what the result does.
+        AssertionError if it does not agree with the result.
     expected_failures : mapping, optional
         Checks it is known to fail, by name, with the reason.
 
@@ -201,17 +210,18 @@ def writer_checks(
     TermselError
         For an expected failure of a check that does not exist.
     """
+    made = instance(writer)
     given = None if results is None else tuple(results)
 
     def export() -> Export:
-        return Export(writer, example_results() if given is None else given, filename, verify)
+        return Export(made, example_results() if given is None else given, filename, verify)
 
-    name = str(getattr(writer, "name", type(writer).__name__))
+    name = str(getattr(made, "name", type(made).__name__))
     return assemble(WRITER_CHECKS, [Case(name, export)], expected_failures)
 
 
 def check_writer(
-    writer: Writer,
+    writer: type[Writer] | Writer,
     *,
     filename: str,
     results: Iterable[Result] | None = None,
@@ -256,14 +266,14 @@ def _require_old(path: Path, what: str) -> None:
 
 
 def _require_tidy(path: Path) -> None:
-    """Require no other files beside the one written, but those that share its stem."""
+    """Require no other files next to the one written, except those with the same stem."""
     left = [p.name for p in path.parent.iterdir() if not p.name.startswith(path.stem)]
     require(not left, f"temporary files are left behind: {', '.join(left)}")
 
 
 @contextmanager
 def _file_size_limited(size: int) -> Iterator[None]:
-    """Let no file of this process grow beyond a size [byte] meanwhile."""
+    """Limit the size of files of this process [byte] meanwhile."""
     import resource
 
     limits = resource.getrlimit(resource.RLIMIT_FSIZE)

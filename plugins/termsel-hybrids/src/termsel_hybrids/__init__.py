@@ -30,8 +30,8 @@ def termsel_models() -> Iterable[type[SensorModel]]:
 
 @hookimpl
 def termsel_problems() -> Iterable[Recipe]:
-    """Return the paper's hybrid model 2, which is no model but a search."""
-    return [Recipe("hybrid-2", "Hybrid model 2: which terms of a plane polynomial to use, by GA.",
+    """Return the paper's hybrid model 2, which is a search rather than a model."""
+    return [Recipe("hybrid-2", "Hybrid model 2: terms of a plane polynomial selected by a GA.",
                    _terms_of_each_axis, model="poly2d", dataset="ikonos-hamedan",
                    source="Valadan Zoej et al. 2002, section 3.2")]
 

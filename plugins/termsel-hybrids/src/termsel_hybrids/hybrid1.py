@@ -24,10 +24,10 @@ class Hybrid1(Polynomial2D):
         x' = (a3 + a0 x + a1 y + a2 xy) / (1 + c0 x + c1 y + c2 xy),
 
     y' with b: 11 unknowns, solved as `dlt2d` is, from points and lines. Unknowns that the
-    control leaves open stay those of x' = x, y' = y. They are no terms: only the terms of the
-    polynomial can be selected, and what counts is the prediction after the second step. There
-    is none where the denominator of the second step is 0.1 or less, and none at all where it
-    is that anywhere in the rectangle around the control in the image.
+    control does not determine stay those of x' = x, y' = y. They are not terms: only the terms of
+    the polynomial can be selected, but the prediction after the second step counts. There is no
+    prediction where the denominator of the second step is 0.1 or less, and none at all if that
+    happens anywhere in the rectangle around the control in the image.
 
     References
     ----------
@@ -36,7 +36,7 @@ class Hybrid1(Polynomial2D):
 
     name = "hybrid-1"
     declared_options = (
-        Option("degree", 3, "Total degree of the polynomial; 3 gives 10 terms an axis.",
+        Option("degree", 3, "Total degree of the polynomial; 3 gives 10 terms per axis.",
                int, 1, 8),)
 
     def predict(self, coefficients: FloatArray, control: FeatureSet,
@@ -67,8 +67,8 @@ class Hybrid1(Polynomial2D):
 def _fitted(computed: FloatArray, control: FeatureSet) -> FloatArray:
     """Return the coefficients of the second step, shape (..., 11).
 
-    Every row says that a vertex lies on an image line n x' = rho; a measured point is two such
-    lines, one along each axis.
+    Every row states that a vertex lies on an image line n x' = rho; a measured point is two
+    such lines, one along each axis.
 
     Parameters
     ----------
@@ -101,10 +101,10 @@ def _mapped(second: FloatArray, image: FloatArray) -> FloatArray:
 
 
 def _has_pole(second: FloatArray, control: FeatureSet) -> BoolArray:
-    """Return whether denominators get too small around the control, shape (...)."""
+    """Return whether denominators are too small around the control, shape (...)."""
     image = control.image_vertices()
     (top, left), (bottom, right) = image.min(axis=0), image.max(axis=0)
-    # A bilinear function has its least value over a rectangle in one of the corners.
+    # A bilinear function has its least value over a rectangle in a corner.
     corners = np.array([(line, sample) for line in (top, bottom) for sample in (left, right)])
     below = _denominators(second, _columns(corners))
     return np.asarray((below <= _LEAST_DENOMINATOR).any(axis=-1))

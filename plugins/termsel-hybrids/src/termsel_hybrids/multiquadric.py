@@ -15,13 +15,13 @@ FloatArray = NDArray[np.float64]
 class Multiquadric(Polynomial2D):
     """Plane polynomial with multiquadric interpolation of its control residuals.
 
-    With F the planimetric distances between the control points, zero on its diagonal, and v
-    the residuals the polynomial leaves in line or sample, F a = v is solved for a, and a point
-    at the distances f from the control points is corrected by f a. Control points are thus
-    met exactly, so that their RMSE is 0 whatever the model is worth elsewhere.
+    F are the planimetric distances between the control points, zero on its diagonal, and v the
+    residuals of the polynomial in line or sample. F a = v is solved for a, and a point at the
+    distances f from the control points is corrected by f a. The model thus fits control points
+    exactly: their RMSE is 0 whatever its errors elsewhere.
 
-    Distances are taken in termsel's scaled ground coordinates, where the control extends over
-    [-1, 1] along X and along Y; degrees of longitude and latitude need no care, but in a
+    Distances are those in termsel's scaled ground coordinates, where the control extends over
+    [-1, 1] along X and along Y; this also works for longitude and latitude in degrees, but in a
     narrow strip the distances are not those on the ground.
 
     References
@@ -31,12 +31,13 @@ class Multiquadric(Polynomial2D):
 
     name = "multiquadric"
     declared_options = (
-        Option("degree", 2, "Total degree of the polynomial; 2 gives 6 terms an axis.", int, 1, 8),)
+        Option("degree", 2, "Total degree of the polynomial; 2 gives 6 terms per "
+                            "axis.", int, 1, 8),)
 
     def residual_weights(self, control: FloatArray, ground: FloatArray) -> FloatArray:
         """Return W = f inv(F) (see `SensorModel.residual_weights`).
 
-        Where control points share their X and Y, the mean of their residuals is interpolated; a
+        If control points have the same X and Y, the mean of their residuals is interpolated; a
         single control point corrects nothing.
         """
         places = np.ascontiguousarray(control[:, :2])
@@ -46,11 +47,10 @@ class Multiquadric(Polynomial2D):
 class Hybrid3(Multiquadric):
     """Selected terms of a plane polynomial, with multiquadric interpolation of the residuals.
 
-    The equations are those of `multiquadric`; on offer are the terms of a higher degree, for a
-    search to select from. What counts in that search is the prediction with the interpolated
-    residuals: W is the same for all selections, and the correction is linear in the residuals.
-    (The paper selects by the polynomial alone and interpolates afterwards: `hybrid-2`, and then
-    its terms under this model.)
+    The equations are those of `multiquadric`; a search selects from the terms of a higher degree,
+    judged by the prediction with the interpolated residuals: W is the same for all selections,
+    and the correction is linear in the residuals. (The paper selects by the polynomial alone and
+    interpolates afterwards: `hybrid-2`, and then its terms under this model.)
 
     References
     ----------
@@ -59,15 +59,15 @@ class Hybrid3(Multiquadric):
 
     name = "hybrid-3"
     declared_options = (
-        Option("degree", 4, "Total degree of the polynomial on offer; 4 gives 15 terms an axis.",
+        Option("degree", 4, "Total degree of the available polynomial; 4 gives 15 terms per axis.",
                int, 1, 8),)
 
 
 @lru_cache(maxsize=8)
 def _inverse(places: bytes) -> FloatArray:
-    """Return inv(F) of control points; a search asks for the same one again and again."""
+    """Return inv(F) of control points; a search needs the same one many times."""
     control = np.frombuffer(places).reshape(-1, 2)
-    # F has full rank for points apart from one another; only shared places lower it.
+    # F has full rank for distinct points; only repeated positions lower it.
     return np.asarray(np.linalg.pinv(_distances(control, control), rcond=1e-12, hermitian=True))
 
 

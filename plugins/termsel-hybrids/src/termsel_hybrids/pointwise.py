@@ -1,4 +1,4 @@
-"""The pointwise transformation: a polynomial of its own for every point."""
+"""The pointwise transformation: a separate polynomial for every point."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from termsel import Option, Polynomial2D
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
-_AT_ONCE = 1e-4  # of the reach: keeps the weight of a control point at the place itself finite
+_AT_ONCE = 1e-4  # of the reach: keeps the weight at a control point finite
 
 WEIGHTS = {
     "uniform": lambda u: np.ones_like(u),
@@ -18,20 +18,20 @@ WEIGHTS = {
     "inverse-square": lambda u: 1 / (u + _AT_ONCE)**2,
     "gaussian": lambda u: np.exp(-4 * u**2),
 }
-"""Weights of control points by their distance, as a share of that of the farthest neighbour."""
+"""Weights of control points by their distance, relative to that of the farthest neighbour."""
 
 
 class Pointwise(Polynomial2D):
     """Plane polynomial, corrected at each point by a polynomial of the residuals around it.
 
-    A global polynomial is fitted to all control. Each point then has a transformation of its
-    own: a local polynomial of the offsets in X and Y, fitted by weighted least squares to the
-    residuals of the control points around it. That is linear in the residuals. A local
+    A global polynomial is fitted to all control. Each point then has its own transformation: a
+    local polynomial of the offsets in X and Y, fitted by weighted least squares to the residuals
+    of the control points around it. That is linear in the residuals. A local
     polynomial absorbs any global one of its own or a lower degree, so that with `degree=1` and
-    `local_degree=1` image coordinates might as well be fitted directly.
+    `local_degree=1` a direct fit of the image coordinates gives the same.
 
     The paper leaves neighbourhood, weights and degrees open; the defaults are termsel's own.
-    Where there are fewer neighbours than terms, the local degree is lowered. Distances are in
+    If there are fewer neighbours than terms, the local degree is lowered. Distances are in
     termsel's scaled ground coordinates, as in `multiquadric`.
 
     References
@@ -41,19 +41,21 @@ class Pointwise(Polynomial2D):
 
     name = "pointwise"
     declared_options = (
-        Option("degree", 2, "Total degree of the global polynomial; 2 gives 6 terms an axis.",
+        Option("degree", 2, "Total degree of the global polynomial; 2 gives 6 terms per axis.",
                int, 1, 8),
         Option("local_degree", 1, "Total degree of the local polynomials; 0 is a weighted mean.",
                int, 0, 3),
         Option("neighbours", "nearest", "Control points around a point: the nearest, or the "
                "nearest in each of the four quadrants.", choices=("nearest", "quadrants")),
-        Option("count", None, "How many, in all or in each quadrant; 8 or 2 by default.", int, 1),
-        Option("weight", "inverse-square", "Weight by the distance, as a share of the farthest "
-               "neighbour's; those by inverse distance meet the control points.",
+        Option("count", None, "Number of neighbours, in all or in each quadrant; by default 8 or "
+                              "2.", int, 1),
+        Option("weight", "inverse-square", "Weight by the distance, relative to that of the "
+                                           "farthest neighbour; with inverse distance the model "
+                                           "fits control points exactly.",
                choices=tuple(WEIGHTS)))
 
     def residual_weights(self, control: FloatArray, ground: FloatArray) -> FloatArray:
-        """Return what each residual adds to the local constant (see `SensorModel`)."""
+        """Return the weight of each residual in the local constant (see `SensorModel`)."""
         offset = control[None, :, :2] - ground[:, None, :2]
         distance = np.linalg.norm(offset, axis=2)
         near = self._neighbours(offset, distance)
@@ -65,7 +67,7 @@ class Pointwise(Polynomial2D):
             np.linalg.pinv(root[..., None] * columns, rcond=1e-8)[:, 0] * root)
 
     def _neighbours(self, offset: FloatArray, distance: FloatArray) -> BoolArray:
-        """Return which control points each place sees, shape (m, n)."""
+        """Return the control points used at each place, shape (m, n)."""
         if self.options["neighbours"] == "nearest":
             return _nearest(distance, self.options["count"] or 8)
         quadrant = 2 * (offset[..., 0] < 0) + (offset[..., 1] < 0)

@@ -1,4 +1,4 @@
-"""Refinement of a vendor's RPC or rigorous model by chosen control points, as a plugin of termsel.
+"""Refinement of a vendor's RPC or rigorous model by selected control points, as a plugin.
 
 References
 ----------
@@ -30,14 +30,14 @@ def termsel_models() -> Iterable[type[SensorModel]]:
 
 
 @hookimpl
-def termsel_criteria() -> Iterable[Criterion]:
+def termsel_criteria() -> Iterable[type[Criterion]]:
     """Return the circular error."""
-    return [Ce90()]
+    return [Ce90]
 
 
 @hookimpl
 def termsel_problems() -> Iterable[Recipe]:
-    """Return the choice of m of n control points."""
+    """Return the selection of m of n control points."""
     return [RECIPE]
 
 
@@ -45,6 +45,7 @@ def termsel_problems() -> Iterable[Recipe]:
 def termsel_datasets() -> Iterable[DatasetSpec]:
     """Return candidates of mixed quality."""
     return [DatasetSpec(
-        CANDIDATES, "simulated IKONOS scene of Hamedan, 1 m: 240 points, of the 160 for control "
-        "and check 40 inexact and 24 wrong (after Konugurthi et al. 2016)", candidates,
+        CANDIDATES, "simulated IKONOS scene of Hamedan, 1 m: 240 points; of 160 for control and "
+                    "check 40 are inexact and 24 blunders (after Konugurthi et al. "
+                    "2016)", candidates,
         simulated=True)]

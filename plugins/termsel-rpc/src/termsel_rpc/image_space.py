@@ -10,13 +10,13 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from termsel import Option, Rpc, TermselError, read_rpc
+from termsel import Option, Rpc, Term, TermselError, read_rpc
 from termsel_rpc.refinement import FloatArray, Refinement
 from termsel_rpc.simulated import CANDIDATES, RPC_FILE
 
-RPC = Option("rpc", "", "The RPC to refine: a file in any form that termsel reads, or "
-             f"{CANDIDATES} for that of the embedded data set; to be given. A result holds the "
-             "RPC itself.")
+RPC = Option("rpc", "", "Required: the RPC to refine, as a file in any form that termsel reads, or "
+                        f"{CANDIDATES} for that of the embedded data set. A result contains the "
+                        "RPC itself.")
 
 _AXES = ("line", "sample")
 
@@ -24,16 +24,16 @@ _AXES = ("line", "sample")
 class RpcShift(Refinement):
     """Vendor's RPC, shifted in the image: 2 terms.
 
-    With (l, s) where the RPC sees a ground point, image = (l + a0, s + b0). Every refinement of
+    With (l, s) the RPC position of a ground point, image = (l + a0, s + b0). Every refinement of
     an RPC adds a polynomial of that position to it, so that the terms enter linearly:
 
         rpc-shift     1            2 terms
         rpc-drift     1, l         4 terms
         rpc-affine    1, l, s      6 terms
 
-    for line and for sample each. Terms are called line.bias:1, sample.bias:line and so on. As
-    all coefficients they are in scaled units: constants times the image scale are pixels, at the
-    middle of the control; the others are pixels for a pixel.
+    for line and for sample each. Terms are called line.bias:1, sample.bias:line and so on. Like
+    all coefficients they are in scaled units: constants times the image scale are in px, at the
+    middle of the control; the others are in px per px.
 
     References
     ----------
@@ -43,8 +43,8 @@ class RpcShift(Refinement):
     insights into bias-compensated RPCs. ISPRS Archives XXXV-B1: shift, shift and drift, and
     affine as the sets to choose from. They correct measured positions; here those of the RPC
     are corrected, so that points can be projected. The papers' equations could not be
-    consulted in full. That both axes drift by the line, along which time runs, is how termsel
-    takes them; Orthority has each axis drift by its own coordinate. `rpc-affine` holds both.
+    consulted in full. In termsel both axes drift with the line, along which time runs; in
+    Orthority each axis drifts with its own coordinate. `rpc-affine` contains both.
     """
 
     name = "rpc-shift"
@@ -61,7 +61,7 @@ class RpcShift(Refinement):
             self._rpc, self._file = _from_record(given)
         elif given:
             self._rpc, self._file = read_rpc(given), Path(given).name
-            # A result must be readable where the vendor's file is not.
+            # A result must be readable without the vendor's file.
             self.options["rpc"] = json.dumps({"file": self._file, **asdict(self._rpc)})
 
     @property
@@ -74,15 +74,15 @@ class RpcShift(Refinement):
             If none was given.
         """
         if self._rpc is None:
-            raise TermselError(f"model {self.name!r} needs the RPC that it is to refine",
-                               hint=f"Give its file: --set rpc=FILE. --set rpc={CANDIDATES} is "
+            raise TermselError(f"model {self.name!r} requires the RPC to refine",
+                               hint=f"Give its file with --set rpc=FILE. --set rpc={CANDIDATES} is "
                                     "that of the embedded data set.")
         return self._rpc
 
     @property
     def terms(self) -> tuple[str, ...]:
         """Names of the terms: image axis and column, such as "line.bias:sample"."""
-        return tuple(f"{axis}.bias:{column}" for axis in _AXES for column in self.columns)
+        return tuple(_name(axis, column) for axis in _AXES for column in self.columns)
 
     @property
     def axis(self) -> NDArray[np.intp]:
@@ -100,9 +100,9 @@ class RpcShift(Refinement):
         return np.stack([middle - half, middle + half])
 
     def first_order(self, ground: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return where the RPC sees ground points, and the polynomial's columns there."""
+        """Return the RPC positions of ground points, and the polynomial's columns there."""
         places = self.geographic(ground)
-        assert self.scaling is not None  # geographic asks for it
+        assert self.scaling is not None  # required by geographic
         image = self.scaling.image(self.rpc.project(places))
         values = {"1": np.ones(len(image)), "line": image[:, 0], "sample": image[:, 1]}
         columns = np.stack([values[name] for name in self.columns], axis=1)
@@ -115,21 +115,21 @@ class RpcShift(Refinement):
         return np.asarray(image + np.einsum("nak,...k->...na", columns, coefficients))
 
     def as_rpc(self, coefficients: FloatArray) -> Rpc | None:
-        """Return the refined RPC, or None where it is none exactly.
+        """Return the refined RPC, or None if it is not exactly an RPC.
 
-        Offsets and scales take up a shift and what an axis does to itself. What the other axis
-        adds can only be taken up if both have the same denominator.
+        Offsets and scales absorb a shift and the effect of an axis on itself. The effect of the
+        other axis can be absorbed only if both have the same denominator.
         """
         assert self.scaling is not None
         values = dict(zip(self.terms, coefficients.tolist(), strict=True))
-        constant = np.array([values[f"{axis}.bias:1"] for axis in _AXES])
-        linear = np.eye(2) + [[values.get(f"{axis}.bias:{column}", 0.0) for column in _AXES]
+        constant = np.array([values[_name(axis, "1")] for axis in _AXES])
+        linear = np.eye(2) + [[values.get(_name(axis, column), 0.0) for column in _AXES]
                               for axis in _AXES]
         rpc, middle = self.rpc, np.array(self.scaling.image_offset)
         offset = (middle + self.scaling.image_scale * constant
                   + linear @ (np.array(rpc.image_offset) - middle))
         refined = replace(rpc, image_offset=tuple(offset), error_bias=None)
-        scale = linear * rpc.image_scale  # pixels for the quotients of line and sample
+        scale = linear * rpc.image_scale  # px per unit of the quotients of line and sample
         if not (linear * (1 - np.eye(2))).any():
             return replace(refined, image_scale=tuple(np.diag(scale)))
         if rpc.line_denominator != rpc.sample_denominator:
@@ -137,6 +137,10 @@ class RpcShift(Refinement):
         above = np.array([rpc.line_numerator, rpc.sample_numerator])
         line, sample = scale / np.array(rpc.image_scale)[:, None] @ above
         return replace(refined, line_numerator=tuple(line), sample_numerator=tuple(sample))
+
+
+def _name(axis: str, column: str) -> str:
+    return str(Term(axis, "bias", column))
 
 
 def _from_record(text: str) -> tuple[Rpc, str]:
@@ -148,14 +152,14 @@ def _from_record(text: str) -> tuple[Rpc, str]:
         return Rpc(**values), file
     except (KeyError, TypeError, ValueError) as error:
         raise TermselError(f"option 'rpc' is not the RPC of a result: {error}",
-                           hint="Give the file of an RPC: --set rpc=FILE.") from error
+                           hint="Give the file of an RPC with --set rpc=FILE.") from error
 
 
 class RpcDrift(RpcShift):
     """Vendor's RPC with a shift and a drift along the lines: 4 terms.
 
-    With (l, s) where the RPC sees a ground point, image = (l + a0 + a1 l, s + b0 + b1 l): lines
-    are imaged one after the other, so that a drift of attitude over time acts by the line.
+    With (l, s) the RPC position of a ground point, image = (l + a0 + a1 l, s + b0 + b1 l): lines
+    are imaged one after the other, so that a drift of attitude over time acts along the lines.
 
     References
     ----------
@@ -169,7 +173,7 @@ class RpcDrift(RpcShift):
 class RpcAffine(RpcShift):
     """Vendor's RPC with an affine correction in the image: 6 terms.
 
-    With (l, s) where the RPC sees a ground point, image = (l + a0 + a1 l + a2 s, s + b0 + b1 l +
+    With (l, s) the RPC position of a ground point, image = (l + a0 + a1 l + a2 s, s + b0 + b1 l +
     b2 s).
 
     References

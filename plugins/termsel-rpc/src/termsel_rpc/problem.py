@@ -1,4 +1,4 @@
-"""The choice of m of n control points for a refinement."""
+"""The selection of m of n control points for a refinement."""
 
 from __future__ import annotations
 
@@ -21,24 +21,24 @@ from termsel_rpc.refinement import FloatArray
 from termsel_rpc.simulated import CANDIDATES
 
 JUDGED_BY = Option(
-    "judged_by", "all", "Points the criterion looks at: all control candidates together with the "
-    "check points, as in Konugurthi et al. 2016; or the check points alone.",
+    "judged_by", "all", "Points of the criterion: all control candidates and check points, as in "
+                        "Konugurthi et al. 2016, or only the check points.",
     choices=("all", "check"))
 
 
 class Ce90(Criterion):
-    """Circular error of nine in ten check points [pixel]: the 90 % quantile of the distances.
+    """Circular error of nine in ten check points [px]: the 90 % quantile of the distances.
 
-    Up to a tenth of the points may be wrong without effect; where they are more, `median` is the
-    criterion to take. The quantile is interpolated
-    linearly between the distances; no distribution is assumed.
+    Blunders in up to a tenth of the points have no effect; with more blunders use the criterion
+    `median`. The quantile is interpolated linearly between the distances; no distribution is
+    assumed.
     """
 
     name = "ce90"
     is_rmse = False
 
     def score(self, fits: Fits) -> FloatArray:
-        """Return the quantile [pixel]."""
+        """Return the quantile [px]."""
         with np.errstate(over="ignore", invalid="ignore"):
             distance = np.linalg.norm(fits.check_errors, axis=2)
             return np.asarray(np.quantile(distance, 0.9, axis=1))
@@ -54,7 +54,8 @@ def _gcps(inputs: Inputs) -> Problem:
 
 
 RECIPE = Recipe(
-    "rpc-gcps", "Which m of n control points to refine a vendor's RPC or a rigorous model with.",
+    "rpc-gcps", "Selection of m of n control points for the refinement of a vendor's RPC or a "
+                "rigorous model.",
     _gcps, model="rpc-drift", model_options={"rpc": CANDIDATES}, dataset=CANDIDATES,
     criterion="check-rmse", solver="ga-steady", second="uncovered",
     options=(JUDGED_BY, *feature_options(min_features=6, max_features=6, max_uncovered=0.5)),

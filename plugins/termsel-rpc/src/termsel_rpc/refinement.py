@@ -1,4 +1,4 @@
-"""What refinements have in common: a known geometry, and terms that correct it."""
+"""Base of refinements: a known geometry, and terms that correct it."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ _KEPT = 8
 
 
 class Refinement(SensorModel):
-    """A known geometry with terms that correct it, in first order at least.
+    """A known geometry with terms that correct it, at least to first order.
 
-    The terms are 0 where the geometry is right.
+    The terms are 0 if the geometry is correct.
     """
 
     def __init__(self, **options: Any) -> None:
@@ -29,7 +29,7 @@ class Refinement(SensorModel):
     @property
     @abstractmethod
     def source(self) -> str:
-        """What the geometry is and where it comes from, in words."""
+        """Kind and source of the geometry, in words."""
 
     @abstractmethod
     def footprint(self) -> FloatArray:
@@ -37,7 +37,7 @@ class Refinement(SensorModel):
 
     @abstractmethod
     def first_order(self, ground: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return image positions and what the terms add to them for a coefficient of 1.
+        """Return image positions and the effect of each term with the coefficient 1.
 
         Parameters
         ----------
@@ -52,12 +52,12 @@ class Refinement(SensorModel):
         """
 
     def prepared(self, scaling: Scaling, crs: str) -> Self:
-        """Return the model for features there, which must be where the image is.
+        """Return the model for features, which must be in the area of the image.
 
         Raises
         ------
         TermselError
-            If they are not, or their coordinates cannot be turned into WGS84.
+            If they are not, or their coordinates cannot be transformed to WGS84.
         """
         ready = super().prepared(scaling, crs)
         if ready is not self:
@@ -69,18 +69,18 @@ class Refinement(SensorModel):
         corners = np.array(list(product((-1.0, 1.0), repeat=3)))
         places = self.geographic(corners)[:, :2]
         low, high = self.footprint()
-        # Longitudes go round.
+        # Longitudes are periodic.
         places[:, 0] += 360 * np.round(((low + high)[0] / 2 - places[:, 0].mean()) / 360)
         margin = (high - low) / 2
         least, greatest = places.min(axis=0), places.max(axis=0)
         if ((greatest < low - margin) | (least > high + margin)).any():
             raise TermselError(
-                f"{self.source} sees the ground of {_range(low, high)}, and the control "
-                f"lies in {_range(least, greatest)}",
-                hint="Give that of this image; x must be longitude or easting.")
+                f"{self.source} covers {_range(low, high)}, but the control is in "
+                f"{_range(least, greatest)}",
+                hint="Give the geometry of this image; x must be longitude or easting.")
 
     def known(self, ground: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return `first_order`; a search asks for the same places again and again."""
+        """Return `first_order`; a search needs the same places many times."""
         key = ground.tobytes()
         if key not in self._known:
             if len(self._known) >= _KEPT:

@@ -26,7 +26,7 @@ EMBEDDED = (CANDIDATES, *SCENES)
 
 POSITION, ATTITUDE = ("ahead", "starboard", "down"), ("roll", "pitch", "yaw")
 
-_STEP = 1e-3  # of the scaled image unit: some pixels
+_STEP = 1e-3  # of the scaled image unit: some px
 
 
 class PushbroomRefine(Refinement):
@@ -34,14 +34,13 @@ class PushbroomRefine(Refinement):
 
     Biases are constant over the scene: of roll, pitch and yaw, and of the position ahead, to
     starboard and down. Equations are linear about the nominal geometry, by central
-    differences; a fit goes on from there to the least squares of distances, and image
-    positions are always those of the rigorous model. From orbit a bias of position looks almost
-    like one of attitude, so that few points hardly tell them apart; by default there are those
-    of attitude alone.
+    differences; a fit then minimises the squares of the distances, and image positions are always
+    those of the rigorous model. From orbit a bias of position is almost like one of attitude, so
+    that few points cannot separate them; by default there are only those of attitude.
 
-    As all coefficients, those of the terms are in scaled units: times the image scale, they are
-    detectors by which roll, pitch or position move the image, with the distance of the ground
-    taken as the altitude; yaw is in radians.
+    Like all coefficients, those of the terms are in scaled units: times the image scale, roll,
+    pitch and position are the movement of the image in detectors, with the altitude as the
+    distance of the ground; yaw is in radians.
 
     Notes
     -----
@@ -52,10 +51,10 @@ class PushbroomRefine(Refinement):
 
     name = "pushbroom-refine"
     declared_options = (
-        Option("geometry", "", "The nominal geometry: a JSON file as "
-               "termsel.simulate.write_geometry makes it, or the name of an embedded data set; "
-               "to be given. A result holds the geometry itself."),
-        Option("biases", "attitude", "Whose biases are terms.",
+        Option("geometry", "", "Required: the nominal geometry, as a JSON file from "
+                               "termsel.simulate.write_geometry or the name of an embedded data "
+                               "set. A result contains the geometry itself."),
+        Option("biases", "attitude", "Quantities whose biases are terms.",
                choices=("attitude", "position", "both")))
 
     def __init__(self, **options: Any) -> None:
@@ -68,7 +67,7 @@ class PushbroomRefine(Refinement):
             self._sensor, self._file = geometry_from(given), "of the result"
         elif given:
             self._sensor, self._file = read_geometry(given), Path(given).name
-            # A result must be readable where the file is not.
+            # A result must be readable without the file.
             self.options["geometry"] = geometry_text(self._sensor)
 
     @property
@@ -81,8 +80,8 @@ class PushbroomRefine(Refinement):
             If none was given.
         """
         if self._sensor is None:
-            raise TermselError(f"model {self.name!r} needs the geometry that it is to refine",
-                               hint="Give it: --set geometry=FILE, or the name of an embedded "
+            raise TermselError(f"model {self.name!r} requires the geometry to refine",
+                               hint="Give it with --set geometry=FILE, or the name of an embedded "
                                     f"data set: {', '.join(EMBEDDED)}.")
         return self._sensor
 
@@ -119,7 +118,7 @@ class PushbroomRefine(Refinement):
     def project(self, coefficients: FloatArray, ground: FloatArray) -> FloatArray:
         """Return image positions, shape (..., n, 2), by the rigorous model with these biases."""
         places = self.geographic(ground)
-        assert self.scaling is not None  # geographic asks for it
+        assert self.scaling is not None  # required by geographic
         sets = coefficients.reshape(-1, len(self.terms))
         if not len(places):
             return np.zeros((*coefficients.shape[:-1], 0, 2))
@@ -135,7 +134,7 @@ class PushbroomRefine(Refinement):
         return np.asarray(np.moveaxis(ahead - back, 0, -1) / (2 * _STEP))
 
     def _biased(self, coefficients: FloatArray) -> Pushbroom:
-        """Return the scanner with biases of its own for each point, shape (n, k)."""
+        """Return the scanner with separate biases for each point, shape (n, k)."""
         assert self.scaling is not None
         sensor, angle = self.sensor, self.scaling.image_scale * self.sensor.ifov
         bias = dict.fromkeys((*ATTITUDE, *POSITION), np.zeros(len(coefficients)))
@@ -150,7 +149,7 @@ class PushbroomRefine(Refinement):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class _Turned(Angle):
-    """An attitude angle with a bias of its own for each point."""
+    """An attitude angle with a separate bias for each point."""
 
     nominal: Angle
     bias: FloatArray

@@ -1,4 +1,4 @@
-"""The embedded data set: candidates for control of mixed quality, and what a vendor delivers."""
+"""The embedded data set: control candidates of mixed quality, and a vendor's geometry."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ CANDIDATES = "hamedan-candidates"
 SCENE = "ikonos-hamedan"
 
 RPC_FILE = Path(__file__).with_name("hamedan_vendor.RPB")
-"""RPC that `nominal_sensor` was replaced by, as vendors do (`make_vendor_rpc.py`)."""
+"""RPC that replaces `nominal_sensor`, as vendors do (`make_vendor_rpc.py`)."""
 
 ROLL, PITCH, YAW, ROLL_DRIFT = 9.0, -6.0, 0.4, 1.5
-"""What is wrong with the nominal attitude, as movement in the image [pixel]: everywhere by roll and
-pitch, of the ends of the array by yaw, at the end of the scene by the drift of roll."""
+"""Errors of the nominal attitude, as movement in the image [px]: everywhere by roll and pitch,
+of the ends of the array by yaw, at the end of the scene by the drift of roll."""
 
 _POINTS, _SEED = 240, 0
 _INEXACT, _WRONG = 0.25, 0.15
@@ -27,7 +27,7 @@ _NEAREST, _FARTHEST = 5.0, 40.0
 
 
 def nominal_sensor() -> Pushbroom:
-    """Return the scanner as its vendor knows it: with a wrong attitude, and without jitter."""
+    """Return the scanner as its vendor knows it: with attitude errors, and without jitter."""
     true = scene_truth(SCENE).sensor
     end = true.centre[0] * true.line_period
     roll = -ROLL * true.ifov, -ROLL_DRIFT * true.ifov / end
@@ -43,12 +43,12 @@ def _changed(angle: Angle, by: tuple[float, ...]) -> Angle:
 
 
 def candidates() -> FeatureSet:
-    """Return points such as image matching gives: most good, some inexact, some wrong.
+    """Return points like those of image matching: most good, some inexact, some blunders.
 
     80 control, 80 check and 80 independent points of the simulated scene "ikonos-hamedan". Of
-    control and check points 60 % are measured to 0.5 pixel in line and in sample, 25 % to 2
-    pixels, and 15 % are mismatched: 5 to 40 pixels from where they belong. Independent points
-    are all good.
+    control and check points 60 % are measured to 0.5 px in line and in sample, 25 % to 2
+    px, and 15 % are mismatched: 5 to 40 px from their true positions. Independent points are
+    all good.
 
     Returns
     -------
@@ -67,7 +67,7 @@ def candidates() -> FeatureSet:
 
 
 def quality() -> np.ndarray[tuple[int], np.dtype[np.str_]]:
-    """Return for each of the points of `candidates` whether it is good, inexact or wrong."""
+    """Return for each point of `candidates` whether it is good, inexact or a blunder."""
     scene = simulate_scene(SCENE, n_points=_POINTS, n_lines=0, noise=0.0)
     kind = np.full(_POINTS, "good", dtype="<U7")
     rng = np.random.default_rng([_SEED, 1])

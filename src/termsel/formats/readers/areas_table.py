@@ -31,8 +31,8 @@ class AreasCsv(Reader):
     summary = "areas as a table of corners headed id,corner,line,sample,x,y,z"
     areas = True
     declared_options = (COLUMNS, Option(
-        "areas_as", "boundary", "What areas become: the edges of each as lines that are pieces "
-        "of one feature, or its centroid as a point.", choices=FORMS))
+        "areas_as", "boundary", "How areas are used: their edges as lines, all those of an area "
+                                "one feature; or their centroids as points.", choices=FORMS))
 
     def sniff(self, path: Path, head: bytes) -> bool:
         """Return True if a header names at least three columns of points, and corners."""
@@ -54,7 +54,7 @@ class AreasCsv(Reader):
                 if roles[row] not in ("", role):
                     raise table.error(f"area {name!r} has the roles {role!r} and {roles[row]!r}",
                                       row, "role" if "role" in table.names else "enabled",
-                                      "Give it one.")
+                                      "Give it one role.")
             try:
                 areas.append(Area(name, image[own], ground[own], role))
             except CornerError as error:
@@ -79,7 +79,7 @@ def _rows_of_areas(table: Table) -> dict[str, list[int]]:
         own.sort(key=lambda row: float(number[row]))
         for one, other in pairwise(own):
             if number[one] == number[other]:
-                raise table.error(f"corner {number[one]:g} of area {name!r} stands on line "
-                                  f"{table.lines[one]} already", other, "corner",
-                                  "Number the corners in their order around the area.")
+                raise table.error(f"corner {number[one]:g} of area {name!r} is also on line "
+                                  f"{table.lines[one]}", other, "corner",
+                                  "Number the corners in order around the area.")
     return rows

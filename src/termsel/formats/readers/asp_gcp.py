@@ -1,9 +1,9 @@
 """Ground control points of the Ames Stereo Pipeline: text files that end in ``.gcp``.
 
-From its manual, section "Ground control points" of `bundle_adjust`: one row a point, cells between
-spaces or commas: id, latitude, longitude, height above a datum that is stated elsewhere, their
-three standard deviations [m]; then for each image its name, column and row counted from 0, and
-their standard deviations [pixel].
+From its manual, section "Ground control points" of `bundle_adjust`: one row per point, cells
+separated by spaces or commas: id, latitude, longitude, height above a datum that is stated
+elsewhere, their three standard deviations [m]; then for each image its name, column and row
+counted from 0, and their standard deviations [px].
 """
 
 from __future__ import annotations
@@ -27,13 +27,13 @@ class AspGcp(Reader):
     """Points of the Ames Stereo Pipeline, latitude before longitude.
 
     The datum of the heights is not in the file, so the CRS must be stated: ``--crs EPSG:4979``
-    for WGS84. Centres of pixels are taken to have whole numbers.
+    for WGS84. Pixel centres are taken to have whole numbers.
     """
 
     name = "asp-gcp"
     summary = "Ames Stereo Pipeline .gcp: id lat lon height 3 sigmas, image col row 2 sigmas"
     declared_options = (
-        Option("image_name", None, "Name of the image, in files of several images."),
+        Option("image_name", None, "Name of the image, for files with several images."),
     )
 
     def sniff(self, path: Path, head: bytes) -> bool:
@@ -56,7 +56,7 @@ class AspGcp(Reader):
             if not _fits(cells):
                 raise TermselError(
                     f"the row has {len(cells)} cells, expected 7 and 5 for each image", file=path,
-                    line=number, hint=f"They are {' '.join(_GROUND)}, and {' '.join(_IMAGE)}.")
+                    line=number, hint=f"Expected: {' '.join(_GROUND)}, then {' '.join(_IMAGE)}.")
             images = {cells[i]: cells[i + 1:i + 5] for i in range(7, len(cells), 5)}
             others |= images.keys()
             name = self.options["image_name"] or next(iter(images))
@@ -64,11 +64,11 @@ class AspGcp(Reader):
                 rows.append(cells[:7] + [name] + images[name])
                 lines.append(number)
         if (self.options["image_name"] is None and len(others) > 1) or (not rows and others):
-            raise TermselError(f"the file holds points of the images {', '.join(sorted(others))}",
+            raise TermselError(f"the file has points of the images {', '.join(sorted(others))}",
                                file=path, hint="Choose one with --set image_name=NAME.")
         if not rows:
-            raise TermselError("the file holds no points", file=path,
-                               hint="Add one row for each.")
+            raise TermselError("the file has no points", file=path,
+                               hint="Add one row per point.")
         cells_of = dict(zip(_GROUND + _IMAGE, zip(*rows, strict=True), strict=True))
         table = Table(path, "", _READ, {key: cells_of[name] for key, name in _READ.items()},
                       lines, decimal_comma=False)

@@ -1,4 +1,4 @@
-"""Points and lines as tables: comma, semicolon or tab separated values.
+"""Points and lines as tables of values separated by commas, semicolons or tabs.
 
 Comment lines begin with ``#``; ``# crs: EPSG:4979`` declares the CRS and ``# units: degrees``
 or ``# units: metres`` the units of the ground coordinates. The centre of the upper-left pixel
@@ -56,7 +56,7 @@ class PointsCsv(Reader):
 
 
 class LinesCsv(Reader):
-    """Lines by two image points and two ground vertices, which are not conjugate."""
+    """Lines, each with two image points and two ground vertices that are not conjugate."""
 
     name = "lines-csv"
     summary = "lines as a table headed id,line1,sample1,line2,sample2,x1,y1,z1,x2,y2,z2[,sigma]"
@@ -70,13 +70,13 @@ class LinesCsv(Reader):
         return declared(LINES, self.options["columns"])
 
     def read(self, path: Path) -> FeatureSet:
-        """Return the lines of a table that are not off; errors name file, line and column."""
+        """Return the lines that are not off; errors name file, line and column."""
         table = read_table(path, self._aliases())
         roles = table.roles()
         for row, role in enumerate(roles):
             if role in ("check", "independent"):
                 raise table.error(f"a line cannot have the role {role!r}", row, "role",
-                                  "Lines are control features: control, off or blank.")
+                                  "Lines are always control: use control, off or blank.")
         ids = table.ids()
         image = table.stack("line1", "sample1", "line2", "sample2").reshape(-1, 2, 2)
         ground = table.stack("x1", "y1", "z1", "x2", "y2", "z2").reshape(-1, 2, 3)
@@ -156,7 +156,7 @@ def write_table(path: Path | str, crs: str, header: list[str], texts: list[list[
     texts : list of list of str
         First cells of each row.
     values : ndarray, shape (rows, columns)
-        The cells behind them; NaN becomes a blank one.
+        The cells after them; NaN becomes a blank cell.
 
     Raises
     ------
@@ -177,7 +177,7 @@ def table_text(crs: str, header: list[str], texts: list[list[str]], values: Floa
 
 
 def _quoted(text: str) -> str:
-    # Unquoted, a line that begins with # would be a comment; csv.writer does not see to that.
+    # Unquoted, a line that begins with # would be a comment; csv.writer does not quote it.
     if re.search(r'[,;\t"\r\n#]', text):
         return '"' + text.replace('"', '""') + '"'
     return text

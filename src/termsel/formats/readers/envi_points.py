@@ -37,13 +37,13 @@ class EnviPoints(Reader):
     """Points of ENVI: to a map, of RPCs, of rigorous orthorectification or a stereo pair.
 
     UTM on WGS84, and longitude and latitude on WGS84, are understood as CRS; any other must be
-    stated. Of a stereo pair the left image is read.
+    stated. The left image of a stereo pair is read.
     """
 
     name = "envi-pts"
     summary = "ENVI .pts: comments that begin with ; ENVI, then map and image coordinates"
     declared_options = (
-        Option("image_number", None, "Number of the image, in files of several images.", int, 0),
+        Option("image_number", None, "Number of the image, for files with several images.", int, 0),
     )
 
     def sniff(self, path: Path, head: bytes) -> bool:
@@ -67,14 +67,14 @@ class EnviPoints(Reader):
         return FeatureSet(table.points(image, ground, None, ()), crs=crs)
 
     def _of_image(self, table: Table) -> list[int]:
-        """Return the rows of the one image that is meant."""
+        """Return the rows of the chosen image."""
         numbers = table.stack("image")[:, 0].tolist()
         known = sorted(set(numbers))
         wanted = self.options["image_number"]
         if wanted is None and len(known) == 1:
             wanted = known[0]
         if wanted not in known:
-            raise TermselError("the file holds points of the images "
+            raise TermselError("the file has points of the images "
                                + ", ".join(f"{number:g}" for number in known), file=table.path,
                                hint="Choose one with --set image_number=N.")
         return [row for row, number in enumerate(numbers) if number == wanted]
@@ -88,24 +88,24 @@ def _rows(path: Path) -> tuple[list[list[str]], list[int], str]:
     for number, text in enumerate(read_text(path).splitlines(), 1):
         if re.match(r"\s*;", text):
             if re.search(r"image to image|base\s+image", text, re.IGNORECASE):
-                raise TermselError("these are points between two images, without ground "
+                raise TermselError("these points relate two images and have no ground "
                                    "coordinates", file=path, line=number,
-                                   hint="Give points of type image to map.")
+                                   hint="Give points of the type image to map.")
             found = _PROJECTION.search(text)
             crs = _crs(found[1]) if found else crs
         elif text.strip():
             rows.append(text.split())
             lines.append(number)
     if not rows:
-        raise TermselError("the file holds no points", file=path,
-                           hint="Add one row for each below the comments.")
+        raise TermselError("the file has no points", file=path,
+                           hint="Add one row per point below the comments.")
     for row, number in zip(rows, lines, strict=True):
         if len(row) not in _COLUMNS or len(row) != len(rows[0]):
             raise TermselError(
                 f"the row has {len(row)} numbers, expected "
                 + (f"{len(rows[0])} as in the first" if len(rows[0]) in _COLUMNS else
                    f"one of {', '.join(map(str, _COLUMNS))}"), file=path, line=number,
-                hint="Decimal commas are not read." if "," in "".join(row) else None)
+                hint="Decimal commas are not supported." if "," in "".join(row) else None)
     return rows, lines, crs
 
 

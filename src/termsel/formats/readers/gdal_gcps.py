@@ -20,14 +20,14 @@ _MAGIC = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+",  # TIFF, BigTIFF
 class GdalGcps(Reader):
     """Ground control points in a GeoTIFF, a VRT or any other raster GDAL knows.
 
-    GDAL counts pixels from the corner of the first one, but leaves the meaning of a point to
-    who wrote it. Heights that are all 0 count as unknown, as GDAL cannot leave them out.
+    GDAL counts pixels from the corner of the first one, but the program that wrote a file may not.
+    Heights that are all 0 count as unknown, as GDAL cannot omit them.
     """
 
     name = "gdal-gcps"
-    summary = "a raster or VRT with ground control points as GDAL reads them (needs rasterio)"
+    summary = "a raster or VRT with ground control points as GDAL reads them (requires rasterio)"
     declared_options = (
-        Option("gcp_origin", "corner", "Which place in the first pixel has the coordinates 0, 0.",
+        Option("gcp_origin", "corner", "Place in the first pixel that has the coordinates 0, 0.",
                choices=("corner", "centre")),
     )
 
@@ -44,8 +44,8 @@ class GdalGcps(Reader):
             size = raster.shape
         if not gcps:
             raise TermselError("this raster has no ground control points", file=path,
-                               hint="gdalinfo lists them. Points in a file of their own are given "
-                                    "as that file.")
+                               hint="Check with gdalinfo. If the points are in a separate file, "
+                                    "give that file.")
         ground = np.array([[gcp.x, gcp.y, np.nan if gcp.z is None else gcp.z] for gcp in gcps])
         if not np.nan_to_num(ground[:, 2]).any():
             ground[:, 2] = np.nan

@@ -1,4 +1,4 @@
-"""GeoJSON as RFC 7946 has it, with the "crs" that GDAL and QGIS still write."""
+"""GeoJSON as in RFC 7946, with the "crs" that GDAL and QGIS still write."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class Feature:
         return "" if value is None else str(value).strip()
 
     def pixels(self, name: str = "ji") -> Any:
-        """Return a property of lists of numbers, which GDAL hands on as their JSON."""
+        """Return a property that holds lists of numbers, which GDAL returns as JSON text."""
         value = self.properties.get(name)
         if isinstance(value, str):
             with suppress(ValueError, RecursionError):
@@ -75,25 +75,25 @@ def read_geojson(path: Path, kinds: Mapping[str, int]) -> tuple[list[Feature], s
     ----------
     path : pathlib.Path
     kinds : mapping
-        Types of geometry that are read, and how deep lists of vertices lie in them.
+        Types of geometry that are read, and how deep their lists of vertices are nested.
 
     Raises
     ------
     TermselError
-        If this is no such collection, or a feature has another geometry.
+        If this is not such a collection, or a feature has another geometry.
     """
     try:
         found = json.loads(read_text(path))
     except json.JSONDecodeError as error:
         raise TermselError(f"this is not JSON: {error.msg}", file=path, line=error.lineno,
-                           hint="Is the file whole?") from error
+                           hint="Is the file complete?") from error
     except (RecursionError, ValueError) as error:  # lists too deep, numbers too long
         raise TermselError(f"this is not GeoJSON: {error}", file=path) from error
     if not isinstance(found, dict) or not isinstance(found.get("features"), list):
-        raise TermselError("this is not a FeatureCollection of GeoJSON", file=path,
+        raise TermselError("this is not a GeoJSON FeatureCollection", file=path,
                            hint='It must have the members "type" and "features".')
     if not found["features"]:
-        raise TermselError("the collection holds no features", file=path)
+        raise TermselError("the collection has no features", file=path)
     features = [_feature(path, number, item, kinds)
                 for number, item in enumerate(found["features"], 1)]
     return features, _crs(path, found.get("crs"))
@@ -120,7 +120,7 @@ def _feature(path: Path, number: int, item: Any, kinds: Mapping[str, int]) -> Fe
 
 
 def numbers_at(value: Any, depth: int, lengths: tuple[int, ...]) -> bool:
-    """Return True if lists of this depth hold lists of so many finite numbers."""
+    """Return True if lists of this depth hold lists of finite numbers, of these lengths."""
     if not isinstance(value, list):
         return False
     if depth:

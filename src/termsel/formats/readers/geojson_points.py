@@ -1,4 +1,4 @@
-"""Ground control points as GeoJSON, the format of Orthority, with a few properties more."""
+"""Ground control points as GeoJSON, the format of Orthority, with some more properties."""
 
 from __future__ import annotations
 
@@ -23,15 +23,15 @@ from termsel.options import Option
 class GeoJsonPoints(Reader):
     """Points with their column and row as the property `ji`, as Orthority reads and writes them.
 
-    Further properties may be `id`, `filename` of the image, `role`, `enabled` and `sigma_px`, a
-    standard deviation or those of column and row. Without a "crs" of its own the file is in
+    Further properties may be `id`, `filename` of the image, `role`, `enabled` and `sigma_px`, one
+    standard deviation or a pair for column and row. Without a "crs" of its own the file is in
     WGS84, with ellipsoidal heights if there are any.
     """
 
     name = "geojson-points"
-    summary = "GeoJSON points with the property ji = [column, row], as of Orthority"
+    summary = "GeoJSON points with the property ji = [column, row], as from Orthority"
     declared_options = (
-        Option("image_name", None, "Name of the image, in files of several images."),
+        Option("image_name", None, "Name of the image, for files with several images."),
     )
 
     def sniff(self, path: Path, head: bytes) -> bool:
@@ -57,7 +57,7 @@ class GeoJsonPoints(Reader):
         names = sorted({feature.text("filename") for feature in features})
         wanted = self.options["image_name"] or (names[0] if len(names) == 1 else None)
         if wanted not in names:
-            raise TermselError("the file holds points of the images "
+            raise TermselError("the file has points of the images "
                                + ", ".join(name or "without a name" for name in names),
                                file=path, hint="Choose one with --set image_name=NAME.")
         return [feature for feature in features if feature.text("filename") == wanted]
@@ -67,7 +67,7 @@ def _ji(feature: Feature) -> list[float]:
     ji: Any = feature.pixels()
     if not numbers_at(ji, 0, (2,)):
         raise feature.error("it has no image coordinates", "ji",
-                            "Give the property ji as [column, row].")
+                            "Add the property ji as [column, row].")
     return list(ji)
 
 
@@ -88,7 +88,7 @@ def _sigma(features: list[Feature]) -> np.ndarray | None:
     for feature, value in zip(features, values, strict=True):
         pair = value if isinstance(value, list) else [value, value]
         if not numbers_at(pair, 0, (2,)):
-            raise feature.error("its standard deviation is missing or no number", "sigma_px",
+            raise feature.error("its standard deviation is missing or not a number", "sigma_px",
                                 "Give it for every point, or for none.")
         rows.append(pair[::-1])
     return np.array(rows, dtype=np.float64)

@@ -30,9 +30,9 @@ _GEOMETRIES = {"LineString": 1, "MultiLineString": 2}
 _NAMED = 10  # ids in a message
 
 _JOIN = (
-    Option("image_lines", None, "Table of image lines: id,line1,sample1,line2,sample2; pieces of "
-           "one line in rows of one id."),
-    Option("join", "id", "Property or column of the ground lines that holds the id."),
+    Option("image_lines", None, "Table of image lines: id,line1,sample1,line2,sample2. Pieces of "
+                                "one line have the same id."),
+    Option("join", "id", "Property or column with the id of each ground line."),
 )
 
 
@@ -40,8 +40,8 @@ class GeoJsonLines(Reader):
     """Ground lines as GeoJSON, joined with image lines.
 
     The image lines are a table, or the property `ji` of each ground line: a list of [column, row]
-    along it, which need not be conjugate to the ground vertices. See the page on ground lines
-    for how polylines are joined. Without a "crs" of its own the file is in WGS84.
+    along it, which need not be conjugate to the ground vertices. The page on ground lines tells
+    how polylines are joined. Without a "crs" of its own the file is in WGS84.
     """
 
     name = "geojson-lines"
@@ -59,13 +59,13 @@ class GeoJsonLines(Reader):
 
 
 class VectorLines(Reader):
-    """Ground lines of a GeoPackage or Shapefile, joined with image lines as those of GeoJSON."""
+    """Ground lines of a GeoPackage or Shapefile, joined with image lines as in GeoJSON."""
 
     name = "vector-lines"
-    summary = "GeoPackage or Shapefile of ground lines; needs --image-lines, and pyogrio"
+    summary = "GeoPackage or Shapefile of ground lines; requires --image-lines and pyogrio"
     declared_options = (
         *_JOIN,
-        Option("layer", None, "Layer of the ground lines; the first one by default."),
+        Option("layer", None, "Layer of the ground lines; by default the first."),
     )
 
     def sniff(self, path: Path, head: bytes) -> bool:
@@ -88,19 +88,18 @@ def _read_layer(path: Path, layer: str | None) -> tuple[list[Feature], str]:
         from pyogrio.raw import read
         from shapely import GEOSException, from_wkb, get_coordinates, get_parts
     except ImportError:
-        raise TermselError("this needs the packages for vector files, pyogrio and shapely, which "
-                           "are not installed", file=path,
+        raise TermselError("this requires pyogrio and shapely, which are not installed", file=path,
                            hint='Install them: pip install "termsel[gis]".') from None
     try:
         meta, _, geometries, columns = read(path, layer=layer)
         shapes = from_wkb(geometries)
     except (DataSourceError, DataLayerError, GEOSException, ValueError) as error:
         raise TermselError(f"GDAL cannot read this file: {error}", file=path,
-                           hint="Is it whole? A Shapefile needs its .shx and .dbf beside it."
+                           hint="Is it complete? A Shapefile needs its .shx and .dbf next to it."
                            ) from error
     names = list(meta["fields"])
     if not len(shapes):
-        raise TermselError("the layer holds no features", file=path)
+        raise TermselError("the layer has no features", file=path)
     features = []
     for number, shape in enumerate(shapes, 1):
         properties = {name: _plain(values[number - 1])
@@ -115,7 +114,7 @@ def _read_layer(path: Path, layer: str | None) -> tuple[list[Feature], str]:
 
 
 def _plain(value: Any) -> Any:
-    """Return a cell as a number or text; whole numbers, which ids often are, without a point."""
+    """Return a cell as a number or text; whole numbers, as many ids are, without a point."""
     if isinstance(value, float | np.floating):
         number = float(value)
         return None if np.isnan(number) else int(number) if number.is_integer() else number
@@ -128,8 +127,8 @@ def _joined(path: Path, features: list[Feature], crs: str, image_lines: str | No
     if not any(join in feature.properties for feature in features):
         known = dict.fromkeys(name for feature in features for name in feature.properties)
         raise TermselError(f"the ground lines have no {join!r}", file=path, column=join,
-                           hint=f"They have {', '.join(known) or 'no properties'}: choose one "
-                                "with --set join=NAME.")
+                           hint=f"They have {', '.join(known) or 'no properties'}. Choose one with "
+                                "--set join=NAME.")
     ground: dict[str, list[FloatArray]] = {}
     image = {} if image_lines is None else _read_image_lines(Path(image_lines))
     for feature in features:
@@ -144,12 +143,13 @@ def _joined(path: Path, features: list[Feature], crs: str, image_lines: str | No
     missing = [name for name in image if name not in ground]
     if missing:
         named = ", ".join(missing[:_NAMED]) + (" ..." if len(missing) > _NAMED else "")
-        raise TermselError(f"there is no ground line for {len(missing)} of {len(image)} image "
-                           f"lines: {named}", file=path, column=join,
-                           hint="Look at the ids, or choose their column with --set join=NAME.")
+        raise TermselError(f"{len(missing)} of {len(image)} image lines have no ground line: "
+                           f"{named}", file=path, column=join,
+                           hint="Check the ids, or choose their column with --set join=NAME.")
     idle = len({feature.text(join) for feature in features}) - len(image)
     if idle:
-        log.info("Lines: %d of %s were not measured in the image and stay out.", idle, path.name)
+        log.info("Lines: %d of %s are not used, as they were not measured in the "
+                 "image.", idle, path.name)
     ids: list[str] = []
     pieces: list[tuple[FloatArray, FloatArray]] = []
     for name, measured in image.items():
@@ -171,9 +171,9 @@ def _pieces(name: str, image: list[FloatArray], ground: list[FloatArray],
             ) -> Iterable[tuple[FloatArray, FloatArray]]:
     """Yield image and ground of the pieces of one feature.
 
-    On a single image line all ground vertices lie, whatever their number: they are taken in
-    pairs, each vertex once, but for an odd one that shares the last pair. Several image lines
-    are those of the ground segments, in order.
+    All ground vertices lie on a single image line, whatever their number: they are taken in
+    pairs, each vertex once; an odd last one is paired with the vertex before it. Several image
+    lines are those of the ground segments, in order.
     """
     if any(len(part) < 2 for part in ground):
         raise TermselError(f"line {name!r} has zero length on the ground", ids=[name],
@@ -188,13 +188,13 @@ def _pieces(name: str, image: list[FloatArray], ground: list[FloatArray],
     if len(segments) != len(image):
         raise TermselError(
             f"line {name!r} has {len(image)} pieces in the image and {len(segments)} on the ground",
-            ids=[name], hint="Measure one image line for all of a straight line, or one for each "
-                             "segment of the ground line, in their order.")
+            ids=[name], hint="Measure one image line for the whole of a straight line, or one for "
+                             "each segment of the ground line, in order.")
     yield from zip(image, segments, strict=True)
 
 
 def _distinct(part: FloatArray) -> FloatArray:
-    """Return vertices without those that repeat the one before."""
+    """Return vertices without repetitions of the previous one."""
     moved = (part[1:, :2] != part[:-1, :2]).any(axis=1)
     return np.asarray(part[np.concatenate([[True], moved])])
 

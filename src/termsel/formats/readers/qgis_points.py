@@ -23,29 +23,29 @@ _COLUMNS = {
     "source_x": ("sourcex", "pixelx"), "source_y": ("sourcey", "pixely"),
     "enabled": ("enable", "enabled"),
 }
-_SMALL = 20.0  # pixels: no image to be georeferenced has all its points within so few
+_SMALL = 20.0  # px; no image to be georeferenced has all its points within so few
 _FAR = 10.0  # times their extent: points of an image lie about as far from its corner as apart
 
 
 class QgisPoints(Reader):
     """Points of the QGIS Georeferencer.
 
-    Pixels are counted from the corner of the first one, down as negative numbers. Points of a
-    raster that was georeferenced already hold coordinates of that raster instead, and then it is
-    needed. There are no heights; points that are not enabled have the role "off".
+    Pixels are counted from the corner of the first one, down as negative numbers. If the
+    raster was already georeferenced, points hold its coordinates instead; that raster is then
+    required. There are no heights; points that are not enabled have the role "off".
     """
 
     name = "qgis-points"
     summary = "QGIS .points: a header mapX,mapY,sourceX,sourceY,enable, or pixelX,pixelY"
     declared_options = (
-        Option("raster", None, "The image the points were measured in, where it was georeferenced "
-               "already."),
+        Option("raster", None, "The image in which the points were measured, if it was already "
+                               "georeferenced."),
         Option("disabled", "off", "Role of points that are not enabled.",
                choices=("off", "check", "independent")),
     )
 
     def sniff(self, path: Path, head: bytes) -> bool:
-        """Return True if a header names mapX and mapY beside pixels or sources."""
+        """Return True if a header names mapX and mapY, and pixels or sources."""
         return sniff_table(head, _COLUMNS)
 
     def read(self, path: Path) -> FeatureSet:
@@ -73,16 +73,16 @@ class QgisPoints(Reader):
         if not near.any():
             raise TermselError(f"no point lies in the image {self.options['raster']}",
                                file=table.path,
-                               hint="Is it the image these points were measured in?")
+                               hint="Give the image in which these points were measured.")
         return pixels, (rows, columns)
 
 
 def _refuse_layer(table: Table, source: FloatArray) -> None:
-    """Refuse sources that are no pixels, as those of a georeferenced raster."""
+    """Refuse sources that are not pixels, such as those of a georeferenced raster."""
     extent = np.ptp(source, axis=0)
     upwards = (source[:, 1] > 0).mean() > 0.5
     if (upwards or (len(source) > 1 and (extent < _SMALL).all())
             or (np.abs(source).min(axis=0) > _FAR * np.maximum(extent, _SMALL)).all()):
         raise table.error(
-            "these look like map coordinates of a raster that was georeferenced already, not "
-            "like pixels", 0, "source_x", "Give the image with --raster FILE.")
+            "these look like map coordinates of a raster that was already georeferenced, not like "
+            "pixels", 0, "source_x", "Give the image with --raster FILE.")

@@ -1,4 +1,4 @@
-"""Tables of text: cells by the meaning of their columns, with the place of every bad one.
+"""Tables of text: cells by the meaning of their columns, with the place of every bad cell.
 
 Comment lines begin with ``#``; ``# crs: EPSG:4979`` declares the CRS and ``# units: degrees``
 or ``# units: metres`` the units of the ground coordinates.
@@ -28,8 +28,8 @@ Aliases = Mapping[str, tuple[str, ...]]
 USE = {"id": ("id", "name"), "role": ("role",), "enabled": ("enabled", "enable")}
 """Columns of text; all others hold numbers."""
 
-COLUMNS = Option("columns", "", "Columns by other names, as meaning:name, such as "
-                 "x:Rechtswert,y:Hochwert.")
+COLUMNS = Option("columns", "", "Columns with other names, as meaning:name, such as "
+                                "x:Rechtswert,y:Hochwert.")
 """The option of readers of tables that `declared` takes."""
 
 _OPTIONAL = frozenset({"role", "enabled", "sigma_line", "sigma_sample", "sigma"})
@@ -65,7 +65,7 @@ class Table:
                                 for meaning, cells in self.columns.items()})
 
     def placed(self, error: TermselError) -> TermselError:
-        """Return `error` with the line of the one feature it is first about."""
+        """Return `error` with the line of the first feature it names."""
         rows = [row for row, name in enumerate(self.ids()) if name in error.ids[:1]]
         return located(error, self.path, self.lines[rows[0]] if len(rows) == 1 else None)
 
@@ -85,7 +85,7 @@ class Table:
         first: dict[str, int] = {}
         for row, name in enumerate(ids):
             if first.setdefault(name, row) != row:
-                raise self.error(f"id {name!r} is used already on line {self.lines[first[name]]}",
+                raise self.error(f"id {name!r} is already used on line {self.lines[first[name]]}",
                                  row, "id", "Give every point an id of its own.")
         try:
             return Points(tuple(ids), image, ground, sigma, tuple(roles))
@@ -113,7 +113,7 @@ class Table:
         return roles
 
     def sigma(self, *meanings: str) -> FloatArray | None:
-        """Return columns of standard deviations, None where there are none at all."""
+        """Return columns of standard deviations, None if there are none."""
         if meanings[0] not in self.columns:
             return None
         sigma = self.stack(*meanings, may_be_blank=True)
@@ -122,9 +122,9 @@ class Table:
             return None
         if blank.any():
             row, axis = (int(i) for i in np.argwhere(blank)[0])
-            raise self.error("the standard deviation is blank here but not everywhere", row,
+            raise self.error("the standard deviation is blank here but not in all rows", row,
                              meanings[axis],
-                             "Fill it in every row, or leave the columns out.")
+                             "Fill it in for every row, or remove the columns.")
         return sigma
 
     def stack(self, *meanings: str, may_be_blank: bool = False) -> FloatArray:
@@ -133,7 +133,7 @@ class Table:
                                 for meaning in meanings])
 
     def _numbers(self, meaning: str, may_be_blank: bool) -> FloatArray:
-        # Whole columns at C speed; single cells are looked at only to say which one is bad.
+        # Whole columns at C speed; single cells are checked only to find the bad one.
         cells = self.columns[meaning]
         joined = "".join(cells)
         texts = [cell.replace(",", ".") for cell in cells] if self.decimal_comma else cells
@@ -145,7 +145,7 @@ class Table:
             values = np.fromiter(map(float, texts), np.float64, len(texts))
         except ValueError:
             raise self._bad_number(meaning, may_be_blank) from None
-        # float() reads 1_000, inf and nan; a decimal comma makes a point a thousands mark.
+        # float() reads 1_000, inf and nan; a decimal comma makes a point a thousands separator.
         if ("_" in joined or (self.decimal_comma and "." in joined)
                 or not np.isfinite(values[~blank]).all()):
             raise self._bad_number(meaning, may_be_blank)
@@ -160,8 +160,8 @@ class Table:
                 return self.error("the cell is blank, expected a number", row, meaning,
                                   "Fill it in or remove the row.")
             if self.decimal_comma and "." in text:
-                return self.error(f"{text!r} has a decimal point, others a decimal comma",
-                                  row, meaning, "Use one of them, and no thousands mark.")
+                return self.error(f"{text!r} has a decimal point, other cells a decimal comma",
+                                  row, meaning, "Use one of them, without thousands separators.")
             try:
                 value = float(cell.replace(",", ".") if self.decimal_comma else cell)
             except ValueError:
@@ -169,8 +169,8 @@ class Table:
                                   "Write a plain number such as 12.5.")
             if not isfinite(value):
                 return self.error(f"{text!r} is not a finite number", row, meaning,
-                                  "Leave the cell blank where the value is not known."
-                                  if may_be_blank else "Mend it or remove the row.")
+                                  "Leave the cell blank if the value is unknown."
+                                  if may_be_blank else "Correct it or remove the row.")
             if "_" in text:
                 return self.error(f"{text!r} is not a plain number", row, meaning,
                                   "Write it without underscores.")
@@ -178,7 +178,7 @@ class Table:
 
 
 def _split(text: str) -> tuple[list[str], dict[int, str]]:
-    """Return all lines, comments blank so that they still count, and comments by number."""
+    """Return all lines, with comments blanked to keep their numbers, and the comments by number."""
     lines = list(io.StringIO(text, newline=""))
     comments = {i: line for i, line in enumerate(lines) if line[0] == "#"}
     for i in comments:
@@ -224,7 +224,7 @@ def _columns(path: Path, line: int, header: Sequence[str],
             named = " and ".join(repr(header[i].strip()) for i in columns)
             raise TermselError(f"columns {named} both mean {meaning}", file=path, line=line,
                                column=header[columns[1]].strip(),
-                               hint="Rename or remove all but one.")
+                               hint="Rename or remove all but one of them.")
         if columns:
             found[meaning] = columns[0]
         elif meaning not in _OPTIONAL or (sigma and meaning.startswith("sigma")):
@@ -249,11 +249,11 @@ def _declared_crs(path: Path, comments: Mapping[int, str]) -> str:
             except TermselError as error:
                 raise located(error, path, line) from error
             if crs not in ("", name):
-                raise TermselError(f"the CRS is declared as {name} here and as {crs} before",
-                                   file=path, line=line, hint="Remove the wrong one.")
+                raise TermselError(f"the CRS is {name} here, but {crs} in an earlier comment",
+                                   file=path, line=line, hint="Remove one of them.")
             crs = name
         elif not all(_UNITS.fullmatch(unit.strip()) for unit in value.split(",")):
-            raise TermselError(f"units {value!r} are not read", file=path, line=line,
+            raise TermselError(f"units {value!r} are not supported", file=path, line=line,
                                hint="Convert the ground coordinates to degrees or metres.")
     return crs
 
@@ -266,7 +266,7 @@ def _rows(path: Path, text: Sequence[str], delimiter: str) -> tuple[list[list[st
     end = 0
     try:
         for row in reader:
-            if any(map(str.strip, row)):  # spreadsheets leave empty cells behind the data
+            if any(map(str.strip, row)):  # spreadsheets leave empty cells after the data
                 rows.append(row)
                 lines.append(end + 1)
             end = reader.line_num
@@ -284,12 +284,12 @@ def declared(aliases: Aliases, columns: str) -> Aliases:
     ----------
     aliases : mapping
     columns : str
-        Pairs meaning:name between commas; "" for none.
+        Pairs meaning:name, separated by commas; "" for none.
 
     Raises
     ------
     TermselError
-        For text that is no such pair, or a meaning that does not exist.
+        For text that is not such a pair, or an unknown meaning.
     """
     own = {}
     for pair in filter(None, map(str.strip, columns.split(","))):
@@ -310,30 +310,30 @@ def read_table(path: Path, aliases: Aliases) -> Table:
     ----------
     path : pathlib.Path
     aliases : mapping
-        Names of the columns by meaning. Ids, if among them, numbers other than deviations must
-        be there.
+        Names of the columns by meaning. Numbers other than deviations are required,
+        and so are ids if they are among the meanings.
 
     Raises
     ------
     TermselError
-        If the file is no such table.
+        If the file is not such a table.
     """
     text_lines, comments = _split(read_text(path))
     crs = _declared_crs(path, comments)
     _, delimiter = _header(text_lines)
     rows, lines = _rows(path, text_lines, delimiter)
     if not rows:
-        raise TermselError("the file holds no table", file=path,
+        raise TermselError("the file has no table", file=path,
                            hint="It must begin with a header that names the columns.")
     header, header_line = rows.pop(0), lines.pop(0)
     found = _columns(path, header_line, header, aliases)
     if not rows:
         raise TermselError("there are no rows below the header", file=path, line=header_line,
-                           hint="Add one row for each feature.")
+                           hint="Add one row per feature.")
     width = len(header)
     if set(map(len, rows)) != {width}:
         i = next(i for i, row in enumerate(rows) if len(row) != width)
-        comma = " A decimal comma needs semicolons between columns." if delimiter == "," else ""
+        comma = " Decimal commas require semicolons between columns." if delimiter == "," else ""
         raise TermselError(f"the row has {len(rows[i])} cells, but the header has {width}",
                            file=path, line=lines[i],
                            hint=f"Every row needs one cell for each column.{comma}")

@@ -1,4 +1,4 @@
-"""Any fitted model as a grid that GDAL warps by: GCPs, or a geolocation array."""
+"""Any fitted model as a grid for GDAL's warper: GCPs, or a geolocation array."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ from termsel.results.result import Result
 
 log = logging.getLogger(__name__)
 
-_CLOSE = 1.0  # pixels by which interpolation may miss the model without a warning
+_CLOSE = 1.0  # px by which interpolation may miss the model without a warning
 
 _GROUND = (
-    Option("dem", None, "Raster of heights the rays of the grid are followed to."),
-    Option("height", None, "Height of the ground where no raster is given; that of the middle of "
-           "the control by default.", float))
+    Option("dem", None, "Raster of heights for the ground of the grid."),
+    Option("height", None, "Height of the ground if no raster is given; by default that of the "
+                           "middle of the control.", float))
 
 
 class GridWriter(Writer):
-    """Common to the forms of grids."""
+    """Base of the writers of grids."""
 
     def accepts(self, result: Result) -> bool:
         """Return True: every model can be put on a grid."""
@@ -51,16 +51,16 @@ class GridWriter(Writer):
         unseen = int(np.isnan(ground).any(axis=-1).sum())
         if unseen > image[..., 0].size - 3:
             raise TermselError(
-                "less than three places of the grid see ground", file=self.options["dem"],
-                hint="Give the image, a raster of heights that covers it, or a plainer model.")
+                "fewer than three places of the grid have ground", file=self.options["dem"],
+                hint="Give the image, a raster of heights that covers it, or a simpler model.")
         if unseen:
-            log.warning("Warning: for %d of %d places of the grid no ground is found; what lies "
-                        "around them stays empty.", unseen, image[..., 0].size)
+            log.warning("Warning: %d of %d places of the grid have no ground; the image around "
+                        "them stays empty.", unseen, image[..., 0].size)
         self._say_loss(fitted, image, ground)
         return ground
 
     def _say_loss(self, fitted: Fit, image: FloatArray, ground: FloatArray) -> None:
-        """Say how far the middles of the grid's meshes are from where the model has them."""
+        """Log how far the middles of the grid's meshes are from their places by the model."""
         middle = (ground[1:, 1:] + ground[:-1, 1:] + ground[1:, :-1] + ground[:-1, :-1]) / 4
         place = (image[1:, 1:] + image[:-1, :-1]) / 2
         seen = np.isfinite(middle).all(axis=-1)
@@ -68,8 +68,8 @@ class GridWriter(Writer):
         if apart.size:
             worst = apart.max()
             log.log(logging.INFO if worst <= _CLOSE else logging.WARNING,
-                    "%sBetween the places of the grid GDAL interpolates: by at most %.2g px from "
-                    "the model (95 %% within %.2g px), but for relief.",
+                    "%sGDAL interpolates between the places of the grid: by at most %.2g px from "
+                    "the model (95 %% within %.2g px), apart from relief.",
                     "" if worst <= _CLOSE else "Warning: ", worst, np.quantile(apart, 0.95))
 
 
@@ -80,7 +80,7 @@ class GcpGridVrt(GridWriter):
     summary = "any model as a grid of computed GCPs in a VRT of the image, for gdalwarp -tps"
     suffix = "_grid.vrt"
     declared_options: ClassVar[tuple[Option, ...]] = (
-        IMAGE, *_GROUND, Option("across", 20, "Meshes along either side of the image.", int, 1, 60))
+        IMAGE, *_GROUND, Option("across", 20, "Meshes along each side of the image.", int, 1, 60))
 
     def write(self, result: Result, path: Path) -> None:
         """Write a VRT with a list of GCPs.
@@ -88,7 +88,7 @@ class GcpGridVrt(GridWriter):
         Raises
         ------
         TermselError
-            If less than three places of the grid see ground; as `open_dem`; if the file
+            If fewer than three places of the grid have ground; as `open_dem`; if the file
             cannot be written.
         """
         picture = picture_for(result, self.options["image"])
@@ -103,27 +103,27 @@ class GcpGridVrt(GridWriter):
 
 
 class GeolocationVrt(GridWriter):
-    """A geolocation array computed by the fitted model, beside a virtual raster of the image."""
+    """A geolocation array computed by the fitted model, next to a virtual raster of the image."""
 
     name = "geolocation-vrt"
     summary = "any model as a geolocation array (GeoTIFF) with a VRT of the image, for gdalwarp"
     suffix = "_geolocation.vrt"
     declared_options: ClassVar[tuple[Option, ...]] = (
         IMAGE, *_GROUND,
-        Option("step", None, "Pixels from one place of the array to the next; by default so that "
-               "there are about 500 along the longer side.", int, 1))
+        Option("step", None, "Spacing of the array [px]; by default about 500 places along the "
+                             "longer side.", int, 1))
 
     def files(self, path: Path) -> tuple[Path, ...]:
-        """Return the VRT and the array beside it."""
+        """Return the VRT and the array next to it."""
         return path, path.with_name(f"{path.stem}_xy.tif")
 
     def write(self, result: Result, path: Path) -> None:
-        """Write a VRT and, beside it, FILE_xy.tif with longitudes or eastings and so on.
+        """Write a VRT and, next to it, FILE_xy.tif with longitudes or eastings and so on.
 
         Raises
         ------
         TermselError
-            If rasterio is not installed; if less than three places of the array see ground;
+            If rasterio is not installed; if fewer than three places of the array have ground;
             as `open_dem`; if a file cannot be written.
         """
         rasterio = require_rasterio()
@@ -140,7 +140,7 @@ class GeolocationVrt(GridWriter):
             "X_DATASET_RELATIVE_TO_SOURCE": "YES",
             "Y_DATASET": relative(array, path.parent), "Y_BAND": "2",
             "Y_DATASET_RELATIVE_TO_SOURCE": "YES",
-            # Counted from the centre of the upper-left pixel, in pixels of the image.
+            # Counted from the centre of the upper-left pixel, in px of the image.
             "PIXEL_OFFSET": str(-step), "LINE_OFFSET": str(-step), "PIXEL_STEP": str(step),
             "LINE_STEP": str(step), "GEOREFERENCING_CONVENTION": "PIXEL_CENTER",
             "SRS": rasterio.CRS.from_user_input(crs).to_wkt() if crs else ""}

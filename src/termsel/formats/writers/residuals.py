@@ -23,16 +23,16 @@ _SHARE = 0.03  # of the map's extent, for the median vector
 class ResidualsGeopackage(Writer):
     """Residuals of all features as points, and as vectors drawn larger, in a GeoPackage.
 
-    A vector leads from where a feature is on the ground to where the model would have it, seen
-    at the measured place at the feature's height.
+    A vector leads from the feature on the ground to the place where the model sees its measured
+    image position, at the feature's height.
     """
 
     name = "residuals-gpkg"
     summary = "residuals as GeoPackage: layers of points and of vectors, for a map in a GIS"
     suffix = "_residuals.gpkg"
     declared_options: ClassVar[tuple[Option, ...]] = (
-        Option("exaggeration", None, "How many times longer vectors are drawn; by default so that "
-               "the median one has 3 % of the extent.", float, 0),)
+        Option("exaggeration", None, "Exaggeration of the vectors; by default the median one has 3 "
+                                     "% of the extent.", float, 0),)
 
     def accepts(self, result: Result) -> bool:
         """Return True: every result has residuals."""
@@ -52,7 +52,8 @@ class ResidualsGeopackage(Writer):
             from pyogrio.errors import DataLayerError, DataSourceError
             from pyogrio.raw import write
         except ImportError:
-            raise TermselError("this format needs the packages pyogrio and shapely", file=path,
+            raise TermselError("this format requires pyogrio and shapely, which are not "
+                               "installed", file=path,
                                hint='Install them: pip install "termsel[gis]".') from None
         residuals = result.residuals
         columns: dict[str, Any] = {
@@ -76,10 +77,10 @@ class ResidualsGeopackage(Writer):
                           else "LineString", crs=horizontal(result.features.crs) or None,
                           append=whole.exists())
                     if read_info(whole, layer=layer)["features"] != len(residuals):
-                        raise DataLayerError("not all of it was written")  # noqa: TRY301
+                        raise DataLayerError("the file is incomplete")  # noqa: TRY301
             except (DataSourceError, DataLayerError) as error:
-                raise TermselError(f"the GeoPackage cannot be made: {error}", file=path,
-                                   hint="Is there room for temporary files?") from error
+                raise TermselError(f"cannot make the GeoPackage: {error}", file=path,
+                                   hint="Check that there is room for temporary files.") from error
             write_bytes(path, whole.read_bytes())
 
     def _ends(self, result: Result, ground: FloatArray) -> tuple[FloatArray, float]:

@@ -1,4 +1,4 @@
-"""Results as RPC files, each read back and compared before it takes its place."""
+"""Results as RPC files, each read back and compared before it is put in place."""
 
 from __future__ import annotations
 
@@ -24,26 +24,26 @@ from termsel.results.result import Result
 log = logging.getLogger(__name__)
 
 AGREED = 1e-6
-"""Pixels by which GDAL's use of a written RPC may differ from termsel's."""
+"""Largest difference between GDAL's and termsel's use of a written RPC [px]."""
 
-_SIDECAR = Option("image", None, "The image the file is for: GDAL is asked whether it takes this "
-                                 "RPC for it.")
+_SIDECAR = Option("image", None, "The image for which the file is written; termsel checks that "
+                                 "GDAL uses this RPC for it.")
 
 
 class RpcWriter(Writer):
-    """Common to the forms of RPC files."""
+    """Base of the writers of RPC files."""
 
     def accepts(self, result: Result) -> bool:
         """Return True if the ground coordinates are in a CRS."""
         return normalise(result.fit.control.crs) != LOCAL
 
     def write(self, result: Result, path: Path) -> None:
-        """Write the RPC of a result, once GDAL or termsel has read it back.
+        """Write the RPC of a result, after GDAL or termsel has read it back.
 
         Raises
         ------
         TermselError
-            As `termsel.fits.rpc_fit.rpc_of`; if what is read back is another RPC; if the file
+            As `termsel.models.rpc_fit.rpc_of`; if another RPC is read back; if the file
             cannot be written.
         """
         image = self.options["image"]
@@ -61,30 +61,30 @@ class RpcWriter(Writer):
         """Return the content of the file."""
 
     def written(self, rpc: Rpc, path: Path) -> None:
-        """Say where GDAL does not take the file that was written."""
+        """Warn if GDAL does not use the file that was written."""
         image = self.options["image"]
-        vendors = [beside for ending in (".RPB", ".rpb") if self.suffix == "_RPC.TXT"
-                   for beside in [path.with_name(_stem(path, self.suffix) + ending)]
-                   if beside.exists()]
+        vendors = [vendor for ending in (".RPB", ".rpb") if self.suffix == "_RPC.TXT"
+                   for vendor in [path.with_name(_stem(path, self.suffix) + ending)]
+                   if vendor.exists()]
         if vendors:
-            log.warning("Warning: GDAL takes the RPC of %s rather than that of %s. Move it away, "
-                        "or write a VRT: --to rpc-vrt.", vendors[0].name, path.name)
+            log.warning("Warning: GDAL uses the RPC of %s and not that of %s. Move the former "
+                        "away, or write a VRT with --to rpc-vrt.", vendors[0].name, path.name)
         elif image is not None:
             with open_raster(image) as raster:
                 taken = raster.tags(ns="RPC")
             if not taken or read_rpc(Path(image)) != rpc:
                 stem = Path(image).stem
-                log.warning("Warning: GDAL does not take this RPC for %s; a file of higher "
-                            "priority may lie beside it, or this one is not called %s. --to "
-                            "rpc-vrt writes a file that needs neither.", image,
+                log.warning("Warning: GDAL does not use this RPC for %s. A file next to it has "
+                            "priority, or this file is not called %s. --to rpc-vrt avoids "
+                            "both.", image,
                             Path(image).with_name(stem + self.suffix))
 
 
 class Rpb(RpcWriter):
-    """RPC as the file IMAGE.RPB beside an image, which GDAL prefers to all others."""
+    """RPC as the file IMAGE.RPB next to an image, which GDAL prefers to all others."""
 
     name = "rpb"
-    summary = "RPC as IMAGE.RPB, which GDAL, QGIS and OTB use for IMAGE.tif beside it"
+    summary = "RPC as IMAGE.RPB, which GDAL, QGIS and OTB use for IMAGE.tif next to it"
     suffix = ".RPB"
     declared_options: ClassVar[tuple[Option, ...]] = (_SIDECAR,)
 
@@ -94,10 +94,10 @@ class Rpb(RpcWriter):
 
 
 class RpcTxt(RpcWriter):
-    """RPC as the file IMAGE_RPC.TXT beside an image, which GDAL uses if there is no RPB."""
+    """RPC as the file IMAGE_RPC.TXT next to an image, which GDAL uses if there is no RPB."""
 
     name = "rpc-txt"
-    summary = "RPC as IMAGE_RPC.TXT, which GDAL, QGIS and OTB use for IMAGE.tif beside it"
+    summary = "RPC as IMAGE_RPC.TXT, which GDAL, QGIS and OTB use for IMAGE.tif next to it"
     suffix = "_RPC.TXT"
     declared_options: ClassVar[tuple[Option, ...]] = (_SIDECAR,)
 
@@ -107,10 +107,10 @@ class RpcTxt(RpcWriter):
 
 
 class RpcVrt(RpcWriter):
-    """RPC in a virtual raster of an image, whatever vendor's files lie beside that."""
+    """RPC in a virtual raster of an image, whatever vendor files are next to it."""
 
     name = "rpc-vrt"
-    summary = "RPC in a VRT of the image, whatever vendor files lie beside it"
+    summary = "RPC in a VRT of the image, whatever vendor files are next to it"
     suffix = "_rpc.vrt"
     declared_options: ClassVar[tuple[Option, ...]] = (IMAGE,)
 
@@ -120,11 +120,11 @@ class RpcVrt(RpcWriter):
                         domains={"RPC": rpc_items(rpc)})
 
     def written(self, rpc: Rpc, path: Path) -> None:
-        """Say nothing: a VRT's own RPC comes first."""
+        """Do nothing: GDAL always uses a VRT's own RPC."""
 
 
 def require_read_back(rpc: Rpc, text: str, suffix: str) -> None:
-    """Refuse text that is not read back as the RPC it was made from.
+    """Refuse text that does not give back the RPC it was made from.
 
     Parameters
     ----------
@@ -138,22 +138,23 @@ def require_read_back(rpc: Rpc, text: str, suffix: str) -> None:
     ------
     TermselError
         If termsel reads another RPC, or GDAL, where rasterio is installed, cannot use it or
-        projects 1,000 ground points elsewhere by more than AGREED.
+        projects any of 1,000 ground points more than AGREED away.
     """
     with TemporaryDirectory() as folder:
         path = Path(folder) / f"scene{suffix}"
         write_text(path, text)
         if read_rpc(path) != rpc:
-            raise TermselError("the RPC that was written is not what is read back",
-                               hint="This is a fault of termsel; please report it.")
+            raise TermselError("the RPC that is read back differs from the one that was written",
+                               hint="This is a bug in termsel; please report it.")
         try:
             require_rasterio()
         except TermselError:
-            log.info("The RPC was read back by termsel; without rasterio GDAL was not asked.")
+            log.info("The RPC was read back by termsel, but not by GDAL, as rasterio is not "
+                     "installed.")
             return
         image = path
         if path.suffix.lower() != ".vrt":
-            # GDAL looks for such files beside some kinds of images only.
+            # GDAL looks for such files next to some kinds of images only.
             image = Path(folder) / "scene.tif"
             write_bytes(image, empty_tiff())
         _require_same_by_gdal(rpc, image)
@@ -175,14 +176,14 @@ def _require_same_by_gdal(rpc: Rpc, image: Path) -> None:
             rows, columns = transformer.rowcol(*ground[seen].T, op=np.asarray)
     except (RasterioError, CPLE_BaseError, ValueError) as error:
         raise TermselError(f"GDAL cannot use this RPC: {error}",
-                           hint="A model whose line or sample does not depend on the ground "
-                                "position cannot be inverted.") from error
+                           hint="A model cannot be inverted if its line or sample does not depend "
+                                "on the ground position.") from error
     # GDAL counts from the corner of the upper-left pixel.
     apart = np.abs(np.column_stack([rows, columns]) - 0.5 - ours[seen])
     if not seen.any() or not (apart <= AGREED).all():
         raise TermselError(
-            f"GDAL projects by this RPC up to {apart.max(initial=np.inf):.3g} px elsewhere",
-            hint="The model is not fit for use near the edges of its ground: choose a plainer one.")
+            f"GDAL's projection by this RPC differs by up to {apart.max(initial=np.inf):.3g} px",
+            hint="The model is unusable near the edges of its ground: choose a simpler one.")
 
 
 def _stem(path: Path, suffix: str) -> str:

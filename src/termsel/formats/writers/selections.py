@@ -1,4 +1,4 @@
-"""The selected features in the formats of other programs, with their residuals."""
+"""The selected features in formats of other programs, with their residuals."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from termsel.results.result import Result
 
 
 class SelectionWriter(Writer):
-    """Common to the forms of control points."""
+    """Base of the writers of control points."""
 
     def accepts(self, result: Result) -> bool:
         """Return True if the control has points."""
@@ -34,7 +34,7 @@ def _require_accepted(writer: Writer, result: Result, path: Path, hint: str) -> 
 
 
 def _used(result: Result) -> set[str]:
-    """Return the features in the adjustment, check points too where a strategy adds them."""
+    """Return the features in the adjustment, with check points if a strategy adds them."""
     return {residual.id for residual in result.residuals if residual.used}
 
 
@@ -58,11 +58,11 @@ _NO_POINTS = "It has no control points; residuals-gpkg and lines-csv take contro
 class QgisPoints(SelectionWriter):
     """All points, the selected ones enabled, with residuals, as QGIS's georeferencer saves them.
 
-    Heights have no place in this format.
+    The format has no heights.
     """
 
     name = "qgis-points"
-    summary = "points of QGIS's georeferencer, the selected ones enabled, residuals filled in"
+    summary = "points for QGIS's georeferencer, the selected ones enabled, with residuals"
     suffix = ".points"
 
     def write(self, result: Result, path: Path) -> None:
@@ -89,7 +89,7 @@ class OrthorityGeojson(SelectionWriter):
     summary = "selected control points as GeoJSON, which Orthority and GIS programs read"
     suffix = "_gcps.geojson"
     declared_options: ClassVar[tuple[Option, ...]] = (
-        Option("image", None, "The image, whose name stands with each point."),)
+        Option("image", None, "The image; its name is written with each point."),)
 
     def accepts(self, result: Result) -> bool:
         """Return True for control points with heights and a CRS."""
@@ -99,7 +99,7 @@ class OrthorityGeojson(SelectionWriter):
 
     def write(self, result: Result, path: Path) -> None:
         """Write a feature collection of 3D points in WGS84."""
-        _require_accepted(self, result, path, "It needs control points with heights, in a CRS.")
+        _require_accepted(self, result, path, "It requires control points with heights and a CRS.")
         chosen = _chosen(result)
         points = result.features.points.take(chosen)
         errors = _errors(result)[chosen]
@@ -186,7 +186,7 @@ class LinesTable(Writer):
 
 
 def wkt(crs: str) -> str:
-    """Return the WKT of a CRS in one line; without pyproj what it was given."""
+    """Return the WKT of a CRS in one line; without pyproj as given."""
     try:
         from pyproj import CRS
     except ImportError:

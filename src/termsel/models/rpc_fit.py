@@ -1,9 +1,8 @@
-"""RPCs from fitted models: taken over as they are, or fitted anew."""
+"""RPCs from fitted models: taken over as they are, or fitted to a grid."""
 
 from __future__ import annotations
 
 import logging
-import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
@@ -12,37 +11,38 @@ import numpy as np
 from termsel.errors import TermselError
 from termsel.fits.fit import Fit, fit
 from termsel.measurements.crs import WGS84, normalise, to_wgs84
-from termsel.measurements.features import BoolArray, FeatureSet, FloatArray, Points
+from termsel.measurements.features import BoolArray, FeatureSet, FloatArray, Points, select
 from termsel.measurements.scaling import scaling_of
+from termsel.models.base import SensorModel
 from termsel.models.monomials import RPC00B
 from termsel.models.rational import RationalFunctions
 from termsel.models.rpc import N_COEFFICIENTS, Rpc
+from termsel.models.terms import AXES, Term
 
 log = logging.getLogger(__name__)
 
 EXACT = 1e-6
-"""Pixels by which an RPC that was taken over may differ from the model."""
+"""Largest difference [px] between the model and an RPC that is taken over."""
 
 GOOD = 0.05
-"""Pixels of loss up to which the selected terms are kept rather than all."""
+"""Largest loss [px] at which the selected terms are kept rather than all."""
 
-_TERM = re.compile(r"(?:(line|sample)\.)?(num|den):(1|(?:X\d?)?(?:Y\d?)?(?:Z\d?)?)")
 _GRID, _LEVELS = 21, 7  # places along either side of the image, and heights
 
 
 @dataclass(frozen=True)
 class RpcFit:
-    """An RPC and how far it is from the model it stands for.
+    """An RPC and its distance from the model it replaces.
 
     Parameters
     ----------
     rpc : Rpc
     how : str
-        "exact" where it was taken over as it is; else the terms it was fitted anew with:
-        "the selected", "all 78" or "all 40 polynomial".
+        "exact" if it was taken over as it is; else the terms it was refitted with: "the selected",
+        "all 78" or "all 40 polynomial".
     worst, rms : float
-        Greatest and root mean square distance from the fitted model [pixel], over the image
-        and the heights of the control, between the places the RPC was fitted to.
+        Greatest and root mean square distance from the fitted model [px], over the image and the
+        heights of the control, between the places the RPC was fitted to.
     """
 
     rpc: Rpc
@@ -52,7 +52,7 @@ class RpcFit:
 
 
 def rpc_of(fitted: Fit) -> RpcFit:
-    """Return the RPC of a fitted model, and say what it costs.
+    """Return the RPC of a fitted model, and what it loses.
 
     Parameters
     ----------
@@ -61,7 +61,7 @@ def rpc_of(fitted: Fit) -> RpcFit:
     Raises
     ------
     TermselError
-        If the ground coordinates cannot be turned into WGS84 longitude and latitude, the model
+        If the ground coordinates cannot be converted to WGS84 longitude and latitude, the model
         cannot be inverted over the image, or no RPC comes near it.
 
     Notes
@@ -71,10 +71,12 @@ def rpc_of(fitted: Fit) -> RpcFit:
     is fitted to a grid of image places and heights, as RPCs are made from rigorous models
     (terrain-independent; Tao and Hu, "A comprehensive study of the rational function model for
     photogrammetric processing", PE&RS 67 (2001) 1347-1357): with the selected terms, and with
-    all of them where that loses more than 0.05 pixel.
+    all of them where that loses more than 0.05 px.
     """
     convert = to_wgs84(fitted.control.crs)
-    rpc = fitted.model.as_rpc(fitted.adjustment.coefficients)
+    model = fitted.model
+    rpc = (model.as_rpc(fitted.adjustment.coefficients) if isinstance(model, SensorModel)
+           else None)
     if rpc is None and normalise(fitted.control.fit_crs or fitted.control.crs) in WGS84:
         rpc = taken_over(fitted)
     if rpc is not None:
@@ -86,7 +88,7 @@ def rpc_of(fitted: Fit) -> RpcFit:
     between, ground_between = _grid(fitted, convert, _GRID - 1, _LEVELS - 1)
     candidates = []
     for how, terms in _term_sets(fitted):
-        rpc = _fitted_anew(image, ground, terms)
+        rpc = _refitted(image, ground, terms)
         candidates.append(RpcFit(rpc, how, *_loss(rpc, ground_between, between)))
         if candidates[-1].worst <= GOOD:
             break
@@ -95,7 +97,7 @@ def rpc_of(fitted: Fit) -> RpcFit:
         raise TermselError("no RPC comes near this model",
                            hint="Export it as geolocation-vrt or gcp-grid-vrt.")
     log.log(logging.INFO if best.worst <= GOOD else logging.WARNING,
-            "RPC: fitted anew to the model in longitude, latitude and height with %s terms. It "
+            "RPC: refitted to the model in longitude, latitude and height with %s terms. It "
             "differs from the model by at most %.2g px (rms %.2g px).", best.how, best.worst,
             best.rms)
     return best
@@ -114,43 +116,36 @@ def taken_over(fitted: Fit) -> Rpc | None:
     for name, value in zip(fitted.model.terms, fitted.adjustment.coefficients, strict=True):
         if value == 0:
             continue
-        place = _place(name)
-        if place is None:
+        term = Term.parse(name)
+        column = _column(term)
+        if column is None:
             return None
-        axes, part, column = place
-        for axis in axes:
-            (above if part == "num" else below)[axis, column] += value
+        axis = slice(None) if term.axis == "both" else AXES.index(term.axis)
+        (below if term.is_denominator else above)[axis, column] += value
     scaling = fitted.scaling
     return Rpc(scaling.image_offset, (scaling.image_scale,) * 2, scaling.ground_offset,
                scaling.ground_scale, tuple(above[0]), tuple(below[0]), tuple(above[1]),
                tuple(below[1]))
 
 
-def _place(name: str) -> tuple[tuple[int, ...], str, int] | None:
-    """Return axes, part and column of a term's coefficient in an RPC; None if it has none."""
-    match = _TERM.fullmatch(name)
-    if match is None or not match[3]:
+def _column(term: Term) -> int | None:
+    """Return the place of a term's coefficient in RPC00B order; None if an RPC has none."""
+    if term.part not in ("numerator", "denominator") or isinstance(term.exponents, str):
         return None
-    exponent = tuple(int((re.search(rf"{letter}(\d?)", match[3]) or "00")[1] or 1)
-                     for letter in "XYZ")
-    if exponent not in RPC00B:
-        return None
-    axes = {"line": (0,), "sample": (1,), None: (0, 1)}[match[1]]
-    return axes, match[2], RPC00B.index(exponent)
+    return RPC00B.index(term.exponents) if term.exponents in RPC00B else None
 
 
 def _term_sets(fitted: Fit) -> Iterator[tuple[str, BoolArray]]:
-    """Yield what to fit anew with: names and masks of terms of the full model."""
-    terms = RationalFunctions().terms
-    names = [name for name, on in zip(fitted.model.terms, fitted.terms, strict=True) if on]
-    if all(_place(name) for name in names):
+    """Yield what to refit with: names and masks of terms of the full model."""
+    terms = [Term.parse(name) for name in RationalFunctions().terms]
+    chosen = [Term.parse(name) for name in select(fitted.model.terms, fitted.terms)]
+    if all(_column(term) is not None for term in chosen):
         # A shared denominator becomes one each, as it is in an RPC.
-        wanted = {f"{axis}.{name}" if name.startswith("den:") else name
-                  for name in names for axis in ("line", "sample")}
-        yield "the selected", np.array([name in wanted for name in terms])
+        yield "the selected", np.array([term in chosen or term.shared in chosen
+                                        for term in terms])
     yield "all 78", np.ones(len(terms), dtype=bool)
     # Without denominators there are no poles.
-    yield "all 40 polynomial", np.array([".num:" in name for name in terms])
+    yield "all 40 polynomial", np.array([not term.is_denominator for term in terms])
 
 
 def _seen(fitted: Fit) -> tuple[FloatArray, FloatArray]:
@@ -178,15 +173,15 @@ def _grid(fitted: Fit, convert: Callable[[FloatArray], FloatArray], across: int,
     seen = np.isfinite(ground).all(axis=1)
     if seen.mean() < 0.8:
         raise TermselError(
-            f"the fitted model says for {1 - seen.mean():.0%} of the image not what ground is "
-            "seen there", hint="It is not fit for use: choose a plainer model, or fewer terms.")
+            f"the model has no ground position for {1 - seen.mean():.0%} of the image",
+            hint="Do not use it: choose a simpler model, or fewer terms.")
     return image[seen, :2], convert(ground[seen])
 
 
-def _fitted_anew(image: FloatArray, ground: FloatArray, terms: BoolArray) -> Rpc:
+def _refitted(image: FloatArray, ground: FloatArray, terms: BoolArray) -> Rpc:
     model = RationalFunctions()
     if np.ptp(ground[:, 2]) < 1e-6:
-        terms = terms & np.array(["Z" not in name.partition(":")[2] for name in model.terms])
+        terms = terms & np.array(["Z" not in Term.parse(name).column for name in model.terms])
     points = Points(tuple(map(str, range(len(image)))), image, ground)
     control = FeatureSet(points, crs="EPSG:4979")
     rpc = taken_over(fit(model, control, scaling_of(control), terms))

@@ -17,11 +17,11 @@ Surface = Callable[[FloatArray], FloatArray]
 """Heights, shape (n,), of plane ground coordinates, shape (n, 2); NaN where there are none."""
 
 TOLERANCE = 1e-6
-"""How near [pixel] the projection of what was found must come to the image point."""
+"""Largest distance [px] between the image point and the projection of its ground point."""
 
 _STEPS, _KEPT = 24, 3
 _SECANTS, _HALVINGS = 20, 40
-_AT_SURFACE, _CLOSE = 1e-6, 1e-3  # in the unit of height; both far less than a pixel
+_AT_SURFACE, _CLOSE = 1e-6, 1e-3  # in the unit of height; both far less than 1 px
 _FAR = 5.0  # half-ranges
 _DIFFERENCE = 1e-4  # of the half-range: central differences leave about 1e-8 of a derivative
 
@@ -41,7 +41,7 @@ def locate(
     project : callable
         From ground to image.
     image : array_like, shape (n, 2)
-        Line and sample [pixel].
+        Line and sample [px].
     height : array_like, shape (n,), a number, or callable
         Heights, or a surface that gives them for x and y.
     centre, scale : array_like, shape (3,)
@@ -50,8 +50,8 @@ def locate(
     Returns
     -------
     ndarray, shape (n, 3)
-        Ground coordinates; NaN where no ground point is seen at the image point, or the
-        surface has no height there.
+        Ground coordinates; NaN where the ray meets no ground point, or the surface has no
+        height there.
 
     Raises
     ------
@@ -60,10 +60,9 @@ def locate(
 
     Notes
     -----
-    Newton's method at fixed heights, with derivatives that are kept for some steps. On a
-    surface, the height found where a ray reaches one height is the next to try; the secant
-    method finds the one that repeats itself. Of several places where a ray meets a steep
-    surface it gives one, not always the one that is seen.
+    Newton's method at fixed heights; derivatives are kept for some steps. On a surface, the
+    secant method finds the height at which ray and surface agree. Where a ray meets a steep
+    surface several times, one of the places is returned, not always the visible one.
     """
     image = np.asarray(image, dtype=np.float64)
     if image.ndim != 2 or image.shape[1] != 2:
@@ -76,17 +75,17 @@ def locate(
     ground = _newton(project, image, ground, unit, inverse)
     if callable(height):
         ground = _meet(project, image, height, ground, unit, inverse)
-    # Higher polynomials have other places, far away, that would be seen there too.
+    # Higher polynomials map places far away to the same image point.
     ground[(np.abs(ground[:, :2] - middle[:2]) > _FAR * unit[:2]).any(axis=1)] = np.nan
     return ground
 
 
 def _newton(project: Projection, image: FloatArray, ground: FloatArray, unit: FloatArray,
             inverse: FloatArray) -> FloatArray:
-    """Return ground points at the heights they have, moved to where the image points are.
+    """Return ground points at their heights, moved until they project to the image points.
 
-    `inverse`, the moves on the ground for a pixel, hardly changes over an image: it is renewed
-    only for points that do not arrive.
+    `inverse`, the moves on the ground for 1 px, hardly changes over an image. It is renewed
+    only for points that do not converge.
     """
     ground = ground.copy()
     with np.errstate(all="ignore"):
@@ -104,7 +103,7 @@ def _newton(project: Projection, image: FloatArray, ground: FloatArray, unit: Fl
 
 
 def _inverse(project: Projection, ground: FloatArray, unit: FloatArray) -> FloatArray:
-    """Return the moves in x and y for a pixel of line and of sample, shape (n, 2, 2)."""
+    """Return the moves in x and y for 1 px of line and of sample, shape (n, 2, 2)."""
     with np.errstate(all="ignore"):
         steps = np.diag(_DIFFERENCE * unit)[:2]
         (lx, sx), (ly, sy) = (((project(ground + step) - project(ground - step)) / 2).T
@@ -137,7 +136,7 @@ def _meet(project: Projection, image: FloatArray, surface: Surface, ground: Floa
         low, high = np.fmin(low, ground[:, 2]), np.fmax(high, ground[:, 2])
         with np.errstate(all="ignore"):
             slope[going] = np.nan_to_num(1.0 + (above[going] - before) / step)
-    # What is left is too steep for that: halve the heights between which the surface is crossed.
+    # The rest is too steep for that: halve the interval of heights where the ray meets the surface.
     going = np.flatnonzero(~(np.abs(above) <= _AT_SURFACE))
     below = np.full(len(going), np.fmin.reduce(low, initial=np.nan))
     over = np.full(len(going), np.fmax.reduce(high, initial=np.nan))

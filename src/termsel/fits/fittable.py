@@ -1,0 +1,48 @@
+"""What a fit needs of a model, so that models, which stand above fits, can fit themselves."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar, Protocol, Self
+
+from termsel.adjustment.equations import Equations
+from termsel.measurements.features import FeatureSet, FloatArray, IntArray
+from termsel.measurements.scaling import Scaling
+
+
+class Fittable(Protocol):
+    """A model that can be fitted; `termsel.SensorModel` says what each member means."""
+
+    name: ClassVar[str]
+    uses_height: ClassVar[bool]
+    options: dict[str, Any]
+
+    @property
+    def terms(self) -> tuple[str, ...]:
+        """Names of the k terms."""
+
+    @property
+    def axis(self) -> IntArray:
+        """Image axis of each term, shape (k,)."""
+
+    @property
+    def corrects(self) -> bool:
+        """True if the control corrects predictions directly."""
+
+    def prepared(self, scaling: Scaling, crs: str) -> Self:
+        """Return the model for features that are scaled like this."""
+
+    def equations(self, features: FeatureSet) -> Equations:
+        """Return the linear equations of scaled control features."""
+
+    def linearised(self, features: FeatureSet, coefficients: FloatArray) -> Equations | None:
+        """Return the equations about a solution, or None where `equations` are exact."""
+
+    def project(self, coefficients: FloatArray, ground: FloatArray) -> FloatArray:
+        """Return scaled image positions by the coefficients alone."""
+
+    def predict(self, coefficients: FloatArray, control: FeatureSet,
+                ground: FloatArray) -> FloatArray:
+        """Return scaled image positions, corrected by the control."""
+
+    def denominators(self, coefficients: FloatArray, ground: FloatArray) -> FloatArray | None:
+        """Return the denominators, or None where there are none."""

@@ -1,0 +1,86 @@
+"""The verb of the public API: from features with their roles to a fit, or to what is missing."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from termsel.errors import TermselError
+from termsel.fits.fit import LEAST_SQUARES, Fit, Undetermined
+from termsel.fits.fittable import Fittable
+from termsel.measurements.features import FeatureSet
+from termsel.measurements.scaling import scaling_of
+from termsel.threads import one_blas_thread
+
+AS_CONTROL = ("control", "")
+"""Roles of the points that a fit takes as control; "" is that of a point without a role."""
+
+
+def control_of(features: FeatureSet) -> FeatureSet:
+    """Return the features that a fit takes as control.
+
+    Parameters
+    ----------
+    features : FeatureSet
+        Lines, and points with the role control or none, are control. Points with the role check,
+        independent or off are left out.
+
+    Raises
+    ------
+    TermselError
+        If none is left.
+    """
+    points = features.points
+    taken = np.isin(np.array(points.roles, dtype=object), AS_CONTROL)
+    if not taken.any() and not len(features.lines):
+        others = ", ".join(sorted(set(points.roles)))
+        raise TermselError(
+            f"all {len(points)} points have other roles than control: {others}" if others
+            else "there are no control features",
+            hint="Give points the role control or none; a fit takes these and all lines.")
+    if taken.all():
+        return features
+    return features.take(np.concatenate([taken, np.ones(len(features) - len(points), dtype=bool)]))
+
+
+@one_blas_thread
+def fit_features(model: Fittable, features: FeatureSet) -> Fit:
+    """Fit all terms of a model by least squares.
+
+    Parameters
+    ----------
+    model : Fittable
+    features : FeatureSet
+        As `control_of` takes them.
+
+    Raises
+    ------
+    Undetermined
+        If the control does not determine the terms.
+    """
+    control = control_of(features)
+    terms, used = (np.ones(n, dtype=bool) for n in (len(model.terms), len(control)))
+    return require_determined(
+        LEAST_SQUARES.fit(model, control, scaling_of(control), terms, used))
+
+
+def require_determined(fitted: Fit) -> Fit:
+    """Return a fit, and refuse one whose terms the control does not determine.
+
+    Raises
+    ------
+    Undetermined
+    """
+    if fitted.determined:
+        return fitted
+    adjustment, name = fitted.adjustment, fitted.model.name
+    if adjustment.n_equations < adjustment.n_terms:
+        raise Undetermined(
+            f"{fitted.used.sum()} control features give {adjustment.n_equations} equations for the "
+            f"{adjustment.n_terms} terms of model {name!r}",
+            hint=f"Measure at least {-(-adjustment.n_terms // 2)}, or choose a model with fewer "
+                 "terms.")
+    raise Undetermined(
+        f"the control determines only {adjustment.rank} of the {adjustment.n_terms} terms of "
+        f"model {name!r}",
+        hint="Spread the control over the area and its heights, or choose a model with fewer "
+             "terms.")

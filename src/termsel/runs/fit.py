@@ -1,0 +1,73 @@
+"""The public verb `fit`: any model by its name, its class or itself, and any candidate."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from termsel.candidates.candidate import CANDIDATES, named
+from termsel.errors import TermselError, unknown_name
+from termsel.fits.fit import Fit
+from termsel.measurements.features import FeatureSet
+from termsel.models.base import SensorModel
+from termsel.plugins.registry import registry
+
+
+def fit(features: FeatureSet, model: str | type[SensorModel] | SensorModel = "rfm",
+        **options: Any) -> Fit:
+    """Fit one model to control features, without any selection.
+
+    Parameters
+    ----------
+    features : FeatureSet
+        Lines, and points with the role control or none, are control. Points with the role check,
+        independent or off are left out.
+    model : str, class or SensorModel
+        Name of a model, or of a candidate that needs no search: affine, dlt, projective,
+        quadratic, cubic, rfm-2, rfm-3, ridge, selected, shrunken-quadratic, shrunken-cubic. Of a
+        name that both have, the model is taken.
+    **options
+        Options of the model; a candidate has none.
+
+    Returns
+    -------
+    Fit
+
+    Raises
+    ------
+    TermselError
+        For an unknown name or option; if there is no control, the control does not determine the
+        terms, or heights that the model uses are unknown.
+
+    Examples
+    --------
+    >>> import termsel
+    >>> scene = termsel.simulate_scene("ikonos-hamedan")
+    >>> fitted = termsel.fit(scene, "poly3d", degree=1)
+    >>> fitted.adjustment.redundancy
+    24
+    >>> independent = scene.points.take([role == "independent" for role in scene.points.roles])
+    >>> fitted.rmse(independent).total < 10
+    True
+    """
+    if isinstance(model, str):
+        names = registry().names("models")
+        candidate = None if model in names else named(model)
+        if candidate is not None:
+            _refuse(options, f"candidate {model!r}")
+            return candidate.fit(features)
+        if model not in names and ":" not in model:
+            raise unknown_name("model", model, {*names, *(one.name for one in CANDIDATES)},
+                               registry().hint(model, "models"))
+        model_type: type[SensorModel] = registry().get("models", model)
+        return model_type(**options).fit(features)
+    if isinstance(model, SensorModel):
+        _refuse(options, f"model {model.name!r}, which has its options already,")
+        return model.fit(features)
+    return model(**options).fit(features)
+
+
+def _refuse(options: dict[str, Any], what: str) -> None:
+    """Refuse options of something that takes none."""
+    if options:
+        raise TermselError(f"{what} takes no option {next(iter(options))!r}",
+                           hint="Give options with the name or the class of a model.")

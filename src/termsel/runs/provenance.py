@@ -1,0 +1,43 @@
+"""What a result is made of: data and versions, for the record."""
+
+from __future__ import annotations
+
+import platform
+from importlib.metadata import version
+from typing import Any
+
+from termsel.measurements.crs import height_reference
+from termsel.measurements.features import FeatureSet
+from termsel.measurements.roles import Observations
+from termsel.results.checksums import of_features
+
+
+def data_of(features: FeatureSet, source: str, observations: Observations) -> dict[str, Any]:
+    """Return what a record says of the features its result is made of.
+
+    Parameters
+    ----------
+    features : FeatureSet
+        As read.
+    source : str
+    observations : Observations
+        The same features, each in its role.
+    """
+    control, size = observations.control, features.image_size
+    return {
+        "source": source, "sha256": of_features(features), "crs": features.crs,
+        "fit_crs": control.fit_crs or features.crs,
+        "heights": features.heights or height_reference(features.crs) or None,
+        "noise": features.noise, "image_size": size and list(size),
+        "counts": {"control": len(control.points), "check": len(observations.check),
+                   "independent": len(observations.independent),
+                   "lines": len(control.lines.features), "off": len(observations.off)},
+        "roles": {"control": list(control.ids), "off": list(observations.off),
+                  "check": list(observations.check.ids),
+                  "independent": list(observations.independent.ids)}}
+
+
+def versions() -> dict[str, str]:
+    """Return the versions of termsel and what it computes with."""
+    packages = ("termsel", "numpy", "scipy", "numba", "deap", "pymoo")
+    return {"python": platform.python_version(), **{name: version(name) for name in packages}}
