@@ -1,7 +1,7 @@
 """Effect of the coordinates in which a model is fitted, with few points and with many.
 
 ``python -m benchmarks.coordinates`` prints the tables, ``--write`` puts them into
-docs/coordinates.md; ``--seeds N`` makes it shorter. Requires pyproj.
+docs/evidence/coordinates.md; ``--seeds N`` makes it shorter. Needs pyproj.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ MODELS: dict[str, SensorModel] = {
     "affine": Affine(), "DLT": DLT3D(), "quadratic": Polynomial3D(degree=2)}
 AUTO = "chosen by `auto`"
 INDEPENDENT = 150
-PAGE = Path(__file__).parents[1] / "docs" / "coordinates.md"
+PAGE = Path(__file__).parents[1] / "docs" / "evidence" / "coordinates.md"
 
 
 @lru_cache
@@ -93,7 +93,7 @@ def page(seeds: int) -> str:
 def main() -> None:
     """Print the tables or put them between the marks of the page."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--write", action="store_true", help="update docs/coordinates.md")
+    parser.add_argument("--write", action="store_true", help="renew docs/evidence/coordinates.md")
     parser.add_argument("--seeds", type=int, default=20, help="draws of points and noise")
     asked = parser.parse_args()
     tables = page(asked.seeds)

@@ -1,11 +1,12 @@
 """Accuracy of the strategy auto on unseen points, and of its own prediction.
 
-``python -m benchmarks.honest`` prints the tables, ``--write`` writes docs/honest-accuracy.md.
+``python -m benchmarks.honest`` prints the tables, ``--write`` makes
+docs/evidence/honest-accuracy.md of them.
 The sets are the embedded scenes, each split with new points and noise, and those of the folder
-named by the environment variable TERMSEL_DATA, or ../shared/data, if it exists: sets derived
-from a sensor model get Gaussian noise of 0.5 px on line and sample. A split draws some points at
-random as control and check together, and up to 300 of the others as independent. ``--splits N``
-makes it shorter; names of sets and ``--counts`` choose among them.
+named by the environment variable TERMSEL_DATA, or ../shared/data, where it is there: sets derived
+from a sensor model get Gaussian noise of 0.5 px on line and sample. A split draws so many
+points at random as control and check together, and up to 300 of the others as independent.
+``--splits N`` makes it shorter, names of sets and ``--counts`` choose among them.
 """
 
 from __future__ import annotations
@@ -149,7 +150,7 @@ class Row:
 
     @property
     def honesty(self) -> float:
-        """Median of the ratio of independent to predicted RMSE."""
+        """Median of independent divided by predicted RMSE."""
         return median(s.auto / s.predicted for s in self.splits)
 
 
@@ -181,7 +182,7 @@ def line(row: Row) -> str:
 
 
 def verdict(found: list[Row]) -> str:
-    """Return a table of requirements and measurements."""
+    """Return what was required next to what was measured."""
     few = [row.ratio for row in found if row.count in FEW]
     over = [row for row in found if row.ratio > 1.05]
     all_splits = [(row, s) for row in found for s in row.splits]
@@ -191,7 +192,7 @@ def verdict(found: list[Row]) -> str:
     honest = median(s.auto / s.predicted for _, s in all_splits)
     named = ", ".join(f"{row.name} at {row.count} ({row.ratio:.2f})" for row in over) or "none"
     lines = [
-        "| figure | required | measured |", "|---|---|---|",
+        "| what | required | measured |", "|---|---|---|",
         f"| ratio to the best plain structure in hindsight, median over sets | at most 1.00 | "
         f"{median(row.ratio for row in found):.2f} |",
         f"| the same at {' and '.join(map(str, FEW))} points | at most 0.95 | "
@@ -202,7 +203,8 @@ def verdict(found: list[Row]) -> str:
         f"{bad} of {len(all_splits)}; worst {max(row.worst for row in found):.2f} |",
         "| scenes at 74 points and more: ratio to noise sqrt(1 + 10/n), worst | at most 1.10 | "
         f"{f'{max(floors):.2f}' if floors else '-'} |",
-        f"| independent by predicted RMSE, median over splits | 0.90 to 1.15 | {honest:.2f} |",
+        "| independent divided by predicted RMSE, median over splits | 0.90 to 1.15 | "
+        f"{honest:.2f} |",
         "| seconds, 74 points, median | less than 10 | "
         f"{_seconds(found)} |"]
     return "\n".join(lines)
@@ -237,7 +239,7 @@ def against_papers(wanted: list[str], processes: int) -> str:
         for name in wanted:
             jobs = [(name, count, seed) for count in GA_COUNTS for seed in range(GA_SPLITS)]
             ratios[name] = median(auto / ga for ga, auto in pool.map(papers, jobs))
-    lines = ["| set | auto by GA, independent RMSE, median |", "|---|---:|"]
+    lines = ["| set | independent RMSE of auto divided by that of the GA, median |", "|---|---:|"]
     lines += [f"| {name} | {ratio:.2f} |" for name, ratio in ratios.items()]
     return "\n".join([*lines, f"| median over sets (required: at most 0.75) | "
                               f"{median(ratios.values()):.2f} |"])
@@ -286,7 +288,8 @@ def main() -> None:
     parser.add_argument("--counts", type=int, nargs="+", default=list(COUNTS))
     parser.add_argument("--splits", type=int, default=20)
     parser.add_argument("--processes", type=int, default=1)
-    parser.add_argument("--write", action="store_true", help="write docs/honest-accuracy.md")
+    parser.add_argument("--write", action="store_true",
+                        help="write docs/evidence/honest-accuracy.md")
     asked = parser.parse_args()
     wanted = asked.names or names()
     found = []
@@ -302,33 +305,33 @@ def main() -> None:
 Made by `python -m benchmarks.honest --write`: {asked.splits} splits of each set and number of
 points. Points are those in control and check together; up to 300 others are independent. The
 best plain structure (affine, DLT or projective, quadratic, cubic) is chosen with hindsight, by the
-median of its independent RMSE over all splits. The embedded scenes are simulated; sets derived
+median of its independent RMSE over all splits. The embedded scenes are simulated. Sets derived
 from sensor models have Gaussian noise of {NOISE} px. Seconds are those of one process on a busy
 machine.
 
-## Requirements and measurements
+## Requirement and measurement
 
 {verdict(found)}
 
-Requirements are missed with 12 points, at most 20. So few points do not tell which structure
-will be best on a split, and the best of five in hindsight is partly the best by luck. No rule can
-guarantee it. Even the structure that is best for the set and the number of points, which nobody
-knows beforehand, is sometimes much worse than the best of the split.
+The requirement is missed only with 12 points and with 20. So few points do not tell which structure
+will be best on that very split, and the best of five in hindsight is partly best by luck. No rule
+can promise it. Take the structure that is best for the set and the number of points, which nobody
+knows beforehand: even that is sometimes much worse than the best of the split.
 
 {rules(found)}
 
 ## Against the papers' GA
 
-`rfm-terms` with `--solver ga` on check RMSE (`poly-terms` if there are no heights), half of the
-points as check, {GA_SPLITS} of the splits at {', '.join(map(str, GA_COUNTS))} points each.
+`rfm-terms` with `--solver ga` on check RMSE (`poly-terms` where there are no heights). Half of the
+points are check points. {GA_SPLITS} of the splits at {', '.join(map(str, GA_COUNTS))} points each.
 
 {papers_table}
 
 ## Constants
 
-The median over splits of the ratio of auto's independent RMSE to that of the best plain
-structure, at 12, 20 and 40 points, with each constant of `termsel.candidates.shrunken` and those
-of `termsel.candidates.portfolio` halved and doubled.
+The median over splits of auto's independent RMSE divided by that of the best plain structure of
+the split, at 12, 20 and 40 points. Each constant of `termsel.candidates.shrunken` and of
+`termsel.candidates.portfolio` is halved and doubled.
 
 {constants}
 
@@ -337,7 +340,7 @@ of `termsel.candidates.portfolio` halved and doubled.
 {table(found)}
 """
     if asked.write:
-        (ROOT / "docs" / "honest-accuracy.md").write_text(text, encoding="utf-8")
+        (ROOT / "docs" / "evidence" / "honest-accuracy.md").write_text(text, encoding="utf-8")
     else:
         sys.stdout.write(text)
 

@@ -1,11 +1,11 @@
 """Tables of the papers, rebuilt on the embedded scenes.
 
-``python -m benchmarks.paper_tables --write`` makes docs/paper-tables.md: the five methods of
-Valadan Zoej et al. 2002 on their three data sets, and OWDIS of Yavari et al. 2018, next to the
+``python -m benchmarks.paper_tables --write`` makes docs/evidence/paper-tables.md: the five methods
+of Valadan Zoej et al. 2002 on their three data sets, and OWDIS of Yavari et al. 2018, next to the
 published figures. Without ``--write`` the page goes to stdout; ``--scenes N`` makes it quicker,
 and so does ``OMP_NUM_THREADS=1`` on a busy machine. It requires the package termsel-hybrids.
 
-The sentences on the page describe the present tables; check them when the tables change.
+The sentences on the page were written for what the tables showed; read them again with new tables.
 """
 
 from __future__ import annotations
@@ -84,11 +84,11 @@ def main() -> None:
     """Print or write the page."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--scenes", type=int, default=20, help="scenes drawn for each table")
-    parser.add_argument("--write", action="store_true", help="write docs/paper-tables.md")
+    parser.add_argument("--write", action="store_true", help="write docs/evidence/paper-tables.md")
     asked = parser.parse_args()
     text = "\n".join(page(asked.scenes)) + "\n"
     if asked.write:
-        target = Path(__file__).parents[1] / "docs" / "paper-tables.md"
+        target = Path(__file__).parents[1] / "docs" / "evidence" / "paper-tables.md"
         target.write_text(text)
     else:
         sys.stdout.write(text)
@@ -188,7 +188,7 @@ def figures(task: Task, fitted: Fit) -> Figures:
 
 def owdis_rows(scenes: int) -> Iterator[str]:
     """Yield the table of OWDIS."""
-    yield ("| selected | features | terms | mismatched lines dropped | all in use: independent | "
+    yield ("| selected | features | terms | blunders dropped | all in use: independent | "
            "selection: check | independent | ratio | feasible |\n"
            "|---|---:|---:|---:|---:|---:|---:|---:|---:|")
     for title, (problem, settings) in OWDIS.items():
@@ -203,7 +203,7 @@ def owdis_rows(scenes: int) -> Iterator[str]:
 
 
 def owdis(problem: str, settings: dict[str, Any], seed: int) -> tuple[float, ...]:
-    """Return features, terms, share of mismatched lines dropped, RMSE and feasibility of a run."""
+    """Return features, terms, share of blunders dropped, RMSE, and feasibility, of a run."""
     scene = simulate_scene("ikonos-hamedan", seed=seed)
     result = run(problem, features=scene, solver="ga", **settings)
     selection = result.selection
@@ -224,59 +224,63 @@ def _px(value: float) -> str:
     return f"{value:.2f}" if value < 100 else f"{value:.0f}"
 
 
-HEAD = """# Tables of the papers
+HEAD = """# Paper tables
 
 Made by `python -m benchmarks.paper_tables --write`, with the package termsel-hybrids. **All data
-here are simulated**: the papers' points are not available, and the [scenes](simulated.md) have
-only their place, heights, viewing angle and numbers of points. Compare the order of the methods,
-not their figures. RMSE in px, medians of {scenes} scenes (seeds 1 to {scenes}).
+here are simulated**: the papers' points are not available. The [scenes](../reference/simulated.md)
+have the papers' place, heights, viewing angle and numbers of points, and nothing else of them.
+Compare the order of methods, not their figures. RMSE in px, medians of {scenes} scenes (seeds 1
+to {scenes}).
 
 ## Five methods (Valadan Zoej et al. 2002)
 
-In addition to the paper's control and check points each scene has {independent} independent
-ones. The paper selects the terms of hybrid-2 and hybrid-3 by the check points that it reports.
-The column "check" here does the same: for these two methods it is the fitness. The global
-polynomial has the first terms of the paper's eq. 6, and so have `multiquadric` and `hybrid-1`;
-`hybrid-2` and `hybrid-3` select from the 15 terms of degree 4.
+Each scene has {independent} independent points in addition to the paper's control and check
+points. The paper selects the terms of hybrid-2 and hybrid-3 by the very check points it reports.
+So does the column "check" here: for these two methods it is fitness. The global polynomial has
+the first terms of the paper's eq. 6, and so have `multiquadric` and `hybrid-1`. `hybrid-2` and
+`hybrid-3` select from the 15 terms of degree 4.
 """
 METHOD_WORDS = """### Where the order differs, and why
 
-- **hybrid-1 gains almost nothing** over the polynomial it starts from. That is algebra: to first
+- **hybrid-1 gains almost nothing** on the polynomial it starts from. That is algebra: to first
   order the second step adds 1, x, y, xy, x², x²y to the line and 1, x, y, xy, y², xy² to the
-  sample. The eight terms include all of these, and least squares leaves none of them in the
-  residuals; with five terms little more can be gained. The paper does not explain its gain, from
-  2.80 to 1.67 px.
+  sample. The eight terms hold all of these, and least squares leaves none of them in the
+  residuals. With five terms little more is possible. The paper does not say where its gain comes
+  from, from 2.80 to 1.67 px.
 - **hybrid-2 gains much more** on the IKONOS scene than published. The simulated terrain has broad
-  hills, which eight terms do not fit and the fifteen do.
-- **Interpolation helps where the control is dense.** The residuals of polynomials are
-  displacements by local relief with wavelengths of a sixth to a third of the scene. A few dozen
-  points do not resolve that, and `multiquadric` and `hybrid-3` then apply residuals to places
-  where they are not valid. The published gains, even with 20 points, mean that the residuals at
-  Hamedan varied slowly from point to point. The simulated IRS-1C scene with more control:
+  hills. Eight terms do not follow them; the fifteen do.
+- **Interpolation helps where the control is dense.** The residuals of polynomials are here
+  displacement by local relief. Its wavelengths are a sixth to a third of the scene. A few dozen
+  points do not resolve it. `multiquadric` and `hybrid-3` then carry residuals to places where they
+  do not hold. The published gains, even with 20 points, show that the residuals at Hamedan varied
+  slowly from point to point. The simulated IRS-1C scene with more control:
 """
-OWDIS_HEAD = """- **Terms selected before the interpolation or with it** are equally good, within
-  0.1 px.
-- **The zeros of the control tell nothing.** Leave-one-out errs on the safe side here: each point
-  held out leaves a gap that the independent points do not have.
+OWDIS_HEAD = """- **Terms selected before the interpolation or with it** are equally good,
+  within 0.1 px.
+- **The zeros of the control say nothing.** Leave-one-out is on the safe side here: each point
+  that is held out leaves a gap that the independent points do not have.
 
 ## Control features and terms together (OWDIS, Yavari et al. 2018)
 
-Published, over a GeoEye and an IKONOS image of Iran: with the RFM of all terms, selected lines
-are five times as accurate as all lines, about 1 px; with an RFM of selected terms, better than
-0.7 px. Further figures of the paper could not be consulted. Here: the scene
-`ikonos-hamedan` with 120 lines, 8 of them mismatched, or 24 control points; 24 check and 26
+Published, for a GeoEye and an IKONOS image of Iran: with the RFM of all terms, selected lines are
+five times as accurate as all lines, at the level of 1 px. With an RFM of selected terms they are
+better than 0.7 px. More of the paper's figures could not be consulted. Here: the scene
+`ikonos-hamedan` with 120 lines, of which 8 are blunders, or 24 control points; 24 check and 26
 independent points. "Feasible" is the share of scenes in which a selection without a pole was
 found.
 """
 OWDIS_WORDS = """\
-The order is the published one: all lines worst, selected lines several times better, selected
-lines and terms better still, below 1 px. An RFM of all terms needs pseudo-observations that hold
-its denominators near zero (`ridge`, see [the method](method.md)): otherwise line and sample have
-a pole in the scene with nearly every selection. The remedy of the paper is not known. All lines
-fail by more than published, as some are mismatched by many px here. The lines determine a
-quadratic polynomial well, so it needs no selection of terms: the selection of lines alone drops
-all mismatched ones. The noise of the measurements is 0.71 px; the independent RMSE cannot be
-expected to be lower. The published 0.7 px is that of other measurements."""
+The order is the published one: all lines are worst, selected lines are several times better, and
+selected lines and terms are better still and below 1 px.
+
+- An RFM of all terms needs pseudo-observations that hold its denominators near zero (`ridge`, see
+  [lines](../explanation/lines.md#pseudo-observations)). Without them line and sample have a pole
+  in the scene under almost every selection. What the paper did against that is not known.
+- All lines are worse here than published, because some are wrong by many px.
+- The lines determine a quadratic polynomial well. It needs no selection of terms: the selection of
+  lines alone drops all blunders.
+- The noise of the measurements is 0.71 px. No independent RMSE below it can be expected here. The
+  published 0.7 px is that of other measurements."""
 
 if __name__ == "__main__":
     main()

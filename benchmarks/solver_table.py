@@ -1,7 +1,7 @@
 """The table of all solvers in the documentation.
 
-``python -m benchmarks.solver_table --write`` makes docs/solver-table.md: every solver over 30
-seeds and 10,000 evaluations on the embedded scene `ikonos-hamedan`. Without ``--write`` the
+``python -m benchmarks.solver_table --write`` makes docs/evidence/solver-table.md: every solver over
+30 seeds and 10,000 evaluations on the embedded scene `ikonos-hamedan`. Without ``--write`` the
 table goes to stdout; ``--seeds N`` makes it shorter, and names of problems choose among them.
 """
 
@@ -41,34 +41,33 @@ def main() -> None:
     parser.add_argument("names", nargs="*", help="problems; by default all")
     parser.add_argument("--seeds", type=int, default=30)
     parser.add_argument("--processes", type=int, default=2)
-    parser.add_argument("--write", action="store_true", help="write docs/solver-table.md")
+    parser.add_argument("--write", action="store_true", help="write docs/evidence/solver-table.md")
     asked = parser.parse_args()
     chosen = [name for name in PROBLEMS
               if not asked.names or any(part in name for part in asked.names)]
     text = "\n".join(
         part for name in chosen for part in section(name, asked.seeds, asked.processes)) + "\n"
     if asked.write:
-        target = Path(__file__).parents[1] / "docs" / "solver-table.md"
+        target = Path(__file__).parents[1] / "docs" / "evidence" / "solver-table.md"
         target.write_text(f"{introduction(asked.seeds)}\n{text}")
     else:
         sys.stdout.write(text)
 
 
 def introduction(seeds: int) -> str:
-    """Return the text above the tables."""
-    return f"""# All solvers compared
+    """Return what stands above the tables."""
+    return f"""# Solver table
 
 Made by `python -m benchmarks.solver_table --write`: the embedded, simulated scene
 `ikonos-hamedan`, {seeds} seeds, a budget of {EVALUATIONS:,} evaluations each, with local
-refinement if a solver has it (its evaluations are counted in the column). Fitness is the check
-RMSE [px];
-"optimum reached" is the share of seeds that end at the proven optimum, if `exact` can prove it.
-Evaluations, seconds and the independent RMSE [px] are medians. Deterministic solvers run once.
-Seconds are those of one of two parallel processes and good only for comparison.
+refinement if a solver has it (the column counts its evaluations). Fitness is the check RMSE [px].
+"Optimum reached" is the share of seeds that end at the proven optimum, where `exact` can tell it.
+Evaluations, seconds and the independent RMSE [px] are medians. Solvers without chance run once.
+Two processes ran at the same time; use the seconds only for comparison.
 
-A lower fitness is not a better model: compare the last column. Solvers for several objectives
-spend their evaluations on a whole front; the table shows its member of least fitness. Their
-local refinement searches around the front and does not restart.
+**A lower fitness is not a better model: compare the last column.** Solvers for several objectives
+spend their evaluations on a whole front; the table shows its member of least fitness. Their local
+refinement looks around the front and does not start again.
 """
 
 

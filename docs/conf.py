@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sys
+from pathlib import Path
 from typing import Any
 
 from docutils import nodes
@@ -9,6 +11,8 @@ from docutils.utils.math.latex2mathml import tex2mathml
 from sphinx.application import Sphinx
 
 import termsel
+
+sys.path.insert(0, str(Path(__file__).parent))
 
 project = "termsel"
 author = "The termsel developers"
@@ -55,7 +59,31 @@ def displayed_math(writer: Any, node: nodes.math_block) -> None:
     raise nodes.SkipNode
 
 
+def fill(_app: Sphinx, _name: str, source: list[str]) -> None:
+    """Put what is generated from the code into a page that is read."""
+    from generated import filled
+
+    source[0] = filled(source[0])
+
+
+def examples(_app: Sphinx, _context: Any, lines: list[str]) -> None:
+    """Set the examples of a command as code: click's paragraphs of lines that are kept."""
+    text: list[str] = []
+    kept = False
+    for line in lines:
+        if not line.startswith("|"):
+            text.append(line)
+        elif line.endswith(":"):
+            text += [line[2:], ""]
+        else:
+            text += ([] if kept else [".. code-block:: sh", ""]) + [f"   {line[2:]}"]
+        kept = line.startswith("|") and not line.endswith(":")
+    lines[:] = text
+
+
 def setup(app: Sphinx) -> None:
-    """Register how formulae are written."""
+    """Register how formulae are written and pages are filled."""
+    app.connect("source-read", fill)
+    app.connect("sphinx-click-process-description", examples)
     app.add_html_math_renderer("mathml", (inline_math, None), (displayed_math, None))
     app.add_css_file("termsel.css")

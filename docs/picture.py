@@ -1,7 +1,7 @@
 """Draw the picture of the README from an actual run: python docs/picture.py
 
 Left the control lines, the points and their residuals in the image, right the RMSE of the
-selection beside fits without a search. Needs the extra `report`.
+selection next to fits without a search. Needs the extra `report`.
 """
 
 from __future__ import annotations
@@ -84,10 +84,10 @@ def scene_chart(result: Result, task: running.Task, wrong: tuple[str, ...]) -> a
     """Return the image with lines, points and residuals."""
     n_lines, n_samples = SIZE
     x = alt.X("sample:Q", scale=alt.Scale(domain=[-MARGIN, n_samples + MARGIN], nice=False),
-              axis=alt.Axis(title="sample [pixel]", values=[*range(0, n_samples + 1, 2000)],
+              axis=alt.Axis(title="sample [px]", values=[*range(0, n_samples + 1, 2000)],
                             grid=False))
     y = alt.Y("line:Q", scale=alt.Scale(domain=[n_lines + MARGIN, -MARGIN], nice=False),
-              axis=alt.Axis(title="line [pixel]", values=[*range(0, n_lines + 1, 1000)],
+              axis=alt.Axis(title="line [px]", values=[*range(0, n_lines + 1, 1000)],
                             grid=False))
     rows = line_rows(result, wrong)
     frame = alt.Chart(alt.Data(values=[
@@ -108,7 +108,7 @@ def scene_chart(result: Result, task: running.Task, wrong: tuple[str, ...]) -> a
     ).resolve_scale(color="independent").properties(
         width=WIDTH, height=WIDTH * (n_lines + 2 * MARGIN) / (n_samples + 2 * MARGIN),
         title=alt.Title(f"Simulated IKONOS scene: {len(rows)} control lines, "
-                        f"{len(wrong)} of them wrongly matched",
+                        f"{len(wrong)} of them blunders",
                         subtitle="termsel run --problem owdis-lines"))
 
 
@@ -116,13 +116,13 @@ def key_chart(result: Result, wrong: tuple[str, ...]) -> alt.LayerChart:
     """Return the key: one row a symbol, with how many there are of it."""
     kinds = [row["kind"] for row in line_rows(result, wrong)]
     texts = {SELECTED: f"{kinds.count(SELECTED)} lines that the search selected",
-             LEFT_OUT: f"{kinds.count(LEFT_OUT)} lines that it left out",
-             WRONG_LINE: f"{len(wrong)} wrongly matched lines, "
-                         + ("all left out" if not set(wrong) & set(result.selection.features)
+             LEFT_OUT: f"{kinds.count(LEFT_OUT)} lines that it did not select",
+             WRONG_LINE: f"{len(wrong)} blunders, "
+                         + ("all dropped" if not set(wrong) & set(result.selection.features)
                             else "some selected"),
              "check": f"{result.rmse['check'].n} check points: they guide the search",
              "independent": f"{result.rmse['independent'].n} independent points: they judge it",
-             "scale": "residual of 1 pixel"}
+             "scale": "residual of 1 px"}
     rows = [{"kind": kind, "text": text, "row": i} for i, (kind, text) in enumerate(texts.items())]
     y = alt.Y("row:Q", axis=None, scale=alt.Scale(domain=[len(rows) - 0.5, -0.5], nice=False))
 
@@ -164,7 +164,7 @@ def bar_chart(result: Result) -> alt.LayerChart:
         base.mark_text(align="left", dx=5, fontSize=13, color=INK).encode(
             text=alt.Text("rmse:Q", format=".2f"))
     ).properties(width=170, height=170,
-                 title=alt.Title("Accuracy: RMSE [pixel]",
+                 title=alt.Title("Accuracy: RMSE [px]",
                                  subtitle=f"of {n} independent points that no choice saw"))
 
 

@@ -1,12 +1,13 @@
 """Run the commands and Python snippets of a page, and compare or renew what it shows.
 
-    python docs/snippets.py README.md docs/tutorial.md      renews the output shown
+    python docs/snippets.py README.md docs/tutorial/index.md      renews the output shown
 
 ``console`` blocks hold commands behind ``$ `` and their output; ``python`` blocks are run as
 files, and a ``text`` block that follows at once is what they print. All run one after another in
 one folder. In the output shown, a line ``...`` stands for any number of lines. Blocks after the
 comment ``<!-- not run -->`` are left alone, and so is the command for the tests. What installs
-something, up to the last ``pip install ... &&``, is taken as done.
+something, up to the last ``pip install ... &&``, is taken as done, and so is the download of the
+files that the page offers.
 
 The comparison leaves numbers out: another processor may round otherwise, and a search then finds
 another selection.
@@ -16,6 +17,7 @@ from __future__ import annotations
 
 import os
 import re
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -28,6 +30,8 @@ _FENCE = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 _OUTPUT = re.compile(r"\n\n```text\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 _NOT_RUN = re.compile(r"<!-- (not run|tests)[^>]*-->\s*$")
 _INSTALLS = re.compile(r".*\bpip install [^&|;]*(&& |$)")
+_DOWNLOAD = re.compile(r"\{download\}`[^`<]*<([^`>]+)>`")
+_COMPILING = re.compile(r"^Compiling: .*\n", re.MULTILINE)
 _NUMBER = re.compile(r"-?\d+(\.\d+)?(e[+-]?\d+)?")
 
 
@@ -72,8 +76,14 @@ def steps(text: str) -> list[Step]:
     return found
 
 
+def download(page: Path, folder: Path) -> None:
+    """Put the files that a page offers for download into a folder."""
+    for name in _DOWNLOAD.findall(page.read_text(encoding="utf-8")):
+        shutil.copy(page.parent / name, folder)
+
+
 def run(step: Step, folder: Path) -> str:
-    """Return what a step prints, on stdout and stderr together.
+    """Return what a step prints, on stdout and stderr together, but for the note of a first run.
 
     Raises
     ------
@@ -89,7 +99,7 @@ def run(step: Step, folder: Path) -> str:
         stdout=subprocess.PIPE, stderr=subprocess.STDOUT, timeout=300, check=False)
     if step.python and done.returncode:
         raise RuntimeError(f"{step.code}\nfails:\n{done.stdout}")
-    return done.stdout
+    return _COMPILING.sub("", done.stdout)
 
 
 def _environment(folder: Path) -> dict[str, str]:
@@ -155,6 +165,7 @@ def main(pages: list[str]) -> None:
         text = path.read_text(encoding="utf-8")
         new, done = "", 0
         with tempfile.TemporaryDirectory() as folder:
+            download(path, Path(folder))
             for step in steps(text):
                 actual = run(step, Path(folder))
                 if step.shown is None:
@@ -163,7 +174,7 @@ def main(pages: list[str]) -> None:
                 if ANYTHING in step.shown.splitlines():
                     kept = renewed(step.shown, actual) or renewed(step.shown, actual, first_word)
                     if kept is None:
-                        sys.exit(f"{page}: mend by hand, as there is no knowing what ... stands for"
+                        sys.exit(f"{page}: correct it by hand, as nothing says what ... stands for"
                                  f"\n$ {step.code}\n{actual}")
                     lines = kept
                 new += text[done:step.start] + lines

@@ -17,12 +17,13 @@ pytest.importorskip("rasterio")
 pytest.importorskip("pyproj")
 pytestmark = pytest.mark.filterwarnings("ignore:Dataset has no geotransform",
                                         "ignore::PendingDeprecationWarning")
-SCRIPT = Path(__file__).parents[1] / "docs" / "rectified.py"
+FOLDER = Path(__file__).parents[1] / "docs" / "tutorial"
 
 
 @pytest.fixture(scope="module")
 def chain() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("rectified", SCRIPT)
+    sys.path.insert(0, str(FOLDER))
+    spec = importlib.util.spec_from_file_location("rectified", FOLDER / "rectified.py")
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
@@ -47,7 +48,7 @@ def _termsel(*arguments: str) -> str:
 @pytest.fixture(scope="module")
 def result(folder: Path) -> Path:
     out = folder / "result"
-    _termsel("run", "--problem", "rfm-terms", "--points", str(folder / "corners.csv"),
+    _termsel("run", "--problem", "rfm-terms", "--points", str(folder / "gcps.csv"),
              "--generations", "30", "--out", str(out), "--export", "rpc-txt", "--quiet")
     return out
 

@@ -55,7 +55,7 @@ def _label(path: Path) -> str:
 def _text(path: Path) -> str:
     """Return the text of a page; the history of changes before 0.2.0 stays as it is."""
     text = path.read_text(encoding="utf-8")
-    if path.name == "CHANGELOG.md" or _label(path) == "docs/changelog.md":
+    if path.name == "CHANGELOG.md" or _label(path) == "docs/reference/changelog.md":
         known = re.search(r"^## \[?0\.2\.0.*?(?=^## |\Z)", text, re.MULTILINE | re.DOTALL)
         return text[:known.end()] if known else text
     return text

@@ -21,7 +21,7 @@ from termsel.threads import one_blas_thread
 POLISH_SHARE = 3
 """Most evaluations of the local refinement, relative to those of the search: enough for most
 seeds to reach the proven optimum of the embedded problem with 21 terms per axis.
-See docs/solver-table.md."""
+See docs/evidence/solver-table.md."""
 
 
 Observer = Callable[[Progress], None]

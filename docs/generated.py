@@ -1,0 +1,175 @@
+"""What pages show of the code: options as they are declared, and the keys of result.json.
+
+A line ``<!-- generated: PART -->`` of a page stands for such a text. `filled` puts it in; Sphinx
+calls it when it reads a page, and the tests call it to compare the page with the code.
+"""
+
+from __future__ import annotations
+
+import inspect
+import json
+import re
+from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import termsel
+from termsel.options import Option
+from termsel.plugins.kinds import KINDS
+from termsel.plugins.registry import Entry, registry
+from termsel.runs.task import DATA_OPTIONS
+
+OWN = ("termsel", "termsel-hybrids", "termsel-rpc")
+"""Packages of the repository: others that happen to be installed are not documented here."""
+
+SCHEMA = Path(termsel.__file__).parent / "results" / "result.schema.json"
+
+PAGES = {"datasets": "data"}
+"""Pages that are not called as the kind they list."""
+
+_MARK = re.compile(r"^<!-- generated: ([\w ]+) -->$", re.MULTILINE)
+_SECTION = re.compile(r"^[A-Z]\w+\n-{3,}$", re.MULTILINE)
+
+
+def filled(page: str) -> str:
+    """Return the text of a page with what its marks stand for."""
+    return _MARK.sub(lambda mark: part(mark[1]), page)
+
+
+def part(name: str) -> str:
+    """Return the Markdown that one mark stands for."""
+    what, _, kind = name.partition(" ")
+    if what == "names":
+        return "\n".join(
+            f"| [{KINDS[kind].word}]({PAGES.get(kind, kind)}.md) | "
+            + ", ".join(f"`{entry.name}`" for entry in entries(kind)) + " |" for kind in KINDS)
+    if what == "schema":
+        rows = keys(json.loads(SCHEMA.read_text(encoding="utf-8")))
+        return "\n".join(["| key | type | meaning |", "|---|---|---|", *rows])
+    if kind == "data":
+        return "\n".join(table(DATA_OPTIONS))
+    if kind == "datasets":
+        rows = [f"| `{entry.name}` | {entry.summary} | `{entry.provided_by}` |"
+                for entry in entries(kind)]
+        return "\n".join(["| name | measurements | package |", "|---|---|---|", *rows])
+    return "\n".join(line for entry in entries(kind) for line in section(kind, entry))
+
+
+def entries(kind: str) -> list[Entry]:
+    """Return everything of a kind that the repository provides."""
+    return [entry for entry in registry().entries(kind) if entry.provided_by in OWN]
+
+
+def section(kind: str, entry: Entry) -> Iterator[str]:
+    """Yield what a page says of one thing: its description and its options."""
+    thing = entry.object
+    yield from (f"({KINDS[kind].word.replace(' ', '-')}-{entry.name})=", f"## {entry.name}", "")
+    yield from (description(kind, entry), "")
+    facts = [f"- {key}: {value}" for key, value in about(kind, entry) if value]
+    yield from (*facts, *([""] if facts else []))
+    options = getattr(thing, "options" if kind == "problems" else "declared_options", ())
+    yield from table(options) if options else ["No options."]
+    yield ""
+
+
+def description(kind: str, entry: Entry) -> str:
+    """Return the paragraphs of a docstring, or the summary of what has none."""
+    if kind == "problems":
+        return entry.summary
+    thing = entry.object
+    text = inspect.cleandoc((thing if isinstance(thing, type) else type(thing)).__doc__ or "")
+    return _SECTION.split(text)[0].strip().replace("*", r"\*").replace("``", "`")
+
+
+def about(kind: str, entry: Entry) -> list[tuple[str, str]]:
+    """Return further facts, by their name."""
+    thing = entry.object
+    package = [("Package", "" if entry.provided_by == "termsel" else f"`{entry.provided_by}`")]
+    if kind == "problems":
+        settings = "".join(f" --set {key}={value}" for key, value in thing.model_options.items())
+        return [*package,
+                ("Model", f"`{thing.model}{settings}`"), ("Data set", f"`{thing.dataset}`"),
+                ("Criterion", f"`{thing.criterion}`"), ("Solver", f"`{thing.solver}`"),
+                ("Control", thing.control), ("Source", thing.source)]
+    if kind == "models":
+        return [*package, ("Heights", "required" if thing.uses_height else "not used")]
+    if kind == "solvers":
+        count = thing.default_generations
+        return [*package, ("Objectives", f"at most {thing.max_objectives}"),
+                ("Ends", "without a budget" if count is None else
+                 f"with the budget; after {count} generations if none is given")]
+    return package
+
+
+def table(options: Iterable[Option]) -> list[str]:
+    """Return the rows of a table of options."""
+    rows = ["| key | default | accepts | meaning |", "|---|---|---|---|"]
+    for one in options:
+        default = "from the data" if one.default is None else _text(one.default)
+        accepts = " ".join(f"`{choice}`" for choice in one.choices) or one.accepts
+        rows.append("| " + " | ".join(
+            cell.replace("|", r"\|").replace("*", r"\*")
+            for cell in (f"`{one.name}`", default, accepts, one.doc)) + " |")
+    return rows
+
+
+def _text(value: Any) -> str:
+    if value == "":
+        return "none"
+    return f"`{str(value).lower() if isinstance(value, bool) else value}`"
+
+
+def keys(schema: Mapping[str, Any], path: str = "", whole: Mapping[str, Any] | None = None,
+         ) -> list[str]:
+    """Return a row for each key of a JSON Schema, those of what a key refers to included.
+
+    Parameters
+    ----------
+    schema : mapping
+    path : str
+        The key this schema is of.
+    whole : mapping, optional
+        The schema that holds the definitions; this one by default.
+    """
+    whole = schema if whole is None else whole
+    rows = []
+    for name, one in schema.get("properties", {}).items():
+        key = f"{path}.{name}" if path else name
+        rows += _rows(one, key, whole, name in schema.get("required", ()))
+    return rows
+
+
+def _rows(one: Mapping[str, Any], key: str, whole: Mapping[str, Any], always: bool) -> list[str]:
+    target = _resolved(one, whole)
+    meaning = one.get("description") or target.get("description", "")
+    meaning += "" if always else " Not always there."
+    enum = ", ".join(f"`{json.dumps(value)}`" for value in target.get("enum", ()))
+    rows = [f"| `{key}` | {_type(one, whole)} | {meaning}{f' One of {enum}.' if enum else ''} |"]
+    if "$ref" in one and path_of(one) in ("rmse", "selection") and "." in key:
+        return rows  # shown once, where it stands at the top
+    for branch in (target, *(_resolved(other, whole) for other in target.get("anyOf", ()))):
+        rows += keys(branch, key, whole)
+        for part_key, inside in ((f"{key}[]", branch.get("items")),
+                                 (f"{key}.*", branch.get("additionalProperties"))):
+            if isinstance(inside, dict) and "properties" in _resolved(inside, whole):
+                rows += keys(_resolved(inside, whole), part_key, whole)
+    return rows
+
+
+def path_of(one: Mapping[str, Any]) -> str:
+    """Return the name of the definition that a schema refers to."""
+    return str(one["$ref"]).rpartition("/")[2]
+
+
+def _resolved(one: Mapping[str, Any], whole: Mapping[str, Any]) -> Mapping[str, Any]:
+    return whole["$defs"][path_of(one)] if "$ref" in one else one
+
+
+def _type(one: Mapping[str, Any], whole: Mapping[str, Any]) -> str:
+    target = _resolved(one, whole)
+    if "anyOf" in target:
+        return " or ".join(_type(other, whole) for other in target["anyOf"])
+    if "const" in target:
+        return f"`{json.dumps(target['const'])}`"
+    kind = target.get("type", "string" if "enum" in target else "any")
+    return kind if isinstance(kind, str) else " or ".join(kind)
