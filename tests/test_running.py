@@ -77,7 +77,8 @@ def but_independent(result: termsel.Result) -> dict:
     for varying in ("judgement", "seconds"):
         record.pop(varying)
     record["data"].pop("sha256")
-    record["notes"] = [note for note in record["notes"] if "independent RMSE" not in note]
+    record["notes"] = [note for note in record["notes"] if "independent RMSE" not in note
+                       and "independent points contradict" not in note]
     return record
 
 

@@ -33,7 +33,7 @@ from termsel.models.base import SensorModel
 from termsel.plugins.registry import registry
 from termsel.problems.base import Selection
 from termsel.results.checksums import SEALS, of_features, of_record
-from termsel.results.result import SCHEMA, Result
+from termsel.results.result import SCHEMA, Outlier, Result
 
 RECORD, POINTS, LINES = "result.json", "points.csv", "lines.csv"
 RESIDUAL_COLUMNS = ("id", "kind", "role", "used", "residual_line", "residual_sample", "distance")
@@ -204,6 +204,7 @@ def result_from(record: Mapping[str, Any], features: FeatureSet) -> Result:
                                  _rmse(b["rmse"]), b["predicted"]) for b in record["baselines"]),
         notes=tuple(record["notes"]), fit=fitted, residuals=residuals,
         diagnosis=_diagnosis(record), features=features,
+        outliers=tuple(Outlier(**one) for one in record.get("outliers", ())),
         front=tuple(record["front"]))
 
 

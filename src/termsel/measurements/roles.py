@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -177,6 +177,29 @@ def together(observations: Observations) -> FeatureSet:
     """Return control and check points as control."""
     control = observations.control
     return control.with_(points=join_points(control.points, observations.check))
+
+
+def leave_out(observations: Observations, ids: Iterable[str]) -> Observations:
+    """Return the observations with some points in the role off.
+
+    Parameters
+    ----------
+    observations : Observations
+    ids : iterable of str
+        Of control and check points.
+    """
+    out = frozenset(ids)
+    if not out:
+        return observations
+    points, control = observations.features.points, observations.control
+    roles = tuple("off" if name in out else role
+                  for name, role in zip(points.ids, points.roles, strict=True))
+    kept, checked = ([name not in out for name in part.ids]
+                     for part in (control.points, observations.check))
+    return Observations(
+        observations.features.with_(points=replace(points, roles=roles)),
+        control.with_(points=control.points.take(kept)), observations.check.take(checked),
+        observations.independent)
 
 
 def check_as_control(observations: Observations) -> Observations:

@@ -28,6 +28,30 @@ if TYPE_CHECKING:
 SCHEMA = "termsel-result-1"
 
 
+@dataclass(frozen=True)
+class Outlier:
+    """A feature that the others contradict.
+
+    Parameters
+    ----------
+    id : str
+    kind : {"point", "line"}
+    role : {"control", "check", "independent"}
+        As it was before the feature was left out.
+    error : float
+        Its error [px]: of a point the larger in line and sample, of a line the largest distance of
+        a vertex.
+    excluded : bool
+        Whether the fit does without it.
+    """
+
+    id: str
+    kind: str
+    role: str
+    error: float
+    excluded: bool
+
+
 @dataclass(frozen=True, eq=False)
 class Result:
     """What a run found, with the accuracy it has on points no choice has seen.
@@ -71,6 +95,8 @@ class Result:
         Non-dominated selections of a search with several objectives.
     certificate : mapping, optional
         What was proven.
+    outliers : tuple of Outlier
+        Every probable blunder, used or not.
     strategy : mapping, optional
         Of a choice by the strategy "auto": what was chosen, the accuracy it predicts, and all
         candidates with theirs.
@@ -104,6 +130,7 @@ class Result:
     front: tuple[Mapping[str, Any], ...] = ()
     certificate: Mapping[str, Any] | None = None
     strategy: Mapping[str, Any] | None = None
+    outliers: tuple[Outlier, ...] = ()
 
     @property
     def hit_rate(self) -> float:
@@ -135,6 +162,7 @@ class Result:
                  "determined": b.determined, "predicted": b.predicted, "rmse": plain_rmse(b.rmse)}
                 for b in self.baselines],
             "judgement": self.judgement, "notes": list(self.notes),
+            "outliers": [asdict(one) for one in self.outliers],
             "front": list(self.front), "certificate": self.certificate, "strategy": self.strategy,
             "evaluations": self.evaluations, "lookups": self.lookups,
             "hit_rate": self.hit_rate,

@@ -10,13 +10,13 @@ import numpy as np
 
 from termsel.candidates.compare import compare
 from termsel.candidates.ridge import RidgeByOrder
-from termsel.fits.diagnosis import diagnose
+from termsel.fits.diagnosis import Doubts, diagnose
 from termsel.fits.figures import baseline, figures, plain_rmse, residuals_of
 from termsel.fits.fit import Fit, fit
 from termsel.measurements.features import BoolArray
 from termsel.models.poles import guard_points, pole_violation
 from termsel.problems.base import Selection
-from termsel.results.result import Result
+from termsel.results.result import Outlier, Result
 from termsel.runs.judge import judge, name_conventional, notes_on
 from termsel.runs.provenance import data_of, versions
 from termsel.runs.task import Task
@@ -43,7 +43,7 @@ def assess(task: Task, found: Search) -> Result:
         and not _has_pole(task, chosen)
     # The objectives of least squares are not those of other coefficients.
     objectives = found.objectives.tolist() if judged else []
-    rmse = figures(chosen, observations)
+    rmse, diagnosis = figures(chosen, observations), diagnose(chosen)
     everything = fit(task.model, observations.control, task.scaling)
     comparison = compare(observations)
     baselines = (baseline("all-terms", everything, None, observations, ("control",)),
@@ -65,9 +65,19 @@ def assess(task: Task, found: Search) -> Result:
         seconds=found.seconds, interrupted=found.interrupted,
         polish=asdict(found.polish) if found.polish else None, fit=chosen,
         residuals=residuals_of(chosen, observations),
-        diagnosis=diagnose(chosen),
+        diagnosis=diagnosis,
+        outliers=tuple(_outliers(chosen, diagnosis.doubts)),
         features=observations.features, versions=versions(),
         front=tuple(_front(task, found)), certificate=_certificate(task, found, chosen))
+
+
+def _outliers(chosen: Fit, found: Doubts | None) -> Iterable[Outlier]:
+    """Yield the features that the diagnosis takes for blunders."""
+    if found is None:
+        return
+    for name, error in found.wrong.items():
+        kind = "point" if name in chosen.control.points.ids else "line"
+        yield Outlier(name, kind, "control", error, name not in found.in_use)
 
 
 def _estimated(task: Task, selection: Selection, found: Search) -> Fit:

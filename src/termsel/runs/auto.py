@@ -8,32 +8,24 @@ from typing import Any
 
 import numpy as np
 
-from termsel.adjustment.lines import relative_deviations
 from termsel.candidates.compare import compare, has_heights
 from termsel.candidates.portfolio import MAX_FOLDS, portfolio, repeated
 from termsel.errors import TermselError
-from termsel.fits.diagnosis import NORMAL_MEDIAN, diagnose
+from termsel.fits.diagnosis import diagnose
 from termsel.fits.extrapolation import warnings_of
 from termsel.fits.figures import figures, in_role, residuals_of
-from termsel.measurements.features import FeatureSet, FloatArray, no_points, select
+from termsel.measurements.features import FloatArray, no_points, select
 from termsel.measurements.roles import Observations, together
 from termsel.models.base import SensorModel
 from termsel.problems.base import Selection
 from termsel.problems.recipes import Recipe
 from termsel.results.result import Result
 from termsel.runs.judge import judge_choice
+from termsel.runs.outliers import judged_independent, without_blunders
 from termsel.runs.provenance import data_of, versions
 from termsel.runs.task import Request
 
 NAMES = ("auto", "as-asked")
-
-FAR, FROM = 8.0, 30
-"""Robust standard deviations of all predictions, each by its point's own deviation where one is
-given, beyond which a point is named as perhaps wrong, and the number of points from which on: of
-fewer, each may be hard to predict from the others."""
-
-ROUNDING = 1e-6
-"""Errors that are none [px]."""
 
 
 def wanted(strategy: str | None, recipe: Recipe, asked: Mapping[str, Any]) -> bool:
@@ -91,8 +83,9 @@ def choose_for(request: Request, observations: Observations, seed: int) -> Resul
         If control and check points together determine no candidate with redundancy.
     """
     start = time.perf_counter()
-    both, heights = together(observations), has_heights(observations)
-    comparison = compare(observations)
+    heights = has_heights(observations)
+    observations, outliers, notes = without_blunders(observations, heights)
+    both, comparison = together(observations), compare(observations)
     if comparison.choice is None:
         raise TermselError(
             f"{len(both)} control and check points are too few for any model with redundancy, or "
@@ -103,6 +96,7 @@ def choose_for(request: Request, observations: Observations, seed: int) -> Resul
     fitted = in_role(chosen.fit, observations)
     model = fitted.model
     rmse = figures(fitted, observations)
+    contradicting, more = judged_independent(observations, heights, fitted)
     # The chosen one is the selection, and is not shown twice unless it is plain.
     baselines = tuple(b for b in comparison.baselines
                       if b.name != chosen.name or chosen.candidate.is_plain)
@@ -116,7 +110,8 @@ def choose_for(request: Request, observations: Observations, seed: int) -> Resul
         feasible=True, rmse=rmse, baselines=baselines,
         judgement=judge_choice(chosen.candidate, predicted, rmse, baselines,
                                request.features.noise),
-        notes=tuple(_notes(request.model, observations, errors)),
+        notes=(*_notes(request.model, observations, errors), *notes, *more),
+        outliers=(*outliers, *contradicting),
         objectives={"press": chosen.predicted},
         evaluations=len(portfolio(heights)) * (1 + folds), lookups=0, generations=0,
         seconds=time.perf_counter() - start, interrupted=False, polish=None, fit=fitted,
@@ -139,20 +134,7 @@ def _notes(model: SensorModel, observations: Observations,
     if errors is None:
         notes.append("The points are too few to repeat the choice without some of them, so it "
                      "predicts no accuracy.")
-    elif far := _far(both, errors):
-        notes.append(f"Far from where the others predict them: {far}. Where one is measured "
-                     "wrongly, give it the role off and run again.")
     if has_heights(observations) and not model.uses_height:
         notes.append(f"Heights are known and were used. --model {model.name} keeps to a plane "
                      "model.")
     return notes
-
-
-def _far(both: FeatureSet, errors: FloatArray) -> str:
-    """Return the points whose predictions by the others fail by far, the worst first."""
-    own = np.abs(errors) / relative_deviations(both)
-    beyond = FAR * float(np.median(own)) / NORMAL_MEDIAN
-    worst = np.abs(errors).max(axis=1)
-    order = [i for i in np.argsort(-worst)
-             if own[i].max() > beyond and worst[i] > ROUNDING and len(both) >= FROM]
-    return ", ".join(f"{both.ids[i]} ({worst[i]:.3g} px)" for i in order)

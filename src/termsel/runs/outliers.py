@@ -1,0 +1,93 @@
+"""Blunders among the points of the strategy "auto": named, left out, and told in notes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from termsel.candidates.blunders import MOST, Suspects, find_blunders, judge_others
+from termsel.fits.fit import Fit
+from termsel.measurements.features import BoolArray, Points, select
+from termsel.measurements.roles import Observations, leave_out, together
+from termsel.results.result import Outlier
+
+FEW = 17
+"""Number of points below which a note says what errors cannot be found."""
+
+
+def without_blunders(observations: Observations,
+                     heights: bool) -> tuple[Observations, list[Outlier], list[str]]:
+    """Return the observations without blunders, the outliers and what is to be said of them.
+
+    Control and check points are judged; independent points take no part.
+
+    Parameters
+    ----------
+    observations : Observations
+    heights : bool
+        Whether heights are known and differ.
+    """
+    both = together(observations)
+    found = find_blunders(both, heights)
+    if found is None:
+        return observations, [], []
+    role = dict.fromkeys(observations.control.points.ids, "control")
+    outliers = [Outlier(both.points.ids[i], "point", role.get(both.points.ids[i], "check"),
+                        float(found.errors[i]), bool(found.blunders[i]))
+                for i in _worst_first(found, found.blunders | found.undecided)]
+    left = leave_out(observations, select(both.points.ids, found.blunders))
+    return left, outliers, list(_notes(both.points, found))
+
+
+def judged_independent(observations: Observations, heights: bool,
+                       fitted: Fit) -> tuple[list[Outlier], list[str]]:
+    """Return independent points that contradict all others, and what is to be said of them.
+
+    They stay in every figure; the note gives the one without them.
+
+    Parameters
+    ----------
+    observations : Observations
+        Without blunders.
+    heights : bool
+    fitted : Fit
+    """
+    points = observations.independent
+    found = judge_others(together(observations), heights, points)
+    if found is None or not found.blunders.any():
+        return [], []
+    if found.blunders.mean() > MOST:
+        return [], [f"{int(found.blunders.sum())} of {len(points)} independent points contradict "
+                    "control and check. Either they were measured differently, or the model does "
+                    "not hold at their places."]
+    outliers = [Outlier(points.ids[i], "point", "independent", float(found.errors[i]), False)
+                for i in _worst_first(found, found.blunders)]
+    others = fitted.rmse(points.take(~found.blunders))
+    assert others is not None  # they are at least as many
+    return outliers, ["Independent points that contradict all others: "
+                      f"{_named(points, found, found.blunders)}; without them the independent "
+                      f"RMSE is {others.total:.3g} px."]
+
+
+def _worst_first(found: Suspects, which: BoolArray) -> list[int]:
+    return [int(i) for i in np.argsort(-found.errors, kind="stable") if which[i]]
+
+
+def _named(points: Points, found: Suspects, which: BoolArray) -> str:
+    return ", ".join(f"{points.ids[i]} ({found.errors[i]:.3g} px)"
+                     for i in _worst_first(found, which))
+
+
+def _notes(points: Points, found: Suspects) -> Iterator[str]:
+    if found.blunders.any():
+        yield (f"Left out as blunders: {_named(points, found, found.blunders)}. In brackets: how "
+               "far the other points predict them from where they were measured.")
+    if found.undecided.any():
+        yield (f"Perhaps blunders, still in use: {_named(points, found, found.undecided)}. The "
+               "other points are too few or too far to tell.")
+    if len(points) < FEW:
+        worst = int(np.argmax(found.limits))
+        yield (f"With {len(points)} points an error must exceed {np.median(found.limits):.2g} px "
+               f"to be found at half of them, and {found.limits[worst]:.2g} px at "
+               f"{points.ids[worst]}.")

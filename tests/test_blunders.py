@@ -1,0 +1,198 @@
+"""Blunders among points: the strategy auto finds them, names them and does without them."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import termsel
+from termsel import FeatureSet, Points
+from termsel.candidates.blunders import find_blunders, judge_others
+from termsel.candidates.posterior import posterior, scales_of
+from termsel.candidates.shrunken import average
+from termsel.measurements.features import no_lines
+from termsel.models.monomials import graded_exponents, monomials
+
+
+def scene(n: int, seed: int = 1, name: str = "ikonos-hamedan") -> FeatureSet:
+    return termsel.simulate_scene(name, seed=seed, n_points=n).with_(lines=no_lines())
+
+
+def moved(features: FeatureSet, shifts: dict[int, tuple[float, float]]) -> FeatureSet:
+    image = features.points.image.copy()
+    for at, shift in shifts.items():
+        image[at] += shift
+    return features.with_(points=replace(features.points, image=image))
+
+
+def all_control(features: FeatureSet) -> FeatureSet:
+    points = features.points
+    return FeatureSet(Points(points.ids, points.image, points.ground), crs=features.crs,
+                      lines=no_lines())
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("name", ["ikonos-hamedan", "spot-isfahan", "irs1c-mashad"])
+def test_a_fifth_of_blunders_is_found_and_nothing_else(name: str, seed: int) -> None:
+    clean = all_control(scene(50, seed, name))
+    rng = np.random.default_rng(seed)
+    wrong = rng.choice(50, 10, replace=False)
+    angle, size = rng.uniform(0, 2 * np.pi, 10), 0.5 * 10 ** rng.uniform(1.2, 2, 10)
+    spoilt = moved(clean, {int(at): (s * np.cos(a), s * np.sin(a))
+                           for at, s, a in zip(wrong, size, angle, strict=True)})
+    found = find_blunders(spoilt, True)
+    assert found is not None
+    assert set(np.flatnonzero(found.blunders)) == set(wrong)
+    nothing = find_blunders(clean, True)
+    assert nothing is not None
+    assert not nothing.blunders.any()
+
+
+def test_blunders_do_not_spoil_the_accuracy_and_are_told() -> None:
+    clean = scene(74)
+    control, check, independent = (clean.points.roles.index(role)
+                                   for role in ("control", "check", "independent"))
+    ids = clean.points.ids
+    spoilt = termsel.run("rfm-terms", features=moved(
+        clean, {control: (30.0, -12.0), check: (0.0, 25.0), independent: (40.0, 0.0)}))
+    before = termsel.run("rfm-terms", features=clean)
+    assert [(one.id, one.role, one.kind, one.excluded) for one in spoilt.outliers] == [
+        (ids[control], "control", "point", True), (ids[check], "check", "point", True),
+        (ids[independent], "independent", "point", False)]
+    assert [one.error for one in spoilt.outliers] == pytest.approx([30.0, 25.0, 40.0], abs=2.5)
+    assert before.outliers == ()
+    left_out, contradicting = spoilt.notes
+    assert left_out.startswith(f"Left out as blunders: {ids[control]} (")
+    assert f"), {ids[check]} (" in left_out
+    assert contradicting.startswith(f"Independent points that contradict all others: "
+                                    f"{ids[independent]} (")
+    independent_rmse, plain = spoilt.rmse["independent"], before.rmse["independent"]
+    assert independent_rmse is not None
+    assert plain is not None
+    assert independent_rmse.total > 5 * plain.total  # it counts, and the note says what without
+    without = float(contradicting.rpartition(" is ")[2].removesuffix(" px."))
+    assert without == pytest.approx(plain.total, rel=0.1)
+    assert spoilt.strategy is not None
+    assert before.strategy is not None
+    assert spoilt.strategy["predicted"] == pytest.approx(before.strategy["predicted"], rel=0.1)
+
+
+def test_independent_points_change_nothing_but_their_own_figures() -> None:
+    clean = scene(60)
+    at = clean.points.roles.index("independent")
+    runs = [termsel.run("rfm-terms", features=one).to_dict()
+            for one in (clean, moved(clean, {at: (500.0, 80.0)}))]
+    for key in ("selection", "coefficients", "strategy", "scaling"):
+        assert runs[0][key] == runs[1][key]
+    assert runs[0]["rmse"]["check"] == runs[1]["rmse"]["check"]
+    assert runs[1]["outliers"][0]["role"] == "independent"
+    assert not runs[1]["outliers"][0]["excluded"]
+
+
+def test_a_result_without_its_blunders_is_read_back_as_it_was(tmp_path: Path) -> None:
+    clean = scene(40)
+    at = clean.points.roles.index("control")
+    result = termsel.run("rfm-terms", features=moved(clean, {at: (25.0, 25.0)}), out=tmp_path)
+    again = termsel.read_result(tmp_path)
+    assert again.outliers == result.outliers != ()
+    assert again.summary() == result.summary()
+    record = json.loads((tmp_path / "result.json").read_text())
+    assert record["data"]["roles"]["off"] == [clean.points.ids[at]]
+    assert record["outliers"][0]["id"] == clean.points.ids[at]
+
+
+def test_a_point_that_says_it_is_inexact_is_no_blunder() -> None:
+    clean = all_control(scene(45))
+    spoilt = moved(clean, {7: (40.0, 0.0)})
+    sigma = np.full((45, 2), 0.5)
+    sigma[7] = 40.0
+    told = spoilt.with_(points=replace(spoilt.points, sigma=sigma))
+    found, known = find_blunders(spoilt, True), find_blunders(told, True)
+    assert found is not None
+    assert known is not None
+    assert list(np.flatnonzero(found.blunders)) == [7]
+    assert not known.blunders.any()
+
+
+def test_rounding_errors_are_no_blunders() -> None:
+    rng = np.random.default_rng(0)
+    ground = rng.uniform(0, [1000, 1000, 100], (40, 3))
+    image = ground[:, 1::-1] * 2 + ground[:, 2:] * [0.1, -0.2] + ground[:, :1] ** 2 * [1e-4, 0]
+    exact = FeatureSet(Points(tuple(map(str, range(40))), image, ground), no_lines(), "local")
+    found = termsel.run("rfm-terms", options={"fractions": "1:1:0"}, features=exact)
+    assert found.strategy is not None
+    assert found.strategy["predicted"] < 1e-6
+    assert found.outliers == ()
+    assert found.notes == ()
+
+
+def test_a_far_point_alone_is_not_told_from_a_bend() -> None:
+    """Nothing is near the corner, so the others cannot say that it is wrong."""
+    rng = np.random.default_rng(3)
+    ground = np.column_stack([rng.uniform(0, 400, (24, 2)), rng.uniform(0, 100, 24)])
+    ground[0] = 1000.0, 1000.0, 50.0
+    image = ground[:, 1::-1] * 2 + 0.5 * rng.standard_normal((24, 2))
+    image[0] += 12.0
+    found = find_blunders(FeatureSet(Points(tuple(map(str, range(24))), image, ground),
+                                     no_lines(), "local"), True)
+    assert found is not None
+    assert not found.blunders.any()
+    assert found.limits[0] == found.limits.max() > 12.0
+
+
+def test_few_points_say_what_cannot_be_found() -> None:
+    points = scene(74).points.take(np.arange(9))
+    few = FeatureSet(replace(points, roles=("control",) * 9), no_lines(), "EPSG:4979")
+    note, = (one for one in termsel.run("rfm-terms", features=few).notes
+             if one.startswith("With 9 points an error must exceed "))
+    assert note.endswith(f" px at {points.ids[int(find_blunders(few, True).limits.argmax())]}.")
+    more = termsel.run("rfm-terms", features=scene(60))
+    assert not any(note.startswith("With ") for note in more.notes)
+
+
+def test_a_search_names_its_blunders_too() -> None:
+    result = termsel.run("owdis-lines", seed=1, generations=30)
+    doubts = result.diagnosis.doubts
+    assert doubts is not None
+    assert {one.id: one.error for one in result.outliers} == dict(doubts.wrong)
+    assert {one.id for one in result.outliers if not one.excluded} == set(doubts.in_use)
+    assert {one.kind for one in result.outliers} == {"line"}
+
+
+def test_lines_are_not_judged() -> None:
+    features = termsel.simulate_scene("ikonos-hamedan")
+    assert find_blunders(features, True) is None
+    assert judge_others(features, True, features.points) is None
+
+
+def test_a_prediction_without_a_point_is_that_of_the_others() -> None:
+    """The closed form against the posterior computed again; a tiny weight against both."""
+    rng = np.random.default_rng(5)
+    ground = rng.uniform(-1, 1, (20, 3))
+    exponents = graded_exponents(2, 3)
+    order = np.array(exponents).sum(axis=1)
+    image = monomials(ground, exponents) @ rng.standard_normal((10, 2)) \
+        + 0.01 * rng.standard_normal((20, 2))
+    scales = scales_of(np.array(exponents)[order > 1])
+    columns = monomials(ground, exponents)
+    whole = posterior(columns, image, order, None, scales, 20)
+    weights = np.ones((20, 2))
+    weights[4] = 1e-3
+    others = posterior(columns, image, order, weights, scales, 19)
+    assert whole is not None
+    assert others is not None
+    closed, direct = whole.without(4), others.beyond(4, 1e-3)
+    keep = np.arange(20) != 4
+    alone = average(ground[keep], image[keep], exponents)
+    assert alone is not None
+    there = image[4] - columns[4] @ alone.coefficients
+    np.testing.assert_allclose(closed.error, there, rtol=1e-6)
+    np.testing.assert_allclose(direct.error, there, rtol=1e-4)
+    assert closed.share @ closed.spread[0] == pytest.approx(direct.share @ direct.spread[0],
+                                                            rel=1e-4)
+    assert closed.share @ closed.variance == pytest.approx(direct.share @ direct.variance,
+                                                           rel=1e-4)
