@@ -12,6 +12,7 @@ import pytest
 import termsel
 from termsel import FeatureSet, Points
 from termsel.candidates.blunders import find_blunders, judge_others
+from termsel.candidates.portfolio import choose
 from termsel.candidates.posterior import posterior, scales_of
 from termsel.candidates.shrunken import average
 from termsel.measurements.features import no_lines
@@ -166,7 +167,9 @@ def test_a_search_names_its_blunders_too() -> None:
 def test_lines_are_not_judged() -> None:
     features = termsel.simulate_scene("ikonos-hamedan")
     assert find_blunders(features, True) is None
-    assert judge_others(features, True, features.points) is None
+    choice = choose(features, True)
+    assert choice is not None
+    assert judge_others(choice.chosen, True, features.points) is None
 
 
 def test_a_prediction_without_a_point_is_that_of_the_others() -> None:

@@ -163,13 +163,13 @@ def _predicted_by(chosen: Judged, points: Points) -> BoolArray:
     return np.asarray(np.abs(chosen.fit.errors(points)).max(axis=1) <= bound)
 
 
-def judge_others(control: FeatureSet, heights: bool, others: Points) -> Suspects | None:
+def judge_others(chosen: Judged, heights: bool, others: Points) -> Suspects | None:
     """Return which points that took no part contradict all control points.
 
     Parameters
     ----------
-    control : FeatureSet
-        Without blunders.
+    chosen : Judged
+        The choice for control points without blunders.
     heights : bool
     others : Points
 
@@ -178,16 +178,17 @@ def judge_others(control: FeatureSet, heights: bool, others: Points) -> Suspects
     Suspects or None
         For the other points; None as for `find_blunders`.
     """
-    if len(control.lines) or not len(others):
+    points = chosen.fit.control.points
+    if len(chosen.fit.control.lines) or not len(others):
         return None
-    points = control.points
     every = Points(points.ids + others.ids, np.concatenate([points.image, others.image]),
                    np.concatenate([points.ground, others.ground]))
     used = np.arange(len(every)) < len(points)
     test = _test(every, used, heights)
     if test is None:
         return None
-    far, decided = test.far(len(others)), test.decided()
+    far = test.far(len(others)) & ~_predicted_by(chosen, every)
+    decided = test.decided()
     return test.suspects(far & decided, far & ~decided, ~used)
 
 

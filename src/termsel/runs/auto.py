@@ -96,7 +96,7 @@ def choose_for(request: Request, observations: Observations, seed: int) -> Resul
     fitted = in_role(chosen.fit, observations)
     model = fitted.model
     rmse = figures(fitted, observations)
-    contradicting, more = judged_independent(observations, heights, fitted)
+    contradicting, more = judged_independent(observations.independent, heights, chosen)
     # The chosen one is the selection, and is not shown twice unless it is plain.
     baselines = tuple(b for b in comparison.baselines
                       if b.name != chosen.name or chosen.candidate.is_plain)

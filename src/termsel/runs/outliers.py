@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from termsel.candidates.blunders import MOST, Suspects, find_blunders, judge_others
-from termsel.fits.fit import Fit
+from termsel.candidates.portfolio import Judged
 from termsel.measurements.features import BoolArray, Points, select
 from termsel.measurements.roles import Observations, leave_out, together
 from termsel.results.result import Outlier
@@ -40,21 +40,21 @@ def without_blunders(observations: Observations,
     return left, outliers, list(_notes(both.points, found))
 
 
-def judged_independent(observations: Observations, heights: bool,
-                       fitted: Fit) -> tuple[list[Outlier], list[str]]:
+def judged_independent(points: Points, heights: bool,
+                       chosen: Judged) -> tuple[list[Outlier], list[str]]:
     """Return independent points that contradict all others, and what is to be said of them.
 
     They stay in every figure; the note gives the one without them.
 
     Parameters
     ----------
-    observations : Observations
-        Without blunders.
+    points : Points
+        The independent ones.
     heights : bool
-    fitted : Fit
+    chosen : Judged
+        The choice for control and check without blunders.
     """
-    points = observations.independent
-    found = judge_others(together(observations), heights, points)
+    found = judge_others(chosen, heights, points)
     if found is None or not found.blunders.any():
         return [], []
     if found.blunders.mean() > MOST:
@@ -63,7 +63,7 @@ def judged_independent(observations: Observations, heights: bool,
                     "not hold at their places."]
     outliers = [Outlier(points.ids[i], "point", "independent", float(found.errors[i]), False)
                 for i in _worst_first(found, found.blunders)]
-    others = fitted.rmse(points.take(~found.blunders))
+    others = chosen.fit.rmse(points.take(~found.blunders))
     assert others is not None  # they are at least as many
     return outliers, ["Independent points that contradict all others: "
                       f"{_named(points, found, found.blunders)}; without them the independent "
