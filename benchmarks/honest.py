@@ -330,7 +330,7 @@ points are check points. {GA_SPLITS} of the splits at {', '.join(map(str, GA_COU
 ## Constants
 
 The median over splits of auto's independent RMSE divided by that of the best plain structure of
-the split, at 12, 20 and 40 points. Each constant of `termsel.candidates.shrunken` and of
+the split, at 12, 20 and 40 points. Each constant of `termsel.candidates.posterior` and of
 `termsel.candidates.portfolio` is halved and doubled.
 
 {constants}
