@@ -105,7 +105,7 @@ def table(options: Iterable[Option]) -> list[str]:
     """Return the rows of a table of options."""
     rows = ["| key | default | accepts | meaning |", "|---|---|---|---|"]
     for one in options:
-        default = "from the data" if one.default is None else _text(one.default)
+        default = "not set" if one.default in (None, "") else _text(one.default)
         accepts = " ".join(f"`{choice}`" for choice in one.choices) or one.accepts
         rows.append("| " + " | ".join(
             cell.replace("|", r"\|").replace("*", r"\*")

@@ -11,11 +11,13 @@ import tomllib
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import pytest
 
 import termsel
 import termsel.testing
+from termsel.options import Configurable
 from termsel.plugins import hookspecs
 from termsel.plugins.kinds import KINDS
 from termsel.plugins.loading import HOOKS
@@ -114,6 +116,17 @@ def test_every_hook_is_documented_with_its_arguments() -> None:
     for hook in HOOKS:
         arguments = ", ".join(inspect.signature(getattr(hookspecs, hook)).parameters)
         assert f"### `{hook}({arguments})`" in text
+
+
+def test_hooks_of_the_reference_return_classes_of_what_has_options() -> None:
+    returned = []
+    for code in re.findall(r"^```python\n(.*?)^```", _page("docs/reference/plugins.md"),
+                           re.MULTILINE | re.DOTALL):
+        scope: dict[str, Any] = {}
+        exec(code, scope)
+        returned += [thing for kind in KINDS for thing in scope.get(f"termsel_{kind}", list)()]
+    assert returned
+    assert not [thing for thing in returned if isinstance(thing, Configurable)]
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -18,7 +18,7 @@ PAGES = sorted(path for path in [
     *(ROOT / name for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md")),
     *(ROOT / "docs").rglob("*.md"), *(ROOT / "plugins").rglob("*.md")]
     if "_build" not in path.parts)
-LONGEST = 30
+LONGEST = 25
 """Words of a sentence for users."""
 
 _START, _END = r"(?<![a-z])", r"(?![a-z])"

@@ -21,7 +21,7 @@ class Option:
     name : str
         The key.
     default : object
-        Its value if none is given; None means "decided from the data", as `doc` says.
+        Its value if none is given; None where it is not set; `doc` says what then holds.
     doc : str
         One sentence: meaning, unit, source where there is one.
     type : type

@@ -24,7 +24,7 @@ BETTER, CLEARLY = 1.0, 3.0
 than of the quadratic, and of what neither contains."""
 
 RULE = (f"The shrunken quadratic is chosen, unless the shrunken cubic is better by {BETTER:g} "
-        f"standard error, or a model that neither contains by {CLEARLY:g}.")
+        f"standard error, or a model of another kind by {CLEARLY:g}.")
 """How `choose` chooses where there are shrunken polynomials, in a sentence."""
 
 LEAST = "The candidate with the smallest leave-one-out RMSE is chosen."

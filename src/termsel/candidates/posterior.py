@@ -16,33 +16,26 @@ SIZES = 10.0 ** np.arange(-0.5, 5.5, 0.5)
 """Standard deviations of quadratic coefficients by that of the noise. From where they cannot be
 told from 0 to where they are as good as free."""
 
-
 TYPICAL = 10.0
 """Size beyond which larger ones are ever less likely, in proportion: the tail of a half-Cauchy
 prior. Where few points leave hardly any redundancy, the data do not exclude that there is no noise
 and all sizes are huge; this does."""
 
-
 FALLS = (0.01, 0.03, 0.1, 0.3)
 """Cubic coefficients by quadratic ones."""
 
-
 RELIEFS = (0.03, 0.1, 0.3, 1.0)
 """Coefficients of one power of Z more, by those without."""
-
 
 DRAWS, SPREAD = 64, 1.0
 """How often factors of single terms are drawn, apart from 1 for all, divided among all pairs of a
 fall and a relief; and their standard deviation in natural logarithms."""
 
-
 NO_NOISE = 1e-11
 """Noise that counts as none, as a part of the image's half-range."""
 
-
 NEVER = 40.0
 """Solutions less likely than the likeliest by this, in natural logarithms, are left out."""
-
 
 TINY = 1e-14
 """What is left of 1 by rounding error."""

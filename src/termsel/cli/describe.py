@@ -49,7 +49,7 @@ def describe(name: str) -> None:
 def _describe_problem(entry: Entry) -> None:
     recipe = entry.object
     settings = "".join(f" --set {key}={value}" for key, value in recipe.model_options.items())
-    click.echo(f"\n{recipe.summary}\n")
+    click.echo(f"\n{recipe.summary}")
     _pairs({
         "model": f"{recipe.model}{settings}", "data set": recipe.dataset,
         "criterion": recipe.criterion, "solver": recipe.solver,
@@ -90,7 +90,7 @@ def _describe_criterion(entry: Entry) -> None:
 
 
 def _describe_dataset(entry: Entry) -> None:
-    click.echo(f"\n{entry.summary}\n")
+    click.echo(f"\n{entry.summary}")
     _pairs({"measurements": "simulated" if entry.object.simulated else "real"})
 
 
@@ -109,18 +109,19 @@ def _document(entry: Entry) -> None:
     thing = entry.object
     text = (thing if isinstance(thing, type) else type(thing)).__doc__
     if text:
-        click.echo(f"\n{inspect.cleandoc(text)}\n")
+        click.echo(f"\n{inspect.cleandoc(text)}")
 
 
 def _pairs(values: dict[str, Any]) -> None:
     shown = {key: value for key, value in values.items() if value}
     width = max(map(len, shown))
+    click.echo()
     for key, value in shown.items():
         click.echo(f"{key.capitalize() + ':':{width + 2}}{value}")
 
 
 def _options(options: Iterable[Option]) -> None:
-    rows = [(option.name, "from the data" if option.default is None else _text(option.default),
+    rows = [(option.name, "not set" if option.default in (None, "") else _text(option.default),
              option.accepts, option.doc) for option in options]
     if not rows:
         click.echo("\nNo options.")

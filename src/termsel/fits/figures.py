@@ -14,10 +14,11 @@ from termsel.measurements.roles import Observations
 
 ROLES = ("control", "check", "independent")
 
+BOTH = ("control", "check")
+"""What the fits without any search are fitted to."""
 
 LEAVE_ONE_OUT = "leave-one-out"
 """Key of a further RMSE of the control, under models that correct predictions by it."""
-
 
 Rmses = Mapping[str, Rmse | None]
 
@@ -63,9 +64,6 @@ def plain_rmse(rmse: Rmses) -> dict[str, Any]:
 
 def finite_or_none(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
-
-
-BOTH = ("control", "check")
 
 
 def baseline(name: str, fitted: Fit, predicted: float | None, observations: Observations,

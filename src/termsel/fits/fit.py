@@ -242,7 +242,7 @@ class Fit:
         Returns
         -------
         ndarray, shape (n, 2)
-            Line and sample [px]; NaN where a height that the model uses is NaN.
+            Line and sample [px]; NaN where a coordinate that the model uses is not finite.
 
         Raises
         ------
@@ -256,8 +256,8 @@ class Fit:
         scaled = self.model.predict(self.adjustment.coefficients, used,
                                     self.scaling.ground(places))
         image = self.scaling.pixels(scaled)
-        if self.model.uses_height:
-            image[np.isnan(places[:, 2])] = np.nan
+        needed = places if self.model.uses_height else places[:, :2]
+        image[~np.isfinite(needed).all(axis=1)] = np.nan
         return image
 
     def locate(self, image: ArrayLike, heights: ArrayLike | Surface) -> FloatArray:

@@ -43,21 +43,20 @@ def control_of(features: FeatureSet) -> FeatureSet:
 
 
 @one_blas_thread
-def fit_features(model: Fittable, features: FeatureSet) -> Fit:
+def fit_all_terms(model: Fittable, control: FeatureSet) -> Fit:
     """Fit all terms of a model by least squares.
 
     Parameters
     ----------
     model : Fittable
-    features : FeatureSet
-        As `control_of` takes them.
+    control : FeatureSet
+        As `control_of` returns it.
 
     Raises
     ------
     Undetermined
         If the control does not determine the terms.
     """
-    control = control_of(features)
     terms, used = (np.ones(n, dtype=bool) for n in (len(model.terms), len(control)))
     return require_determined(
         LEAST_SQUARES.fit(model, control, scaling_of(control), terms, used))

@@ -9,14 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from termsel.measurements.features import (
-    FeatureSet,
-    FloatArray,
-    IntArray,
-    Lines,
-    Points,
-    select,
-)
+from termsel.measurements.features import FeatureSet, FloatArray, IntArray, Lines, Points, select
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""What every file format shares: the interfaces, and finding the reader for a file."""
+"""What every file format shares: the interfaces of readers and writers, reading text."""
 
 from __future__ import annotations
 

@@ -5,17 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import zip_longest
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from termsel.errors import TermselError, unknown_name
 from termsel.formats.base import Reader, is_utf16, located, read_head, utf16_error
 from termsel.measurements.crs import EXAMPLES, check_ground, normalise
 from termsel.measurements.features import FeatureSet, join_lines, join_points, no_lines, no_points
-
-if TYPE_CHECKING:
-    pass
-
-
 from termsel.plugins.registry import registry
 
 
@@ -65,6 +60,7 @@ def read(
     from termsel.formats.heights import with_heights
 
     return with_heights(features, Path(dem))
+
 
 def read_file(path: Path, readers: Iterable[type[Reader]], format: str | None = None,
               options: Mapping[str, Any] | None = None) -> FeatureSet:

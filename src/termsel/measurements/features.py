@@ -18,6 +18,9 @@ IntArray = NDArray[np.intp]
 
 ROLES = ("control", "check", "independent", "off")
 
+FARTHEST = 1e50
+"""Coordinates from which on squares and products of some of them overflow."""
+
 
 def _frozen(values: ArrayLike, shape: tuple[int, ...], what: str) -> FloatArray:
     array = np.array(values, dtype=np.float64)
@@ -45,6 +48,15 @@ def _check_finite(values: FloatArray, ids: Sequence[str], kind: str, what: str) 
         name = ids[int(np.argmax(bad))]
         raise TermselError(f"{kind} {name!r} has {what} that are not finite numbers",
                            hint="Correct the values or remove the feature.", ids=[name])
+    _check_near(values, ids, kind, what)
+
+
+def _check_near(values: FloatArray, ids: Sequence[str], kind: str, what: str) -> None:
+    far = (np.abs(values) >= FARTHEST).reshape(len(ids), -1).any(axis=1)
+    if far.any():
+        name = ids[int(np.argmax(far))]
+        raise TermselError(f"{kind} {name!r} has {what} of {FARTHEST:g} or more",
+                           hint="Correct the values or remove the feature.", ids=[name])
 
 
 def _check_heights(z: FloatArray, ids: Sequence[str], kind: str) -> None:
@@ -53,6 +65,7 @@ def _check_heights(z: FloatArray, ids: Sequence[str], kind: str) -> None:
     if bad.any():
         name = ids[int(np.argmax(bad))]
         raise TermselError(f"{kind} {name!r} has an infinite height", ids=[name])
+    _check_near(z, ids, kind, "a height")
 
 
 def _check_deviations(sigma: FloatArray, ids: Sequence[str], kind: str) -> None:

@@ -5,11 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from termsel.measurements.features import (
-    FeatureSet,
-    FloatArray,
-    IntArray,
-)
+from termsel.measurements.features import FeatureSet, FloatArray, IntArray
 
 
 def spatial_order(xy: ArrayLike) -> IntArray:

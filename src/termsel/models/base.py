@@ -11,7 +11,7 @@ import numpy as np
 from termsel.adjustment.equations import Equations
 from termsel.errors import TermselError
 from termsel.fits.fit import Fit
-from termsel.fits.of_features import control_of, fit_features
+from termsel.fits.of_features import control_of, fit_all_terms
 from termsel.measurements.crs import to_wgs84
 from termsel.measurements.features import FeatureSet, FloatArray, IntArray
 from termsel.measurements.scaling import Scaling
@@ -85,7 +85,7 @@ class SensorModel(Configurable, ABC):
         """
         control = control_of(features)
         require_heights(self, control)
-        return fit_features(self, control)
+        return fit_all_terms(self, control)
 
     def geographic(self, ground: FloatArray) -> FloatArray:
         """Return WGS84 longitude, latitude [deg] and ellipsoidal height [m], shape (n, 3).

@@ -6,16 +6,11 @@ import numpy as np
 
 from termsel.fits.fittable import Fittable
 from termsel.measurements.crs import is_geocentric
-from termsel.measurements.features import (
-    FeatureSet,
-    FloatArray,
-    Points,
-)
+from termsel.measurements.features import FeatureSet, FloatArray, Points
 from termsel.measurements.places import spatial_order
 
 POLE_MARGIN = 0.1
 """Least value of a denominator over the scene; vendor RPCs stay within some hundredths of 1."""
-
 
 LARGEST_SHORTFALL = 1e9
 """Largest shortfall of a denominator; finite, so that it can be compared."""
@@ -23,7 +18,6 @@ LARGEST_SHORTFALL = 1e9
 GUARDED = 100
 """Features at which denominators are tested, next to the grid. Polynomials of third order have
 no room for a pole between so many."""
-
 
 _GRID = np.stack(np.meshgrid(*[np.linspace(-1.0, 1.0, n) for n in (5, 5, 3)]), -1).reshape(-1, 3)
 

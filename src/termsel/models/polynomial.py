@@ -1,4 +1,4 @@
-"""Monomials, and the polynomial models made of them."""
+"""Polynomial models: line and sample as sums of monomials."""
 
 from __future__ import annotations
 

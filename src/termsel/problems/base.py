@@ -11,13 +11,7 @@ import numpy as np
 
 from termsel.criteria import Criterion
 from termsel.errors import TermselError, unknown_name
-from termsel.measurements.features import (
-    BoolArray,
-    FeatureSet,
-    FloatArray,
-    IntArray,
-    Points,
-)
+from termsel.measurements.features import BoolArray, FeatureSet, FloatArray, IntArray, Points
 from termsel.models.base import SensorModel
 
 if TYPE_CHECKING:

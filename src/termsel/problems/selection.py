@@ -10,12 +10,7 @@ import numpy as np
 from termsel.adjustment.parts import independent_parts, solve_parts
 from termsel.criteria import Criterion, Fits
 from termsel.errors import TermselError, unknown_name
-from termsel.measurements.features import (
-    BoolArray,
-    FloatArray,
-    IntArray,
-    select,
-)
+from termsel.measurements.features import BoolArray, FloatArray, IntArray, select
 from termsel.measurements.places import centres
 from termsel.models.base import LINE, SAMPLE
 from termsel.models.poles import POLE_MARGIN, guard_points, pole_violation

@@ -8,10 +8,8 @@ from dataclasses import asdict, dataclass, replace
 from html import escape
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
 from numpy.typing import ArrayLike
 
-from termsel.errors import TermselError
 from termsel.fits.diagnosis import Diagnosis
 from termsel.fits.figures import Baseline, Rmses, finite_or_none, plain_rmse
 from termsel.fits.fit import Fit
@@ -198,30 +196,8 @@ class Result:
                        fit=replace(self.fit, control=control))
 
     def project(self, ground: ArrayLike) -> FloatArray:
-        """Return where the fitted model sees ground points.
-
-        Parameters
-        ----------
-        ground : array_like, shape (n, 3)
-            In the CRS of the control; NaN for heights a plane model does without.
-
-        Returns
-        -------
-        ndarray, shape (n, 2)
-            Line and sample [px]; NaN where a coordinate that the model uses is not finite.
-
-        Raises
-        ------
-        TermselError
-            If the array has another shape.
-        """
-        places = np.asarray(ground, dtype=np.float64)
-        if places.ndim != 2 or places.shape[1] != 3:
-            raise TermselError(f"ground points have shape {places.shape}, expected (n, 3)")
-        image = self.fit.project(places)
-        needed = places if self.fit.model.uses_height else places[:, :2]
-        image[~np.isfinite(needed).all(axis=1)] = np.nan
-        return image
+        """Return where the fitted model sees ground points (see `termsel.Fit.project`)."""
+        return self.fit.project(ground)
 
     def locate(self, image: ArrayLike, height: ArrayLike | Surface) -> FloatArray:
         """Return the ground points seen at image points, by the fitted model.

@@ -14,7 +14,6 @@ from termsel.fits.figures import LEAVE_ONE_OUT, ROLES
 _WIDTH = 88
 _LONGEST_FRONT = 40
 
-
 Record = Mapping[str, Any]
 
 

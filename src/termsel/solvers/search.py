@@ -23,7 +23,6 @@ POLISH_SHARE = 3
 seeds to reach the proven optimum of the embedded problem with 21 terms per axis.
 See docs/evidence/solver-table.md."""
 
-
 Observer = Callable[[Progress], None]
 
 

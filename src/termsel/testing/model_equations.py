@@ -11,25 +11,15 @@ from termsel.errors import TermselError
 from termsel.measurements.features import FeatureSet, FloatArray, Points
 from termsel.models.base import SensorModel
 from termsel.models.quotient import RationalModel
-from termsel.testing.checks import (
-    require,
-)
-from termsel.testing.scenes import (
-    MIXES,
-    accepted_scenes,
-    experiment,
-    fitted,
-    seeded,
-)
+from termsel.testing.checks import require
+from termsel.testing.scenes import MIXES, accepted_scenes, experiment, fitted, seeded
 
 EXACT = 1e-6
 """Allowed error of a model fitted to its own image positions, in scaled units."""
 
-
 NOISE, REPEATED = 1e-4, 0.05
 """Noise of points, as a share of the image, and by how much of an error leave-one-out may differ
 from a refit."""
-
 
 FIRST_ORDER = 0.01
 """Allowed median error if line equations are of first order, relative to the image."""
