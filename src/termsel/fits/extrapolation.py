@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from termsel.errors import counted
 from termsel.measurements.features import BoolArray, FeatureSet, Points
 from termsel.measurements.places import beyond, centres
 
@@ -29,7 +30,7 @@ def warnings_of(control: FeatureSet, used: BoolArray, check: Points) -> Iterator
     if len(check):
         far = beyond(mine, check.image) > FAR
         if far.any():
-            found.append(f"{far.sum()} of {len(far)} check points")
+            found.append(f"{far.sum()} of {counted(len(far), 'check point')}")
     if control.image_size is not None:
         lines, samples = control.image_size
         corners = np.array([(i, j) for i in (0.0, lines - 1.0) for j in (0.0, samples - 1.0)])
@@ -44,5 +45,6 @@ def warnings_of(control: FeatureSet, used: BoolArray, check: Points) -> Iterator
     if len(others) and span > 0:
         above = np.maximum(others - heights.max(), heights.min() - others)
         if (above > FAR * span).any():
-            yield (f"Extrapolation: {(above > FAR * span).sum()} check points lie far above or "
+            n = int((above > FAR * span).sum())
+            yield (f"Extrapolation: {counted(n, 'check point')} lie{'s' * (n == 1)} far above or "
                    "below the control.")
