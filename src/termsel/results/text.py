@@ -97,8 +97,9 @@ def _strategy(strategy: Mapping[str, Any], seconds: float) -> Iterator[str]:
                    if (one := named(listed["name"])))
     yield from textwrap.wrap(f"<- {RULE if shrunken else LEAST}", _WIDTH,
                              subsequent_indent="   ")
-    yield (f"The predicted RMSE is that of the whole choice, repeated in {strategy['folds']} "
-           "folds.")
+    if predicted is not None:
+        yield (f"The predicted RMSE is that of the whole choice, repeated in {strategy['folds']} "
+               "folds.")
 
 
 def _title(name: str) -> str:
