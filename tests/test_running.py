@@ -224,7 +224,7 @@ def test_points_without_height_are_for_plane_models() -> None:
     features = FeatureSet(Points(ground.ids, ground.image, flat, None, ground.roles),
                           crs="EPSG:4979")
     assert quick("poly-terms", features=features).feasible
-    with pytest.raises(termsel.TermselError, match="needs heights; they are unknown for 62 of the features"):
+    with pytest.raises(termsel.TermselError, match="they are unknown for 62 of the features"):
         termsel.run("rfm-terms", features=features)
 
 
