@@ -1,9 +1,10 @@
 """Do the tests notice? One-line mutants of the code, each run through the tests that should fail.
 
-``python tests/mutants.py`` copies the repository, changes one line of the copy at a time as
-tests/mutants.toml lists, runs the tests named there and prints which mutants survived. It ends with
-code 1 if more than one in twenty did. ``--only TEXT`` takes the mutants whose file or note holds
-the text; ``--jobs N`` runs as many at once.
+``python tests/mutants.py`` copies the repository and runs all named tests on the unchanged copy.
+Then it changes one line of the copy at a time as tests/mutants.toml lists, runs the tests named
+there and prints which mutants survived. It ends with code 1 if more than one in twenty did, and
+with 2 if a test fails without any mutant. ``--only TEXT`` takes the mutants whose file or change
+holds the text; ``--jobs N`` runs as many at once.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ import subprocess
 import sys
 import tempfile
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -69,17 +70,34 @@ def listed() -> list[Mutant]:
             for one in table["mutant"]]
 
 
+def copied(folder: Path) -> Path:
+    """Return a new copy of what tests need."""
+    folder.mkdir()
+    for name in COPIED:
+        take = shutil.copytree if (ROOT / name).is_dir() else shutil.copy2
+        take(ROOT / name, folder / name)
+    return folder
+
+
+def pytest_on(copy: Path, tests: Iterable[str], seconds: float | None = None, jobs: int = 0,
+              ) -> subprocess.CompletedProcess[str]:
+    """Run tests on a copy until the first fails."""
+    sources = (copy / "src", *copy.glob("plugins/*/src"))
+    return subprocess.run(
+        [sys.executable, "-m", "pytest", "-x", "-q", "-n", str(jobs), "-p", "no:cacheprovider",
+         *tests], cwd=copy, capture_output=True, text=True, timeout=seconds,
+        # Without files of bytecode, which a change within a second may leave in place.
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(map(str, sources)),
+             "PYTHONDONTWRITEBYTECODE": "1"})
+
+
 def noticed(mutant: Mutant, copy: Path, seconds: float) -> bool:
     """Return whether a test fails, or never ends, on a copy with the mutant."""
     path = copy / mutant.file
     text = path.read_text()
     path.write_text(mutant.applied(text))
     try:
-        done = subprocess.run(
-            [sys.executable, "-m", "pytest", "-x", "-q", "-n", "0", "-p", "no:cacheprovider",
-             *mutant.tests], cwd=copy, capture_output=True, text=True, timeout=seconds,
-            env={**os.environ, "PYTHONPATH": os.pathsep.join(
-                str(folder) for folder in (copy / "src", *copy.glob("plugins/*/src")))})
+        done = pytest_on(copy, mutant.tests, seconds)
     except subprocess.TimeoutExpired:
         return True
     finally:
@@ -95,12 +113,7 @@ def run(mutants: list[Mutant], jobs: int, seconds: float) -> Iterator[tuple[Muta
     with tempfile.TemporaryDirectory() as folder:
         copies: Queue[Path] = Queue()
         for job in range(jobs):
-            copy = Path(folder) / str(job)
-            for name in COPIED:
-                take = shutil.copytree if (ROOT / name).is_dir() else shutil.copy2
-                copy.mkdir(exist_ok=True)
-                take(ROOT / name, copy / name)
-            copies.put(copy)
+            copies.put(copied(Path(folder) / str(job)))
 
         def one(mutant: Mutant) -> bool:
             copy = copies.get()
@@ -123,6 +136,12 @@ def main() -> int:
     mutants = [one for one in listed() if given.only in f"{one.file} {one.old} {one.new}"]
     for one in mutants:  # before any test is run
         one.applied((ROOT / one.file).read_text())
+    with tempfile.TemporaryDirectory() as folder:
+        tests = sorted({test for one in mutants for test in one.tests})
+        done = pytest_on(copied(Path(folder) / "plain"), tests, jobs=given.jobs)
+    if done.returncode:
+        print(f"the tests do not pass without any mutant:\n{done.stdout}{done.stderr}")
+        return 2
     killed = 0
     for one, found in run(mutants, given.jobs, given.seconds):
         killed += found

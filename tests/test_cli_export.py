@@ -211,7 +211,13 @@ def test_project_says_which_rays_meet_no_ground(folder: Path, tmp_path: Path) ->
     found = _table(out)
     assert found[0, 4] == pytest.approx(1100.0, abs=1e-3)
     assert np.isnan(found[1, 2:]).all()
-    assert "Warning: no position was found for 1 points: corner" in err
+    assert err == "Warning: no position was found for 1 point: corner\n"
+    many = [f"corner{i},{i},10" for i in range(12)]
+    (tmp_path / "pixels.csv").write_text("\n".join(["id,line,sample", *many]) + "\n")
+    *_, err = _termsel("project", folder, "--points", tmp_path / "pixels.csv", "--inverse",
+                       "--dem", dem)
+    first = ", ".join(f"corner{i}" for i in range(10))
+    assert err == f"Warning: no position was found for 12 points: {first} ...\n"
 
 
 @pytest.mark.parametrize(("text", "arguments", "message"), [

@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import subprocess
 import sys
 from importlib.metadata import distributions
@@ -104,8 +105,7 @@ def test_help_tells_all_commands_as_they_tell_themselves(call):
 @pytest.mark.parametrize("name", COMMANDS)
 def test_every_command_gives_examples(call, name):
     text = call(name, "--help").stdout
-    assert "Examples:" in text
-    assert "termsel" in text.partition("Examples:")[2]
+    assert re.search(rf"^  Examples:\n+(.*\n)*    .*\btermsel {name}\b", text, re.MULTILINE)
 
 
 def test_version(call):
@@ -235,7 +235,8 @@ def test_a_broken_plugin_is_a_command_that_says_why(call, with_plugins):
         assert "broken-package 2.5: cannot be imported: ModuleNotFoundError" in done.stderr
     helped = call("broken", "--help")
     assert helped.exit_code == 0
-    assert "ModuleNotFoundError" in helped.stdout
+    assert "This command is broken: plugin 'broken' of broken-package 2.5" in " ".join(
+        helped.stdout.split())
 
 
 def test_a_fault_is_one_paragraph_and_exit_code_1(plugin_folder):

@@ -45,7 +45,7 @@ def test_own_files_run_and_write_the_result(files: Path, tmp_path: Path) -> None
     done = termsel("run", "--problem", "owdis-lines", "--points", files / "points.csv", "--lines",
                    files / "lines.csv", "--crs", "EPSG:4979", "--out", out, *QUICK)
     assert done.returncode == 0, done.stderr
-    assert "RMSE [px]" in done.stdout
+    assert "RMSE [px]                terms     control       check   independent" in done.stdout
     assert (out / "summary.txt").read_text() == done.stdout
     assert json.loads((out / "result.json").read_text())["data"]["counts"]["lines"] == 120
 
@@ -100,7 +100,7 @@ def test_ctrl_c_returns_the_best_so_far(tmp_path: Path) -> None:
     time.sleep(6)  # the search begins when the folder is claimed; the first run compiles
     stdout, stderr = interrupted(process)
     assert process.returncode == 130
-    assert "Interrupted" in stderr
+    assert "Interrupted. The same command with the same seed repeats the same search." in stderr
     result = json.loads(stdout)
     assert result["interrupted"]
     assert result["rmse"]["independent"]["total"] > 0
@@ -150,34 +150,49 @@ def written(tmp_path: Path, data: bytes) -> Path:
 
 BAD_FILES = {
     "missing column": (
-        lambda f, t: written(t, b"id,line,sample,x,z\nA,1,2,3,4\n"), "y"),
+        lambda f, t: written(t, b"id,line,sample,x,z\nA,1,2,3,4\n"),
+        "line 1, column 'y': there is no column for y. The columns here are: id, line, "),
     "text in a number": (
-        lambda f, t: change(f, t, 5, cells(f, 5)[2], "12,5m".replace(",", ".")), "line 5"),
-    "nan": (lambda f, t: change(f, t, 7, cells(f, 7)[4], "nan"), "line 7"),
+        lambda f, t: change(f, t, 5, cells(f, 5)[2], "12.5m"),
+        "line 5, column 'line': '12.5m' is not a number. Write a plain number such as 12.5."),
+    "nan": (lambda f, t: change(f, t, 7, cells(f, 7)[4], "nan"),
+            "line 7, column 'x': 'nan' is not a finite number. Correct it or remove the row."),
     "two points with one id": (
-        lambda f, t: change(f, t, 9, cells(f, 9)[0] + ",", cells(f, 4)[0] + ","), "line"),
+        lambda f, t: change(f, t, 9, cells(f, 9)[0] + ",", cells(f, 4)[0] + ","),
+        "line 9, column 'id': id 'P003' is already used on line 4. Give every point an id"),
     "three points for 39 terms": (
         lambda f, t: some_points(f, t, 3),
         "Of your 3 features 1 is control; rfm-terms needs at least 3."),
-    "all points on one line": (straight_line, "one straight line"),
-    "unknown role": (lambda f, t: change(f, t, 3, cells(f, 3)[1], "tie"), "tie"),
-    "empty file": (lambda f, t: written(t, b""), "empty"),
-    "header alone": (lambda f, t: written(t, b"id,line,sample,x,y,z\n"), "no"),
-    "binary file": (lambda f, t: written(t, bytes(range(256)) * 20), "bad.csv"),
+    "all points on one line": (
+        straight_line, "all control features lie on one straight line on the ground. Add control "
+        "away from that line: a model needs an area."),
+    "unknown role": (lambda f, t: change(f, t, 3, cells(f, 3)[1], "tie"),
+                     "line 3, column 'role': unknown role 'tie'. Roles are control, check, "
+                     "independent, off, or blank."),
+    "empty file": (lambda f, t: written(t, b""),
+                   "bad.csv: the file is empty. Expected one of: areas-csv: areas as a table"),
+    "header alone": (lambda f, t: written(t, b"id,line,sample,x,y,z\n"),
+                     "line 1: there are no rows below the header. Add one row per feature."),
+    "binary file": (lambda f, t: written(t, bytes(range(256)) * 20),
+                    "bad.csv: this binary file is in no format that termsel knows. Expected one"),
     "wrong encoding": (
         lambda f, t: written(t, "id,line,sample,x,y,z\nStraße,1,2,3,4,5\n".encode("latin-1")),
-        "UTF-8"),
+        "line 2: the text of this file is not UTF-8. Save it with the encoding UTF-8."),
     "lon and lat swapped": (
         lambda f, t: written(t, b"id,line,sample,x,y,z\n" + b"".join(
             b"P%d,%d,%d,%f,%f,1\n" % (i, i, i * i, 35 + i / 99, 139.7 + i * i / 99)
-            for i in range(20))), "swapped"),
+            for i in range(20))),
+        "feature 'P0' with x = 35, y = 139.7 cannot be longitude and latitude in EPSG:4979. The "
+        "columns look swapped."),
     "row too short": (
-        lambda f, t: written(t, b"id,line,sample,x,y,z\nA,1,2,3\n"), "line 2"),
+        lambda f, t: written(t, b"id,line,sample,x,y,z\nA,1,2,3\n"),
+        "line 2: the row has 4 cells, but the header has 6. Every row needs one cell"),
     "two points in one place": (
         lambda f, t: written(t, b"id,line,sample,x,y,z\nA,1,2,3,4,5\nB,9,9,3,4,5\n"),
-        "same ground"),
-    "a folder": (lambda f, t: t, "folder"),
-    "no such file": (lambda f, t: t / "nowhere.csv", "nowhere.csv"),
+        "line 3: points 'A' and 'B' have the same ground coordinates. Remove one of them"),
+    "a folder": (lambda f, t: t, "this is a folder, expected a file. Expected one of"),
+    "no such file": (lambda f, t: t / "nowhere.csv",
+                     "nowhere.csv: this file does not exist. Check the name and the folder."),
 }
 
 
@@ -197,20 +212,37 @@ def test_a_bad_file_gives_one_message_and_code_2(kind: str, files: Path, tmp_pat
 
 
 BAD_WORDS = {
-    "unknown problem": (["--problem", "rfm-term"], "Did you mean 'rfm-terms'"),
-    "unknown option key": (["--problem", "rfm-terms", "--set", "poulation=5"], "population"),
-    "value out of range": (["--problem", "rfm-terms", "--set", "order=7"], "1 to 3"),
-    "not KEY=VALUE": (["--problem", "rfm-terms", "--set", "order"], "KEY=VALUE"),
-    "set twice": (["--problem", "rfm-terms", "--set", "order=1", "--set", "order=2"], "twice"),
-    "unknown model": (["--problem", "rfm-terms", "--model", "rpc"], "unknown model"),
-    "unknown solver": (["--problem", "rfm-terms", "--solver", "gaa"], "Did you mean 'ga'"),
-    "unknown data set": (["--problem", "rfm-terms", "--dataset", "hamedan"], "ikonos-hamedan"),
-    "negative seed": (["--problem", "rfm-terms", "--seed", "-1"], "--seed"),
-    "no generations": (["--problem", "rfm-terms", "--generations", "0"], "--generations"),
-    "no problem": ([], "--problem"),
-    "crs without a file": (["--problem", "rfm-terms", "--crs", "local"], "--crs"),
-    "unwritable out": (["--problem", "rfm-terms", "--out", os.devnull], "--out"),
-    "no lines in the data": (["--problem", "owdis-lines", "--dataset", "irs1c-mashad"], "lines"),
+    "unknown problem": (["--problem", "rfm-term"],
+                        "unknown problem 'rfm-term'. Did you mean 'rfm-terms'? Known: "),
+    "unknown option key": (
+        ["--problem", "rfm-terms", "--set", "poulation=5"],
+        "unknown option 'poulation'. Did you mean 'population'? Known: check_as, "),
+    "value out of range": (
+        ["--problem", "rfm-terms", "--set", "order=7"],
+        "option 'order' does not accept '7'. Accepted: whole number from 1 to 3."),
+    "not KEY=VALUE": (["--problem", "rfm-terms", "--set", "order"],
+                      "--set 'order' is not of the form KEY=VALUE. For example --set population="),
+    "set twice": (["--problem", "rfm-terms", "--set", "order=1", "--set", "order=2"],
+                  "--set order is given twice. Give it once."),
+    "unknown model": (["--problem", "rfm-terms", "--model", "rpc"],
+                      "unknown model 'rpc'. Known: affine, dlt2d, "),
+    "unknown solver": (["--problem", "rfm-terms", "--solver", "gaa"],
+                       "unknown solver 'gaa'. Did you mean 'ga'? Known: aco, "),
+    "unknown data set": (["--problem", "rfm-terms", "--dataset", "hamedan"],
+                         "unknown data set 'hamedan'. Did you mean 'ikonos-hamedan'? Known: "),
+    "negative seed": (["--problem", "rfm-terms", "--seed", "-1"],
+                      "Invalid value for '--seed': -1 is not in the range x>=0."),
+    "no generations": (["--problem", "rfm-terms", "--generations", "0"],
+                       "Invalid value for '--generations': 0 is not in the range x>=1."),
+    "no problem": ([], "Missing option '--problem'."),
+    "crs without a file": (
+        ["--problem", "rfm-terms", "--crs", "local"],
+        "--crs requires --points or --lines. Give --points FILE, or leave --crs out."),
+    "unwritable out": (["--problem", "rfm-terms", "--out", os.devnull],
+                       f"cannot make the folder {os.devnull}: "),
+    "no lines in the data": (
+        ["--problem", "owdis-lines", "--dataset", "irs1c-mashad"],
+        "the problem needs control lines and there are none. Give them with --lines FILE, or "),
 }
 
 
@@ -225,7 +257,10 @@ def test_bad_words_give_one_message_and_code_2(kind: str, call: Call) -> None:
 
 
 @pytest.mark.parametrize(("crs", "message"), [
-    ("EPSG:32639", "degrees"), ("EPSG:99999999", "EPSG"), ("WGS 84", "EPSG:4979"), (None, "--crs")])
+    ("EPSG:32639", "the ground coordinates look like degrees, but EPSG:32639 is a projected CRS"),
+    ("EPSG:99999999", "CRS 'EPSG:99999999' does not exist or cannot be read. Examples: EPSG:4979"),
+    ("WGS 84", "unknown CRS 'WGS 84'. Examples: EPSG:4979 (longitude, latitude, ellipsoidal"),
+    (None, "the CRS of the ground coordinates is unknown. State it with --crs: EPSG:4979 (")])
 def test_a_wrong_crs_is_refused(crs: str | None, message: str, files: Path,
                                 tmp_path: Path, call: Call) -> None:
     named = [] if crs is None else ["--crs", crs]

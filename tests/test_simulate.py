@@ -158,7 +158,7 @@ def test_errors_say_what_to_do():
         pushbroom_at(**{**PLACE, "lat": 85.0})
     with pytest.raises(TermselError, match="which is not positive"):
         Pushbroom(**{**vars(sensor), "ifov": 0.0})
-    with pytest.raises(TermselError, match="ikonos-hamedan"):
+    with pytest.raises(TermselError, match="Did you mean 'ikonos-hamedan'"):
         simulate_scene("ikonos-hamadan")
     with pytest.raises(TermselError, match="more mismatched lines than lines"):
         simulate_scene("ikonos-hamedan", n_lines=3, wrong_lines=4)

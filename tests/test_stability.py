@@ -68,16 +68,43 @@ def test_what_it_is_not_for(problem: str, more: dict, message: str) -> None:
         stability(problem, evaluations=50, **more)
 
 
+def test_a_term_is_stable_from_the_threshold_on() -> None:
+    features, _ = few_terms()
+    shares = stability("rfm-terms", features=features, seed=3, **QUICK).frequency
+    some = float(shares[(shares > 0) & (shares < 1)][0])
+    found = stability("rfm-terms", features=features, seed=3, threshold=some, **QUICK)
+    np.testing.assert_array_equal(found.frequency, shares)
+    assert found.stable == tuple(name for name, share in zip(found.terms, shares, strict=True)
+                                 if share >= some)
+    assert len(found.stable) > (shares > some).sum()
+
+
+def test_stable_terms_that_are_no_model_are_said_to_be() -> None:
+    words = ["stability", "--problem", "poly-terms", "--repeats", "2", "--evaluations", "50",
+             "--threshold", "1", "--set", "force_on=", "--set", "degree=8"]
+    done = CliRunner().invoke(cli, words)
+    record = json.loads(CliRunner().invoke(cli, [*words, "--json"]).stdout)
+    last = done.output.splitlines()[-1]
+    assert (last == "The stable terms alone are no model. Lower --threshold.") == (
+        not record["determined"])
+
+
 def test_command() -> None:
     words = ["stability", "--problem", "rfm-terms", "--model", "poly3d", "--set", "degree=2",
              "--repeats", "3", "--evaluations", "200"]
     done = CliRunner().invoke(cli, words)
     assert done.exit_code == 0, done.output
     assert "line.num:X" in done.output
-    assert "3 selections of" in done.output
     record = json.loads(CliRunner().invoke(cli, [*words, "--json"]).stdout)
     assert record["repeats"] == 3
     assert set(record["frequency"]) == set(Polynomial3D(degree=2).terms)
+    assert record["determined"]
+    sizes, independent = record["n_terms"], record["rmse"]["independent"]
+    assert done.output.splitlines()[-4:-2] == [
+        f"3 selections of {min(sizes)} to {max(sizes)} terms; {len(record['stable'])} terms in at "
+        "least 60% of them.",
+        f"Fitted to control and check together: {independent['total']:.3f} px on "
+        f"{independent['n']} independent points."]
     command = done.output.strip().splitlines()[-1].split()[1:]
     again = CliRunner().invoke(cli, [*command, "--model", "poly3d", "--set", "degree=2", "--json"])
     assert again.exit_code == 0, again.output

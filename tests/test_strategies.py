@@ -61,6 +61,10 @@ def test_auto_is_the_default_where_only_points_are_given(result: termsel.Result)
             "shrunken-cubic"} <= set(names)
     quadratic = next(b for b in result.baselines if b.name == "quadratic")
     assert result.rmse["independent"].total < quadratic.rmse["independent"].total
+    # Check points are fitted to, and yet shown by themselves.
+    assert result.strategy["fitted_to"] == ["control", "check"]
+    assert result.rmse["control"].n == result.data["counts"]["control"] == 24
+    assert result.rmse["check"].n == result.data["counts"]["check"] == 24
 
 
 @pytest.mark.parametrize("asked", [

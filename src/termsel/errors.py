@@ -75,3 +75,15 @@ def unknown_name(kind: str, name: str, known: Iterable[str], hint: str = "") -> 
     listed = (f"Known: {', '.join(names[:MOST_NAMED])}{more}." if names
               else f"No {kind} is known here.")
     return TermselError(f"unknown {kind} {name!r}", hint=f"{guess}{listed} {hint}".strip())
+
+
+def counted(number: int, noun: str) -> str:
+    """Return a number with its noun, which takes an s unless the number is 1.
+
+    Parameters
+    ----------
+    number : int
+    noun : str
+        In the singular: "check point", "generation" ...
+    """
+    return f"{number} {noun}{'s' * (number != 1)}"

@@ -35,6 +35,7 @@ def project(folder: Path, points: Path, inverse: bool, dem: Path | None, height:
     """
     show_messages()
 
+    from termsel.errors import counted
     from termsel.formats.atomic import require_new, write_text
     from termsel.io.project import project_table
     from termsel.io.result_folder import read_result
@@ -49,5 +50,5 @@ def project(folder: Path, points: Path, inverse: bool, dem: Path | None, height:
         write_text(output, text)
         click.echo(f"Written: {output}", err=True)
     if missed:
-        click.echo(f"Warning: no position was found for {len(missed)} points: "
+        click.echo(f"Warning: no position was found for {counted(len(missed), 'point')}: "
                    f"{', '.join(missed[:10])}{' ...' if len(missed) > 10 else ''}", err=True)

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from termsel.errors import counted
 from termsel.measurements.features import BoolArray, FeatureSet, Points
 from termsel.measurements.places import beyond, centres
 
@@ -25,24 +26,27 @@ def warnings_of(control: FeatureSet, used: BoolArray, check: Points) -> Iterator
     check : Points
     """
     mine = centres(control)[used]
-    found = []
+    found, n = [], 0
     if len(check):
         far = beyond(mine, check.image) > FAR
         if far.any():
-            found.append(f"{far.sum()} of {len(far)} check points")
+            n += int(far.sum())
+            found.append(f"{far.sum()} of {counted(len(far), 'check point')}")
     if control.image_size is not None:
         lines, samples = control.image_size
         corners = np.array([(i, j) for i in (0.0, lines - 1.0) for j in (0.0, samples - 1.0)])
         far = beyond(mine, corners) > FAR
         if far.any():
+            n += int(far.sum())
             found.append(f"{far.sum()} of 4 corners of the image")
     if found:
-        yield (f"Extrapolation: {' and '.join(found)} lie far outside the control in use. The "
-               "given RMSE does not hold there.")
+        yield (f"Extrapolation: {' and '.join(found)} lie{'s' * (n == 1)} far outside the control "
+               "in use. The given RMSE does not hold there.")
     heights, others = control.ground_vertices()[:, 2], check.ground[:, 2]
     span = float(np.ptp(heights))
     if len(others) and span > 0:
         above = np.maximum(others - heights.max(), heights.min() - others)
-        if (above > FAR * span).any():
-            yield (f"Extrapolation: {(above > FAR * span).sum()} check points lie far above or "
+        n = int((above > FAR * span).sum())
+        if n:
+            yield (f"Extrapolation: {counted(n, 'check point')} lie{'s' * (n == 1)} far above or "
                    "below the control.")

@@ -7,7 +7,7 @@ from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
-from termsel.errors import TermselError, unknown_name
+from termsel.errors import TermselError, counted, unknown_name
 from termsel.formats.base import Reader, is_utf16, located, read_head, utf16_error
 from termsel.measurements.crs import EXAMPLES, check_ground, normalise
 from termsel.measurements.features import FeatureSet, join_lines, join_points, no_lines, no_points
@@ -150,7 +150,8 @@ def read_features(points: Path | None, lines: Path | None, *, areas: Path | None
     stated = None if crs is None else normalise(crs)
     paths = list(dict.fromkeys(path for path in (points, lines, areas) if path is not None))
     if len(formats) > len(paths):
-        raise TermselError(f"there are {len(formats)} --format for {len(paths)} files",
+        raise TermselError(f"there are {len(formats)} --format for "
+                           f"{counted(len(paths), 'file')}",
                            hint="Give --format once per file, that of the points first.")
     chosen = {path: find_reader(path, known, name, options)
               for path, name in zip_longest(paths, formats)}

@@ -8,6 +8,7 @@ from typing import Any
 
 from termsel.candidates.candidate import named
 from termsel.candidates.portfolio import LEAST, RULE
+from termsel.errors import counted
 from termsel.fits.diagnosis import BEYOND, CORRELATED
 from termsel.fits.figures import LEAVE_ONE_OUT, ROLES
 
@@ -51,10 +52,10 @@ def _head(record: Record) -> Iterator[str]:
     if data["fit_crs"] != data["crs"]:
         yield (f"Fitted in {data['fit_crs']}; coordinates are given in {data['crs']}, heights "
                f"{data['heights']}")
-    control = [f"{counts[key]} {word}" for key, word in (("control", "points"), ("lines", "lines"))
+    control = [counted(counts[key], word) for key, word in (("control", "point"), ("lines", "line"))
                if counts[key]]
-    yield (f"Control: {' and '.join(control)}; {counts['check']} check points; "
-           f"{counts['independent']} independent points")
+    yield (f"Control: {' and '.join(control)}; {counted(counts['check'], 'check point')}; "
+           f"{counted(counts['independent'], 'independent point')}")
     if strategy:
         yield from _strategy(strategy, record["seconds"])
         return
@@ -66,12 +67,12 @@ def _head(record: Record) -> Iterator[str]:
     if share < 1:
         yield (f"Terms are {100 * share:.0f} % of their equations at most; --set max_share=1 lifts "
                "this")
-    yield (f"Search: {record['evaluations']} evaluations ({record['lookups']} looked up), "
-           f"{record['generations']} generations, {record['seconds']:.1f} s")
+    yield (f"Search: {counted(record['evaluations'], 'evaluation')} ({record['lookups']} looked "
+           f"up), {counted(record['generations'], 'generation')}, {record['seconds']:.1f} s")
     if refined := record["polish"]:
         yield (f"Local refinement: {record['criterion']} {refined['found']:.4g} as "
                f"{record['solver']} found it, {refined['polished']:.4g} after "
-               f"{refined['evaluations']} evaluations more")
+               f"{counted(refined['evaluations'], 'evaluation')} more")
     if record["certificate"]:
         exact = "--set recommend=best" if record["solver"] == "exact" else \
             "--solver exact" + " --set max_share=1" * (share == 1.0)
@@ -95,8 +96,9 @@ def _strategy(strategy: Mapping[str, Any], seconds: float) -> Iterator[str]:
                    if (one := named(listed["name"])))
     yield from textwrap.wrap(f"<- {RULE if shrunken else LEAST}", _WIDTH,
                              subsequent_indent="   ")
-    yield (f"The predicted RMSE is that of the whole choice, repeated in {strategy['folds']} "
-           "folds.")
+    if predicted is not None:
+        yield (f"The predicted RMSE is that of the whole choice, repeated in {strategy['folds']} "
+               "folds.")
 
 
 def _title(name: str) -> str:

@@ -8,6 +8,7 @@ import numpy as np
 
 from termsel.candidates.candidate import Candidate, named
 from termsel.criteria import Criterion
+from termsel.errors import counted
 from termsel.fits.diagnosis import PARALLEL, orientation_spread
 from termsel.fits.extrapolation import warnings_of
 from termsel.fits.figures import Baseline
@@ -51,7 +52,7 @@ def judge(conventional: str, criterion: str, rmse: Mapping[str, Rmse | None],
         return ("There are no independent points, so the accuracy of this selection is not "
                 f"known. The search minimised {criterion}.")
     sentences = [_compare("The selection is", mine.total, baselines[0], conventional)
-                 + f" on {mine.n} independent points."]
+                 + f" on {counted(mine.n, 'independent point')}."]
     best = next((b for b in baselines if b.name == reference), None)
     candidate = named(reference)
     if best is not None and candidate is not None:
@@ -95,8 +96,8 @@ def judge_choice(chosen: Candidate, predicted: float | None, rmse: Mapping[str, 
     start = f"Leave-one-out over control and check chooses {chosen.title}{expected}."
     if mine is None:
         return f"{start} There are no independent points to confirm it."
-    sentences = [start, f"The RMSE of {mine.n} independent points, which took no part, is "
-                        f"{_px(mine.total)}."]
+    sentences = [start, f"The RMSE of {counted(mine.n, 'independent point')}, which took no part, "
+                        f"is {_px(mine.total)}."]
     others = [(b.predicted, b, other) for b in baselines if b.predicted is not None
               and (other := named(b.name)) and other.is_plain and other is not chosen]
     if others:
@@ -157,8 +158,8 @@ def notes_on(observations: Observations, criterion: Criterion, found: Search,
     if len(observations.control.lines) and not len(observations.control.points):
         idle = len(observations.off)
         if idle:
-            yield (f"{idle} control points of the file stay out, as lines are the control here; "
-                   "--set mixed=true uses both.")
+            yield (f"{counted(idle, 'control point')} of the file stay{'s' * (idle == 1)} out, as "
+                   "lines are the control here; --set mixed=true uses both.")
     lines = chosen.control.take(chosen.used).lines
     if len(lines) and not len(observations.control.points):
         spread = orientation_spread(lines)

@@ -328,8 +328,9 @@ def _require_enough(observations: Observations, recipe: Recipe, criterion: Crite
             hint="Measure more, or give more of them the role control.")
     if criterion.needs_check and len(check) < MIN_CHECK:
         raise TermselError(
-            f"Of your {_count(observations)} features {_are(len(check))} check points; the "
-            f"criterion {criterion.name} needs at least {MIN_CHECK}",
+            f"Of your {_count(observations)} features "
+            + ("1 is a check point" if len(check) == 1 else f"{len(check)} are check points")
+            + f"; the criterion {criterion.name} needs at least {MIN_CHECK}",
             hint="Give more points the role check; they judge the fitness of a selection. The "
                  "criterion press needs none (--criterion press).")
     if not np.ptp(control.image_vertices(), axis=0).any():

@@ -1,0 +1,276 @@
+"""The summary: each line that appears only under a condition, from records made by hand."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import pytest
+
+from termsel.results.text import summary
+
+
+def rmse(total: float | None, n: int = 10) -> dict[str, Any]:
+    return {"line": total, "sample": total, "total": total, "n": 0 if total is None else n}
+
+
+def roles(control: float | None, check: float | None, independent: float | None,
+          ) -> dict[str, dict[str, Any]]:
+    return {"control": rmse(control), "check": rmse(check), "independent": rmse(independent)}
+
+
+def baseline(name: str, n_terms: int, figures: Mapping[str, Any], *,
+             fitted_to: tuple[str, ...] = ("control", "check")) -> dict[str, Any]:
+    return {"name": name, "n_terms": n_terms, "fitted_to": list(fitted_to), "determined": True,
+            "predicted": None, "rmse": figures}
+
+
+def record(**changed: Any) -> dict[str, Any]:
+    """A record of a search, as result.json holds it, with some parts other."""
+    plain: dict[str, Any] = {
+        "problem": "rfm-terms", "model": "poly3d", "solver": "ga", "criterion": "press", "seed": 4,
+        "options": {"problem": {}},
+        "data": {"source": "points.csv", "crs": "EPSG:4979", "fit_crs": "EPSG:4979",
+                 "heights": "EGM96",
+                 "counts": {"control": 24, "lines": 0, "check": 12, "independent": 9}},
+        "selection": {"terms": ["line:1", "line:X"], "features": ["A", "B"], "n_terms": 2,
+                      "n_features": 2},
+        "offered": {"n_terms": 2, "n_features": 2},
+        "rmse": roles(1.0, 2.0, 3.0),
+        "baselines": [baseline("all-terms", 20, roles(0.5, 5.0, 6.0), fitted_to=("control",))],
+        "judgement": "It is good.", "notes": [], "front": [], "certificate": None,
+        "strategy": None, "evaluations": 500, "lookups": 30, "generations": 7, "seconds": 1.25,
+        "polish": None, "adjustment": {"redundancy": 46}, "objectives": {"press": 1.0},
+        "significance": {}, "correlations": [], "doubts": None}
+    return {**plain, **changed}
+
+
+def data(**changed: Any) -> dict[str, Any]:
+    return {**record()["data"], **changed}
+
+
+def counts(**changed: int) -> dict[str, Any]:
+    return data(counts={**record()["data"]["counts"], **changed})
+
+
+def page(**changed: Any) -> list[str]:
+    return summary(record(**changed)).splitlines()
+
+
+def added(**changed: Any) -> list[str]:
+    """Return the lines that a change of the record adds or changes."""
+    before = page()
+    return [line for line in page(**changed) if line not in before]
+
+
+def test_the_page_of_an_ordinary_search() -> None:
+    assert page() == [
+        "rfm-terms: model poly3d, solver ga, criterion press, seed 4",
+        "Data: points.csv",
+        "Control: 24 points; 12 check points; 9 independent points",
+        "Selected: all 2 control features, all 2 terms; redundancy 46",
+        "Search: 500 evaluations (30 looked up), 7 generations, 1.2 s",
+        "",
+        "RMSE [px]                terms     control       check   independent",
+        "selection                    2       1.000       2.000         3.000",
+        "conventional (all)          20       0.500       5.000         6.000",
+        "the search minimised press; independent = the accuracy",
+        "",
+        "It is good."]
+
+
+@pytest.mark.parametrize(("changed", "lines"), [
+    ({"data": data(fit_crs="EPSG:32639")}, [
+        "Fitted in EPSG:32639; coordinates are given in EPSG:4979, heights EGM96"]),
+    ({"data": counts(control=0, lines=40)}, [
+        "Control: 40 lines; 12 check points; 9 independent points"]),
+    ({"data": counts(lines=40)}, [
+        "Control: 24 points and 40 lines; 12 check points; 9 independent points"]),
+    ({"data": counts(control=1, lines=1, check=1, independent=1)}, [
+        "Control: 1 point and 1 line; 1 check point; 1 independent point"]),
+    ({"evaluations": 1, "lookups": 0, "generations": 1}, [
+        "Search: 1 evaluation (0 looked up), 1 generation, 1.2 s"]),
+    ({"criterion": "check-rmse"}, [
+        "rfm-terms: model poly3d, solver ga, criterion check-rmse, seed 4",
+        "check = the fitness, which the search minimised; independent = the accuracy"]),
+    ({"options": {"problem": {"max_share": 1.0}}}, []),
+    ({"options": {"problem": {"max_share": 0.67}}}, [
+        "Terms are 67 % of their equations at most; --set max_share=1 lifts this"]),
+    ({"polish": {"found": 1.23456, "polished": 1.1, "evaluations": 1500}}, [
+        "Local refinement: press 1.235 as ga found it, 1.1 after 1500 evaluations more"]),
+    ({"polish": {"found": 2.0, "polished": 2.0, "evaluations": 1}}, [
+        "Local refinement: press 2 as ga found it, 2 after 1 evaluation more"]),
+    ({"notes": ["One note.", "Another."]}, ["Note: One note.", "Note: Another."])])
+def test_lines_about_the_search(changed: dict[str, Any], lines: list[str]) -> None:
+    assert added(**changed) == lines
+
+
+@pytest.mark.parametrize(("n_features", "n_terms", "lines"), [
+    (3, 2, ["Selected: 2 of 3 control features, all 2 terms; redundancy 46", "Features: A B"]),
+    (2, 3, ["Selected: all 2 control features, 2 of 3 terms; redundancy 46",
+            "Terms: line:1 line:X"]),
+    (3, 3, ["Selected: 2 of 3 control features, 2 of 3 terms; redundancy 46", "Features: A B",
+            "Terms: line:1 line:X"])])
+def test_what_is_selected_is_listed_where_it_is_not_all(n_features: int, n_terms: int,
+                                                        lines: list[str]) -> None:
+    assert added(offered={"n_terms": n_terms, "n_features": n_features}) == lines
+
+
+def test_a_record_of_version_01_tells_what_was_offered_by_its_counts() -> None:
+    old = record()
+    del old["offered"]
+    assert "Selected: 2 of 24 control features, 2 of 20 terms; redundancy 46" in summary(old)
+
+
+PROVEN = {"subsets": 12345, "of": 99999, "space": "all sizes", "optimal": False}
+GAP = "Gap: 2.50 % above the proven optimum 0.9 (12,345 subsets decided, all sizes); "
+BELOW = "The proven optimum is 0, below this (12,345 subsets decided, all sizes); "
+
+
+@pytest.mark.parametrize(("more", "solver", "share", "line"), [
+    ({"optimal": True}, "exact", 1.0,
+     "Proven: no selection has a better criterion (12,345 subsets decided, all sizes)"),
+    ({"gap": 0.025, "optimum": 0.9}, "ga", 0.67, GAP + "--solver exact finds it"),
+    ({"gap": 0.025, "optimum": 0.9}, "ga", 1.0, GAP + "--solver exact --set max_share=1 finds it"),
+    ({"gap": 0.025, "optimum": 0.9}, "exact", 1.0, GAP + "--set recommend=best finds it"),
+    ({"gap": 0.0, "optimum": 0.9}, "ga", 0.67, GAP.replace("2.50", "0.00")
+     + "--solver exact finds it"),
+    ({"gap": None, "optimum": 0.0}, "ga", 0.67, BELOW + "--solver exact finds it"),
+    ({}, "ga", 1.0, "Not proven: 12,345 of 99,999 subsets decided")])
+def test_what_is_proven(more: dict[str, Any], solver: str, share: float, line: str) -> None:
+    options = {"problem": {"max_share": share}}
+    text = page(certificate={**PROVEN, **more}, solver=solver, options=options)
+    plain = page(solver=solver, options=options)
+    assert [one for one in text if one not in plain] == [line]
+
+
+@pytest.mark.parametrize(("figure", "shown"), [
+    (None, "-"), (0.01, "0.010"), (0.00999, "9.99e-03"), (99999.0, "99999.000"),
+    (100000.0, "1.00e+05")])
+def test_figures_fit_their_columns(figure: float | None, shown: str) -> None:
+    assert added(rmse=roles(1.0, 2.0, figure)) == [
+        f"selection                    2       1.000       2.000{shown:>14}"]
+
+
+def test_fits_to_control_and_check_have_a_star() -> None:
+    assert added(baselines=[baseline("dlt", 11, roles(1.0, 1.5, 2.5))]) == [
+        "DLT *                       11       1.000       1.500         2.500",
+        "* fitted to control and check together; its check figure is a fit"]
+
+
+def test_a_baseline_without_any_figure_is_said_to_be_not_determined() -> None:
+    nothing = roles(None, None, None)
+    alone = {"fitted_to": ("control",)}
+    text = "- not determined with redundancy"
+    assert added(baselines=[baseline("rfm-3", 78, nothing, **alone)]) == [
+        "full RFM                    78           -           -             -", text]
+    # Without independent points it may be determined all the same.
+    assert text not in added(baselines=[baseline("rfm-3", 78, roles(1.0, None, None), **alone)])
+
+
+def test_a_model_that_corrects_by_its_control_shows_its_leave_one_out() -> None:
+    assert added(rmse={**roles(1.0, 2.0, 3.0), "leave-one-out": rmse(1.75)}) == [
+        "  leave-one-out                      1.750",
+        "leave-one-out: each control feature by the fit without it, as poly3d corrects by control"]
+
+
+def strategy(chosen: str, predicted: float | None, *names: str) -> dict[str, Any]:
+    return {"name": "auto", "chosen": chosen, "predicted": predicted, "folds": 20,
+            "candidates": [{"name": name, "n_terms": 20, "effective": 8.25, "predicted": 0.5}
+                           for name in names]}
+
+
+def test_the_page_of_a_choice() -> None:
+    text = page(strategy=strategy("shrunken-cubic", 0.6, "dlt", "shrunken-cubic"))
+    assert text[:1] + text[3:12] == [
+        "rfm-terms: model poly3d, strategy auto",
+        "Chosen: shrunken cubic, fitted to control and check together; predicted RMSE 0.600 px; "
+        "1.2 s",
+        "",
+        "candidate                terms       effective   leave-one-out",
+        "DLT                         20             8.2           0.500",
+        "shrunken cubic              20             8.2           0.500 <-",
+        "<- The shrunken quadratic is chosen, unless the shrunken cubic is better by 1 standard",
+        "   error, or a model that neither contains by 3.",
+        "The predicted RMSE is that of the whole choice, repeated in 20 folds.",
+        ""]
+    assert text[-3:] == ["independent = the accuracy", "", "It is good."]
+    assert "selection *                  2       1.000       2.000         3.000" in text
+    assert not any(line.startswith(("Selected:", "Search:")) for line in text)
+
+
+def test_a_choice_without_a_prediction_or_shrunken_candidates() -> None:
+    text = page(strategy=strategy("affine", None, "affine", "dlt"))
+    assert "Chosen: affine, fitted to control and check together; 1.2 s" in text
+    assert "<- The candidate with the smallest leave-one-out RMSE is chosen." in text
+    assert not any("shrunken quadratic" in line for line in text)
+    assert not any("The predicted RMSE" in line for line in text)
+
+
+def member(terms: list[str], press: float, size: int, independent: float | None) -> dict[str, Any]:
+    return {"objectives": {"n_terms": size, "press": press}, "rmse": roles(1, 2, independent),
+            "selection": {"terms": terms, "features": ["A", "B"]}}
+
+
+FRONT = [member(["line:1"], 2.5, 1, None), member(["line:1", "line:X"], 1.5, 2, 1.25)]
+
+
+def test_a_front_marks_the_selection() -> None:
+    assert added(front=FRONT) == [
+        "Front:          n_terms           press   independent",
+        "                      1             2.5             -",
+        "    ->                2             1.5         1.250"]
+
+
+RULE = "-> the selection, recommended by the rule {} (--set recommend=...)"
+
+
+@pytest.mark.parametrize(("rule", "objectives", "lines"), [
+    ("best", 1, []), ("best", 2, [RULE.format("best")]), ("knee", 1, [RULE.format("knee")])])
+def test_a_front_tells_of_the_rule_where_there_is_a_choice(rule: str, objectives: int,
+                                                           lines: list[str]) -> None:
+    given = {"front": FRONT, "options": {"problem": {"recommend": rule}},
+             "objectives": dict.fromkeys("ab"[:objectives], 1.0)}
+    assert added(**given)[3:] == lines
+
+
+@pytest.mark.parametrize("size", [40, 41])
+def test_a_long_front_is_counted(size: int) -> None:
+    lines = added(front=[member([f"t{i}"], 1.0, i, 1.0) for i in range(size)])
+    text = f"       {size} members; result.json lists all of them"
+    assert (lines[1:] == [text]) == (size > 40)
+    assert len(lines) == (2 if size > 40 else 41)
+
+
+def doubts(wrong: Mapping[str, float], in_use: tuple[str, ...] = (),
+           spare: tuple[str, ...] = ()) -> dict[str, Any]:
+    return {"sigma": 0.5, "wrong": dict(wrong), "in_use": list(in_use), "spare": list(spare)}
+
+
+@pytest.mark.parametrize(("given", "lines"), [
+    (doubts({}), []),
+    (doubts({"P1": 4.0, "P2": 9.0}), [
+        "Probable blunders (beyond 3 sigma, 1.5 px): P2 (9.0 px) P1 (4.0 px)"]),
+    (doubts({"P1": 4.0, "P2": 9.0}, ("P1",)), [
+        "Probable blunders (beyond 3 sigma, 1.5 px): P2 (9.0 px) P1 (4.0 px, in use)",
+        "  leave out those in use by --set force_off=P1 and run again"]),
+    (doubts({"P1": 4.0, "P2": 9.0}, ("P1", "P2")), [
+        "Probable blunders (beyond 3 sigma, 1.5 px): P2 (9.0 px, in use) P1 (4.0 px, in use)",
+        "  leave out those in use by --set force_off=P1,P2 and run again"]),
+    (doubts({}, (), ("P3", "P4")), ["Left out though they fit: 2; they were not needed"])])
+def test_probable_blunders(given: dict[str, Any], lines: list[str]) -> None:
+    assert added(doubts=given) == lines
+
+
+@pytest.mark.parametrize(("p", "lines"), [
+    (0.05, []), (0.051, ["Not significant (5 %): line:X"])])
+def test_terms_that_are_not_significant(p: float, lines: list[str]) -> None:
+    assert added(significance={"line:1": {"t": 9.0, "p": 0.001},
+                               "line:X": {"t": 2.0, "p": p}}) == lines
+
+
+def test_coefficients_that_correlate() -> None:
+    pairs = [{"terms": ["line:1", "line:X"], "correlation": -0.98764},
+             {"terms": ["line:1", "line:Y"], "correlation": 0.96}]
+    assert added(correlations=pairs) == [
+        "Correlations of coefficients of 0.95 or more: 2, highest -0.9876 (line:1, line:X)"]
