@@ -180,6 +180,13 @@ def test_locate_inverts_project() -> None:
     assert np.isnan(fitted.project([[0.0, 0.0, np.nan]])).all()
     with pytest.raises(termsel.TermselError, match=r"shape \(3,\), expected \(n, 3\)"):
         fitted.project([0.0, 0.0, 0.0])
+    assert np.isnan(fitted.project([[0.0, np.inf, 0.0]])).all()
+    with pytest.raises(termsel.TermselError, match=r"heights have shape \(2,\), expected \(1,\)"):
+        fitted.locate([[0.0, 0.0]], [1.0, 2.0])
+
+
+def test_a_fit_shows_itself_in_one_line() -> None:
+    assert repr(termsel.fit(points_of(30), "affine")) == "<Fit of affine: 8 terms, 30 features>"
 
 
 def test_roles_say_what_is_control() -> None:
@@ -275,7 +282,7 @@ def test_coefficients_from_elsewhere_cannot_be_repeated() -> None:
     result = termsel.run("rfm-terms", solver="ridge", dataset="spot-isfahan")
     assert result.fit.determined
     assert np.isnan(result.fit.effective)
-    with pytest.raises(termsel.TermselError, match="cannot be repeated without a feature"):
+    with pytest.raises(termsel.TermselError, match="no feature can be held out"):
         _ = result.fit.leave_one_out
 
 

@@ -136,8 +136,7 @@ class Given(Estimator):
     def fit(self, model: Fittable, control: FeatureSet, scaling: Scaling, terms: BoolArray,
             used: BoolArray) -> Fit:
         """Refuse, as it is not known how the coefficients were found."""
-        raise TermselError("this fit has coefficients from elsewhere, so it cannot be repeated "
-                           "without a feature",
+        raise TermselError("this fit has given coefficients, so no feature can be held out",
                            hint="Fit the model with termsel.fit to leave features out.")
 
 
@@ -189,6 +188,9 @@ class Fit:
     estimator: Estimator = LEAST_SQUARES
     trace: float | None = None
     held_out: HeldOut | None = None
+
+    def __repr__(self) -> str:
+        return f"<Fit of {self.model.name}: {self.terms.sum()} terms, {self.used.sum()} features>"
 
     @property
     def scaled_control(self) -> FeatureSet:
@@ -267,9 +269,8 @@ class Fit:
 
     def ground_box(self) -> tuple[FloatArray, FloatArray]:
         """Return middle and half-range of the control, shapes (3,), in its own CRS."""
-        box = self.scaling
-        if box.fit_crs:
-            box = scaling_of(replace(self.control, fit_crs=""))
+        own = self.scaling
+        box = scaling_of(replace(self.control, fit_crs="")) if own.fit_crs else own
         return np.array(box.ground_offset), np.array(box.ground_scale)
 
     def image_box(self) -> tuple[tuple[float, float], tuple[float, float]]:
@@ -286,10 +287,9 @@ class Fit:
         return points.image - self.project(points.ground)
 
     def line_errors(self) -> FloatArray:
-        """Return the errors of the control lines' ground vertices [px], shape (n, 2, 2).
+        """Return the vectors from projected ground vertices of control lines to their image lines.
 
-        For each line and vertex: the vector along the normal from the projected vertex to
-        the image line, as line and sample.
+        They are along the normal [px], shape (n, 2, 2): line and vertex; line and sample.
         """
         lines = self.control.lines
         normal, rho = line_normals(lines)

@@ -56,7 +56,7 @@ def locate(
     Raises
     ------
     TermselError
-        If the image points are not of this shape.
+        If the image points are not of this shape, or the heights are of another number.
 
     Notes
     -----
@@ -70,7 +70,11 @@ def locate(
     middle, unit = np.asarray(centre, dtype=np.float64), np.asarray(scale, dtype=np.float64)
     ground = np.tile(middle, (len(image), 1))
     if not callable(height):
-        ground[:, 2] = height
+        heights = np.asarray(height, dtype=np.float64)
+        if heights.shape not in ((), (len(image),)):
+            raise TermselError(f"heights have shape {heights.shape}, expected ({len(image)},) or "
+                               "one number for all image points")
+        ground[:, 2] = heights
     inverse = _inverse(project, ground, unit)
     ground = _newton(project, image, ground, unit, inverse)
     if callable(height):
