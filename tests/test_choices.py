@@ -272,9 +272,10 @@ def test_the_knee_is_below_the_line_between_the_ends() -> None:
 
 
 @pytest.mark.parametrize(("n_control", "n_check", "message"), [
-    (3, 2, None), (3, 1, "Of your 14 features 1 is a check point; the criterion check-rmse needs at "
-                   "least 2. Give more points the role check; they judge the fitness of a "
-                   "selection. The criterion press needs none (--criterion press)."),
+    (3, 2, None),
+    (3, 1, "Of your 14 features 1 is a check point; the criterion check-rmse needs at least 2. "
+           "Give more points the role check; they judge the fitness of a selection. The criterion "
+           "press needs none (--criterion press)."),
     (2, 2, "Of your 14 features 2 are control; owdis-points needs at least 3. Measure more, or "
            "give more of them the role control.")])
 def test_how_many_points_a_search_needs(n_control: int, n_check: int, message: str | None) -> None:
