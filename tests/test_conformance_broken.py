@@ -375,6 +375,15 @@ class Shuffled(Drawn):
             yield Generation(generation.index, generation.genes[::-1], generation.evaluation)
 
 
+class Deserted(Drawn):
+    """A generation of nobody after the first."""
+
+    def generations(self, problem: Problem, rng: np.random.Generator) -> Iterator[Generation]:
+        first = next(super().generations(problem, rng))
+        yield first
+        yield Generation(1, first.genes[:0], first.evaluation.take(np.arange(0)))
+
+
 class Bypass(Drawn):
     """Evaluates behind the run's back."""
 
@@ -478,6 +487,7 @@ BROKEN_SOLVERS = [
     (ZeroIndex, "generations_hold", "number 1 has the index 0"),
     (InPlace, "generations_hold", "changed after it was yielded"),
     (Shuffled, "generations_hold", "not that of its genes"),
+    (Deserted, "generations_hold", "generation 1 has no individuals"),
     (GlobalNumpy, "chance_from_rng_alone", "draws from the global random state"),
     (GlobalPython, "chance_from_rng_alone", "same seed differ"),
     (Remembers, "chance_from_rng_alone", "same seed differ"),
@@ -530,6 +540,14 @@ class LargerIsBetter(CheckRmse):
         return 1.0 / super().score(fits)
 
 
+class Saturates(CheckRmse):
+    """Models that fit badly get one figure, however badly they fit."""
+
+    def score(self, fits: Fits) -> FloatArray:
+        found = super().score(fits)
+        return np.minimum(found, np.median(found))
+
+
 class Counts(CheckRmse):
     """Another figure each time."""
 
@@ -570,6 +588,7 @@ BROKEN_CRITERIA: list[tuple[type[Criterion], str, str]] = [
     (Column, "score_shape", r"array of 4 figures, not float64 of shape \(4, 1\)"),
     (LogOfNothing, "score_finite", "must be finite"),
     (LargerIsBetter, "smaller_is_better", "ever larger figures"),
+    (Saturates, "smaller_is_better", "ever larger figures"),
     (Counts, "deterministic", "differs from one call"),
     (Ranks, "one_by_one", "one by one"),
     (Squares, "inputs_unchanged", "changes fits.check_errors"),

@@ -330,40 +330,32 @@ def test_check_points_beyond_half_the_relief_of_the_control(
     assert list(warnings_of(FeatureSet(at(flat)), ALL, check)) == []
 
 
-def far(errors: FloatArray, sigma: FloatArray | None = None) -> str:
-    n = len(errors)
-    ground = np.random.default_rng(0).uniform(0, 10, (n, 3))
-    both = FeatureSet(Points(tuple(f"P{i}" for i in range(n)), imaged(ground), ground, sigma))
-    assert (relative_deviations(both) == 1).all() == (sigma is None)
-    return auto._far(both, errors)
+def suspected(n: int, blunders: Iterable[int] = (), undecided: Iterable[int] = ()) -> list[str]:
+    """Notes on points of which some are suspected; the errors are 10 px and more."""
+    points = at(np.random.default_rng(0).uniform(0, 10, (n, 3)))
+    at_blunders, at_undecided = (np.isin(np.arange(n), list(which))
+                                 for which in (blunders, undecided))
+    return list(outliers._notes(points, Suspects(at_blunders, at_undecided, 10.0 + np.arange(n),
+                                                 1.0 + np.arange(n))))
 
 
-def predictions(n: int, **failing: float) -> FloatArray:
-    """Errors of predictions of standard deviation 1 px, by their median, but for some points."""
-    errors = np.full((n, 2), 0.6745)
-    errors[1::2] *= -1
-    for name, value in failing.items():
-        errors[int(name[1:]), 1] = value
-    return errors
+LEFT_OUT = ("Left out as blunders: {}. In brackets: how far the other points predict them from "
+            "where they were measured.")
+UNDECIDED = ("Perhaps blunders, still in use: {}. The other points are too few or too far to tell.")
 
 
-@pytest.mark.parametrize(("errors", "named"), [
-    (predictions(30), ""),
-    (predictions(30, P3=7.99), ""),
-    (predictions(30, P3=8.01), "P3 (8.01 px)"),
-    (predictions(30, P3=-8.01), "P3 (8.01 px)"),
-    (predictions(29, P3=100.0), ""),
-    (predictions(30, P3=9.0, P7=-12.0), "P7 (12 px), P3 (9 px)"),
-    (1e-7 * predictions(30, P3=9.9), ""),
-    (1e-6 * predictions(30, P3=9.9), "P3 (9.9e-06 px)")])
-def test_points_that_the_others_predict_badly(errors: FloatArray, named: str) -> None:
-    assert far(errors) == named
-
-
-def test_a_point_said_to_be_measured_badly_may_be() -> None:
-    errors, sigma = predictions(30, P3=9.0, P7=9.0), np.full((30, 2), 0.5)
-    sigma[3] = 1.0
-    assert far(errors, sigma) == "P7 (9 px)"
+@pytest.mark.parametrize(("found", "notes"), [
+    (suspected(17), []),
+    (suspected(16), ["With 16 points an error must exceed 8.5 px to be found at half of them, and "
+                     "16 px at {15}."]),
+    (suspected(17, [2]), [LEFT_OUT.format("{2} (12 px)")]),
+    (suspected(17, [2, 5]), [LEFT_OUT.format("{5} (15 px), {2} (12 px)")]),
+    (suspected(17, [], [3]), [UNDECIDED.format("{3} (13 px)")]),
+    (suspected(17, [2], [3]), [LEFT_OUT.format("{2} (12 px)"), UNDECIDED.format("{3} (13 px)")])])
+def test_suspected_points_are_told(found: list[str], notes: list[str]) -> None:
+    ids = at(np.random.default_rng(0).uniform(0, 10, (17, 3))).ids
+    assert found == [re.sub(r"\{(\d+)\}", lambda index: ids[int(index[1])], note)
+                     for note in notes]
 
 
 def of_auto(model: SensorModel, errors: FloatArray | None, *, flat: bool = False) -> list[str]:
@@ -374,22 +366,16 @@ def of_auto(model: SensorModel, errors: FloatArray | None, *, flat: bool = False
 
 
 def test_notes_of_a_choice_that_predicts_nothing() -> None:
-    assert of_auto(Affine(), predictions(30)) == []
+    assert of_auto(Affine(), np.zeros((30, 2))) == []
     assert of_auto(Affine(), None) == [
         "The points are too few to repeat the choice without some of them, so it predicts no "
         "accuracy."]
 
 
-def test_notes_of_a_choice_name_points_that_may_be_wrong() -> None:
-    assert of_auto(Affine(), predictions(30, P3=9.0)) == [
-        "Far from where the others predict them: P6 (9 px). Where one is measured wrongly, give "
-        "it the role off and run again."]  # the fourth of the control, which comes first
-
-
 def test_notes_of_a_choice_with_heights_for_a_plane_problem() -> None:
     text = "Heights are known and were used. --model poly2d keeps to a plane model."
-    assert of_auto(Polynomial2D(degree=2), predictions(30)) == [text]
-    assert of_auto(Polynomial2D(degree=2), predictions(30), flat=True) == []
+    assert of_auto(Polynomial2D(degree=2), np.zeros((30, 2))) == [text]
+    assert of_auto(Polynomial2D(degree=2), np.zeros((30, 2)), flat=True) == []
 
 
 def test_an_image_far_beyond_all_points_is_a_note_of_a_choice() -> None:
@@ -397,7 +383,7 @@ def test_an_image_far_beyond_all_points_is_a_note_of_a_choice() -> None:
     of_points = Points(tuple(f"P{i}" for i in range(30)), imaged(ground), ground, None,
                        ("control", "check") * 15)
     features = FeatureSet(of_points, no_lines(), "local", (900, 9000))
-    assert auto._notes(Affine(), by_roles(features), predictions(30)) == [
+    assert auto._notes(Affine(), by_roles(features), np.zeros((30, 2))) == [
         OUTSIDE.format("2 of 4 corners of the image lie")]
 
 

@@ -191,7 +191,7 @@ def test_the_page_of_a_choice() -> None:
         "DLT                         20             8.2           0.500",
         "shrunken cubic              20             8.2           0.500 <-",
         "<- The shrunken quadratic is chosen, unless the shrunken cubic is better by 1 standard",
-        "   error, or a model that neither contains by 3.",
+        "   error, or a model of another kind by 3.",
         "The predicted RMSE is that of the whole choice, repeated in 20 folds.",
         ""]
     assert text[-3:] == ["independent = the accuracy", "", "It is good."]

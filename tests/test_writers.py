@@ -13,12 +13,19 @@ import pytest
 
 import termsel
 from termsel.errors import TermselError
+from termsel.formats.atomic import write_bytes
 from termsel.formats.rasters import empty_tiff
 from termsel.formats.readers.csv_tables import LinesCsv, PointsCsv
 from termsel.formats.rpc_files import read_rpc, rpb_text
 from termsel.formats.writers.grids import GcpGridVrt, GeolocationVrt
 from termsel.formats.writers.residuals import ResidualsGeopackage
-from termsel.formats.writers.rpcs import Rpb, RpcTxt, RpcVrt, require_read_back
+from termsel.formats.writers.rpcs import (
+    Rpb,
+    RpcTxt,
+    RpcVrt,
+    _require_same_by_gdal,
+    require_read_back,
+)
 from termsel.formats.writers.selections import (
     GcpVrt,
     LinesTable,
@@ -27,6 +34,7 @@ from termsel.formats.writers.selections import (
     QgisPoints,
 )
 from termsel.measurements.features import FeatureSet, Points
+from termsel.models.monomials import RPC00B
 from termsel.models.rpc_fit import rpc_of
 from termsel.results.result import Result
 from termsel.testing import Check, example_results, writer_checks
@@ -144,6 +152,20 @@ def test_an_rpc_that_gdal_cannot_use_is_not_written() -> None:
         require_read_back(flat, rpb_text(flat), ".RPB")
     with pytest.raises(TermselError, match="read back differs from the one that was written"):
         require_read_back(flat, rpb_text(rpc), ".RPB")
+
+
+def test_an_rpc_that_gdal_evaluates_otherwise_at_some_places_is_refused(tmp_path: Path) -> None:
+    rpc = rpc_of(_mashad(model="affine").fit).rpc
+    # A cubic term of 1e-3 px at the edge, but below the tolerance near the middle.
+    column = RPC00B.index((3, 0, 0))
+    cubic = list(rpc.line_numerator)
+    cubic[column] += 1e-3 / rpc.image_scale[0]
+    image = tmp_path / "scene.tif"
+    write_bytes(image, empty_tiff())
+    (tmp_path / "scene.RPB").write_text(rpb_text(rpc))
+    _require_same_by_gdal(rpc, image)
+    with pytest.raises(TermselError, match=r"differs by up to 0\.00(09\d*|1) px\. The model is"):
+        _require_same_by_gdal(replace(rpc, line_numerator=tuple(cubic)), image)
 
 
 def test_vendors_file_of_higher_priority_is_warned_of(

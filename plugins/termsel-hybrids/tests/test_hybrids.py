@@ -17,6 +17,7 @@ from termsel import FeatureSet, Lines, Points, SensorModel
 from termsel.adjustment import solve
 from termsel.fits.fit import fit
 from termsel.models.projective import DLT2D
+from termsel.models.rpc_fit import rpc_of
 from termsel.plugins.registry import registry
 from termsel.testing import Check, model_checks
 from termsel_hybrids import Hybrid1, Hybrid3, Multiquadric, Pointwise
@@ -362,3 +363,14 @@ def test_a_line_is_left_out_as_a_whole() -> None:
 def test_features_are_not_selected(name: str) -> None:
     with pytest.raises(termsel.TermselError, match="by all control features"):
         termsel.prepare("owdis-points", model=name)
+
+
+def test_a_polynomial_with_a_correction_is_no_rpc_as_it_is() -> None:
+    points = control_points()
+    places = points.ground * [0.05, 0.05, 100.0] + [48.0, 35.0, 1000.0]
+    image = 1000.0 * points.ground[:, :2] + np.random.default_rng(0).normal(0, 0.1, (30, 2))
+    control = FeatureSet(Points(points.ids, image, places), crs="EPSG:4979")
+    assert rpc_of(model_of("poly2d", degree=2).fit(control)).how == "exact"
+    found = rpc_of(model_of("multiquadric").fit(control))
+    assert found.how != "exact"
+    assert 1e-3 < found.worst < 1.0

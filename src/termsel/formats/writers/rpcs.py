@@ -181,8 +181,9 @@ def _require_same_by_gdal(rpc: Rpc, image: Path) -> None:
     # GDAL counts from the corner of the upper-left pixel.
     apart = np.abs(np.column_stack([rows, columns]) - 0.5 - ours[seen])
     if not seen.any() or not (apart <= AGREED).all():
+        worst = apart.max() if apart.size else np.inf
         raise TermselError(
-            f"GDAL's projection by this RPC differs by up to {apart.max(initial=np.inf):.3g} px",
+            f"GDAL's projection by this RPC differs by up to {worst:.3g} px",
             hint="The model is unusable near the edges of its ground: choose a simpler one.")
 
 
