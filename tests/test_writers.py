@@ -164,6 +164,8 @@ def test_vendors_file_of_higher_priority_is_warned_of(
     assert "GDAL does not use this RPC" in caplog.text
     # A VRT needs no file to be moved away.
     RpcVrt(image=str(image)).write(geographic, tmp_path / "scene.vrt")
+    with rasterio.open(tmp_path / "scene.vrt") as vrt:  # in the default domain, where OTB looks
+        assert vrt.tags()["METADATATYPE"] == "GE"
     assert read_rpc(tmp_path / "scene.vrt") == geographic.to_rpc()
     with rasterio.open(tmp_path / "scene.vrt") as raster:
         assert raster.rpcs.line_off == geographic.to_rpc().image_offset[0]
