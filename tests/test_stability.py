@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import json
+import shlex
 from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,6 +14,7 @@ from click.testing import CliRunner
 
 import termsel
 from termsel.cli.main import cli
+from termsel.formats.readers.csv_tables import write_points_csv
 from termsel.measurements.features import FeatureSet, Points
 from termsel.models.polynomial import Polynomial3D
 from termsel.runs.stability import stability
@@ -106,8 +110,46 @@ def test_command() -> None:
         f"Fitted to control and check together: {independent['total']:.3f} px on "
         f"{independent['n']} independent points."]
     command = done.output.strip().splitlines()[-1].split()[1:]
-    again = CliRunner().invoke(cli, [*command, "--model", "poly3d", "--set", "degree=2", "--json"])
+    again = CliRunner().invoke(cli, [*command, "--json"])
     assert again.exit_code == 0, again.output
     result = json.loads(again.stdout)
     assert result["selection"]["terms"] == record["stable"]
     assert result["rmse"]["independent"] == pytest.approx(record["rmse"]["independent"])
+
+
+def test_the_command_it_prints_repeats_the_data_of_its_own(tmp_path: Path) -> None:
+    features, _ = few_terms()
+    points = tmp_path / "my points; of 2026.txt"
+    write_points_csv(features.points, points, "")
+    words = ["stability", "--problem", "rfm-terms", "--model", "poly3d", "--solver", "exact",
+             "--criterion", "press", "--points", str(points), "--crs", "local",
+             "--format", "points-csv", "--set", "columns=x:x,y:y", "--set", "degree=2",
+             "--set", "loss=squares", "--set", "force_off=line.num:XY", "--repeats", "3",
+             "--out", str(tmp_path / "out")]
+    done = CliRunner().invoke(cli, words)
+    assert done.exit_code == 0, done.output
+    record = json.loads((tmp_path / "out/stability.json").read_text())
+    printed = shlex.split(done.stdout.splitlines()[-1])
+    assert printed.count("--points") == 1
+    for name, value in (("--points", str(points)), ("--crs", "local"), ("--model", "poly3d"),
+                        ("--format", "points-csv"), ("--set", "columns=x:x,y:y"),
+                        ("--set", "degree=2")):
+        assert (name, value) in pairwise(printed)
+    again = CliRunner().invoke(cli, [*printed[1:], "--json"])
+    assert again.exit_code == 0, again.output
+    result = json.loads(again.stdout)
+    assert result["selection"]["terms"] == record["stable"]
+    assert str(points) in result["data"]["source"]
+    assert "line.num:XY" not in record["stable"]
+
+
+def test_the_command_leaves_out_options_of_the_searches() -> None:
+    done = CliRunner().invoke(cli, [
+        "stability", "--problem", "rfm-terms", "--dataset", "irs1c-mashad", "--model", "poly3d",
+        "--solver", "ga", "--set", "population=20", "--fit-crs", "geocentric", "--repeats", "2",
+        "--evaluations", "100"])
+    assert done.exit_code == 0, done.output
+    printed = done.stdout.splitlines()[-1]
+    assert "--dataset irs1c-mashad" in printed
+    assert "--set fit_crs=geocentric" in printed
+    assert "population" not in printed

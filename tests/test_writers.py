@@ -186,6 +186,8 @@ def test_vendors_file_of_higher_priority_is_warned_of(
     assert "GDAL does not use this RPC" in caplog.text
     # A VRT needs no file to be moved away.
     RpcVrt(image=str(image)).write(geographic, tmp_path / "scene.vrt")
+    with rasterio.open(tmp_path / "scene.vrt") as vrt:  # in the default domain, where OTB looks
+        assert vrt.tags()["METADATATYPE"] == "GE"
     assert read_rpc(tmp_path / "scene.vrt") == geographic.to_rpc()
     with rasterio.open(tmp_path / "scene.vrt") as raster:
         assert raster.rpcs.line_off == geographic.to_rpc().image_offset[0]
@@ -229,10 +231,10 @@ def test_qgis_points(selected: Result, tmp_path: Path) -> None:
     assert np.array_equal(values[:, 3], -points.image[:, 0] - 0.5)
     assert [name for name, on in zip(points.ids, values[:, 4], strict=True) if on] == list(
         selected.selection.features)
-    # Where QGIS would draw the computed place: measured plus (dX, dY), y up.
+    # As in a file of QGIS itself: computed minus measured, right and down.
     computed = selected.project(points.ground)
     assert np.allclose(values[:, 2] + values[:, 5], computed[:, 1] + 0.5)
-    assert np.allclose(-(values[:, 3] + values[:, 6]), computed[:, 0] + 0.5)
+    assert np.allclose(-values[:, 3] + values[:, 6], computed[:, 0] + 0.5)
     assert np.allclose(values[:, 7], np.hypot(values[:, 5], values[:, 6]))
 
 

@@ -9,7 +9,6 @@ import click
 from termsel.cli.completion import complete
 from termsel.cli.messages import show_messages
 from termsel.cli.run import parse_settings
-from termsel.errors import TermselError
 
 
 @click.command()
@@ -38,12 +37,7 @@ def export(folder: Path, to: str, output: Path, image: str | None, dem: str | No
       termsel export result --to geolocation-vrt --output scene.vrt --image scene.tif \\
           --dem heights.tif
     """
-    options: dict[str, str] = parse_settings(settings)
-    for name, value in (("image", image), ("dem", dem)):
-        if value is not None:
-            if name in options:
-                raise TermselError(f"{name} is given twice", hint="Give it once.")
-            options[name] = value
+    options = parse_settings(settings, image=image, dem=dem)
     show_messages()
 
     from termsel.io.export import export as write

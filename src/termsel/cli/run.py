@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -99,20 +99,14 @@ def run(
       termsel run --problem owdis-lines --points points.csv --lines roads.csv \\
           --crs EPSG:32639 --model poly3d --seed 7 --json > result.json
     """
-    options = parse_settings(settings)
-    if fit_crs is not None and options.setdefault("fit_crs", fit_crs) != fit_crs:
-        raise TermselError("fit_crs is given twice", hint="Give it once.")
+    options = parse_settings(settings, fit_crs=fit_crs)
     files = [path for path in (points, lines, areas) if path is not None]
     if dataset is not None and files:
         raise TermselError("--dataset cannot be combined with files",
                            hint="Give --dataset NAME, or --points FILE and --lines FILE.")
     of_files = {"--crs": crs, "--format": formats, "--dem": dem, "--raster": raster,
                 "--image-lines": image_lines}
-    for name, value in of_files.items():
-        if value and not files:
-            raise TermselError(f"{name} requires --points or --lines",
-                               hint=f"Give --points FILE, or leave {name} out.")
-
+    require_files(of_files, bool(files))
     if exports and out is None:
         raise TermselError("--export requires --out", hint="Give a folder: --out DIR.")
     show_messages()
@@ -127,8 +121,8 @@ def run(
     if areas is not None and registry().get("problems", problem).control == "points":
         options.setdefault("areas_as", "centroid")
     if files:
-        features = _read(points, lines, options, areas=areas, crs=crs, format=formats, dem=dem,
-                         raster=raster, image_lines=image_lines)
+        features = read_files(points, lines, options, areas=areas, crs=crs, format=formats,
+                              dem=dem, raster=raster, image_lines=image_lines)
     source = ", ".join(str(path) for path in (*files, image_lines) if path is not None)
     with _progress(problem, quiet) as observe:
         result = running.run(
@@ -148,8 +142,16 @@ def run(
         sys.exit(INTERRUPTED)
 
 
-def parse_settings(settings: tuple[str, ...]) -> dict[str, str]:
-    """Return the options of ``--set KEY=VALUE``.
+def require_files(of_files: Mapping[str, object], given: bool) -> None:
+    """Refuse options that say something of a file where none is given."""
+    for name, value in of_files.items():
+        if value and not given:
+            raise TermselError(f"{name} requires --points or --lines",
+                               hint=f"Give --points FILE, or leave {name} out.")
+
+
+def parse_settings(settings: tuple[str, ...], **own: str | None) -> dict[str, str]:
+    """Return the options of ``--set KEY=VALUE``, with those that commands have as their own.
 
     Raises
     ------
@@ -165,11 +167,14 @@ def parse_settings(settings: tuple[str, ...]) -> dict[str, str]:
         if key.strip() in options:
             raise TermselError(f"--set {key.strip()} is given twice", hint="Give it once.")
         options[key.strip()] = value.strip()
+    for key, given in own.items():
+        if given is not None and options.setdefault(key, given) != given:
+            raise TermselError(f"{key} is given twice", hint="Give it once.")
     return options
 
 
-def _read(points: Path | None, lines: Path | None, settings: dict[str, str],
-          **given: Any) -> FeatureSet:
+def read_files(points: Path | None, lines: Path | None, settings: dict[str, str],
+               **given: Any) -> FeatureSet:
     """Read the files, with those settings that are options of readers, which are taken out."""
     from termsel.io.read import read
     from termsel.plugins.registry import registry

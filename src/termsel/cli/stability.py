@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import shlex
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import click
 
 from termsel.cli.completion import complete
 from termsel.cli.messages import show_messages
-from termsel.cli.run import parse_settings
-from termsel.cli.tables import print_json, print_table
+from termsel.cli.run import parse_settings, read_files, require_files
+from termsel.cli.tables import json_text, print_json, print_table
+from termsel.errors import TermselError
 
 
 @click.command()
@@ -19,24 +22,34 @@ from termsel.cli.tables import print_json, print_table
               help="A data set known by name; the problem's own by default.")
 @click.option("--points", metavar="FILE", type=click.Path(path_type=Path),
               help="Points, in any format `termsel run` reads.")
+@click.option("--format", "form", metavar="NAME", shell_complete=complete("readers"),
+              help="Read the points in this format, whatever they look like.")
+@click.option("--dem", metavar="FILE", type=click.Path(path_type=Path),
+              help="Raster of heights, for points that have none.")
+@click.option("--raster", metavar="FILE",
+              help="The image the points were measured in, for formats that need it.")
 @click.option("--crs", metavar="CRS", help="CRS of the ground coordinates.")
+@click.option("--fit-crs", metavar="CRS", help="Coordinates the model is fitted in.")
 @click.option("--model", metavar="NAME", shell_complete=complete("models"), help="Sensor model.")
 @click.option("--solver", metavar="NAME", shell_complete=complete("solvers"), help="Solver.")
 @click.option("--criterion", metavar="NAME", shell_complete=complete("criteria"),
               help="What is minimised.")
 @click.option("--set", "settings", metavar="KEY=VALUE", multiple=True,
-              help="An option of the problem, model, solver, criterion or data.")
+              help="An option of the problem, model, solver, criterion, data or file format.")
 @click.option("--repeats", type=click.IntRange(min=2), default=20, show_default=True,
               help="How many times control and check points are drawn.")
 @click.option("--threshold", type=click.FloatRange(0, 1, min_open=True), default=0.6,
               show_default=True, help="Frequency from which on a term is stable.")
 @click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True)
 @click.option("--evaluations", type=click.IntRange(min=1), help="Budget of each search.")
+@click.option("--out", metavar="DIR", type=click.Path(path_type=Path),
+              help="Folder for stability.json.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 def stability(
-    problem: str, dataset: str | None, points: Path | None, crs: str | None, model: str | None,
+    problem: str, dataset: str | None, points: Path | None, form: str | None, dem: Path | None,
+    raster: str | None, crs: str | None, fit_crs: str | None, model: str | None,
     solver: str | None, criterion: str | None, settings: tuple[str, ...], repeats: int,
-    threshold: float, seed: int, evaluations: int | None, as_json: bool,
+    threshold: float, seed: int, evaluations: int | None, out: Path | None, as_json: bool,
 ) -> None:
     """Show how often each term is selected as control and check points change.
 
@@ -47,15 +60,30 @@ def stability(
     Examples:
       termsel stability --problem rfm-terms --points gcp.csv --crs EPSG:4979 --set order=2
     """
+    options = parse_settings(settings, fit_crs=fit_crs)
+    of_points = {"--format": form, "--dem": dem, "--raster": raster, "--crs": crs}
+    require_files(of_points, points is not None)
+    if dataset is not None and points is not None:
+        raise TermselError("--dataset cannot be combined with files",
+                           hint="Give --dataset NAME, or --points FILE.")
+    given = dict(options)
     show_messages()
 
-    from termsel.io.read import read
+    from termsel.formats.atomic import write_text
+    from termsel.io.result_folder import claim_folder
     from termsel.runs import stability as module
 
+    if out is not None:
+        claim_folder(out)
+    features = None if points is None else read_files(
+        points, None, options, crs=crs, format=form or (), dem=dem, raster=raster)
     found = module.stability(
         problem, repeats=repeats, threshold=threshold, seed=seed, evaluations=evaluations,
-        options=parse_settings(settings), dataset=dataset, model=model, solver=solver,
-        criterion=criterion, features=None if points is None else read(points, crs=crs))
+        options=options, dataset=dataset, model=model, solver=solver, criterion=criterion,
+        features=features)
+    if out is not None:
+        write_text(out / "stability.json", json_text(found.to_dict()))
+        click.echo(f"Written: {out}/stability.json", err=True)
     if as_json:
         print_json(found.to_dict())
         return
@@ -74,6 +102,32 @@ def stability(
                    f"{independent.n} independent points.")
     others = [term for term in found.terms if term not in found.stable]
     if found.determined and others:
-        click.echo("For a result with the stable terms run the same data and model by\n"
-                   f"  termsel run --problem {problem} --solver all-terms --criterion press "
-                   f"--set force_off={','.join(others)}")
+        data = {"--dataset": dataset, "--points": points, **of_points, "--model": model}
+        click.echo("For a result with the stable terms run\n"
+                   f"  {_command(problem, data, model, given, others)}")
+
+
+def _command(problem: str, data: Mapping[str, object], model: str | None,
+             given: Mapping[str, str], off: Sequence[str]) -> str:
+    """Return the command that fits the terms not in `off` to the same data, for the shell."""
+    from termsel.plugins.registry import registry
+    from termsel.runs.task import DATA_OPTIONS
+
+    names = registry()
+    recipe = names.get("problems", problem)
+    parts = [names.get("models", model or recipe.model), names.get("criteria", "press"),
+             *(entry.object for entry in names.entries("readers"))]
+    # Options of the solver and the criterion of the searches mean nothing to this fit.
+    known = {option.name for options in (
+        recipe.options, DATA_OPTIONS, *(part.declared_options for part in parts))
+        for option in options}
+    settings = {key: value for key, value in given.items() if key in known}
+    before = settings.get("force_off", "").split(",")
+    settings["force_off"] = ",".join(dict.fromkeys([*filter(None, before), *off]))
+    words = ["termsel", "run", "--problem", problem]
+    for name, value in data.items():
+        words += [] if value is None else [name, str(value)]
+    words += ["--solver", "all-terms", "--criterion", "press"]
+    for key, value in settings.items():
+        words += ["--set", f"{key}={value}"]
+    return shlex.join(words)

@@ -130,7 +130,7 @@ def vrt_text(
     folder : pathlib.Path
         Folder of the VRT; the path of the image is relative to it.
     domains : mapping, optional
-        Metadata items by domain, such as "RPC".
+        Metadata items by domain, such as "RPC"; "" is the default domain.
     gcps : sequence of Gcp, optional
         Half a pixel is added, as GDAL counts from the corner of the upper-left pixel.
     crs : str
@@ -139,7 +139,7 @@ def vrt_text(
     lines, samples = picture.size
     parts = [f'<VRTDataset rasterXSize="{samples}" rasterYSize="{lines}">']
     for domain, items in (domains or {}).items():
-        parts.append(f"  <Metadata domain={quoteattr(domain)}>")
+        parts.append(f"  <Metadata domain={quoteattr(domain)}>" if domain else "  <Metadata>")
         parts += [f"    <MDI key={quoteattr(key)}>{escape(value)}</MDI>"
                   for key, value in items.items()]
         parts.append("  </Metadata>")

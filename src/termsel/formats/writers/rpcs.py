@@ -26,6 +26,9 @@ log = logging.getLogger(__name__)
 AGREED = 1e-6
 """Largest difference between GDAL's and termsel's use of a written RPC [px]."""
 
+_FOR_OTB = {"METADATATYPE": "GE"}
+"""What GDAL says of an image with a _RPC.TXT; OTB looks for an RPC where it is said."""
+
 _SIDECAR = Option("image", None, "The image for which the file is written; termsel checks that "
                                  "GDAL uses this RPC for it.")
 
@@ -84,7 +87,7 @@ class Rpb(RpcWriter):
     """RPC as the file IMAGE.RPB next to an image, which GDAL prefers to all others."""
 
     name = "rpb"
-    summary = "RPC as IMAGE.RPB, which GDAL, QGIS and OTB use for IMAGE.tif next to it"
+    summary = "RPC as IMAGE.RPB, which GDAL and QGIS use for IMAGE.tif next to it"
     suffix = ".RPB"
     declared_options: ClassVar[tuple[Option, ...]] = (_SIDECAR,)
 
@@ -117,7 +120,7 @@ class RpcVrt(RpcWriter):
     def text(self, rpc: Rpc, result: Result, path: Path) -> str:
         """Return the text of a VRT."""
         return vrt_text(picture_for(result, self.options["image"]), path.parent,
-                        domains={"RPC": rpc_items(rpc)})
+                        domains={"": _FOR_OTB, "RPC": rpc_items(rpc)})
 
     def written(self, rpc: Rpc, path: Path) -> None:
         """Do nothing: GDAL always uses a VRT's own RPC."""

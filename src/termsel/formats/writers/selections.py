@@ -66,15 +66,15 @@ class QgisPoints(SelectionWriter):
     suffix = ".points"
 
     def write(self, result: Result, path: Path) -> None:
-        """Write a .points file; dX, dY are computed minus measured, right and up, as in QGIS."""
+        """Write a .points file; dX, dY are computed minus measured, right and down, as in QGIS."""
         _require_accepted(self, result, path, _NO_POINTS)
         points = result.features.points
         rows = []
         for (x, y, _), (line, sample), chosen, (dl, ds) in zip(
                 points.ground.tolist(), points.image.tolist(), _chosen(result),
                 np.nan_to_num(_errors(result)).tolist(), strict=True):
-            # Pixel edges are whole numbers, and y points up.
-            values = (x, y, sample + 0.5, -line - 0.5, int(chosen), -ds, dl, math.hypot(dl, ds))
+            # Pixel edges are whole numbers. Of places y points up, of residuals down.
+            values = (x, y, sample + 0.5, -line - 0.5, int(chosen), -ds, -dl, math.hypot(dl, ds))
             rows.append(",".join(map(repr, values)))
         crs = horizontal(result.features.crs)
         declared = [f"#CRS: {wkt(crs)}"] if crs else []
