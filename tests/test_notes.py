@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import re
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 import termsel
-from termsel.adjustment.lines import relative_deviations
+from termsel.candidates.blunders import Suspects
 from termsel.criteria import CheckRmse, Criterion, Press
 from termsel.fits.diagnosis import PARALLEL, orientation_spread
 from termsel.fits.extrapolation import warnings_of
@@ -20,7 +21,7 @@ from termsel.measurements.scaling import scaling_of
 from termsel.models.base import SensorModel
 from termsel.models.polynomial import Affine, Polynomial2D
 from termsel.models.rational import RationalFunctions
-from termsel.runs import auto, steps
+from termsel.runs import auto, outliers, steps
 from termsel.runs.judge import notes_on
 from termsel.runs.recommend import recommended
 from termsel.solvers.search import Search
@@ -330,13 +331,14 @@ def test_check_points_beyond_half_the_relief_of_the_control(
     assert list(warnings_of(FeatureSet(at(flat)), ALL, check)) == []
 
 
-def suspected(n: int, blunders: Iterable[int] = (), undecided: Iterable[int] = ()) -> list[str]:
+def suspected(n: int, blunders: Iterable[int] = (), undecided: Iterable[int] = (),
+              scale: float = 1.0) -> list[str]:
     """Notes on points of which some are suspected; the errors are 10 px and more."""
     points = at(np.random.default_rng(0).uniform(0, 10, (n, 3)))
     at_blunders, at_undecided = (np.isin(np.arange(n), list(which))
                                  for which in (blunders, undecided))
     return list(outliers._notes(points, Suspects(at_blunders, at_undecided, 10.0 + np.arange(n),
-                                                 1.0 + np.arange(n))))
+                                                 scale * (1.0 + np.arange(n)))))
 
 
 LEFT_OUT = ("Left out as blunders: {}. In brackets: how far the other points predict them from "
@@ -348,6 +350,8 @@ UNDECIDED = ("Perhaps blunders, still in use: {}. The other points are too few o
     (suspected(17), []),
     (suspected(16), ["With 16 points an error must exceed 8.5 px to be found at half of them, and "
                      "16 px at {15}."]),
+    (suspected(16, scale=100.0), [
+        "With 16 points no blunder can be found: any of them may be one."]),
     (suspected(17, [2]), [LEFT_OUT.format("{2} (12 px)")]),
     (suspected(17, [2, 5]), [LEFT_OUT.format("{5} (15 px), {2} (12 px)")]),
     (suspected(17, [], [3]), [UNDECIDED.format("{3} (13 px)")]),

@@ -282,7 +282,7 @@ def posterior(columns: FloatArray, image: FloatArray, order: IntArray, weights: 
     Returns
     -------
     Posterior or None
-        None if the affine terms are not determined twice over by all points but any one.
+        None if all points but any one do not determine the affine terms.
     """
     freedom = 2 * (in_use - int((order < 2).sum()))
     noise = 2 * in_use * (NO_NOISE * float(np.ptp(image, axis=0).max()) / 2) ** 2

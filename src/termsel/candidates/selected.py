@@ -14,9 +14,10 @@ from math import comb
 import numpy as np
 
 from termsel.adjustment.solve import TOLERANCE
+from termsel.candidates.points import points_alone, weights_of
 from termsel.fits.fit import LEAST_SQUARES, Estimator, Fit, HeldOut, Undetermined
 from termsel.fits.fittable import Fittable
-from termsel.measurements.features import BoolArray, FeatureSet, FloatArray, Points
+from termsel.measurements.features import BoolArray, FeatureSet, FloatArray
 from termsel.measurements.scaling import Scaling
 from termsel.models.monomials import monomials
 from termsel.models.polynomial import Polynomial
@@ -64,32 +65,6 @@ class ForwardSelection(Estimator):
         fitted = LEAST_SQUARES.fit(model, control, scaling, chosen, used)
         return replace(fitted, estimator=self,
                        held_out=HeldOut(errors, (errors**2).sum(axis=1)))
-
-
-def points_alone(control: FeatureSet, used: BoolArray, what: str) -> Points:
-    """Return the points in use, and refuse lines.
-
-    Parameters
-    ----------
-    control : FeatureSet
-    used : ndarray of bool, shape (len(control),)
-    what : str
-        What does not take lines, as the subject of a sentence.
-
-    Raises
-    ------
-    Undetermined
-    """
-    if len(control.lines):
-        raise Undetermined(f"{what} takes control points alone, and there are control lines",
-                           hint="Leave the lines out, or choose another model.")
-    return control.points.take(used)
-
-
-def weights_of(points: Points) -> FloatArray:
-    """Return by what the equations of points are multiplied, shape (n, 2)."""
-    return (np.ones_like(points.image) if points.sigma is None
-            else np.asarray(np.median(points.sigma) / points.sigma))
 
 
 def select_forward(columns: FloatArray, target: FloatArray, forced: BoolArray) -> AxisTerms | None:

@@ -31,8 +31,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from termsel.adjustment.solve import Adjustment
+from termsel.candidates.points import points_alone, weights_of
 from termsel.candidates.posterior import posterior, scales_of
-from termsel.candidates.selected import points_alone, weights_of
 from termsel.fits.fit import Estimator, Fit, HeldOut, Undetermined
 from termsel.fits.fittable import Fittable
 from termsel.measurements.features import BoolArray, FeatureSet, FloatArray
@@ -73,7 +73,8 @@ class Averaging(Estimator):
                         None if points.sigma is None else weights_of(points))
         if found is None:
             raise Undetermined(
-                f"{len(points)} control points do not determine an affine model twice over",
+                f"{len(points)} control points without any one of them do not determine an affine "
+                "model",
                 hint="Measure more control, spread over the area.")
         coefficients = found.coefficients.T.ravel()
         equations = model.equations(scaling.features(control))
@@ -108,7 +109,7 @@ def average(ground: FloatArray, image: FloatArray, exponents: Exponents,
     Returns
     -------
     Average or None
-        None if the affine terms are not determined twice over by all points but any one.
+        None if all points but any one do not determine the affine terms.
     """
     order = np.array(exponents).sum(axis=1)
     columns = monomials(ground, exponents)

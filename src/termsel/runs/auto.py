@@ -23,7 +23,7 @@ from termsel.results.result import Result
 from termsel.runs.judge import judge_choice
 from termsel.runs.outliers import judged_independent, without_blunders
 from termsel.runs.provenance import data_of, versions
-from termsel.runs.task import Request
+from termsel.runs.task import FEW, Request, all_control
 
 NAMES = ("auto", "as-asked")
 
@@ -110,7 +110,7 @@ def choose_for(request: Request, observations: Observations, seed: int) -> Resul
         feasible=True, rmse=rmse, baselines=baselines,
         judgement=judge_choice(chosen.candidate, predicted, rmse, baselines,
                                request.features.noise),
-        notes=(*_notes(request.model, observations, errors), *notes, *more),
+        notes=(*_few(request), *_notes(request.model, observations, errors), *notes, *more),
         outliers=(*outliers, *contradicting),
         objectives={"press": chosen.predicted},
         evaluations=len(portfolio(heights)) * (1 + folds), lookups=0, generations=0,
@@ -125,6 +125,13 @@ def choose_for(request: Request, observations: Observations, seed: int) -> Resul
                 {"name": one.name, "model": one.fit.model.name,
                  "n_terms": int(one.fit.terms.sum()), "effective": one.fit.effective,
                  "predicted": one.predicted} for one in candidates]})
+
+
+def _few(request: Request) -> list[str]:
+    if not all_control(request):
+        return []
+    return [f"With fewer than {FEW} points and no roles, all points are control. --set "
+            "fractions=2:1:1 assigns roles all the same."]
 
 
 def _notes(model: SensorModel, observations: Observations,

@@ -87,7 +87,13 @@ def _notes(points: Points, found: Suspects) -> Iterator[str]:
         yield (f"Perhaps blunders, still in use: {_named(points, found, found.undecided)}. The "
                "other points are too few or too far to tell.")
     if len(points) < FEW:
-        worst = int(np.argmax(found.limits))
-        yield (f"With {len(points)} points an error must exceed {np.median(found.limits):.2g} px "
-               f"to be found at half of them, and {found.limits[worst]:.2g} px at "
-               f"{points.ids[worst]}.")
+        worst, half = int(np.argmax(found.limits)), float(np.median(found.limits))
+        if half > np.ptp(points.image, axis=0).max():
+            yield f"With {len(points)} points no blunder can be found: any of them may be one."
+            return
+        yield (f"With {len(points)} points an error must exceed {_size(half)} px to be found at "
+               f"half of them, and {_size(found.limits[worst])} px at {points.ids[worst]}.")
+
+
+def _size(error: float) -> str:
+    return f"{error:.2g}" if error < 100 else f"{error:,.0f}"

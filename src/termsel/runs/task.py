@@ -25,11 +25,14 @@ from termsel.runs.fit_crs import FIT_CRS, with_fit_crs
 from termsel.solvers.base import Solver
 from termsel.solvers.search import require_able
 
+ALIKE = "1:1:1"
+"""Shares of control, check and independent points by default."""
+
 DATA_OPTIONS = (
     Option("roles", "file", "Roles of points: those of the file, with blank ones assigned by "
            "place; or all assigned by place or at random.",
            choices=("file", "stratified", "random")),
-    Option("fractions", "1:1:1", "Shares of control, check and independent points among those "
+    Option("fractions", ALIKE, "Shares of control, check and independent points among those "
            "that are assigned a role."),
     Option("split", 0, "Seed by which roles are assigned.", int, 0),
     Option("check_as", None, "What check points are: judges of each selection, or further control. "
@@ -39,6 +42,10 @@ DATA_OPTIONS = (
 )
 
 MIN_CONTROL, MIN_CHECK = 3, 2
+
+FEW = 12
+"""Number of points without any role below which all are control, where nothing needs check points:
+leave-one-out then tells the accuracy."""
 
 ALL_PARALLEL = 1e-4
 """Orientation spread below which control lines are taken for parallel: within half a degree."""
@@ -202,7 +209,8 @@ def observe(request: Request) -> Observations:
     observations = assign_roles(
         request.features,
         control="both" if request.options["problem"].get("mixed") else recipe.control,
-        how=of_data["roles"], fractions=_fractions(of_data["fractions"], criterion.needs_check),
+        how=of_data["roles"], fractions=(1.0, 0.0, 0.0) if all_control(request) else
+        _fractions(of_data["fractions"], criterion.needs_check),
         rng=np.random.default_rng(of_data["split"]))
     if _check_as(request, observations) == "control":
         observations = check_as_control(observations)
@@ -212,6 +220,19 @@ def observe(request: Request) -> Observations:
         observations = with_fit_crs(of_data["fit_crs"], request.features, observations,
                                     request.model)
     return observations
+
+
+def all_control(request: Request) -> bool:
+    """Return whether the points are too few to give any away, and nobody asks for it.
+
+    Parameters
+    ----------
+    request : Request
+    """
+    points, of_data = request.features.points, request.options["data"]
+    return (len(points) < FEW and not any(points.roles) and request.recipe.control == "points"
+            and not request.criterion.needs_check and of_data["roles"] == "file"
+            and of_data["fractions"] == ALIKE)
 
 
 def scale(request: Request, observations: Observations) -> tuple[Scaling, Inputs]:

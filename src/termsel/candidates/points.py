@@ -1,0 +1,34 @@
+"""Control points for candidates that take points alone."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from termsel.fits.fit import Undetermined
+from termsel.measurements.features import BoolArray, FeatureSet, FloatArray, Points
+
+
+def points_alone(control: FeatureSet, used: BoolArray, what: str) -> Points:
+    """Return the points in use, and refuse lines.
+
+    Parameters
+    ----------
+    control : FeatureSet
+    used : ndarray of bool, shape (len(control),)
+    what : str
+        What does not take lines, as the subject of a sentence.
+
+    Raises
+    ------
+    Undetermined
+    """
+    if len(control.lines):
+        raise Undetermined(f"{what} takes control points alone, and there are control lines",
+                           hint="Leave the lines out, or choose another model.")
+    return control.points.take(used)
+
+
+def weights_of(points: Points) -> FloatArray:
+    """Return by what the equations of points are multiplied, shape (n, 2)."""
+    return (np.ones_like(points.image) if points.sigma is None
+            else np.asarray(np.median(points.sigma) / points.sigma))
