@@ -2,14 +2,64 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
+from functools import cache
+from pickle import UnpicklingError
 from typing import Any, TypeVar, cast
 
 import numba
+from numba.core.caching import FunctionCache
+
+log = logging.getLogger(__name__)
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
 
-def compiled(function: _Function) -> _Function:
-    """Compile on first call and keep the machine code on disk."""
-    return cast(_Function, numba.njit(cache=True, nogil=True, error_model="numpy")(function))
+class _Cache(FunctionCache):  # type: ignore[misc]  # numba has no types
+    """Machine code on disk that is compiled again if it is damaged, and need not be kept."""
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        """Return the code kept, None if there is none."""
+        try:
+            return super().load_overload(sig, target_context)
+        except (EOFError, UnpicklingError, OSError):  # emptied, truncated, not to be read
+            self._forget()
+            return None
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        """Keep the code if the disk takes it."""
+        try:
+            super().save_overload(sig, data)
+        except (EOFError, UnpicklingError, OSError) as error:
+            log.info("The compiled code cannot be kept: %s", error)
+
+    def _forget(self) -> None:
+        try:
+            self.flush()
+        except OSError as error:
+            log.info("The compiled code cannot be kept: %s", error)
+
+
+def compiled(function: _Function, **flags: Any) -> _Function:
+    """Compile on first call and keep the machine code on disk, where there is a place for it.
+
+    Parameters
+    ----------
+    function : callable
+    **flags
+        Of numba.njit.
+    """
+    dispatcher = numba.njit(nogil=True, error_model="numpy", **flags)(function)
+    try:
+        dispatcher._cache = _Cache(function)  # as numba does for cache=True
+    except RuntimeError:  # numba finds no folder that it can write to
+        _say_that_nothing_is_kept()
+    return cast(_Function, dispatcher)
+
+
+@cache
+def _say_that_nothing_is_kept() -> None:
+    """Tell the user, once."""
+    log.warning("Note: compiled code cannot be kept here. Every run takes some 10 s longer. "
+                "Set NUMBA_CACHE_DIR to a folder that you can write to.")

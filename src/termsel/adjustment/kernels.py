@@ -379,6 +379,8 @@ def needs_compilation() -> bool:
     It does so once per machine and version; later the machine code is read from disk.
     """
     kernel = cast(Any, _solve)
+    if kernel.stats.cache_path is None:
+        return not kernel.signatures
     source = Path(__file__).stat().st_mtime
     kept = Path(kernel.stats.cache_path).glob(f"kernels.{kernel.__name__}-*.nbi")
     return not kernel.signatures and all(one.stat().st_mtime < source for one in kept)

@@ -16,12 +16,11 @@ and Influence in Regression, ch. 2: solutions that hold out one row, or several 
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any, TypeVar, cast
+from functools import partial
 
-import numba
 import numpy as np
 
+from termsel.adjustment.compiled import compiled
 from termsel.adjustment.equations import Equations
 from termsel.adjustment.reflections import LANES, apply_one
 from termsel.adjustment.solve import TOLERANCE
@@ -30,18 +29,9 @@ from termsel.measurements.features import BoolArray, FloatArray, IntArray
 Work = tuple[FloatArray, FloatArray, FloatArray]
 """Of the reflections: vectors, factors, and space that single reflections do not need."""
 
-_Function = TypeVar("_Function", bound=Callable[..., Any])
-
-
-def _compiled(function: _Function) -> _Function:
-    """Compile on first call and keep the machine code on disk.
-
-    Sums are taken in one order, whatever the width of the machine's registers. Without
-    _nrt=False every slice would cost two atomic operations; hence nothing may be allocated here.
-    """
-    compiler = numba.njit(cache=True, nogil=True, error_model="numpy",
-                          _nrt=False)
-    return cast(_Function, compiler(function))
+# Without _nrt=False every slice would cost two atomic operations; hence nothing may be allocated.
+# Sums are taken in one order, whatever the width of the machine's registers.
+_compiled = partial(compiled, _nrt=False)
 
 
 @_compiled

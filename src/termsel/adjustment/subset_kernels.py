@@ -8,12 +8,12 @@ subset is a column at a depth: the columns in use there, and itself.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any, TypeVar
+from functools import partial
+from typing import Any
 
 import numpy as np
-from numba import njit
 
+from termsel.adjustment.compiled import compiled
 from termsel.adjustment.subset_arrays import Levels, Limits, Records
 from termsel.measurements.features import FloatArray, IntArray
 
@@ -24,14 +24,11 @@ leave-one-out errors, or of residuals."""
 _BOUND_FROM = 6  # columns to the right from which a bound saves more than it costs
 
 
-_Function = TypeVar("_Function", bound=Callable[..., Any])
-
 # Sums may be taken in any order (SIMD), yet infinities and NaN keep their meaning. A subset costs
 # as much as two atomic operations on a reference count or the passing of some arrays, so slices
 # are not counted (_nrt=False: nothing may be allocated here) and calls are inlined.
-_compiled: Callable[[_Function], _Function] = njit(
-    cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True,
-    fastmath={"reassoc", "contract", "arcp", "nsz"})
+_compiled = partial(compiled, _nrt=False, forceinline=True,
+                    fastmath={"reassoc", "contract", "arcp", "nsz"})
 
 
 @_compiled

@@ -26,7 +26,8 @@ ERROR_NAMES = {"ERR_BIAS": "errBias", "ERR_RAND": "errRand"}
 KNOWN = ("RPB, _RPC.TXT, DIMAP XML, DigitalGlobe XML, VRT or .aux.xml with an RPC domain, or an "
          "image that has an RPC")
 
-_ENTRY = re.compile(r"^[ \t]*(\w+)[ \t]*[:=][ \t]*(\(.*?\)|[^;\r\n]*)", re.MULTILINE | re.DOTALL)
+_NAME = re.compile(r"^[ \t]*(\w+)[ \t]*[:=][ \t]*", re.MULTILINE)
+_VALUE = re.compile(r"[^;\r\n]*")
 _NUMBERS = re.compile(r"[^\s,();]+")
 
 
@@ -63,9 +64,7 @@ def _read(path: Path, head: bytes) -> Rpc:
     if head.removeprefix(b"\xef\xbb\xbf").lstrip().startswith(b"<"):
         return _from_xml(path)
     text = read_text(path)
-    # In an RPB the values follow "=", in a _RPC.TXT ":".
-    entries = {match[1]: (match[2], text.count("\n", 0, match.start(1)) + 1)
-               for match in _ENTRY.finditer(text)}
+    entries = {name: (value, line) for name, value, line in _entries(text)}
     own = {rpb: name for name, rpb in (RPB_NAMES | ERROR_NAMES).items()}
     items = {}
     for name, (value, line) in entries.items():
@@ -77,6 +76,24 @@ def _read(path: Path, head: bytes) -> Rpc:
     if not items.keys() & (RPB_NAMES.keys() | {"LINE_NUM_COEFF_1"}):
         raise TermselError("this file has no RPC", file=path, hint=f"Expected {KNOWN}.")
     return from_items(items)
+
+
+def _entries(text: str) -> Iterator[tuple[str, str, int]]:
+    """Yield name, value and line of the entries of an RPB or a _RPC.TXT.
+
+    In an RPB the values follow "=", in a _RPC.TXT ":". Those in parentheses may span lines.
+    """
+    closed = text.rfind(")")  # looked for once, as many may be open
+    line, counted, at = 1, 0, 0
+    while name := _NAME.search(text, at):
+        line += text.count("\n", counted, name.start(1))
+        counted = name.start(1)
+        if text.startswith("(", name.end()) and name.end() < closed:
+            at = text.index(")", name.end()) + 1
+        else:
+            value = _VALUE.match(text, name.end())
+            at = value.end() if value else name.end()
+        yield name[1], text[name.end():at], line
 
 
 def from_items(items: Mapping[str, str]) -> Rpc:

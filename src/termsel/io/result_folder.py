@@ -6,6 +6,8 @@ import csv
 import io
 import json
 import os
+import secrets
+import shutil
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -17,7 +19,7 @@ from termsel.errors import TermselError
 from termsel.fits.diagnosis import Diagnosis, Doubts, Significance
 from termsel.fits.figures import Baseline, residuals_of
 from termsel.fits.fit import Fit, Rmse, fit
-from termsel.formats.atomic import write_text
+from termsel.formats.atomic import write_bytes, write_text
 from termsel.formats.base import located, read_text
 from termsel.formats.readers.csv_tables import (
     LinesCsv,
@@ -36,6 +38,10 @@ from termsel.results.checksums import SEALS, of_features, of_record
 from termsel.results.result import SCHEMA, Outlier, Result
 
 RECORD, POINTS, LINES = "result.json", "points.csv", "lines.csv"
+_PENDING = ".termsel-pending"
+"""Folder in that of a result, complete or not there: files that are newer than those next to it."""
+_UNFINISHED = ".termsel-unfinished-"
+
 RESIDUAL_COLUMNS = ("id", "kind", "role", "used", "residual_line", "residual_sample", "distance")
 
 
@@ -56,16 +62,18 @@ def claim_folder(folder: Path) -> None:
     if not os.access(folder, os.W_OK | os.X_OK):
         raise TermselError(f"cannot write to the folder {folder}", hint="Choose another --out.")
     for name in (POINTS, LINES):
-        if (folder / name).exists() and not (folder / RECORD).exists():
+        if (folder / name).exists() and not _place(folder, RECORD).exists():
             raise TermselError("the result would replace this file, which is not part of a result",
                                file=folder / name, hint="Choose another --out.")
 
 
 def write_result(result: Result, folder: Path) -> None:
-    """Write result.json, residuals.csv, summary.txt and the features, no file incomplete.
+    """Write result.json, residuals.csv, summary.txt and the features, all of them or none.
 
     With points.csv and lines.csv the folder is self-contained: the files that the features came
-    from are not needed any more.
+    from are not needed any more. Wherever this is interrupted, `read_result` finds the earlier
+    result or the new one: the new files are written into a folder of their own, one renaming
+    makes them valid, and then they are put in place one by one.
 
     Parameters
     ----------
@@ -73,6 +81,22 @@ def write_result(result: Result, folder: Path) -> None:
     folder : Path
         One that exists; files of an earlier result are replaced.
     """
+    _put_in_place(folder)  # an earlier result, if that was interrupted
+    for old in folder.glob(f"{_UNFINISHED}*"):
+        shutil.rmtree(old, ignore_errors=True)
+    new = folder / f"{_UNFINISHED}{secrets.token_hex(6)}"
+    try:
+        new.mkdir()
+        _write_files(result, new)
+        new.rename(folder / _PENDING)
+    except OSError as error:
+        raise _cannot_write(folder, error) from error
+    finally:
+        shutil.rmtree(new, ignore_errors=True)
+    _put_in_place(folder)
+
+
+def _write_files(result: Result, folder: Path) -> None:
     features = result.features
     if len(features.points):
         write_points_csv(features.points, folder / POINTS, features.crs)
@@ -81,6 +105,35 @@ def write_result(result: Result, folder: Path) -> None:
     write_text(folder / "residuals.csv", residuals_csv(result))
     write_text(folder / "summary.txt", result.summary())
     write_text(folder / RECORD, result.to_json())
+
+
+def _put_in_place(folder: Path) -> None:
+    """Replace the files of a folder by those that are pending, if any."""
+    pending = folder / _PENDING
+    if not pending.is_dir():
+        return
+    try:
+        for file in sorted(pending.iterdir()):
+            if (folder / file.name).is_symlink():  # what it points to may be on another disk
+                write_bytes(folder / file.name, file.read_bytes())
+                file.unlink()
+            else:
+                file.replace(folder / file.name)
+        pending.rmdir()
+    except OSError as error:
+        raise _cannot_write(folder, error) from error
+
+
+def _cannot_write(folder: Path, error: OSError) -> TermselError:
+    return TermselError(f"cannot write the result: {error.strerror or error}", file=folder,
+                        hint="Check that the folder is writable and has free space, or choose "
+                             "another --out.")
+
+
+def _place(folder: Path, name: str) -> Path:
+    """Return where a file of the result is: pending, if that is not yet put in place."""
+    pending = folder / _PENDING / name
+    return pending if pending.exists() else folder / name
 
 
 def read_result(folder: Path | str) -> Result:
@@ -102,7 +155,7 @@ def read_result(folder: Path | str) -> Result:
         If there is no result, a file of it is missing, was changed or is of another version, or
         its model is of a plugin that is not installed.
     """
-    path = Path(folder) / RECORD
+    path = _place(Path(folder), RECORD)
     if not path.is_file():
         raise TermselError("there is no result here", file=path,
                            hint="Give the folder of a run, as in termsel run --out DIR.")
@@ -140,8 +193,9 @@ def _read_features(folder: Path, record: Mapping[str, Any]) -> FeatureSet:
     normalise(data["crs"])
     # By the record: an earlier result in the same folder may have left a file that this has not.
     counts = dict(data["counts"])
-    lines = LinesCsv().read(folder / LINES).lines if counts.pop("lines") else no_lines()
-    points = PointsCsv().read(folder / POINTS).points if any(counts.values()) else no_points()
+    at_lines, at_points = (_place(folder, name) for name in (LINES, POINTS))
+    lines = LinesCsv().read(at_lines).lines if counts.pop("lines") else no_lines()
+    points = PointsCsv().read(at_points).points if any(counts.values()) else no_points()
     features = FeatureSet(points, lines, data["crs"], size and (int(size[0]), int(size[1])),
                           data.get("noise"), data.get("heights") or "",
                           record.get("scaling", {}).get("fit_crs", ""))

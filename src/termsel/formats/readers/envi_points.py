@@ -8,6 +8,7 @@ of a subset include its offset in the whole image.
 from __future__ import annotations
 
 import re
+from itertools import takewhile
 from pathlib import Path
 
 import numpy as np
@@ -27,9 +28,11 @@ _COLUMNS = {
 """By their number: of a map, of RPCs and exterior orientation, of rigorous orthorectification with
 several images, of a stereo pair."""
 
-_TITLE = re.compile(r";[^\n]*\b(ENVI\b[^\n]*\b(GCP|Ground Control|Points)\b|Image\s*\(x)",
-                    re.IGNORECASE)
-_PROJECTION = re.compile(r";\s*projection info\s*=\s*\{(.*)\}", re.IGNORECASE)
+# Short patterns one after another: in one pattern they take the square of a line's length.
+_ENVI = re.compile(r"\bENVI\b", re.IGNORECASE)
+_KIND = re.compile(r"\b(GCP|Ground Control|Points)\b", re.IGNORECASE)
+_IMAGE = re.compile(r"\bImage\s*\(x", re.IGNORECASE)
+_PROJECTION = re.compile(r";\s*projection info\s*=\s*\{", re.IGNORECASE)
 _CORNER = 1.5  # what the centre of the first pixel is called
 
 
@@ -49,8 +52,9 @@ class EnviPoints(Reader):
     def sniff(self, path: Path, head: bytes) -> bool:
         """Return True if the file begins with a comment of ENVI."""
         text = head.decode("utf-8-sig", errors="replace")
-        comments = re.match(r"(\s*;[^\n]*\n)+", text)
-        return comments is not None and bool(_TITLE.search(comments[0]))
+        lines = [line.strip() for line in text.split("\n")[:-1] if line.strip()]
+        comments = takewhile(lambda line: line.startswith(";"), lines)
+        return any(map(_is_title, comments))
 
     def read(self, path: Path) -> FeatureSet:
         """Return the points; errors name file, line and column."""
@@ -80,6 +84,12 @@ class EnviPoints(Reader):
         return [row for row, number in enumerate(numbers) if number == wanted]
 
 
+def _is_title(comment: str) -> bool:
+    """Return True for a comment that only a file of points of ENVI has."""
+    envi = _ENVI.search(comment)
+    return bool(envi and _KIND.search(comment, envi.end())) or bool(_IMAGE.search(comment))
+
+
 def _rows(path: Path) -> tuple[list[list[str]], list[int], str]:
     """Return rows of cells, their lines, and the CRS of the comments."""
     rows: list[list[str]] = []
@@ -92,7 +102,8 @@ def _rows(path: Path) -> tuple[list[list[str]], list[int], str]:
                                    "coordinates", file=path, line=number,
                                    hint="Give points of the type image to map.")
             found = _PROJECTION.search(text)
-            crs = _crs(found[1]) if found else crs
+            if found and (end := text.rfind("}", found.end())) >= 0:
+                crs = _crs(text[found.end():end])
         elif text.strip():
             rows.append(text.split())
             lines.append(number)

@@ -35,7 +35,7 @@ COLUMNS = Option("columns", "", "Columns with other names, as meaning:name, such
 _OPTIONAL = frozenset({"role", "enabled", "sigma_line", "sigma_sample", "sigma"})
 _ENABLED = {"": True, "1": True, "true": True, "yes": True, "on": True,
             "0": False, "false": False, "no": False, "off": False}
-_DECLARATION = re.compile(r"#\s*(crs|units?)\s*[:=]\s*(.*\S)", re.IGNORECASE)
+_DECLARATION = re.compile(r"#\s*(crs|units?)\s*[:=](.*)", re.IGNORECASE)
 _UNITS = re.compile(r"(deg|degrees?|m|met(re|er)s?)", re.IGNORECASE)
 
 
@@ -240,9 +240,9 @@ def _declared_crs(path: Path, comments: Mapping[int, str]) -> str:
     crs = ""
     for line, comment in comments.items():
         declared = _DECLARATION.match(comment)
-        if not declared:
+        key, value = (declared[1].lower(), declared[2].strip()) if declared else ("", "")
+        if not value:
             continue
-        key, value = declared[1].lower(), declared[2]
         if key == "crs":
             try:
                 name = normalise(value)

@@ -1,0 +1,54 @@
+"""Where compiled code is kept, and what happens where it cannot be."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+NO_PLACE = """
+from numba.core import caching
+caching.CacheImpl._locator_classes = []  # as with a read-only home and a read-only package
+import numpy as np
+from termsel.adjustment.distinct import distinct
+from termsel.adjustment.kernels import needs_compilation
+assert needs_compilation()
+"""
+
+CALL = """
+import numpy as np
+from termsel.adjustment.compiled import compiled
+from termsel.adjustment import distinct
+print(distinct.distinct(np.zeros((2, 1), dtype=np.intp), np.ones((2, 1), dtype=np.uintp)))
+"""
+
+
+def _python(code: str, **more: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True,
+                          check=False, timeout=300, env={**os.environ, **more})
+
+
+def test_without_a_place_nothing_is_kept_and_the_user_is_told_once() -> None:
+    done = _python(NO_PLACE)
+    assert done.returncode == 0, done.stderr
+    assert done.stderr.count("compiled code cannot be kept here") == 1
+    assert "NUMBA_CACHE_DIR" in done.stderr
+
+
+@pytest.mark.parametrize("share", [0.0, 0.5, 0.95])
+def test_damaged_code_is_compiled_again(share: float, tmp_path: Path) -> None:
+    whole = _python(CALL, NUMBA_CACHE_DIR=str(tmp_path))
+    assert whole.returncode == 0, whole.stderr
+    for kind in ("nbi", "nbc"):
+        files = list(tmp_path.rglob(f"*.{kind}"))
+        assert files
+        sizes = {path: path.stat().st_size for path in files}
+        for path in files:
+            path.write_bytes(path.read_bytes()[:int(share * sizes[path])])
+        again = _python(CALL, NUMBA_CACHE_DIR=str(tmp_path))
+        assert again.returncode == 0, again.stderr
+        assert again.stdout == whole.stdout
+        assert all(path.stat().st_size >= 0.9 * size for path, size in sizes.items())
