@@ -294,3 +294,9 @@ def test_a_run_and_the_fit_say_the_same() -> None:
     np.testing.assert_allclose(result.fit.adjustment.coefficients,
                                fitted.adjustment.coefficients)
     assert result.objectives["press"] == pytest.approx(fitted.leave_one_out_rmse().total)
+
+
+def test_a_file_is_not_a_set_of_features() -> None:
+    with pytest.raises(termsel.TermselError, match="fit takes a FeatureSet, not str"):
+        termsel.fit("gcps.csv")
+    assert len(termsel.simulate_scene("ikonos-hamedan").points.take([])) == 0

@@ -83,9 +83,9 @@ def test_a_conventional_fit_that_is_not_determined_is_said_to_be() -> None:
     ("affine", 1.051, 1.0, "Use something plainer: an affine polynomial over control and check "
      "together, which leave-one-out chooses, is 1.1 times better (1.00 px)."),
     ("affine", 1.049, 1.0, "It is no better than an affine polynomial over control and check "
-     "together, which leave-one-out chooses, (1.00 px)."),
+     "together, which leave-one-out chooses (1.00 px)."),
     ("affine", 1.0, 1.049, "It is no better than an affine polynomial over control and check "
-     "together, which leave-one-out chooses, (1.05 px)."),
+     "together, which leave-one-out chooses (1.05 px)."),
     ("affine", 1.0, 1.051, "It beats an affine polynomial over control and check together, which "
      "leave-one-out chooses, by 1.1 times (1.05 px)."),
     ("shrunken-cubic", 4.0, 2.0, "Use --strategy auto instead: a shrunken cubic polynomial over "

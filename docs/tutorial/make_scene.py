@@ -17,7 +17,7 @@ import rasterio
 from affine import Affine
 from rasterio.errors import NotGeoreferencedWarning
 
-from termsel.formats.readers.csv_tables import write_points_csv
+from termsel import write_points_csv
 from termsel.measurements.features import Points
 from termsel.simulate import pushbroom_at
 from termsel.simulate.render import checkerboard, render

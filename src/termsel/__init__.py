@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from termsel.errors import TermselError
     from termsel.fits.fit import Fit
     from termsel.formats.base import Reader, Writer
+    from termsel.formats.readers.csv_tables import write_lines_csv, write_points_csv
     from termsel.formats.rpc_files import read_rpc
     from termsel.io.export import export
     from termsel.io.read import read
@@ -106,6 +107,8 @@ _HOME = {
     "run": "termsel.runs.run",
     "search": "termsel.solvers.search",
     "simulate_scene": "termsel.simulate",
+    "write_lines_csv": "termsel.formats.readers.csv_tables",
+    "write_points_csv": "termsel.formats.readers.csv_tables",
 }
 
 __all__ = [
@@ -163,6 +166,8 @@ __all__ = [
     "run",
     "search",
     "simulate_scene",
+    "write_lines_csv",
+    "write_points_csv",
 ]
 
 

@@ -76,6 +76,12 @@ def _check_deviations(sigma: FloatArray, ids: Sequence[str], kind: str) -> None:
                            ids=[name])
 
 
+def _as_index(index: ArrayLike) -> IntArray | BoolArray:
+    """Return integers or a mask as an array; numpy takes an empty list for numbers."""
+    array = np.asarray(index)
+    return array if array.size else np.zeros(0, dtype=np.intp)
+
+
 @dataclass(frozen=True, eq=False)
 class Points:
     """Conjugate points.
@@ -151,7 +157,7 @@ class Points:
 
     def take(self, index: ArrayLike) -> Points:
         """Return the points at `index` (integers or a mask)."""
-        chosen = np.arange(len(self))[np.asarray(index)]
+        chosen = np.arange(len(self))[_as_index(index)]
         return Points(
             tuple(self.ids[i] for i in chosen), self.image[chosen], self.ground[chosen],
             None if self.sigma is None else self.sigma[chosen],
@@ -262,7 +268,7 @@ class Lines:
 
     def take(self, index: ArrayLike) -> Lines:
         """Return the lines at `index` (integers or a mask)."""
-        chosen = np.arange(len(self))[np.asarray(index)]
+        chosen = np.arange(len(self))[_as_index(index)]
         return Lines(tuple(self.ids[i] for i in chosen), self.image[chosen], self.ground[chosen],
                      None if self.sigma is None else self.sigma[chosen])
 

@@ -49,6 +49,9 @@ def fit(features: FeatureSet, model: str | type[SensorModel] | SensorModel = "rf
     >>> fitted.rmse(independent).total < 10
     True
     """
+    if not isinstance(features, FeatureSet):
+        raise TermselError(f"fit takes a FeatureSet, not {type(features).__name__}",
+                           hint="Read files with termsel.read first.")
     if isinstance(model, str):
         names = registry().names("models")
         candidate = None if model in names else named(model)

@@ -57,17 +57,17 @@ def judge(conventional: str, criterion: str, rmse: Mapping[str, Rmse | None],
     candidate = named(reference)
     if best is not None and candidate is not None:
         title = (f"{candidate.title} over control and check together, which leave-one-out "
-                 "chooses,")
+                 "chooses")
         ratio = _ratio(mine.total, _independent(best))
         if ratio > ALIKE:
             advice = ("Use --strategy auto instead" if not candidate.is_plain else
                       "Use something plainer")
-            sentences.append(f"{advice}: {title} is {_times(ratio)} better "
+            sentences.append(f"{advice}: {title}, is {_times(ratio)} better "
                              f"({_px(_independent(best))}).")
         elif ratio > 1 / ALIKE:
             sentences.append(f"It is no better than {title} ({_px(_independent(best))}).")
         else:
-            sentences.append(f"It beats {title} by {_times(1 / ratio)} "
+            sentences.append(f"It beats {title}, by {_times(1 / ratio)} "
                              f"({_px(_independent(best))}).")
     else:
         sentences.append("No plain polynomial is determined by control and check together.")
