@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 import subprocess
 import sys
 from pathlib import Path
@@ -130,7 +131,7 @@ def test_image_the_points_were_not_measured_in(folder: Path, tmp_path: Path) -> 
     (["--to", "rpb"], "the format rpb cannot hold this result. termsel describe rpb says what "
                       "it needs. Formats that do: gcp-grid-vrt"),
     (["--to", "rbp"], "unknown writer 'rbp'. Did you mean 'rpb'?"),
-    (["--to", "qgis-points", "--dem", "x.tif"], "unknown option 'dem'"),
+    (["--to", "qgis-points", "--set", "dam=x.tif"], "unknown option 'dam'"),
     (["--to", "gcp-grid-vrt", "--set", "across=many"], "option 'across' does not accept 'many'"),
     (["--to", "gcp-vrt", "--image", "none.tif"], "none.tif: this file does not exist"),
     (["--to", "gcp-vrt", "--image", "a", "--set", "image=b"], "image is given twice"),
@@ -142,6 +143,19 @@ def test_export_refuses(arguments: list[str], message: str, plane: Path, tmp_pat
     assert message in err
     assert "Traceback" not in err
     assert not target.exists()
+
+
+def test_options_of_other_formats_are_ignored_with_a_note(
+        folder: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level(logging.INFO, "termsel")
+    target = tmp_path / "scene.points"
+    code, _, err = _termsel("export", folder, "--to", "qgis-points", "--image", "none.tif",
+                            "--set", "across=5", "-o", target)
+    assert code == 0, err
+    assert target.exists()
+    for key in ("image", "across"):
+        assert caplog.text.count(
+            f"the format qgis-points has no option {key}, which is ignored") == 1
 
 
 def test_export_without_a_result(tmp_path: Path) -> None:

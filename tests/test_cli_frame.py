@@ -13,10 +13,12 @@ import pytest
 from termsel import __version__
 from termsel.cli import tables
 from termsel.cli.main import cli
+from termsel.errors import unknown_name
 from termsel.plugins import registry as manager
 from termsel.plugins.commands import COMMANDS
 from termsel.plugins.kinds import KINDS
 from termsel.plugins.registry import Registry
+from termsel.runs.task import DATA_OPTIONS
 
 PLUGIN = """
     import click
@@ -159,6 +161,23 @@ def test_everything_with_a_name_can_be_described(call, built_in):
                 assert f"\n{option.name} " in done.stdout
                 assert option.accepts in done.stdout
                 assert option.doc in done.stdout
+
+
+def test_describe_shows_the_options_of_the_data_with_every_problem(call, built_in):
+    for entry in built_in.entries("problems"):
+        done = call("describe", entry.name)
+        for option in DATA_OPTIONS:
+            assert f"\n{option.name} " in done.stdout
+            assert option.doc in done.stdout
+
+
+def test_names_that_two_kinds_share_are_listed_once(call, built_in):
+    # A reader and a writer are called points-csv.
+    shown = str(unknown_name("name", "x", ["b", "a", "b"]))
+    assert "Known: a, b." in shown
+    listed = call("describe", "rfn").stderr.partition("Known: ")[2].partition(" and ")[0]
+    names = listed.split(", ")
+    assert len(names) == len(set(names))
 
 
 def test_describe_tells_terms_of_models_and_defaults_of_problems(call, built_in):

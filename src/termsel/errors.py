@@ -68,7 +68,7 @@ def unknown_name(kind: str, name: str, known: Iterable[str], hint: str = "") -> 
     hint : str
         A further sentence for the user.
     """
-    names = sorted(known)
+    names = sorted(set(known))
     near = get_close_matches(name, names, n=1, cutoff=0.6)
     guess = f"Did you mean {near[0]!r}? " if near else ""
     more = f" and {len(names) - MOST_NAMED} more" if len(names) > MOST_NAMED else ""

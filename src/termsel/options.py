@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from operator import index
 from typing import Any, ClassVar
 
 from termsel.errors import TermselError, unknown_name
@@ -81,15 +82,11 @@ class Option:
             parsed = str(value)
         else:
             try:
-                parsed = float(value)
-            except (TypeError, ValueError):
+                parsed = self._number(value)
+            except (TypeError, ValueError, OverflowError):
                 raise wrong from None
             if isinstance(value, bool) or parsed != parsed or abs(parsed) == float("inf"):
                 raise wrong
-            if self.type is int:
-                if parsed != int(parsed):
-                    raise wrong
-                parsed = int(parsed)
         if self.choices and str(parsed) not in self.choices:
             raise wrong
         if self.minimum is not None and parsed < self.minimum:
@@ -97,6 +94,19 @@ class Option:
         if self.maximum is not None and parsed > self.maximum:
             raise wrong
         return parsed
+
+
+    def _number(self, value: Any) -> float:
+        """Return a number; whole ones of any size keep all their digits."""
+        if self.type is float:
+            return float(value)
+        try:
+            return int(value) if isinstance(value, str) else index(value)
+        except (TypeError, ValueError):  # such as 1e3
+            number = float(value)
+            if number != int(number):
+                raise ValueError from None
+            return int(number)
 
 
 def resolve(declared: Iterable[Option], given: Mapping[str, Any]) -> dict[str, Any]:

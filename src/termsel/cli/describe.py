@@ -47,6 +47,8 @@ def describe(name: str) -> None:
 
 
 def _describe_problem(entry: Entry) -> None:
+    from termsel.runs.task import DATA_OPTIONS
+
     recipe = entry.object
     settings = "".join(f" --set {key}={value}" for key, value in recipe.model_options.items())
     click.echo(f"\n{recipe.summary}")
@@ -55,6 +57,8 @@ def _describe_problem(entry: Entry) -> None:
         "criterion": recipe.criterion, "solver": recipe.solver,
         "control": recipe.control, "source": recipe.source})
     _options(recipe.options)
+    click.echo("\nOptions of the data, for every problem:")
+    _option_table(DATA_OPTIONS)
     click.echo("\nModel, solver and criterion have their own options: "
                "termsel describe NAME.")
 
@@ -121,13 +125,18 @@ def _pairs(values: dict[str, Any]) -> None:
 
 
 def _options(options: Iterable[Option]) -> None:
-    rows = [(option.name, "not set" if option.default in (None, "") else _text(option.default),
-             option.accepts, option.doc) for option in options]
-    if not rows:
+    options = tuple(options)
+    if not options:
         click.echo("\nNo options.")
         return
     click.echo("\nOptions:")
-    print_table(("key", "default", "accepts", "meaning"), rows)
+    _option_table(options)
+
+
+def _option_table(options: Iterable[Option]) -> None:
+    print_table(("key", "default", "accepts", "meaning"), [
+        (option.name, "not set" if option.default in (None, "") else _text(option.default),
+         option.accepts, option.doc) for option in options])
 
 
 def _text(value: Any) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,6 +14,8 @@ if TYPE_CHECKING:
     from termsel.formats.base import Writer
     from termsel.results.result import Result
 
+log = logging.getLogger(__name__)
+
 
 def writer_of(to: str, **options: Any) -> Writer:
     """Return the writer of a format.
@@ -22,7 +25,7 @@ def writer_of(to: str, **options: Any) -> Writer:
     to : str
         Its name, as in ``termsel list writers``.
     **options
-        Options it declares.
+        Options it declares; those that only other formats have are left out.
 
     Raises
     ------
@@ -30,7 +33,15 @@ def writer_of(to: str, **options: Any) -> Writer:
         For an unknown name or option.
     """
     writer: type[Writer] = registry().get("writers", to)
-    return writer(**options)
+    return writer(**{key: value for key, value in options.items()
+                     if key not in _of_others(writer)})
+
+
+def _of_others(writer: type[Writer]) -> set[str]:
+    """Return the options that other formats have and this one has not."""
+    of_all = {option.name for entry in registry().entries("writers")
+              for option in entry.object.declared_options}
+    return of_all - {option.name for option in writer.declared_options}
 
 
 def export(result: Result, to: str, path: Path | str, *, overwrite: bool = False,
@@ -46,7 +57,8 @@ def export(result: Result, to: str, path: Path | str, *, overwrite: bool = False
     overwrite : bool
         Whether an existing file may be replaced, such as a vendor's RPC.
     **options
-        Options of the writer, such as `image`.
+        Options of the writer, such as `image`. Those that only other formats have are ignored
+        with a note, so that one call suits several formats.
 
     Raises
     ------
@@ -56,6 +68,8 @@ def export(result: Result, to: str, path: Path | str, *, overwrite: bool = False
     """
     path = Path(path)
     writer = writer_of(to, **options)
+    for key in sorted(options.keys() & _of_others(type(writer))):
+        log.info("Note: the format %s has no option %s, which is ignored.", to, key)
     if not writer.accepts(result):
         others = ", ".join(entry.name for entry in registry().entries("writers")
                            if entry.object().accepts(result))

@@ -1,0 +1,37 @@
+"""Values of options."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from termsel.errors import TermselError
+from termsel.options import Option
+
+WHOLE = Option("split", 0, "Seed.", int, 0)
+
+
+@pytest.mark.parametrize("value", [9007199254740993, "9007199254740993", " 9007199254740993 ",
+                                   np.int64(9007199254740993)])
+def test_whole_numbers_keep_all_their_digits(value: object) -> None:
+    assert WHOLE.parse(value) == 9007199254740993
+
+
+@pytest.mark.parametrize(("value", "parsed"), [("1e3", 1000), (5.0, 5), ("7.0", 7), ("0", 0)])
+def test_whole_numbers_in_other_forms(value: object, parsed: int) -> None:
+    found = WHOLE.parse(value)
+    assert found == parsed
+    assert type(found) is int
+
+
+@pytest.mark.parametrize("value", ["1.5", "inf", "nan", float("inf"), True, "", "x", -1, [1],
+                                   "1" * 5000 + ".5"])
+def test_what_is_no_whole_number(value: object) -> None:
+    with pytest.raises(TermselError, match="does not accept"):
+        WHOLE.parse(value)
+
+
+@pytest.mark.parametrize("value", [10**400, "1e999", "nan", True, None])
+def test_what_is_no_number(value: object) -> None:
+    with pytest.raises(TermselError, match="does not accept"):
+        Option("ridge", 0.5, "A number.", float).parse(value)
