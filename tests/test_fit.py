@@ -254,7 +254,7 @@ def without_heights() -> FeatureSet:
     (without_heights(), "affine", {}, "needs heights; they are unknown for 1 of the features: P3"),
     (without_heights(), "rfm-2", {}, "a second-order RFM needs heights that are known and differ"),
     (points_of(), "projective", {}, "a projective transformation is for features without heights"),
-    (points_of(4), "shrunken-cubic", {}, "4 control points do not determine an affine model twice"),
+    (points_of(4), "shrunken-cubic", {}, "4 control points without any one of them do not determine an affine"),
     (points_of(4), "selected", {}, "4 control points are too few to select terms"),
     (lines_of(), "shrunken-cubic", {}, "takes control points alone, and there are control lines"),
     (points_of(), "rfm-2", {"order": 2}, "candidate 'rfm-2' takes no option 'order'"),
