@@ -118,7 +118,7 @@ class _Test:
         least = np.sqrt(fdtri(2, self.freedom, 1 - LEVEL / which.sum()))
         strain = np.maximum(max(STRAIN, float(least)), ALLOWANCE * self.spread)
         return Suspects(blunders[which], undecided[which], self.errors[which],
-                        (strain * self.spread * self.noise)[which])
+                        np.maximum(strain * self.spread * self.noise, ROUNDING)[which])
 
 
 def find_blunders(control: FeatureSet, heights: bool) -> Suspects | None:

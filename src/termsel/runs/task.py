@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from termsel.criteria import Criterion
-from termsel.errors import TermselError, unknown_name
+from termsel.errors import TermselError, counted, unknown_name
 from termsel.fits.diagnosis import orientation_spread
 from termsel.measurements.features import FeatureSet, Points
 from termsel.measurements.roles import Observations, check_as_control
@@ -344,12 +344,12 @@ def _require_enough(observations: Observations, recipe: Recipe, criterion: Crite
     control, check = observations.control, observations.check
     if len(control) < MIN_CONTROL:
         raise TermselError(
-            f"Of your {_count(observations)} features {_are(len(control))} control; {recipe.name} "
-            f"needs at least {MIN_CONTROL}",
+            f"Of your {counted(_count(observations), 'feature')} {_are(len(control))} control; "
+            f"{recipe.name} needs at least {MIN_CONTROL}",
             hint="Measure more, or give more of them the role control.")
     if criterion.needs_check and len(check) < MIN_CHECK:
         raise TermselError(
-            f"Of your {_count(observations)} features "
+            f"Of your {counted(_count(observations), 'feature')} "
             + ("1 is a check point" if len(check) == 1 else f"{len(check)} are check points")
             + f"; the criterion {criterion.name} needs at least {MIN_CHECK}",
             hint="Give more points the role check; they judge the fitness of a selection. The "
