@@ -131,18 +131,41 @@ def test_rounding_errors_are_no_blunders() -> None:
     assert found.notes == ()
 
 
-def test_a_far_point_alone_is_not_told_from_a_bend() -> None:
-    """Nothing is near the corner, so the others cannot say that it is wrong."""
-    rng = np.random.default_rng(3)
+@pytest.mark.parametrize(("shift", "blunder", "undecided"), [
+    (12.0, False, False), (60.0, False, True), (200.0, True, False)])
+def test_a_far_point_alone_is_told_from_a_bend_by_a_large_error_alone(
+        shift: float, blunder: bool, undecided: bool) -> None:
+    """Nothing is near the corner, so the others hardly determine the model there."""
+    rng = np.random.default_rng(4)
     ground = np.column_stack([rng.uniform(0, 400, (24, 2)), rng.uniform(0, 100, 24)])
     ground[0] = 1000.0, 1000.0, 50.0
     image = ground[:, 1::-1] * 2 + 0.5 * rng.standard_normal((24, 2))
-    image[0] += 12.0
+    image[0] += shift
     found = find_blunders(FeatureSet(Points(tuple(map(str, range(24))), image, ground),
                                      no_lines(), "local"), True)
     assert found is not None
-    assert not found.blunders.any()
-    assert found.limits[0] == found.limits.max() > 12.0
+    assert (found.blunders[0], found.undecided[0]) == (blunder, undecided)
+    assert not found.blunders[1:].any()
+    assert found.limits[0] == found.limits.max() > 50.0
+
+
+@pytest.mark.parametrize(("error", "blunder"), [(5e-7, False), (5e-5, True)])
+def test_an_error_below_rounding_is_no_blunder(error: float, blunder: bool) -> None:
+    rng = np.random.default_rng(0)
+    ground = rng.uniform(0, [1000, 1000, 100], (40, 3))
+    image = ground[:, 1::-1] * 2 + ground[:, 2:] * [0.1, -0.2] + ground[:, :1] ** 2 * [1e-4, 0]
+    image[7, 0] += error
+    found = find_blunders(FeatureSet(Points(tuple(map(str, range(40))), image, ground),
+                                     no_lines(), "local"), True)
+    assert found is not None
+    assert list(np.flatnonzero(found.blunders)) == ([7] if blunder else [])
+    points = Points(tuple(map(str, range(40))), image, ground)
+    there = np.isin(np.arange(40), [7, 8, 9])
+    choice = choose(FeatureSet(points.take(~there), no_lines(), "local"), True)
+    assert choice is not None
+    others = judge_others(choice.chosen, True, points.take(there))
+    assert others is not None
+    assert list(others.blunders) == [blunder, False, False]
 
 
 def test_few_points_say_what_cannot_be_found() -> None:
