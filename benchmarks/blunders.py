@@ -214,6 +214,7 @@ is {NOISE} px; for the two old maps it is what auto predicts on clean data. All 
 independent RMSE divided by that of auto on the clean data of the same split; medians over splits,
 and the worst.
 *All points* is auto without the search for blunders. The four peers fit a quadratic polynomial.
+The five standard deviations and the allowance for far points were chosen on these sets.
 
 ## Requirement and measurement
 
