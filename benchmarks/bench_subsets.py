@@ -18,10 +18,10 @@ from time import process_time
 import numpy as np
 
 from benchmarks.bench_kernels import LSTSQ, Row
+from termsel.adjustment.monomials import RPC00B, monomials
 from termsel.adjustment.subset_system import SubsetSystem
 from termsel.adjustment.subsets import SubsetResult, search
 from termsel.measurements.features import BoolArray, FloatArray, IntArray
-from termsel.models.monomials import RPC00B, monomials
 
 SAMPLE = 1 << 12
 N_CONTROL, N_CHECK = 27, 47

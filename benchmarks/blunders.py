@@ -20,11 +20,11 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.honest import MEASURED, NOISE, _heights, _rmse, names, split
+from termsel.adjustment.monomials import graded_exponents, monomials
 from termsel.candidates.blunders import find_blunders
 from termsel.candidates.portfolio import choose
 from termsel.measurements.features import BoolArray, FeatureSet, FloatArray, Points
 from termsel.measurements.scaling import scaling_of
-from termsel.models.monomials import graded_exponents, monomials
 
 ROOT = Path(__file__).parents[1]
 COUNTS = (24, 40, 74)

@@ -24,7 +24,8 @@ from statistics import median
 
 import numpy as np
 
-from termsel.candidates import portfolio, posterior
+from termsel.adjustment import posterior
+from termsel.candidates import portfolio
 from termsel.candidates.portfolio import choose, repeated
 from termsel.io.read import read
 from termsel.measurements.features import FeatureSet, FloatArray, Points
@@ -330,7 +331,7 @@ points are check points. {GA_SPLITS} of the splits at {', '.join(map(str, GA_COU
 ## Constants
 
 The median over splits of auto's independent RMSE divided by that of the best plain structure of
-the split, at 12, 20 and 40 points. Each constant of `termsel.candidates.posterior` and of
+the split, at 12, 20 and 40 points. Each constant of `termsel.adjustment.posterior` and of
 `termsel.candidates.portfolio` is halved and doubled.
 
 {constants}

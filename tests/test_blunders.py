@@ -11,12 +11,12 @@ import pytest
 
 import termsel
 from termsel import FeatureSet, Points
+from termsel.adjustment.monomials import graded_exponents, monomials
+from termsel.adjustment.posterior import posterior, scales_of
 from termsel.candidates.blunders import find_blunders, judge_others
 from termsel.candidates.portfolio import choose
-from termsel.candidates.posterior import posterior, scales_of
 from termsel.candidates.shrunken import average
 from termsel.measurements.features import no_lines
-from termsel.models.monomials import graded_exponents, monomials
 
 
 def scene(n: int, seed: int = 1, name: str = "ikonos-hamedan") -> FeatureSet:

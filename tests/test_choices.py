@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import termsel
+from termsel.adjustment.monomials import graded_exponents, monomials
 from termsel.candidates import portfolio
 from termsel.candidates.candidate import named
 from termsel.candidates.compare import compare
@@ -20,7 +21,6 @@ from termsel.fits.fit import Fit
 from termsel.measurements.features import BoolArray, FeatureSet, FloatArray, Points, no_points
 from termsel.measurements.roles import by_roles
 from termsel.measurements.scaling import scaling_of
-from termsel.models.monomials import graded_exponents, monomials
 from termsel.models.projective import DLT3D
 from termsel.problems.base import Evaluation, Genome, Problem, Segment, Selection
 from termsel.results.checksums import of_features

@@ -10,6 +10,7 @@ from scipy import stats
 
 import termsel
 from termsel.adjustment.equations import Equations
+from termsel.adjustment.monomials import RPC00B, monomial_name
 from termsel.adjustment.solve import solve
 from termsel.errors import TermselError, unknown_name
 from termsel.fits.diagnosis import doubts, significance
@@ -20,7 +21,6 @@ from termsel.measurements.features import FeatureSet, FloatArray, Lines, Points,
 from termsel.measurements.places import beyond
 from termsel.measurements.roles import by_roles, observe, together
 from termsel.measurements.scaling import scaling_of
-from termsel.models.monomials import RPC00B, monomial_name
 from termsel.models.poles import pole_violation
 from termsel.models.polynomial import Affine
 from termsel.models.rational import RationalFunctions

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 import termsel
+from termsel.adjustment.monomials import graded_exponents, monomials
 from termsel.candidates.candidate import CANDIDATES
 from termsel.candidates.portfolio import choose, repeated
 from termsel.candidates.selected import select_forward
 from termsel.candidates.shrunken import average
 from termsel.io.result_folder import read_result
 from termsel.measurements.features import FeatureSet, Points
-from termsel.models.monomials import graded_exponents, monomials
 from termsel.simulate import simulate_scene
 
 CUBIC = graded_exponents(3, 3)

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 import termsel
+from termsel.adjustment.monomials import RPC00B
 from termsel.errors import TermselError
 from termsel.formats.atomic import write_bytes
 from termsel.formats.rasters import empty_tiff
@@ -34,7 +35,6 @@ from termsel.formats.writers.selections import (
     QgisPoints,
 )
 from termsel.measurements.features import FeatureSet, Points
-from termsel.models.monomials import RPC00B
 from termsel.models.rpc_fit import rpc_of
 from termsel.results.result import Result
 from termsel.testing import Check, example_results, writer_checks

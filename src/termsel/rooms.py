@@ -22,7 +22,7 @@ ROOMS = {
     "criteria": "figures of merit of a population of fits",
     "models": "ground to image as named terms; poles, RPCs",
     "fits": "one fitted model: estimators, figures, residuals, diagnosis, inversion",
-    "adjustment": "equations, least squares, kernels, subsets",
+    "adjustment": "equations, least squares, kernels, subsets, shrinkage",
     "measurements": "features, roles, areas, coordinates, scaling, data sets",
     "options": "typed, documented options",
     "threads": "threads of linear algebra",

@@ -5,8 +5,8 @@ from __future__ import annotations
 from abc import abstractmethod
 from functools import cached_property
 
+from termsel.adjustment.monomials import Exponents, graded_exponents, monomial_name, monomials
 from termsel.measurements.features import FloatArray
-from termsel.models.monomials import Exponents, graded_exponents, monomial_name, monomials
 from termsel.models.quotient import Blocks, RationalModel
 from termsel.options import Option
 

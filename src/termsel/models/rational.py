@@ -8,8 +8,8 @@ from functools import cached_property
 import numpy as np
 
 from termsel.adjustment.equations import Equations
+from termsel.adjustment.monomials import RPC00B, Exponents, monomial_name, monomials
 from termsel.measurements.features import FeatureSet, FloatArray
-from termsel.models.monomials import RPC00B, Exponents, monomial_name, monomials
 from termsel.models.quotient import Blocks, RationalModel
 from termsel.models.terms import Term
 from termsel.options import Option

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from termsel.adjustment.monomials import RPC00B, monomials
 from termsel.errors import TermselError
 from termsel.fits.locate import Surface, locate
 from termsel.measurements.features import FloatArray
-from termsel.models.monomials import RPC00B, monomials
 
 Coefficients = tuple[float, ...]
 

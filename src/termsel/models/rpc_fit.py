@@ -8,13 +8,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from termsel.adjustment.monomials import RPC00B
 from termsel.errors import TermselError
 from termsel.fits.fit import Fit, fit
 from termsel.measurements.crs import WGS84, normalise, to_wgs84
 from termsel.measurements.features import BoolArray, FeatureSet, FloatArray, Points, select
 from termsel.measurements.scaling import scaling_of
 from termsel.models.base import SensorModel
-from termsel.models.monomials import RPC00B
 from termsel.models.rational import RationalFunctions
 from termsel.models.rpc import N_COEFFICIENTS, Rpc
 from termsel.models.terms import AXES, Term
