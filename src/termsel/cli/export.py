@@ -42,8 +42,11 @@ def export(folder: Path, to: str, output: Path, image: str | None, dem: str | No
 
     from termsel.io.export import export as write
     from termsel.io.export import writer_of
+    from termsel.io.replacing import require_replaceable
     from termsel.io.result_folder import read_result
 
-    writer_of(to, **options)  # report a mistake in these before the folder is read
+    # Report a mistake in these before the folder is read.
+    files = writer_of(to, **options).files(output)
+    require_replaceable(files, reads=[folder, *options.values()], overwrite=overwrite)
     write(read_result(folder), to, output, overwrite=overwrite, **options)
     click.echo(f"Written: {output}", err=True)

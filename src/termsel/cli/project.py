@@ -36,12 +36,13 @@ def project(folder: Path, points: Path, inverse: bool, dem: Path | None, height:
     show_messages()
 
     from termsel.errors import counted
-    from termsel.formats.atomic import require_new, write_text
+    from termsel.formats.atomic import write_text
     from termsel.io.project import project_table
+    from termsel.io.replacing import require_replaceable
     from termsel.io.result_folder import read_result
 
-    if output is not None and not overwrite:
-        require_new(output)
+    if output is not None:
+        require_replaceable([output], reads=[folder, points, dem], overwrite=overwrite)
     text, missed = project_table(read_result(folder), points, inverse=inverse, dem=dem,
                                  height=height)
     if output is None:

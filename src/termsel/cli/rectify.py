@@ -47,8 +47,10 @@ def rectify(folder: Path, image: Path, output: Path, dem: Path | None, height: f
     show_messages()
 
     from termsel.io.rectify import rectify as warp
+    from termsel.io.replacing import require_replaceable
     from termsel.io.result_folder import read_result
 
+    require_replaceable([output], reads=[folder, image, dem], overwrite=overwrite)
     result = read_result(folder)
     if dem is None and height is None and result.fit.model.uses_height:
         raise TermselError("the place of the image on the map depends on the height of the ground",

@@ -112,11 +112,18 @@ def run(
     show_messages()
 
     from termsel.io.export import export, writer_of
+    from termsel.io.replacing import require_replaceable
+    from termsel.io.result_folder import files_of_result
     from termsel.plugins.registry import registry
     from termsel.runs import run as running
 
     # A name that is not known is said before a long search.
     exported = {to: f"result{writer_of(to).suffix or f'.{to}'}" for to in exports}
+    if out is not None:
+        written = [file for to, name in exported.items()
+                   for file in writer_of(to).files(out / name)]
+        require_replaceable([*files_of_result(out), *written], overwrite=True,
+                            reads=[*files, dem, raster, image_lines, *options.values()])
     features = None
     if areas is not None and registry().get("problems", problem).control == "points":
         options.setdefault("areas_as", "centroid")

@@ -70,10 +70,13 @@ def stability(
     show_messages()
 
     from termsel.formats.atomic import write_text
+    from termsel.io.replacing import require_replaceable
     from termsel.io.result_folder import claim_folder
     from termsel.runs import stability as module
 
     if out is not None:
+        require_replaceable([out / "stability.json"], overwrite=True,
+                            reads=[points, dem, raster, *options.values()])
         claim_folder(out)
     features = None if points is None else read_files(
         points, None, options, crs=crs, format=form or (), dem=dem, raster=raster)

@@ -53,19 +53,6 @@ def atomic_path(path: Path | str) -> Iterator[Path]:
             temporary.unlink()
 
 
-def require_new(path: Path) -> None:
-    """Refuse to replace an existing file without permission.
-
-    Raises
-    ------
-    TermselError
-        If there is such a file.
-    """
-    if path.exists():
-        raise TermselError("this file already exists", file=path,
-                           hint="Choose another name, or add --overwrite.")
-
-
 def _cannot_write(path: Path | str, why: str) -> TermselError:
     return TermselError(f"cannot write this file: {why}", file=path,
                         hint="Check that the folder exists, is writable and has free space.")

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from termsel.errors import TermselError
-from termsel.formats.atomic import require_new
+from termsel.io.replacing import require_replaceable
 from termsel.plugins.registry import registry
 
 if TYPE_CHECKING:
@@ -64,7 +64,7 @@ def export(result: Result, to: str, path: Path | str, *, overwrite: bool = False
     ------
     TermselError
         If there is no such format or option, the format cannot hold this result, the file
-        exists and may not be replaced, or it cannot be written.
+        exists and may not be replaced, is read itself, or cannot be written.
     """
     path = Path(path)
     writer = writer_of(to, **options)
@@ -76,7 +76,6 @@ def export(result: Result, to: str, path: Path | str, *, overwrite: bool = False
         raise TermselError(f"the format {to} cannot hold this result",
                            hint=f"termsel describe {to} says what it needs. Formats that do: "
                                 f"{others}.")
-    if not overwrite:
-        for file in writer.files(path):
-            require_new(file)
+    require_replaceable(writer.files(path), reads=writer.options.values(),
+                        overwrite=overwrite)
     writer.write(result, path)

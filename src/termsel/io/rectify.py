@@ -13,12 +13,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from termsel.errors import TermselError
-from termsel.formats.atomic import atomic_path, require_new, write_text
+from termsel.formats.atomic import atomic_path, write_text
 from termsel.formats.heights import surface_of
 from termsel.formats.rasters import open_raster, require_rasterio
 from termsel.formats.rpc_files import rpc_items
 from termsel.formats.vrt import Picture, picture_for, vrt_text
 from termsel.formats.writers.grids import GeolocationVrt
+from termsel.io.replacing import require_replaceable
 from termsel.measurements.crs import LOCAL, horizontal, normalise
 from termsel.measurements.features import FloatArray
 from termsel.models.rpc_fit import GOOD, RpcFit, rpc_of
@@ -90,8 +91,7 @@ def rectify(
     """
     require_rasterio()
     image, output = Path(image), Path(output)
-    if not overwrite:
-        require_new(output)
+    require_replaceable([output], reads=[image, dem], overwrite=overwrite)
     if normalise(result.features.crs) == LOCAL:
         raise TermselError("a map requires a CRS, but the result has plane coordinates without one",
                            hint="State the CRS of the ground coordinates when you run termsel.")

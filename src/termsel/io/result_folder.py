@@ -38,11 +38,18 @@ from termsel.results.checksums import SEALS, of_features, of_record
 from termsel.results.result import SCHEMA, Outlier, Result
 
 RECORD, POINTS, LINES = "result.json", "points.csv", "lines.csv"
+RESIDUALS, SUMMARY = "residuals.csv", "summary.txt"
 _PENDING = ".termsel-pending"
 """Folder in that of a result, complete or not there: files that are newer than those next to it."""
 _UNFINISHED = ".termsel-unfinished-"
 
 RESIDUAL_COLUMNS = ("id", "kind", "role", "used", "residual_line", "residual_sample", "distance")
+
+
+def files_of_result(folder: Path) -> list[Path]:
+    """Return all files that a result in this folder may have."""
+    return [place / name for place in (folder, folder / _PENDING)
+            for name in (RECORD, POINTS, LINES, RESIDUALS, SUMMARY)]
 
 
 def claim_folder(folder: Path) -> None:
@@ -51,8 +58,8 @@ def claim_folder(folder: Path) -> None:
     Raises
     ------
     TermselError
-        If it cannot be made or written to, or has files of features that are not those of a result
-        and would be replaced.
+        If it cannot be made or written to, or has files that would be replaced and are not those
+        of a result.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -61,7 +68,7 @@ def claim_folder(folder: Path) -> None:
                            hint="Choose another --out.") from error
     if not os.access(folder, os.W_OK | os.X_OK):
         raise TermselError(f"cannot write to the folder {folder}", hint="Choose another --out.")
-    for name in (POINTS, LINES):
+    for name in (POINTS, LINES, RESIDUALS, SUMMARY):
         if (folder / name).exists() and not _place(folder, RECORD).exists():
             raise TermselError("the result would replace this file, which is not part of a result",
                                file=folder / name, hint="Choose another --out.")
@@ -102,8 +109,8 @@ def _write_files(result: Result, folder: Path) -> None:
         write_points_csv(features.points, folder / POINTS, features.crs)
     if len(features.lines):
         write_lines_csv(features.lines, folder / LINES, features.crs)
-    write_text(folder / "residuals.csv", residuals_csv(result))
-    write_text(folder / "summary.txt", result.summary())
+    write_text(folder / RESIDUALS, residuals_csv(result))
+    write_text(folder / SUMMARY, result.summary())
     write_text(folder / RECORD, result.to_json())
 
 

@@ -1,0 +1,86 @@
+"""Which files a command may replace: none that it reads, and no other without permission."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+from termsel.errors import TermselError
+from termsel.formats.rasters import open_raster
+from termsel.io.result_folder import files_of_result
+
+
+def require_replaceable(files: Iterable[Path], *, reads: Iterable[object] = (),
+                        overwrite: bool = False) -> None:
+    """Refuse to replace a file that is read, and any other without permission.
+
+    Call it before long work, with every file that is written and everything that is read.
+
+    Parameters
+    ----------
+    files : iterable of path
+        All files to write.
+    reads : iterable, optional
+        Everything that is read: paths of files and of folders of results, values of options;
+        what is not the name of a file does not matter. However a name is spelt (relative,
+        through links, in another case where the disk ignores it), the file counts. So do the
+        sources of a VRT.
+    overwrite : bool
+        Whether files that are not read may be replaced.
+
+    Raises
+    ------
+    TermselError
+        Naming the file; or if it cannot be told whether there is one.
+    """
+    there = [file for file in files if _there(file)]
+    if not there:
+        return
+    read = list(_sources(reads))
+    for file in there:
+        for source in read:
+            if file.samefile(source):
+                known = "" if str(source) == str(file) else f", as {source}"
+                raise TermselError(f"this command reads this file{known}, and would replace it",
+                                   file=file, hint="Choose another name for what is written.")
+    if not overwrite:
+        raise TermselError("this file already exists", file=there[0],
+                           hint="Choose another name, or add --overwrite.")
+
+
+def _there(path: Path) -> bool:
+    try:
+        return path.exists()
+    except OSError as error:  # a name that is too long, a folder without permission
+        raise TermselError(f"cannot write this file: {error.strerror or error}", file=path,
+                           hint="Choose another name or folder.") from error
+
+
+def _sources(reads: Iterable[object]) -> Iterator[Path]:
+    """Yield the files that are there, with those of results and the sources of VRTs."""
+    waiting = [Path(read) for read in reads if isinstance(read, str | Path)]
+    seen: set[Path] = set()
+    while waiting:
+        path = waiting.pop()
+        try:
+            if path in seen or not path.exists():
+                continue
+        except OSError:  # what cannot be found is not read
+            continue
+        seen.add(path)
+        yield path
+        if path.is_dir():
+            waiting += files_of_result(path)
+        elif _is_vrt(path):
+            with open_raster(path) as raster:
+                waiting += [Path(file) for file in raster.files]
+
+
+def _is_vrt(path: Path) -> bool:
+    if not path.is_file():
+        return False
+    try:
+        with path.open("rb") as file:
+            return b"<VRTDataset" in file.read(1024)
+    except OSError:
+        return False
