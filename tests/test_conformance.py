@@ -12,6 +12,7 @@ from termsel.criteria import CheckRmse, Ebic, Huber, KFold, Median, Press
 from termsel.criteria.losses import LOSS
 from termsel.errors import TermselError
 from termsel.measurements.features import FeatureSet, FloatArray, Points
+from termsel.models.helmert import Helmert2D
 from termsel.models.polynomial import Affine, Polynomial2D, Polynomial3D
 from termsel.models.projective import DLT2D, DLT3D, Projective2D
 from termsel.models.quotient import Blocks, RationalModel
@@ -72,6 +73,7 @@ SUITES: dict[str, tuple[Check, ...]] = {
     "projective2d": model_checks(Projective2D),
     "dlt2d": model_checks(DLT2D),
     "dlt3d": model_checks(DLT3D),
+    "helmert2d": model_checks(Helmert2D),
     "ga": solver_checks(GeneticAlgorithm, options=[{}, {"population": 21, "elite": 1}]),
     "ga-correlation": solver_checks(
         CorrelationSeededGA, options=[{}, {"population": 21, "preset": "case-1"}],

@@ -1,6 +1,7 @@
 """Sensor models: ground to image, as named terms."""
 
 from termsel.models.base import SensorModel
+from termsel.models.helmert import Helmert2D
 from termsel.models.polynomial import Affine, Polynomial2D, Polynomial3D
 from termsel.models.projective import DLT2D, DLT3D, Projective2D
 from termsel.models.quotient import Blocks, RationalModel
@@ -12,6 +13,7 @@ __all__ = [
     "DLT3D",
     "Affine",
     "Blocks",
+    "Helmert2D",
     "Polynomial2D",
     "Polynomial3D",
     "Projective2D",

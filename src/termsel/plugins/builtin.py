@@ -22,11 +22,13 @@ if TYPE_CHECKING:
 @hookimpl
 def termsel_models() -> Iterable[type[SensorModel]]:
     """Return the built-in sensor models."""
+    from termsel.models.helmert import Helmert2D
     from termsel.models.polynomial import Affine, Polynomial2D, Polynomial3D
     from termsel.models.projective import DLT2D, DLT3D, Projective2D
     from termsel.models.rational import RationalFunctions
 
-    return [RationalFunctions, Polynomial2D, Polynomial3D, Affine, Projective2D, DLT2D, DLT3D]
+    return [RationalFunctions, Polynomial2D, Polynomial3D, Affine, Projective2D, DLT2D, DLT3D,
+            Helmert2D]
 
 
 @hookimpl

@@ -1,0 +1,80 @@
+"""The plane similarity: shift, turn and one scale, with parameters that both image axes share."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import numpy as np
+
+from termsel.adjustment.equations import Equations
+from termsel.adjustment.lines import image_equations
+from termsel.measurements.crs import is_geographic
+from termsel.measurements.features import FeatureSet, FloatArray, IntArray
+from termsel.models.base import BOTH, LINE, SAMPLE, SensorModel
+from termsel.options import Option
+
+
+class Helmert2D(SensorModel):
+    """Plane similarity (Helmert transformation): a shift, a turn and one scale; 4 terms.
+
+    With X and Y in one unit on the ground,
+
+        sample = s + cos X - sin Y
+        line   = l - sin X - cos Y.
+
+    Lines count downwards and Y upwards, so that for turns of any angle this is the image of a map
+    seen from above, not its mirror image: cos is the scale times the cosine of the angle by which
+    the map is turned counter-clockwise. An image that is mirrored, or whose Y counts downwards as
+    the lines do, takes `mirrored`. Two points determine the model, and do not tell whether the
+    image is mirrored.
+
+    Longitude and latitude are brought to one unit at the middle of the control: X is multiplied
+    by the cosine of the latitude. Over more than a few degrees, fit in a projected CRS.
+
+    References
+    ----------
+    Helmert 1880, Die mathematischen und physikalischen Theorieen der höheren Geodäsie I.
+    """
+
+    name = "helmert2d"
+    uses_height = False
+    declared_options: ClassVar[tuple[Option, ...]] = (
+        Option("mirrored", False, "Whether the image is the mirror image of the ground seen from "
+                                  "above, or Y counts downwards.", bool),)
+
+    @property
+    def terms(self) -> tuple[str, ...]:
+        """Names of the terms."""
+        return "line.num:1", "sample.num:1", "cos", "sin"
+
+    @property
+    def axis(self) -> IntArray:
+        """Image axis of each term: the scale and the turn act on both."""
+        return np.array([LINE, SAMPLE, BOTH, BOTH], dtype=np.intp)
+
+    def equations(self, features: FeatureSet) -> Equations:
+        """Return the equations of points and of lines, which are exact."""
+        return image_equations(features, self._rows(features.points.ground),
+                               self._rows(features.lines.ground.reshape(-1, 3)), heights=False)
+
+    def project(self, coefficients: FloatArray, ground: FloatArray) -> FloatArray:
+        """Return image positions of ground points (see `SensorModel.project`)."""
+        return np.asarray(np.einsum("nak,...k->...na", self._rows(ground), coefficients))
+
+    def _rows(self, ground: FloatArray) -> FloatArray:
+        """Return the rows of line and sample over all terms, shape (n, 2, 4)."""
+        x, y = (ground[:, :2] * self._units()).T
+        y = -y if self.options["mirrored"] else y
+        one, none = np.ones_like(x), np.zeros_like(x)
+        return np.stack([np.stack([one, none, -y, -x], axis=1),
+                         np.stack([none, one, x, -y], axis=1)], axis=1)
+
+    def _units(self) -> FloatArray:
+        """Return what makes scaled X and Y one unit on the ground, the larger of them 1."""
+        if self.scaling is None:
+            return np.ones(2)
+        units = np.array(self.scaling.ground_scale[:2])
+        crs = self.scaling.fit_crs or self.crs
+        if crs and is_geographic(crs):
+            units[0] *= np.cos(np.radians(self.scaling.ground_offset[1]))
+        return np.asarray(units / units.max())
