@@ -69,7 +69,7 @@ def test_one_independent_point_is_a_point() -> None:
     assert judged(1.0, n=1) == ("The selection is no better than all lines (1.00 px against 1.00 "
                                 f"px) on 1 independent point.{NONE}")
     assert judge_choice(candidate("dlt"), None, rmse(1.0, 1), (), None) == (
-        "Leave-one-out over control and check chooses a DLT. The RMSE of 1 independent point, "
+        "From control and check auto chooses a DLT. The RMSE of 1 independent point, "
         "which took no part, is 1.00 px.")
 
 
@@ -81,20 +81,20 @@ def test_a_conventional_fit_that_is_not_determined_is_said_to_be() -> None:
 
 @pytest.mark.parametrize(("name", "mine", "theirs", "sentence"), [
     ("affine", 1.051, 1.0, "Use something plainer: an affine polynomial over control and check "
-     "together, which leave-one-out chooses, is 1.1 times better (1.00 px)."),
+     "together, which the rule of auto chooses, is 1.1 times better (1.00 px)."),
     ("affine", 1.049, 1.0, "It is no better than an affine polynomial over control and check "
-     "together, which leave-one-out chooses (1.00 px)."),
+     "together, which the rule of auto chooses (1.00 px)."),
     ("affine", 1.0, 1.049, "It is no better than an affine polynomial over control and check "
-     "together, which leave-one-out chooses (1.05 px)."),
+     "together, which the rule of auto chooses (1.05 px)."),
     ("affine", 1.0, 1.051, "It beats an affine polynomial over control and check together, which "
-     "leave-one-out chooses, by 1.1 times (1.05 px)."),
+     "the rule of auto chooses, by 1.1 times (1.05 px)."),
     ("shrunken-cubic", 4.0, 2.0, "Use --strategy auto instead: a shrunken cubic polynomial over "
-     "control and check together, which leave-one-out chooses, is 2.0 times better (2.00 px)."),
+     "control and check together, which the rule of auto chooses, is 2.0 times better (2.00 px)."),
     ("rfm-3", 4.0, 2.0, "Use --strategy auto instead: a third-order RFM over control and check "
-     "together, which leave-one-out chooses, is 2.0 times better (2.00 px)."),
+     "together, which the rule of auto chooses, is 2.0 times better (2.00 px)."),
     ("rfm-2", 4.0, 2.0, "Use something plainer: a second-order RFM over control and check "
-     "together, which leave-one-out chooses, is 2.0 times better (2.00 px).")])
-def test_the_selection_against_the_choice_of_leave_one_out(
+     "together, which the rule of auto chooses, is 2.0 times better (2.00 px).")])
+def test_the_selection_against_the_choice_of_auto(
         name: str, mine: float, theirs: float, sentence: str) -> None:
     others = (baseline("cubic", 0.001), baseline(name, theirs))
     text = judged(mine, mine, others=others, reference=name)
@@ -123,14 +123,14 @@ def candidate(name: str) -> Candidate:
 def test_a_choice_states_its_prediction_if_there_is_one() -> None:
     none = rmse(None)
     assert judge_choice(candidate("shrunken-cubic"), 0.8765, none, (), 0.5) == (
-        "Leave-one-out over control and check chooses a shrunken cubic polynomial, with a "
+        "From control and check auto chooses a shrunken cubic polynomial, with a "
         "predicted RMSE of 0.88 px. There are no independent points to confirm it.")
     assert judge_choice(candidate("affine"), None, none, (), 0.5) == (
-        "Leave-one-out over control and check chooses an affine polynomial. There are no "
+        "From control and check auto chooses an affine polynomial. There are no "
         "independent points to confirm it.")
 
 
-CHOSEN = ("Leave-one-out over control and check chooses a quadratic polynomial, with a predicted "
+CHOSEN = ("From control and check auto chooses a quadratic polynomial, with a predicted "
           "RMSE of 2.00 px. The RMSE of 20 independent points, which took no part, is 1.00 px.")
 
 

@@ -67,6 +67,56 @@ def test_auto_is_the_default_where_only_points_are_given(result: termsel.Result)
     assert result.rmse["check"].n == result.data["counts"]["check"] == 24
 
 
+def example() -> FeatureSet:
+    """Control and check points of the embedded scene."""
+    points = simulate_scene("ikonos-hamedan").points
+    return FeatureSet(points.take(np.array(points.roles) != "independent"), crs="EPSG:4979")
+
+
+def by_shrunken(one: str, other: str, judged: dict) -> float:
+    """Return by how many standard errors the logarithms of squared errors of one are smaller."""
+    gain = np.log(judged[other].squares) - np.log(judged[one].squares)
+    return float(gain.mean() / gain.std(ddof=1) * np.sqrt(len(gain)))
+
+
+@pytest.mark.parametrize(("features", "heights", "chosen"), [
+    (scene(48), True, "shrunken-quadratic"), (example(), True, "shrunken-cubic"),
+    (frame_camera(40), True, "dlt")])
+def test_the_reason_states_the_figures_that_decided(
+        features: FeatureSet, heights: bool, chosen: str) -> None:
+    found = choose(features, heights)
+    assert found is not None
+    judged = {one.name: one for one in found.judged}
+    assert found.chosen.name == chosen
+    cubic = by_shrunken("shrunken-cubic", "shrunken-quadratic", judged)
+    assert found.reason.startswith(
+        f"shrunken cubic is {'better' if cubic > 0 else 'worse'} than shrunken quadratic by "
+        f"{abs(cubic):.2g} standard errors; it must be better by more than 1. ")
+    against = "shrunken-cubic" if cubic > 1 else "shrunken-quadratic"
+    _, gain = max(((name, by_shrunken(name, against, judged)) for name in judged
+                      if name in ("dlt", "rfm-2", "rfm-3", "selected")), key=lambda one: one[1])
+    assert (gain > 3) == (chosen == "dlt")
+    words = "better" if gain > 0 else "worse"
+    assert (f"is {words} than {against.replace('-', ' ')} by {abs(gain):.2g} standard errors; it "
+            "must be better by more than 3.") in found.reason
+    least = min(judged, key=lambda name: judged[name].predicted)
+    assert ("is a limit of the shrunken polynomials" in found.reason) == (
+        least in ("affine", "quadratic", "cubic"))
+
+
+def test_the_page_states_the_reason_of_the_choice(result: termsel.Result) -> None:
+    assert result.strategy is not None
+    assert "<- " + result.strategy["reason"] in " ".join(result.summary().split())
+
+
+def test_without_shrunken_polynomials_the_least_error_is_the_reason() -> None:
+    features = simulate_scene("ikonos-hamedan", n_points=0, n_lines=60)
+    found = choose(features, True)
+    assert found is not None
+    assert found.chosen.predicted == min(one.predicted for one in found.judged)
+    assert found.reason == "It has the smallest leave-one-out RMSE."
+
+
 @pytest.mark.parametrize("asked", [
     {"solver": "stepwise"}, {"criterion": "press", "generations": 1},
     {"model": "affine", "generations": 1}, {"generations": 1}, {"evaluations": 100},
@@ -75,7 +125,7 @@ def test_a_method_asked_for_runs_as_it_is(asked: dict) -> None:
     found = termsel.run("rfm-terms", **asked)
     assert found.strategy is None
     assert found.solver == asked.get("solver", "ga")
-    assert "which leave-one-out chooses" in found.judgement
+    assert "which the rule of auto chooses" in found.judgement
 
 
 def test_options_of_the_data_leave_the_strategy(result: termsel.Result) -> None:

@@ -58,6 +58,11 @@ class Candidate:
         """True if it takes neither selection nor shrinkage, and is plainer than the full RFM."""
         return self.kind in ("contained", "plain")
 
+    @property
+    def label(self) -> str:
+        """What tables and short sentences call it."""
+        return self.short or self.name
+
     def model(self, heights: bool) -> SensorModel | None:
         """Return the model for features with heights, or without."""
         return self.with_heights if heights else self.without

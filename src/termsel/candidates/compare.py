@@ -24,7 +24,7 @@ class Comparison:
     baselines : tuple of Baseline
         Each fitted to control and check together.
     reference : str
-        Name of the one that leave-one-out over control and check chooses, without a look at
+        Name of the one that `choose` takes for control and check, without a look at
         the independent points; empty if none is determined.
     choice : Choice or None
         That choice.

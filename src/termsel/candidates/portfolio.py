@@ -5,6 +5,7 @@ Nothing here knows of roles: what it is given are features it may use.
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,12 +24,8 @@ BETTER, CLEARLY = 1.0, 3.0
 """Standard errors by which the logarithms of squared errors must be smaller: of the shrunken cubic
 than of the quadratic, and of what neither contains."""
 
-RULE = (f"The shrunken quadratic is chosen, unless the shrunken cubic is better by {BETTER:g} "
-        f"standard error, or a model of another kind by {CLEARLY:g}.")
-"""How `choose` chooses where there are shrunken polynomials, in a sentence."""
-
-LEAST = "The candidate with the smallest leave-one-out RMSE is chosen."
-"""How it chooses where there are none."""
+LEAST = "It has the smallest leave-one-out RMSE."
+"""Why a candidate is chosen where there are no shrunken polynomials."""
 
 MAX_FOLDS = 20
 """Folds in which the whole choice is repeated; with fewer points each is left out alone."""
@@ -76,10 +73,13 @@ class Choice:
     chosen : Judged
     judged : tuple of Judged
         All candidates the features determine with redundancy.
+    reason : str
+        Why this one, in sentences with the figures that decided.
     """
 
     chosen: Judged
     judged: tuple[Judged, ...]
+    reason: str
 
 
 def portfolio(heights: bool) -> tuple[Candidate, ...]:
@@ -174,13 +174,44 @@ def choose(control: FeatureSet, heights: bool) -> Choice | None:
                                    for candidate in portfolio(heights)) if one)
     if not judged:
         return None
-    shrunk = None
-    for one in judged:
-        if one.candidate.kind == "shrunken" and (shrunk is None or _gain(one, shrunk) > BETTER):
-            shrunk = one
-    rivals = [one for one in judged if shrunk is None or one is shrunk or (
-        one.candidate.kind not in ("contained", "shrunken") and _gain(one, shrunk) > CLEARLY)]
-    return Choice(min(rivals, key=lambda one: one.predicted), judged)
+    shrunken = [one for one in judged if one.candidate.kind == "shrunken"]
+    if not shrunken:
+        return Choice(min(judged, key=lambda one: one.predicted), judged, LEAST)
+    shrunk = shrunken[0]
+    for one in shrunken[1:]:
+        shrunk = one if _gain(one, shrunk) > BETTER else shrunk
+    others = [one for one in judged if one.candidate.kind not in ("contained", "shrunken")]
+    rivals = [shrunk, *(one for one in others if _gain(one, shrunk) > CLEARLY)]
+    chosen = min(rivals, key=lambda one: one.predicted)
+    return Choice(chosen, judged, _reason(chosen, shrunk, shrunken, others, judged))
+
+
+def _reason(chosen: Judged, shrunk: Judged, shrunken: Sequence[Judged], others: Sequence[Judged],
+            judged: Iterable[Judged]) -> str:
+    """Return why a candidate is chosen where there are shrunken polynomials."""
+    said = [f"{_compared(one, shrunken[0])}; it must be better by more than {BETTER:g}."
+            for one in shrunken[1:]]
+    if others:
+        nearest = chosen if chosen is not shrunk else max(
+            others, key=lambda one: _gain(one, shrunk))
+        smaller = " and have a smaller RMSE" * (nearest is not chosen
+                                                 and _gain(nearest, shrunk) > CLEARLY)
+        said.append(f"{_compared(nearest, shrunk)}; it must be better by more than "
+                    f"{CLEARLY:g}{smaller}.")
+    if said:
+        said.append("Standard errors are those of logarithms of squared leave-one-out errors.")
+    least = min(judged, key=lambda one: one.predicted)
+    if least.candidate.kind == "contained":
+        said.append(f"{least.candidate.label} is a limit of the shrunken polynomials, which find "
+                    "it where the points call for it.")
+    return " ".join(said) or LEAST
+
+
+def _compared(one: Judged, other: Judged) -> str:
+    """Return by how many standard errors a candidate is better or worse than another."""
+    gain = _gain(one, other)
+    return (f"{one.candidate.label} is {'better' if gain > 0 else 'worse'} than "
+            f"{other.candidate.label} by {abs(gain):.2g} standard errors")
 
 
 def _gain(one: Judged, other: Judged) -> float:

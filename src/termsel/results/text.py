@@ -7,7 +7,6 @@ from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 from termsel.candidates.candidate import named
-from termsel.candidates.portfolio import LEAST, RULE
 from termsel.errors import counted
 from termsel.fits.diagnosis import BEYOND, CORRELATED
 from termsel.fits.figures import LEAVE_ONE_OUT, ROLES
@@ -92,10 +91,8 @@ def _strategy(strategy: Mapping[str, Any], seconds: float) -> Iterator[str]:
         mark = " <-" if one["name"] == chosen else ""
         yield (f"{_title(one['name']):<24}{one['n_terms']:>6}"
                f"{one['effective']:>16.1f}{one['predicted']:>16.3f}{mark}")
-    shrunken = any(one.kind == "shrunken" for listed in strategy["candidates"]
-                   if (one := named(listed["name"])))
-    yield from textwrap.wrap(f"<- {RULE if shrunken else LEAST}", _WIDTH,
-                             subsequent_indent="   ")
+    if "reason" in strategy:  # records of version 0.1 do not say it
+        yield from textwrap.wrap(f"<- {strategy['reason']}", _WIDTH, subsequent_indent="   ")
     if predicted is not None:
         yield (f"The predicted RMSE is that of the whole choice, repeated in {strategy['folds']} "
                "folds.")
@@ -106,7 +103,7 @@ def _title(name: str) -> str:
     candidate = named(name)
     if candidate is None:
         return "conventional (all)" if name == "all-terms" else name
-    return candidate.short or name
+    return candidate.label
 
 
 def _certificate(certificate: Mapping[str, Any], exact: str) -> str:

@@ -119,7 +119,8 @@ def choose_for(request: Request, observations: Observations, seed: int) -> Resul
         diagnosis=diagnose(fitted),
         features=observations.features, versions=versions(),
         strategy={
-            "name": "auto", "chosen": chosen.name, "predicted": predicted, "folds": folds,
+            "name": "auto", "chosen": chosen.name, "reason": comparison.choice.reason,
+            "predicted": predicted, "folds": folds,
             "fitted_to": ["control", "check"],
             "candidates": [
                 {"name": one.name, "model": one.fit.model.name,

@@ -38,7 +38,7 @@ def judge(conventional: str, criterion: str, rmse: Mapping[str, Rmse | None],
     baselines : tuple of Baseline
         The conventional fit first.
     reference : str
-        Name of the baseline that leave-one-out over control and check chooses; may be empty.
+        Name of the baseline that the rule of auto chooses for control and check; may be empty.
     feasible : bool
     noise : float or None
         Standard deviation of the measurements [px], where it is known.
@@ -56,7 +56,7 @@ def judge(conventional: str, criterion: str, rmse: Mapping[str, Rmse | None],
     best = next((b for b in baselines if b.name == reference), None)
     candidate = named(reference)
     if best is not None and candidate is not None:
-        title = (f"{candidate.title} over control and check together, which leave-one-out "
+        title = (f"{candidate.title} over control and check together, which the rule of auto "
                  "chooses")
         ratio = _ratio(mine.total, _independent(best))
         if ratio > ALIKE:
@@ -93,7 +93,7 @@ def judge_choice(chosen: Candidate, predicted: float | None, rmse: Mapping[str, 
     """
     mine = rmse["independent"]
     expected = "" if predicted is None else f", with a predicted RMSE of {_px(predicted)}"
-    start = f"Leave-one-out over control and check chooses {chosen.title}{expected}."
+    start = f"From control and check auto chooses {chosen.title}{expected}."
     if mine is None:
         return f"{start} There are no independent points to confirm it."
     sentences = [start, f"The RMSE of {counted(mine.n, 'independent point')}, which took no part, "
