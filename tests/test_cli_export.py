@@ -198,7 +198,7 @@ def test_project_there_and_back(folder: Path, tmp_path: Path) -> None:
     code, _, err = _termsel("project", folder, "--points", pixels, "--inverse", "--height", "0",
                             "-o", pixels)
     assert code == 2
-    assert "this file already exists" in err
+    assert "this command reads this file, and would replace it" in err
     assert pixels.read_text() == out
     code, out, err = _termsel("project", folder, "--points", pixels, "--inverse", "--height",
                               "1000", "-o", back)
