@@ -113,10 +113,10 @@ def test_order_of_columns_is_free(tmp_path: Path) -> None:
     np.testing.assert_array_equal(points.ground, [[5.25, 44.5, 300]])
 
 
-def test_quoted_id_keeps_delimiters_and_line_ends(tmp_path: Path) -> None:
-    text = POINTS + '"a,\n""b""",,1,2,3,4,5\nc,,1,2,3,x,5\n'
+def test_quoted_cells_keep_delimiters_and_line_ends(tmp_path: Path) -> None:
+    text = "note," + POINTS + '"1\n2","a, ""b""",,1,2,3,4,5\n,c,,1,2,3,x,5\n'
     assert refusal(tmp_path, text).line == 4
-    assert read(tmp_path, text.replace("3,x", "3,9")).points.ids == ('a,\n"b"', "c")
+    assert read(tmp_path, text.replace("3,x", "3,9")).points.ids == ('a, "b"', "c")
 
 
 def test_sigma(tmp_path: Path) -> None:

@@ -7,6 +7,7 @@ import sys
 from types import TracebackType
 
 from termsel.cli.main import cli
+from termsel.errors import cut, printable
 from termsel.version import __version__
 
 FAULT = """\
@@ -28,7 +29,7 @@ def report_fault(
     if os.environ.get("TERMSEL_DEBUG") == "1":
         sys.__excepthook__(kind, error, trace)
     what = " ".join(f"{kind.__name__}: {error}".split()).rstrip(".: ")
-    print(FAULT.format(what=what, version=__version__), file=sys.stderr)
+    print(printable(FAULT.format(what=cut(what, 1000), version=__version__)), file=sys.stderr)
 
 
 def main() -> None:

@@ -2,8 +2,18 @@
 
 from __future__ import annotations
 
+import unicodedata
 from collections.abc import Iterable
 from difflib import get_close_matches
+
+_KEPT = frozenset("\u200c\u200d")
+"""Joiners within words of some scripts."""
+
+_SHOWN = frozenset(("Zs", "Co", "Cn"))
+"""Categories that only Python calls not printable: spaces, private and newer characters."""
+
+_LONGEST, _LONGEST_HINT, _LONGEST_COLUMN = 1000, 5000, 100
+"""Characters of each part of a message; a hint may list all formats."""
 
 
 class TermselError(Exception):
@@ -40,14 +50,60 @@ class TermselError(Exception):
         self.ids = tuple(ids)
 
     def __str__(self) -> str:
+        """Return the message as it can be shown: printable, and long cells without their middle."""
         where = [
-            str(self.file) if self.file is not None else "",
+            printable(str(self.file), kept="") if self.file is not None else "",
             f"line {self.line}" if self.line is not None else "",
-            f"column {self.column!r}" if self.column is not None else "",
+            f"column {cut(self.column, _LONGEST_COLUMN)!r}" if self.column is not None else "",
         ]
         place = ", ".join(part for part in where if part)
-        text = f"{place}: {self.what}" if place else self.what
-        return f"{text}. {self.hint}" if self.hint else text
+        what = cut(self.what, _LONGEST)
+        text = f"{place}: {what}" if place else what
+        return printable(f"{text}. {cut(self.hint, _LONGEST_HINT)}" if self.hint else text)
+
+
+def printable(text: str, kept: str = "\n\t") -> str:
+    """Return text as a terminal can show it, whatever a file or a name brought.
+
+    Control characters, which a terminal would obey, marks of direction, and halves of characters
+    are written as Python writes them: ``\\x1b``.
+
+    Parameters
+    ----------
+    text : str
+    kept : str
+        Control characters that stay.
+    """
+    if text.isprintable():
+        return text
+    return "".join(one if one in kept or is_printable(one)
+                   else one.encode("unicode_escape").decode("ascii") for one in text)
+
+
+def is_printable(text: str) -> bool:
+    """Return True for text without control characters, line breaks and what `printable` replaces.
+
+    Parameters
+    ----------
+    text : str
+    """
+    return text.isprintable() or all(
+        one.isprintable() or one in _KEPT or unicodedata.category(one) in _SHOWN for one in text)
+
+
+def cut(text: str, longest: int) -> str:
+    """Return text without its middle if it is longer than this.
+
+    Parameters
+    ----------
+    text : str
+    longest : int
+        Characters.
+    """
+    if len(text) <= longest:
+        return text
+    end = longest // 3
+    return f"{text[:longest - end - 5]} ... {text[len(text) - end:]}"
 
 
 MOST_NAMED = 40

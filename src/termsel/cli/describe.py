@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from termsel.cli.completion import complete
+from termsel.cli.messages import echo
 from termsel.cli.tables import print_table
 from termsel.errors import unknown_name
 
@@ -41,8 +42,8 @@ def describe(name: str) -> None:
         raise unknown_name("name", name, known, names.hint(name, *KINDS))
     for i, (kind, entry) in enumerate(found):
         if i:
-            click.echo()
-        click.echo(f"{entry.name}: {KINDS[kind].word} of {entry.provided_by}")
+            echo()
+        echo(f"{entry.name}: {KINDS[kind].word} of {entry.provided_by}")
         _DESCRIBE.get(kind, _describe_format)(entry)
 
 
@@ -51,16 +52,15 @@ def _describe_problem(entry: Entry) -> None:
 
     recipe = entry.object
     settings = "".join(f" --set {key}={value}" for key, value in recipe.model_options.items())
-    click.echo(f"\n{recipe.summary}")
+    echo(f"\n{recipe.summary}")
     _pairs({
         "model": f"{recipe.model}{settings}", "data set": recipe.dataset,
         "criterion": recipe.criterion, "solver": recipe.solver,
         "control": recipe.control, "source": recipe.source})
     _options(recipe.options)
-    click.echo("\nOptions of the data, for every problem:")
+    echo("\nOptions of the data, for every problem:")
     _option_table(DATA_OPTIONS)
-    click.echo("\nModel, solver and criterion have their own options: "
-               "termsel describe NAME.")
+    echo("\nModel, solver and criterion have their own options: termsel describe NAME.")
 
 
 def _describe_model(entry: Entry) -> None:
@@ -72,10 +72,10 @@ def _describe_model(entry: Entry) -> None:
     # A plugin's model may fail here; its description is still useful.
     terms, reason = attempt(lambda: list(entry.object().terms))
     if terms is None:
-        click.echo(f"\nTerms cannot be listed: {reason}")
+        echo(f"\nTerms cannot be listed: {reason}")
         return
-    click.echo(f"\nTerms at the default options: {len(terms)}")
-    click.echo(click.wrap_text(", ".join(terms), 78, "  ", "  "))
+    echo(f"\nTerms at the default options: {len(terms)}")
+    echo(click.wrap_text(", ".join(terms), 78, "  ", "  "))
 
 
 def _describe_solver(entry: Entry) -> None:
@@ -94,12 +94,12 @@ def _describe_criterion(entry: Entry) -> None:
 
 
 def _describe_dataset(entry: Entry) -> None:
-    click.echo(f"\n{entry.summary}")
+    echo(f"\n{entry.summary}")
     _pairs({"measurements": "simulated" if entry.object.simulated else "real"})
 
 
 def _describe_format(entry: Entry) -> None:
-    click.echo(f"\n{entry.summary}")
+    echo(f"\n{entry.summary}")
     _document(entry)
     _options(getattr(entry.object, "declared_options", ()))
 
@@ -113,23 +113,23 @@ def _document(entry: Entry) -> None:
     thing = entry.object
     text = (thing if isinstance(thing, type) else type(thing)).__doc__
     if text:
-        click.echo(f"\n{inspect.cleandoc(text)}")
+        echo(f"\n{inspect.cleandoc(text)}")
 
 
 def _pairs(values: dict[str, Any]) -> None:
     shown = {key: value for key, value in values.items() if value}
     width = max(map(len, shown))
-    click.echo()
+    echo()
     for key, value in shown.items():
-        click.echo(f"{key.capitalize() + ':':{width + 2}}{value}")
+        echo(f"{key.capitalize() + ':':{width + 2}}{value}")
 
 
 def _options(options: Iterable[Option]) -> None:
     options = tuple(options)
     if not options:
-        click.echo("\nNo options.")
+        echo("\nNo options.")
         return
-    click.echo("\nOptions:")
+    echo("\nOptions:")
     _option_table(options)
 
 

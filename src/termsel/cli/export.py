@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from termsel.cli.completion import complete
-from termsel.cli.messages import show_messages
+from termsel.cli.messages import echo, show_messages
 from termsel.cli.run import parse_settings
 
 
@@ -49,4 +49,4 @@ def export(folder: Path, to: str, output: Path, image: str | None, dem: str | No
     files = writer_of(to, **options).files(output)
     require_replaceable(files, reads=[folder, *options.values()], overwrite=overwrite)
     write(read_result(folder), to, output, overwrite=overwrite, **options)
-    click.echo(f"Written: {output}", err=True)
+    echo(f"Written: {output}", err=True)

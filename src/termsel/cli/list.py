@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import click
 
+from termsel.cli.messages import echo
 from termsel.cli.tables import print_json, print_table
 from termsel.plugins.kinds import KINDS
 
@@ -32,4 +33,4 @@ def list_(kind: str, as_json: bool) -> None:
         print_table(("name", "summary", "provided by"),
                     [(entry.name, entry.summary, entry.provided_by) for entry in entries])
     for failure in names.failures(kind):
-        click.echo(f"Warning: {failure}", err=True)
+        echo(f"Warning: {failure}", err=True)

@@ -6,6 +6,7 @@ Exit codes: 0 done; 2 the user can correct it; 1 a bug in termsel; 130 interrupt
 
 from __future__ import annotations
 
+import io
 import os
 import sys
 from collections.abc import Iterator, Sequence
@@ -15,6 +16,7 @@ from typing import Any
 
 import click
 
+from termsel.cli.messages import echo
 from termsel.errors import TermselError, unknown_name
 from termsel.plugins.commands import COMMANDS
 from termsel.version import __version__
@@ -107,13 +109,15 @@ class Commands(click.Group):
         try:
             value = super().main(args, prog_name, complete_var, False, **extra)
         except TermselError as error:
-            click.echo(f"Error: {error}", err=True)
+            echo(f"Error: {error}", err=True)
             sys.exit(CORRECTABLE)
         except click.ClickException as error:
-            error.show()
+            page = io.StringIO()
+            error.show(page)
+            echo(page.getvalue(), err=True, nl=False)
             sys.exit(CORRECTABLE)
         except (click.Abort, KeyboardInterrupt):
-            click.echo("Interrupted.", err=True)
+            echo("Interrupted.", err=True)
             sys.exit(INTERRUPTED)
         sys.exit(value if isinstance(value, int) else 0)
 

@@ -1,8 +1,31 @@
-"""Log messages of termsel, on stderr."""
+"""What commands say: all text goes to the terminal through `echo`, log messages through stderr."""
 
 from __future__ import annotations
 
 import logging
+
+import click
+
+from termsel.errors import printable
+
+
+def echo(text: str = "", *, err: bool = False, nl: bool = True) -> None:
+    """Print text, printable whatever names and files brought.
+
+    Parameters
+    ----------
+    text : str
+    err : bool
+        On stderr.
+    nl : bool
+        Whether a line end follows.
+    """
+    click.echo(printable(text), err=err, nl=nl)
+
+
+class _Printable(logging.Formatter):
+    def format(self, record: logging.LogRecord) -> str:
+        return printable(super().format(record))
 
 
 def show_messages() -> None:
@@ -10,6 +33,6 @@ def show_messages() -> None:
     logger = logging.getLogger("termsel")
     if not logger.handlers:
         handler = logging.StreamHandler()
-        handler.setFormatter(logging.Formatter("%(message)s"))
+        handler.setFormatter(_Printable("%(message)s"))
         logger.addHandler(handler)
         logger.setLevel(logging.INFO)

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from termsel.cli.messages import echo
 from termsel.cli.tables import print_json, print_table
 
 if TYPE_CHECKING:
@@ -46,11 +47,11 @@ def plugins(as_json: bool) -> None:
           " ".join(hook.removeprefix("termsel_") for hook in plugin.hooks))
          for plugin in names.plugins])
     for command in names.entries("commands"):
-        click.echo(f"Command {command.name!r} of {command.provided_by}: {command.summary}")
+        echo(f"Command {command.name!r} of {command.provided_by}: {command.summary}")
     for failure in failures:
-        click.echo(f"Broken: {failure}")
+        echo(f"Broken: {failure}")
     for note in notes:
-        click.echo(f"Note: {note}")
+        echo(f"Note: {note}")
 
 
 def _about(plugin: Plugin, remarks: list[Remark]) -> list[str]:

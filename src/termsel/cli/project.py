@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from termsel.cli.messages import show_messages
+from termsel.cli.messages import echo, show_messages
 
 
 @click.command()
@@ -46,10 +46,10 @@ def project(folder: Path, points: Path, inverse: bool, dem: Path | None, height:
     text, missed = project_table(read_result(folder), points, inverse=inverse, dem=dem,
                                  height=height)
     if output is None:
-        click.echo(text, nl=False)
+        echo(text, nl=False)
     else:
         write_text(output, text)
-        click.echo(f"Written: {output}", err=True)
+        echo(f"Written: {output}", err=True)
     if missed:
-        click.echo(f"Warning: no position was found for {counted(len(missed), 'point')}: "
-                   f"{', '.join(missed[:10])}{' ...' if len(missed) > 10 else ''}", err=True)
+        echo(f"Warning: no position was found for {counted(len(missed), 'point')}: "
+             f"{', '.join(missed[:10])}{' ...' if len(missed) > 10 else ''}", err=True)

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import click
 
-from termsel.cli.messages import show_messages
+from termsel.cli.messages import echo, show_messages
 from termsel.errors import TermselError
 
 
@@ -58,7 +58,7 @@ def rectify(folder: Path, image: Path, output: Path, dem: Path | None, height: f
     with _bar(quiet) as progress:
         warp(result, image, output, dem=dem, height=height, crs=crs, resolution=resolution,
              resampling=resampling, nodata=nodata, overwrite=overwrite, progress=progress)
-    click.echo(f"Written: {output}", err=True)
+    echo(f"Written: {output}", err=True)
 
 
 @contextmanager

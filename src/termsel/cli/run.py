@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from termsel.cli.completion import complete
-from termsel.cli.messages import show_messages
-from termsel.errors import TermselError
+from termsel.cli.messages import echo, show_messages
+from termsel.errors import TermselError, printable
 
 if TYPE_CHECKING:
     from termsel.measurements.features import FeatureSet
@@ -137,15 +137,14 @@ def run(
             model=model, solver=solver, criterion=criterion, options=options, seed=seed,
             generations=generations, evaluations=evaluations, seconds=seconds,
             observers=[observe] if observe else [], out=out)
-    click.echo(result.to_json() if as_json else result.summary(), nl=False)
+    echo(result.to_json() if as_json else result.summary(), nl=False)
     if out is not None:
-        click.echo(f"Written: {out}/result.json, residuals.csv, summary.txt", err=True)
+        echo(f"Written: {out}/result.json, residuals.csv, summary.txt", err=True)
         for to, name in exported.items():
             export(result, to, out / name, overwrite=True)
-            click.echo(f"Written: {out}/{name}", err=True)
+            echo(f"Written: {out}/{name}", err=True)
     if result.interrupted:
-        click.echo("Interrupted. The same command with the same seed repeats the same search.",
-                   err=True)
+        echo("Interrupted. The same command with the same seed repeats the same search.", err=True)
         sys.exit(INTERRUPTED)
 
 
@@ -211,11 +210,12 @@ class _Bar:
         from rich.progress import Progress as RichProgress
 
         self._bar = RichProgress(
-            TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:>3.0f}%"),
+            TextColumn("{task.description}", markup=False), BarColumn(),
+            TextColumn("{task.percentage:>3.0f}%"),
             TextColumn("best {task.fields[best]}"), TextColumn("{task.fields[count]} evaluations"),
             TimeElapsedColumn(), TimeRemainingColumn(), console=Console(stderr=True),
             transient=True)
-        self._task = self._bar.add_task(title, total=1.0, best="-", count=0)
+        self._task = self._bar.add_task(printable(title), total=1.0, best="-", count=0)
 
     def __enter__(self) -> Callable[[Progress], None]:
         self._bar.start()

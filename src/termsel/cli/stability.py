@@ -9,7 +9,7 @@ from pathlib import Path
 import click
 
 from termsel.cli.completion import complete
-from termsel.cli.messages import show_messages
+from termsel.cli.messages import echo, show_messages
 from termsel.cli.run import parse_settings, read_files, require_files
 from termsel.cli.tables import json_text, print_json, print_table
 from termsel.errors import TermselError
@@ -86,7 +86,7 @@ def stability(
         features=features)
     if out is not None:
         write_text(out / "stability.json", json_text(found.to_dict()))
-        click.echo(f"Written: {out}/stability.json", err=True)
+        echo(f"Written: {out}/stability.json", err=True)
     if as_json:
         print_json(found.to_dict())
         return
@@ -95,19 +95,19 @@ def stability(
         (found.terms[i], f"{found.frequency[i]:.2f}",
          "stable" if found.terms[i] in found.stable else "") for i in order])
     sizes = found.selections.sum(axis=1)
-    click.echo(f"\n{repeats} selections of {sizes.min()} to {sizes.max()} terms; "
-               f"{len(found.stable)} terms in at least {threshold:.0%} of them.")
+    echo(f"\n{repeats} selections of {sizes.min()} to {sizes.max()} terms; "
+         f"{len(found.stable)} terms in at least {threshold:.0%} of them.")
     independent = found.rmse.get("independent")
     if not found.determined:
-        click.echo("The stable terms alone are no model. Lower --threshold.")
+        echo("The stable terms alone are no model. Lower --threshold.")
     elif independent is not None:
-        click.echo(f"Fitted to control and check together: {independent.total:.3f} px on "
-                   f"{independent.n} independent points.")
+        echo(f"Fitted to control and check together: {independent.total:.3f} px on "
+             f"{independent.n} independent points.")
     others = [term for term in found.terms if term not in found.stable]
     if found.determined and others:
         data = {"--dataset": dataset, "--points": points, **of_points, "--model": model}
-        click.echo("For a result with the stable terms run\n"
-                   f"  {_command(problem, data, model, given, others)}")
+        echo("For a result with the stable terms run\n"
+             f"  {_command(problem, data, model, given, others)}")
 
 
 def _command(problem: str, data: Mapping[str, object], model: str | None,

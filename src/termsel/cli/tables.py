@@ -7,7 +7,8 @@ import sys
 from collections.abc import Sequence
 from typing import Any
 
-import click
+from termsel.cli.messages import echo
+from termsel.errors import printable
 
 
 def print_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
@@ -24,7 +25,7 @@ def print_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
     widths = [max(len(row[i]) for row in (header, *rows)) for i in range(len(header))]
     for row in (header, *rows):
         cells = (cell.ljust(width) for cell, width in zip(row, widths, strict=True))
-        click.echo("  ".join(cells).rstrip())
+        echo("  ".join(cells).rstrip())
 
 
 def _draw(header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
@@ -38,15 +39,17 @@ def _draw(header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
         table.add_column(title, no_wrap=i == 0, overflow="fold")
     for row in rows:
         # Text, as "[...]" in a summary is not markup.
-        table.add_row(*(Text(cell) for cell in row))
+        table.add_row(*(Text(printable(cell)) for cell in row))
     Console().print(table)
 
 
 def json_text(value: Any) -> str:
-    """Return a value as JSON with a line end."""
-    return json.dumps(value, indent=2, ensure_ascii=False) + "\n"
+    """Return a value as JSON with a line end, in ASCII where it has what no terminal may get."""
+    text = json.dumps(value, indent=2, ensure_ascii=False)
+    shown = printable(text) == text
+    return (text if shown else json.dumps(value, indent=2)) + "\n"
 
 
 def print_json(value: Any) -> None:
     """Print a value as JSON."""
-    click.echo(json_text(value), nl=False)
+    echo(json_text(value), nl=False)

@@ -27,6 +27,7 @@ from termsel.formats.readers.csv_tables import (
     write_lines_csv,
     write_points_csv,
 )
+from termsel.formats.readers.tables import guarded
 from termsel.measurements.crs import normalise
 from termsel.measurements.features import FeatureSet, no_lines, no_points
 from termsel.measurements.roles import by_roles
@@ -230,7 +231,7 @@ def residuals_csv(result: Result) -> str:
     table = csv.writer(text, lineterminator="\n")
     table.writerow(RESIDUAL_COLUMNS)
     for r in result.residuals:
-        table.writerow([r.id, r.kind, r.role, "yes" if r.used else "no", f"{r.line:.6g}",
+        table.writerow([guarded(r.id), r.kind, r.role, "yes" if r.used else "no", f"{r.line:.6g}",
                         f"{r.sample:.6g}", f"{r.distance:.6g}"])
     return text.getvalue()
 

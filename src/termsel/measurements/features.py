@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -11,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from termsel.errors import TermselError
+from termsel.measurements.ids import check_ids
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -28,18 +28,6 @@ def _frozen(values: ArrayLike, shape: tuple[int, ...], what: str) -> FloatArray:
         raise TermselError(f"{what} has shape {array.shape}, expected {shape}")
     array.setflags(write=False)
     return array
-
-
-def _check_unique(ids: Sequence[str], kind: str) -> None:
-    twice = [name for name, count in Counter(ids).items() if count > 1]
-    if twice:
-        raise TermselError(f"{kind} id {twice[0]!r} is used {Counter(ids)[twice[0]]} times",
-                           hint="Give every feature an id of its own.", ids=twice[:1])
-
-
-def _check_named(ids: Sequence[str], kind: str) -> None:
-    if not all(ids):
-        raise TermselError(f"a {kind} has no id", hint="Give every feature an id.")
 
 
 def _check_finite(values: FloatArray, ids: Sequence[str], kind: str, what: str) -> None:
@@ -89,7 +77,7 @@ class Points:
     Parameters
     ----------
     ids : sequence of str, length n
-        Unique names.
+        Unique names: printable, without line breaks, of at most 200 characters.
     image : array_like, shape (n, 2)
         Line and sample [px]; the centre of the upper-left pixel is (0, 0).
     ground : array_like, shape (n, 3)
@@ -102,8 +90,8 @@ class Points:
     Raises
     ------
     TermselError
-        For shapes that do not fit, values that are not finite, ids used twice, two points
-        at one place on the ground, or a role that does not exist.
+        For shapes that do not fit, values that are not finite, ids used twice or not printable,
+        two points at one place on the ground, or a role that does not exist.
     """
 
     ids: tuple[str, ...]
@@ -120,8 +108,7 @@ class Points:
         object.__setattr__(self, "roles", roles)
         object.__setattr__(self, "image", _frozen(self.image, (n, 2), "image of points"))
         object.__setattr__(self, "ground", _frozen(self.ground, (n, 3), "ground of points"))
-        _check_unique(ids, "point")
-        _check_named(ids, "point")
+        check_ids(ids, "point", unique=True)
         if n == 0:
             return
         _check_finite(self.image, ids, "point", "image coordinates")
@@ -200,7 +187,7 @@ class Lines:
         object.__setattr__(self, "ids", ids)
         object.__setattr__(self, "image", _frozen(self.image, (n, 2, 2), "image of lines"))
         object.__setattr__(self, "ground", _frozen(self.ground, (n, 2, 3), "ground of lines"))
-        _check_named(ids, "line")
+        check_ids(ids, "line", unique=False)
         if n == 0:
             return
         _check_finite(self.image, ids, "line", "image coordinates")

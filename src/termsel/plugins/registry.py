@@ -9,7 +9,7 @@ from functools import cache, partial
 from importlib.metadata import EntryPoint
 from typing import TYPE_CHECKING, Any
 
-from termsel.errors import unknown_name
+from termsel.errors import printable, unknown_name
 from termsel.options import Configurable
 from termsel.plugins.commands import COMMANDS
 from termsel.plugins.hookspecs import PROJECT
@@ -177,7 +177,7 @@ class Registry:
         for plugin, call in self._loader.implementations(hook):
             _, reason = attempt(partial(call, result=result))
             if reason is not None:
-                print(f"Warning: {plugin.remark(f'{hook}: {reason}')}", file=sys.stderr)
+                print(printable(f"Warning: {plugin.remark(f'{hook}: {reason}')}"), file=sys.stderr)
 
     def _collect(self, kind: str) -> Provided:
         """Return what is provided of a kind, asking plugins once."""

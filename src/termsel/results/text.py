@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 from termsel.candidates.candidate import named
-from termsel.errors import counted
+from termsel.errors import counted, printable
 from termsel.fits.diagnosis import BEYOND, CORRELATED
 from termsel.fits.figures import LEAVE_ONE_OUT, ROLES
 
@@ -25,8 +25,9 @@ def summary(record: Record) -> str:
     record : mapping
         The content of result.json.
     """
-    return "\n".join([*_head(record), "", *_table(record), "", *_front(record), *_foot(record)]
-                     ) + "\n"
+    # File names may have what a terminal would obey.
+    return printable("\n".join([*_head(record), "", *_table(record), "", *_front(record),
+                                *_foot(record)])) + "\n"
 
 
 def _offered(record: Record) -> tuple[int, int]:

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from termsel.errors import TermselError
 from termsel.formats.base import Reader, read_text
-from termsel.formats.readers.tables import Table
+from termsel.formats.readers.tables import Table, is_number
 from termsel.measurements.features import FeatureSet
 from termsel.options import Option
 
@@ -41,8 +41,8 @@ class AspGcp(Reader):
         text = head.decode("utf-8-sig", errors="replace")
         first = next((line for line in text.splitlines() if not _idle(line)), "")
         cells = _cells(first)
-        return (_fits(cells) and all(map(_is_number, cells[:7] + cells[8:12]))
-                and not _is_number(cells[7]))
+        return (_fits(cells) and all(map(is_number, cells[:7] + cells[8:12]))
+                and not is_number(cells[7]))
 
     def read(self, path: Path) -> FeatureSet:
         """Return the points; errors name file, line and column."""
@@ -86,11 +86,3 @@ def _cells(line: str) -> list[str]:
 
 def _fits(cells: list[str]) -> bool:
     return len(cells) >= 12 and (len(cells) - 7) % 5 == 0
-
-
-def _is_number(cell: str) -> bool:
-    try:
-        float(cell)
-    except ValueError:
-        return False
-    return True

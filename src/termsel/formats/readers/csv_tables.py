@@ -15,7 +15,15 @@ import numpy as np
 from termsel.errors import TermselError
 from termsel.formats.atomic import write_text
 from termsel.formats.base import Reader
-from termsel.formats.readers.tables import COLUMNS, USE, Aliases, declared, read_table, sniff_table
+from termsel.formats.readers.tables import (
+    COLUMNS,
+    USE,
+    Aliases,
+    declared,
+    guarded,
+    read_table,
+    sniff_table,
+)
 from termsel.measurements.features import FeatureSet, FloatArray, Lines, Points
 
 COORDINATES = {
@@ -177,6 +185,7 @@ def table_text(crs: str, header: list[str], texts: list[list[str]], values: Floa
 
 
 def _quoted(text: str) -> str:
+    text = guarded(text)
     # Unquoted, a line that begins with # would be a comment; csv.writer does not quote it.
     if re.search(r'[,;\t"\r\n#]', text):
         return '"' + text.replace('"', '""') + '"'

@@ -41,8 +41,11 @@ class Feature:
                             hint=hint)
 
     def text(self, name: str) -> str:
-        """Return a property as text, "" where it is missing or null."""
+        """Return a property as text, "" where it is missing or null; refuse lists and objects."""
         value = self.properties.get(name)
+        if isinstance(value, list | dict):
+            raise self.error("this property is a list or an object, expected text or a number",
+                             name)
         return "" if value is None else str(value).strip()
 
     def pixels(self, name: str = "ji") -> Any:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import csv
 import io
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import isfinite
 from pathlib import Path
@@ -20,6 +20,7 @@ from termsel.errors import TermselError, unknown_name
 from termsel.formats.base import located, read_text
 from termsel.measurements.crs import normalise
 from termsel.measurements.features import ROLES, FloatArray, Points
+from termsel.measurements.ids import refused
 from termsel.options import Option
 
 Aliases = Mapping[str, tuple[str, ...]]
@@ -36,6 +37,7 @@ _OPTIONAL = frozenset({"role", "enabled", "sigma_line", "sigma_sample", "sigma"}
 _ENABLED = {"": True, "1": True, "true": True, "yes": True, "on": True,
             "0": False, "false": False, "no": False, "off": False}
 _DECLARATION = re.compile(r"#\s*(crs|units?)\s*[:=](.*)", re.IGNORECASE)
+_FORMULA = re.compile(r"'*[=+\-@]")
 _UNITS = re.compile(r"(deg|degrees?|m|met(re|er)s?)", re.IGNORECASE)
 
 
@@ -73,9 +75,11 @@ class Table:
         """Return the ids, P1, P2, ... where the format has none."""
         if "id" not in self.columns:
             return [f"P{row + 1}" for row in range(len(self.lines))]
-        names = [cell.strip() for cell in self.columns["id"]]
-        if not all(names):
-            raise self.error("the id is blank", names.index(""), "id", "Give every feature an id.")
+        names = [unguarded(cell.strip()) for cell in self.columns["id"]]
+        for row, name in enumerate(names):
+            if wrong := refused(name):
+                raise self.error(f"the id {wrong}", row, "id", "Give every feature a short id of "
+                                                               "letters, digits and signs.")
         return names
 
     def points(self, image: FloatArray, ground: FloatArray, sigma: FloatArray | None,
@@ -177,18 +181,10 @@ class Table:
         raise AssertionError(f"no bad number in column {meaning!r}")
 
 
-def _split(text: str) -> tuple[list[str], dict[int, str]]:
-    """Return all lines, with comments blanked to keep their numbers, and the comments by number."""
-    lines = list(io.StringIO(text, newline=""))
-    comments = {i: line for i, line in enumerate(lines) if line[0] == "#"}
-    for i in comments:
-        lines[i] = "\n"
-    return lines, {i + 1: line for i, line in comments.items()}
-
-
-def _header(lines: Sequence[str]) -> tuple[str, str]:
-    """Return the first line that is not blank, and the delimiter."""
-    line = next((line for line in lines if line.strip()), "")
+def _header(text: str) -> tuple[str, str]:
+    """Return the first line that is neither blank nor a comment, and the delimiter."""
+    lines = io.StringIO(text, newline="")
+    line = next((line for line in lines if line.strip() and line[0] != "#"), "")
     return line, max(",;\t", key=line.count)
 
 
@@ -200,13 +196,45 @@ def _matches(header: Sequence[str],
             for meaning, names in aliases.items()}
 
 
+def guarded(text: str) -> str:
+    """Return a cell that no spreadsheet takes for a formula, as `unguarded` takes it back.
+
+    A spreadsheet runs text that begins with = + - or @, unless an apostrophe is in front of it.
+    Numbers stay as they are.
+
+    Parameters
+    ----------
+    text : str
+    """
+    return f"'{text}" if _FORMULA.match(text) and not is_number(text) else text
+
+
+def unguarded(text: str) -> str:
+    """Return a cell without the apostrophe that guards it.
+
+    Parameters
+    ----------
+    text : str
+    """
+    return text[1:] if text[:1] == "'" and _FORMULA.match(text) else text
+
+
+def is_number(text: str) -> bool:
+    """Return True for text that Python reads as a number."""
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
 def sniff_table(head: bytes, aliases: Aliases, needed: Sequence[str] = ()) -> bool:
     """Return True if a header names at least three columns of numbers, and all `needed`."""
     # Another encoding is recognised too, so that read() can say what is wrong with it.
     text = head.decode("utf-8-sig", errors="replace")
     if "\0" in text:
         return False
-    line, delimiter = _header(_split(text)[0])
+    line, delimiter = _header(text)
     matches = _matches(next(csv.reader([line], delimiter=delimiter), []), aliases)
     return all(matches[meaning] for meaning in needed) and sum(
         bool(columns) for meaning, columns in matches.items() if meaning not in USE) >= 3
@@ -258,12 +286,24 @@ def _declared_crs(path: Path, comments: Mapping[int, str]) -> str:
     return crs
 
 
-def _rows(path: Path, text: Sequence[str], delimiter: str) -> tuple[list[list[str]], list[int]]:
-    """Return the rows that are not blank and the line each begins on."""
-    reader = csv.reader(text, delimiter=delimiter, strict=True)
+def _rows(path: Path, text: str, delimiter: str,
+          ) -> tuple[list[list[str]], list[int], dict[int, str]]:
+    """Return the rows that are not blank, the line each begins on, and the comments by line."""
     rows: list[list[str]] = []
     lines: list[int] = []
+    comments: dict[int, str] = {}
     end = 0
+
+    def without_comments() -> Iterator[str]:
+        # The reader asks for the next line of a row before it gives the row, so that a line
+        # within quotation marks is not the one after the end of the last row.
+        for number, line in enumerate(io.StringIO(text, newline=""), 1):
+            if line[0] == "#" and number == end + 1:
+                comments[number] = line
+                line = "\n"
+            yield line
+
+    reader = csv.reader(without_comments(), delimiter=delimiter, strict=True)
     try:
         for row in reader:
             if any(map(str.strip, row)):  # spreadsheets leave empty cells after the data
@@ -274,7 +314,7 @@ def _rows(path: Path, text: Sequence[str], delimiter: str) -> tuple[list[list[st
         raise TermselError(f"the row that begins here cannot be read: {error}", file=path,
                            line=end + 1, hint='Look for a quotation mark (") that is not closed.'
                            ) from error
-    return rows, lines
+    return rows, lines, comments
 
 
 def declared(aliases: Aliases, columns: str) -> Aliases:
@@ -318,10 +358,10 @@ def read_table(path: Path, aliases: Aliases) -> Table:
     TermselError
         If the file is not such a table.
     """
-    text_lines, comments = _split(read_text(path))
+    text = read_text(path)
+    _, delimiter = _header(text)
+    rows, lines, comments = _rows(path, text, delimiter)
     crs = _declared_crs(path, comments)
-    _, delimiter = _header(text_lines)
-    rows, lines = _rows(path, text_lines, delimiter)
     if not rows:
         raise TermselError("the file has no table", file=path,
                            hint="It must begin with a header that names the columns.")
