@@ -15,7 +15,7 @@ from pathlib import Path
 from statistics import median
 
 from termsel.candidates.portfolio import choose
-from termsel.fits.fit import fit
+from termsel.fits.least_squares import fit
 from termsel.measurements.features import FeatureSet, Points
 from termsel.measurements.scaling import scaling_of
 from termsel.models.base import SensorModel

@@ -20,7 +20,8 @@ from typing import Any
 import numpy as np
 
 from termsel import FeatureSet, Task, prepare, run, simulate_scene
-from termsel.fits.fit import Fit, fit
+from termsel.fits.fit import Fit
+from termsel.fits.least_squares import fit
 from termsel.runs.assess import fit_of
 from termsel.simulate import scene_truth
 

@@ -182,15 +182,15 @@ def test_run_exports_into_its_folder(tmp_path: Path) -> None:
 
 def _table(text: str) -> np.ndarray:
     rows = [line.split(",") for line in text.splitlines() if not line.startswith("#")]
-    assert rows[0] == ["id", "line", "sample", "x", "y", "z"]
-    return np.array([[float(cell or "nan") for cell in row[1:]] for row in rows[1:]])
+    assert rows[0][:6] == ["id", "line", "sample", "x", "y", "z"]
+    return np.array([[float(cell or "nan") for cell in row[1:6]] for row in rows[1:]])
 
 
 def test_project_there_and_back(folder: Path, tmp_path: Path) -> None:
     result = read_result(folder)
     code, out, _ = _termsel("project", folder, "--points", folder / "points.csv")
     assert code == 0
-    assert out.startswith("# crs: EPSG:4979\nid,line,sample,x,y,z\nP001,")
+    assert out.startswith("# crs: EPSG:4979\nid,line,sample,x,y,z,")
     there = _table(out)
     assert np.array_equal(there[:, :2], result.project(result.features.points.ground))
     pixels, back = tmp_path / "pixels.csv", tmp_path / "ground.csv"
@@ -207,6 +207,16 @@ def test_project_there_and_back(folder: Path, tmp_path: Path) -> None:
     ground = _table(back.read_text())[:, 2:]
     assert (ground[:, 2] == 1000.0).all()
     assert np.abs(result.project(ground) - there[:, :2]).max() < 1e-6
+
+
+def test_project_tells_how_uncertain_each_place_is(folder: Path) -> None:
+    result = read_result(folder)
+    code, out, _ = _termsel("project", folder, "--points", folder / "points.csv")
+    assert code == 0
+    header, first = out.splitlines()[1:3]
+    assert header.split(",")[6:8] == ["uncertainty_line", "uncertainty_sample"]
+    np.testing.assert_allclose([float(cell) for cell in first.split(",")[6:8]],
+                               result.sigma(result.features.points.ground)[0])
 
 
 def test_project_says_which_rays_meet_no_ground(folder: Path, tmp_path: Path) -> None:

@@ -16,7 +16,7 @@ from click.testing import CliRunner
 import termsel
 from termsel.cli.main import cli
 from termsel.errors import TermselError
-from termsel.fits.fit import fit
+from termsel.fits.least_squares import fit
 from termsel.formats.readers.csv_tables import PointsCsv, write_points_csv
 from termsel.measurements.crs import height_reference, is_geocentric, to_wgs84, transformation
 from termsel.measurements.features import FeatureSet, Lines, Points

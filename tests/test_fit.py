@@ -11,7 +11,7 @@ import pytest
 
 import termsel
 from termsel.candidates.candidate import CANDIDATES
-from termsel.fits.fit import fit as low_level
+from termsel.fits.least_squares import fit as low_level
 from termsel.fits.residuals import Residuals
 from termsel.measurements.features import FeatureSet, Lines, Points, no_lines, no_points
 from termsel.measurements.scaling import scaling_of

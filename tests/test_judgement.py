@@ -8,7 +8,7 @@ import termsel
 from termsel.candidates.candidate import Candidate, named
 from termsel.errors import counted
 from termsel.fits.figures import Baseline
-from termsel.fits.fit import Rmse
+from termsel.fits.rmse import Rmse
 from termsel.runs.judge import judge, judge_choice, name_conventional
 
 

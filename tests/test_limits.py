@@ -15,7 +15,8 @@ from termsel.adjustment.solve import solve
 from termsel.errors import TermselError, unknown_name
 from termsel.fits.diagnosis import doubts, significance
 from termsel.fits.figures import in_role
-from termsel.fits.fit import LEAST_SQUARES, Fit
+from termsel.fits.fit import Fit
+from termsel.fits.least_squares import LEAST_SQUARES
 from termsel.measurements.crs import check_ground
 from termsel.measurements.features import FeatureSet, FloatArray, Lines, Points, join_points
 from termsel.measurements.places import beyond

@@ -9,7 +9,7 @@ from scipy.optimize import least_squares
 from termsel import prepare, simulate_scene
 from termsel.adjustment.equations import line_normals
 from termsel.adjustment.lines import row_weights
-from termsel.fits.fit import fit
+from termsel.fits.least_squares import fit
 from termsel.measurements.features import FeatureSet, Lines, Points, no_points
 from termsel.measurements.scaling import scaling_of
 from termsel.models.rational import RationalFunctions

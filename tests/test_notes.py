@@ -14,7 +14,8 @@ from termsel.candidates.blunders import Suspects
 from termsel.criteria import CheckRmse, Criterion, Press
 from termsel.fits.diagnosis import PARALLEL, orientation_spread
 from termsel.fits.extrapolation import warnings_of
-from termsel.fits.fit import LEAST_SQUARES, Fit, LeastSquares
+from termsel.fits.fit import Fit
+from termsel.fits.least_squares import LEAST_SQUARES, LeastSquares
 from termsel.measurements.features import FeatureSet, FloatArray, Lines, Points, no_lines
 from termsel.measurements.roles import Observations, by_roles
 from termsel.measurements.scaling import scaling_of

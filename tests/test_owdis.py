@@ -14,7 +14,7 @@ from scipy import stats
 import termsel
 from termsel.adjustment.equations import line_normals
 from termsel.fits.diagnosis import correlations, doubts, orientation_spread, significance
-from termsel.fits.fit import fit
+from termsel.fits.least_squares import fit
 from termsel.measurements.features import Lines
 from termsel.measurements.scaling import scaling_of
 from termsel.models.polynomial import Polynomial3D

@@ -14,7 +14,7 @@ import termsel
 from termsel.adjustment.equations import Equations
 from termsel.adjustment.ridge import Spectrum
 from termsel.adjustment.solve import solve
-from termsel.fits.fit import fit
+from termsel.fits.least_squares import fit
 from termsel.measurements.features import FeatureSet, Points
 from termsel.problems.base import Problem
 from termsel.simulate import simulate_scene

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from termsel import FeatureSet, Points
-from termsel.fits.fit import fit
+from termsel.fits.least_squares import fit
 from termsel.formats.rpc_files import rpb_text
 from termsel.measurements.scaling import scaling_of
 from termsel.models.rational import RationalFunctions

@@ -15,7 +15,7 @@ pytest.importorskip("termsel_hybrids", reason="termsel-hybrids is not installed:
 import termsel
 from termsel import FeatureSet, Lines, Points, SensorModel
 from termsel.adjustment import solve
-from termsel.fits.fit import fit
+from termsel.fits.least_squares import fit
 from termsel.models.projective import DLT2D
 from termsel.models.rpc_fit import rpc_of
 from termsel.plugins.registry import registry

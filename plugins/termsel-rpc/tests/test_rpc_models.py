@@ -15,7 +15,8 @@ pytest.importorskip("termsel_rpc", reason="termsel-rpc is not installed: "
 
 import termsel
 from termsel import FeatureSet, Lines, Points, Rpc, Scaling, SensorModel, TermselError, read_rpc
-from termsel.fits.fit import Fit, fit
+from termsel.fits.fit import Fit
+from termsel.fits.least_squares import fit
 from termsel.formats.rpc_files import rpb_text
 from termsel.measurements.scaling import scaling_of
 from termsel.models.rpc_fit import rpc_of

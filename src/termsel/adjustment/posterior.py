@@ -47,7 +47,8 @@ class Side:
 
     `evidence` and `square`, shape (g s,), make up prior and marginal likelihood, square^-nu/2
     exp(evidence); `left` is 1 minus the leverage of each point, `errors` are what the fit leaves,
-    shape (g s, n); `coefficients` are the shrunken ones, shape (g s, j).
+    shape (g s, n); `coefficients` are the shrunken ones, shape (g s, j); `free` is the target
+    along the free columns, shape (f,).
     """
 
     evidence: FloatArray
@@ -55,6 +56,7 @@ class Side:
     left: FloatArray
     errors: FloatArray
     coefficients: FloatArray
+    free: FloatArray
 
 
 def scales_of(exponents: FloatArray) -> FloatArray:
@@ -81,6 +83,10 @@ class Design:
     u : ndarray, shape (g, m, m)
     values : ndarray, shape (g, m)
     vt : ndarray, shape (g, m, k)
+    lead : ndarray, shape (f, f)
+        Triangle of the free columns.
+    cross : ndarray, shape (f, k)
+        What the shrunken columns have in common with them.
     """
 
     basis: FloatArray
@@ -88,6 +94,8 @@ class Design:
     u: FloatArray
     values: FloatArray
     vt: FloatArray
+    lead: FloatArray
+    cross: FloatArray
 
 
 def _design(columns: FloatArray, free: BoolArray, scales: FloatArray) -> Design | None:
@@ -101,8 +109,8 @@ def _design(columns: FloatArray, free: BoolArray, scales: FloatArray) -> Design 
             or (1.0 - (q[:, :count]**2).sum(axis=1)).min() < TOLERANCE:
         return None
     rest = r[count:, count:]
-    return Design(q[:, count:], q, *np.linalg.svd(rest * scales[:, None, :],
-                                                   full_matrices=False))
+    return Design(q[:, count:], q, *np.linalg.svd(rest * scales[:, None, :], full_matrices=False),
+                  r[:count, :count], r[:count, count:])
 
 
 def _solutions(design: Design, target: FloatArray, scales: FloatArray) -> Side:
@@ -123,7 +131,8 @@ def _solutions(design: Design, target: FloatArray, scales: FloatArray) -> Side:
         (beyond @ beyond + (part * along[:, None, :]).sum(axis=2)).ravel(),
         np.maximum(room + keep @ (u**2).transpose(0, 2, 1), TINY).reshape(-1, n),
         (beyond + part @ u.transpose(0, 2, 1)).reshape(-1, n),
-        (scales[:, None, :] * ((SIZES[:, None] * ratio * part) @ design.vt)).reshape(-1, k))
+        (scales[:, None, :] * ((SIZES[:, None] * ratio * part) @ design.vt)).reshape(-1, k),
+        design.explained[:, :len(design.lead)].T @ target)
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,12 +175,18 @@ class Posterior:
         Equations in use less the terms that are not shrunk.
     noise : float
         Sum of squares that counts as none.
+    designs : tuple of Design
+        Of line and of sample.
+    scales : ndarray, shape (g, k)
+        Of the shrunken coefficients for size 1.
     """
 
     sides: tuple[Side, Side]
     cells: Cells
     freedom: int
     noise: float
+    designs: tuple[Design, Design]
+    scales: FloatArray
 
     @property
     def square(self) -> FloatArray:
@@ -291,9 +306,10 @@ def posterior(columns: FloatArray, image: FloatArray, order: IntArray, weights: 
         designs = [_design(columns, order < 2, scales)] * 2
     else:
         designs = [_design(columns * w[:, None], order < 2, scales) for w in weights.T]
-    sides = [_solutions(design, image[:, axis] * weights[:, axis], scales)
-             for axis, design in enumerate(designs) if design is not None]
-    if len(sides) < 2 or freedom < 4:
+    of_line, of_sample = designs
+    if of_line is None or of_sample is None or freedom < 4:
         return None
-    line, sample = sides
-    return Posterior((line, sample), _cells(sides, freedom, noise), freedom, noise)
+    line, sample = (_solutions(design, target, scales) for design, target in zip(
+        (of_line, of_sample), (image * weights).T, strict=True))
+    return Posterior((line, sample), _cells([line, sample], freedom, noise), freedom, noise,
+                     (of_line, of_sample), scales)

@@ -12,7 +12,8 @@ from termsel.candidates.ridge import RidgeByOrder
 from termsel.candidates.selected import ForwardSelection
 from termsel.candidates.shrunken import Averaging
 from termsel.errors import TermselError
-from termsel.fits.fit import LEAST_SQUARES, Estimator, Fit
+from termsel.fits.fit import Estimator, Fit
+from termsel.fits.least_squares import LEAST_SQUARES
 from termsel.fits.of_features import control_of, require_determined
 from termsel.measurements.features import FeatureSet
 from termsel.measurements.scaling import Scaling, scaling_of

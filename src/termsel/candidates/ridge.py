@@ -8,8 +8,9 @@ from scipy import linalg
 from termsel.adjustment.parts import independent_parts
 from termsel.adjustment.ridge import Spectrum, choose_penalty
 from termsel.adjustment.solve import TOLERANCE
-from termsel.fits.fit import Estimator, Fit, LeastSquares
+from termsel.fits.fit import Estimator, Fit
 from termsel.fits.fittable import Fittable
+from termsel.fits.least_squares import LeastSquares
 from termsel.measurements.features import BoolArray, FeatureSet, FloatArray
 from termsel.measurements.scaling import Scaling
 from termsel.models.terms import Term

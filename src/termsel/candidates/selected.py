@@ -16,8 +16,9 @@ import numpy as np
 from termsel.adjustment.monomials import monomials
 from termsel.adjustment.solve import TOLERANCE
 from termsel.candidates.points import points_alone, weights_of
-from termsel.fits.fit import LEAST_SQUARES, Estimator, Fit, HeldOut, Undetermined
+from termsel.fits.fit import Estimator, Fit, HeldOut, Undetermined
 from termsel.fits.fittable import Fittable
+from termsel.fits.least_squares import LEAST_SQUARES
 from termsel.measurements.features import BoolArray, FeatureSet, FloatArray
 from termsel.measurements.scaling import Scaling
 from termsel.models.polynomial import Polynomial

@@ -26,7 +26,9 @@ def project(folder: Path, points: Path, inverse: bool, dem: Path | None, height:
     """Compute image positions of ground points, or ground positions of image points.
 
     DIR is the folder that a run wrote with --out. The output has the columns
-    id,line,sample,x,y,z; cells are blank where a ray does not meet the ground.
+    id,line,sample,x,y,z,uncertainty_line,uncertainty_sample; cells are blank where a ray does not
+    meet the ground. The uncertainties are standard deviations of the model's line and sample at
+    the place [px].
 
     \b
     Examples:

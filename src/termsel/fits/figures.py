@@ -8,8 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from termsel.fits.fit import GIVEN, Fit, Rmse
+from termsel.fits.fit import GIVEN, Fit
 from termsel.fits.residuals import Residuals, control_residuals, point_residuals
+from termsel.fits.rmse import Rmse
 from termsel.measurements.roles import Observations
 
 ROLES = ("control", "check", "independent")
@@ -93,7 +94,7 @@ def in_role(fitted: Fit, observations: Observations) -> Fit:
     if fitted.control is control:
         return fitted
     return replace(fitted, control=control, used=np.ones(len(control), dtype=bool),
-                   estimator=GIVEN, held_out=None)
+                   estimator=GIVEN, held_out=None, made=fitted)
 
 
 def figures(fitted: Fit, observations: Observations) -> dict[str, Rmse | None]:

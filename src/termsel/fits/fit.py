@@ -12,31 +12,16 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from termsel.adjustment.equations import line_normals
-from termsel.adjustment.parts import independent_parts
-from termsel.adjustment.solve import Adjustment, solve
+from termsel.adjustment.solve import Adjustment
 from termsel.errors import TermselError
-from termsel.fits.adjust import adjust
 from termsel.fits.fittable import Fittable
-from termsel.fits.leave_out import solutions_without_each
 from termsel.fits.locate import Surface, locate
 from termsel.fits.residuals import Residuals, control_residuals
+from termsel.fits.rmse import Rmse, rmse_of
+from termsel.fits.uncertainty import Spread, spread_of
 from termsel.measurements.features import BoolArray, FeatureSet, FloatArray, Points
 from termsel.measurements.scaling import Scaling, scaling_of
 from termsel.threads import one_blas_thread
-
-
-@dataclass(frozen=True)
-class Rmse:
-    """Root mean square errors [px] over n features.
-
-    `total` is sqrt(mean(dl^2 + ds^2)) over points. For control lines the error is the
-    distance of each projected ground vertex from the image line, taken along its normal.
-    """
-
-    line: float
-    sample: float
-    total: float
-    n: int
 
 
 class Undetermined(TermselError):
@@ -75,57 +60,22 @@ class Estimator(ABC):
             By an estimator that finds no solution.
         """
 
+    def spread(self, fitted: Fit, ground: FloatArray) -> Spread:
+        """Return the mean square errors of a fit at scaled places, shape (m, 3).
+
+        See `termsel.fits.uncertainty`, which judges any coefficients.
+        """
+        used = fitted.scaled_control.take(fitted.used)
+        image = fitted.model.predict(fitted.adjustment.coefficients, used, ground)
+        return spread_of(fitted.model, used, fitted.terms, fitted.adjustment, ground, image,
+                         least_squares=self.least_squares)
+
     def without_each(self, fitted: Fit) -> Iterator[Fit]:
         """Yield a fit of this estimator without each feature in use, by repeating it."""
         for out in np.flatnonzero(fitted.used):
             used = fitted.used.copy()
             used[out] = False
             yield self.fit(fitted.model, fitted.control, fitted.scaling, fitted.terms, used)
-
-
-@dataclass(frozen=True)
-class LeastSquares(Estimator):
-    """The coefficients of the least squares of distances in the image.
-
-    Parameters
-    ----------
-    iterated : bool
-        Whether to go on from equations that hold to first order to the least squares of
-        distances; else the fit is the one a search judges.
-    """
-
-    least_squares = True
-    iterated: bool = True
-
-    def fit(self, model: Fittable, control: FeatureSet, scaling: Scaling, terms: BoolArray,
-            used: BoolArray) -> Fit:
-        """Fit a model (see `Estimator.fit`); `Fit.determined` says whether there is one."""
-        model = model.prepared(scaling, control.crs)
-        features = scaling.features(control)
-        adjustment = (adjust(model, features, terms, used) if self.iterated
-                      else solve(model.equations(features), terms, used))
-        return Fit(model, scaling, control, terms, used, adjustment, self)
-
-    def without_each(self, fitted: Fit) -> Iterator[Fit]:
-        """Yield the fits without each feature, in closed form.
-
-        Where equations are not exact, they are those about the solution: each fit is then one
-        Gauss-Newton step away from it. Models that correct by their control are fitted again.
-        """
-        model, features = fitted.model, fitted.scaled_control
-        equations = (model.linearised(features, fitted.adjustment.coefficients)
-                     if self.iterated else None) or model.equations(features)
-        solutions = None if model.corrects else solutions_without_each(
-            independent_parts(equations, model.axis), fitted.terms, fitted.used)
-        if solutions is None:
-            yield from super().without_each(fitted)
-            return
-        for out in np.flatnonzero(fitted.used):
-            used = fitted.used.copy()
-            used[out] = False
-            # Of the adjustment, only the coefficients are those of the others.
-            yield replace(fitted, used=used, adjustment=replace(
-                fitted.adjustment, coefficients=solutions[out]))
 
 
 class Given(Estimator):
@@ -140,7 +90,7 @@ class Given(Estimator):
                            hint="Fit the model with termsel.fit to leave features out.")
 
 
-LEAST_SQUARES, GIVEN = LeastSquares(), Given()
+GIVEN = Given()
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,6 +127,8 @@ class Fit:
         shrunk.
     held_out : HeldOut, optional
         Errors without each point, where the estimator finds them on its way.
+    made : Fit, optional
+        The fit as it was made, where `control` is only a part of what it was fitted to.
     """
 
     model: Fittable
@@ -185,9 +137,10 @@ class Fit:
     terms: BoolArray
     used: BoolArray
     adjustment: Adjustment
-    estimator: Estimator = LEAST_SQUARES
+    estimator: Estimator
     trace: float | None = None
     held_out: HeldOut | None = None
+    made: Fit | None = None
 
     def __repr__(self) -> str:
         return f"<Fit of {self.model.name}: {self.terms.sum()} terms, {self.used.sum()} features>"
@@ -251,13 +204,46 @@ class Fit:
         TermselError
             If the array has another shape.
         """
-        places = np.asarray(ground, dtype=np.float64)
-        if places.ndim != 2 or places.shape[1] != 3:
-            raise TermselError(f"ground points have shape {places.shape}, expected (n, 3)")
+        places = _places(ground)
         used = self.scaling.features(self.control.take(self.used))
         scaled = self.model.predict(self.adjustment.coefficients, used,
                                     self.scaling.ground(places))
         image = self.scaling.pixels(scaled)
+        return self._known(image, places)
+
+    def sigma(self, ground: ArrayLike, *, measured: bool = False) -> FloatArray:
+        """Return the standard deviation of the error of `project`.
+
+        Of the model alone, not of the control's ground coordinates. For control points it holds
+        what other models they leave open, between and beyond them: see `termsel.fits.uncertainty`.
+        For control lines and for few points, the model's form is taken for true.
+
+        Parameters
+        ----------
+        ground : array_like, shape (n, 3)
+            As for `project`.
+        measured : bool
+            Whether to add the noise of a measurement at the place, with which measured minus
+            predicted is compared. The noise is taken to be that of the control.
+
+        Returns
+        -------
+        ndarray, shape (n, 2)
+            Of line and sample [px]; NaN as for `project`, and where the control has no
+            redundancy.
+
+        Raises
+        ------
+        TermselError
+            If the array has another shape.
+        """
+        made, places = self.made or self, _places(ground)
+        found = made.estimator.spread(made, made.scaling.ground(places))
+        variance = found.variance + found.noise if measured else found.variance
+        return self._known(np.sqrt(variance) * self.scaling.image_scale, places)
+
+    def _known(self, image: FloatArray, places: FloatArray) -> FloatArray:
+        """Return figures at places, and NaN where a coordinate that the model uses is unknown."""
         needed = places if self.model.uses_height else places[:, :2]
         image[~np.isfinite(needed).all(axis=1)] = np.nan
         return image
@@ -362,39 +348,15 @@ class Fit:
         return rmse_of(self.errors(points), len(points))
 
 
+def _places(ground: ArrayLike) -> FloatArray:
+    places = np.asarray(ground, dtype=np.float64)
+    if places.ndim != 2 or places.shape[1] != 3:
+        raise TermselError(f"ground points have shape {places.shape}, expected (n, 3)")
+    return places
+
+
 @one_blas_thread
 def _repeated(fitted: Fit) -> tuple[tuple[FloatArray, ...], bool]:
     others = list(fitted.estimator.without_each(fitted))
     return (tuple(other.control_errors(fitted.used & ~other.used) for other in others),
             all(other.determined for other in others))
-
-
-def rmse_of(errors: FloatArray, n: int) -> Rmse | None:
-    """Return the RMSE of errors, shape (..., 2), of n features; None without any."""
-    if not n:
-        return None
-    line, sample = np.sqrt((errors**2).mean(axis=0)).tolist()
-    return Rmse(line, sample, float(np.hypot(line, sample)), n)
-
-
-def fit(model: Fittable, control: FeatureSet, scaling: Scaling,
-        terms: BoolArray | None = None, used: BoolArray | None = None, *,
-        iterated: bool = True) -> Fit:
-    """Fit a model to control features by least squares, whether or not they determine it.
-
-    Parameters
-    ----------
-    model : Fittable
-    control : FeatureSet
-        In px and ground units.
-    scaling : Scaling
-    terms : ndarray of bool, shape (k,), optional
-        Terms in use; all by default.
-    used : ndarray of bool, shape (len(control),), optional
-        Features in use; all by default.
-    iterated : bool
-        As for `LeastSquares`.
-    """
-    terms = np.ones(len(model.terms), dtype=bool) if terms is None else terms
-    used = np.ones(len(control), dtype=bool) if used is None else used
-    return LeastSquares(iterated).fit(model, control, scaling, terms, used)

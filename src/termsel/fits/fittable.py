@@ -25,6 +25,10 @@ class Fittable(Protocol):
         """Image axis of each term, shape (k,)."""
 
     @property
+    def polynomial_degree(self) -> int | None:
+        """Degree of a polynomial of the ground coordinates; None for any other model."""
+
+    @property
     def corrects(self) -> bool:
         """True if the control corrects predictions directly."""
 

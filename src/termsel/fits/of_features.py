@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from termsel.errors import TermselError
-from termsel.fits.fit import LEAST_SQUARES, Fit, Undetermined
+from termsel.fits.fit import Fit, Undetermined
 from termsel.fits.fittable import Fittable
+from termsel.fits.least_squares import LEAST_SQUARES
 from termsel.measurements.features import FeatureSet
 from termsel.measurements.scaling import scaling_of
 from termsel.threads import one_blas_thread

@@ -44,7 +44,8 @@ def project_table(
     Returns
     -------
     text : str
-        CSV headed id,line,sample,x,y,z.
+        CSV headed id,line,sample,x,y,z,uncertainty_line,uncertainty_sample. The last two are
+        the standard deviations of what the model predicts there (see `termsel.Fit.sigma`).
     missed : tuple of str
         Ids of points without a place.
 
@@ -88,11 +89,15 @@ def project_table(
         with np.errstate(all="ignore"):
             image = result.project(ground)
         image[~np.isfinite(image)] = np.nan
-    values = np.concatenate([image, ground], axis=1)
+    with np.errstate(all="ignore"):
+        sigma = result.sigma(ground)
+    sigma[~np.isfinite(sigma)] = np.nan
+    values = np.concatenate([image, ground, sigma], axis=1)
     # Heights may be unknown; line, sample, x and y of what was found are not.
     missed = np.isnan(values[:, :4]).any(axis=1)
     ids = table.ids()
-    header = ["id", "line", "sample", "x", "y", "z"]
+    header = ["id", "line", "sample", "x", "y", "z", "uncertainty_line",
+              "uncertainty_sample"]
     text = table_text(crs, header, [[name] for name in ids], values)
     return text, tuple(name for name, gone in zip(ids, missed, strict=True) if gone)
 

@@ -15,10 +15,13 @@ from typing import Any
 
 import numpy as np
 
+from termsel.candidates.candidate import named
 from termsel.errors import TermselError
 from termsel.fits.diagnosis import Diagnosis, Doubts, Significance
 from termsel.fits.figures import Baseline, residuals_of
-from termsel.fits.fit import Fit, Rmse, fit
+from termsel.fits.fit import Fit
+from termsel.fits.least_squares import fit
+from termsel.fits.rmse import Rmse
 from termsel.formats.atomic import write_bytes, write_text
 from termsel.formats.base import located, read_text
 from termsel.formats.readers.csv_tables import (
@@ -30,7 +33,7 @@ from termsel.formats.readers.csv_tables import (
 from termsel.formats.readers.tables import guarded
 from termsel.measurements.crs import normalise
 from termsel.measurements.features import FeatureSet, no_lines, no_points
-from termsel.measurements.roles import by_roles
+from termsel.measurements.roles import by_roles, together
 from termsel.measurements.scaling import Scaling
 from termsel.models.base import SensorModel
 from termsel.plugins.registry import registry
@@ -290,11 +293,17 @@ def _fit(record: Mapping[str, Any], features: FeatureSet) -> Fit:
     if not np.allclose(fitted.adjustment.coefficients, coefficients):
         fitted = fitted.with_coefficients(coefficients)  # a solver's own, such as those of ridge
     # The figures of the record, whatever the rounding of this machine.
-    return replace(fitted, adjustment=replace(
+    fitted = replace(fitted, adjustment=replace(
         fitted.adjustment, coefficients=coefficients, deviations=deviations,
         n_terms=said["terms"], n_equations=said["equations"], rank=said["rank"],
         condition=float("inf") if said["condition"] is None else said["condition"],
         sigma0=_float(said["sigma0"]) / scaling.image_scale))
+    chosen = record["strategy"] and named(record["strategy"]["chosen"])
+    if not chosen:
+        return fitted
+    both = together(by_roles(features))
+    return replace(fitted, made=replace(fitted, control=both, estimator=chosen.estimator,
+                                        used=np.ones(len(both), dtype=bool)))
 
 
 def _diagnosis(record: Mapping[str, Any]) -> Diagnosis:

@@ -186,6 +186,11 @@ class SensorModel(Configurable, ABC):
         return None
 
     @property
+    def polynomial_degree(self) -> int | None:
+        """Total degree, if the model is a polynomial of the ground coordinates; else None."""
+        return None
+
+    @property
     def corrects(self) -> bool:
         """True if the control corrects predictions directly, not by the coefficients alone.
 

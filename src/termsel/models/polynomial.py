@@ -21,6 +21,11 @@ class Polynomial(RationalModel):
         """Exponents of X, Y, Z of each column."""
         return graded_exponents(int(self.options["degree"]), self.variables)
 
+    @property
+    def polynomial_degree(self) -> int | None:
+        """Total degree; None for a model that goes on from a polynomial."""
+        return None if self.corrects else max(map(sum, self.exponents))
+
     def blocks(self, ground: FloatArray) -> Blocks:
         """Return the monomials for both axes."""
         columns = monomials(ground, self.exponents)

@@ -10,7 +10,8 @@ import numpy as np
 
 from termsel.adjustment.monomials import RPC00B
 from termsel.errors import TermselError
-from termsel.fits.fit import Fit, fit
+from termsel.fits.fit import Fit
+from termsel.fits.least_squares import fit
 from termsel.measurements.crs import WGS84, normalise, to_wgs84
 from termsel.measurements.features import BoolArray, FeatureSet, FloatArray, Points, select
 from termsel.measurements.scaling import scaling_of

@@ -199,6 +199,10 @@ class Result:
         """Return where the fitted model sees ground points (see `termsel.Fit.project`)."""
         return self.fit.project(ground)
 
+    def sigma(self, ground: ArrayLike, *, measured: bool = False) -> FloatArray:
+        """Return the standard deviation of the error of `project` (see `termsel.Fit.sigma`)."""
+        return self.fit.sigma(ground, measured=measured)
+
     def locate(self, image: ArrayLike, height: ArrayLike | Surface) -> FloatArray:
         """Return the ground points seen at image points, by the fitted model.
 

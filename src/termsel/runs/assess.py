@@ -12,7 +12,8 @@ from termsel.candidates.compare import compare
 from termsel.candidates.ridge import RidgeByOrder
 from termsel.fits.diagnosis import Doubts, diagnose
 from termsel.fits.figures import baseline, figures, plain_rmse, residuals_of
-from termsel.fits.fit import Fit, fit
+from termsel.fits.fit import Fit
+from termsel.fits.least_squares import fit
 from termsel.measurements.features import BoolArray
 from termsel.models.poles import guard_points, pole_violation
 from termsel.problems.base import Selection

@@ -12,7 +12,9 @@ from termsel.errors import counted
 from termsel.fits.diagnosis import PARALLEL, orientation_spread
 from termsel.fits.extrapolation import warnings_of
 from termsel.fits.figures import Baseline
-from termsel.fits.fit import Fit, Rmse, fit
+from termsel.fits.fit import Fit
+from termsel.fits.least_squares import fit
+from termsel.fits.rmse import Rmse
 from termsel.measurements.roles import Observations
 from termsel.problems.base import Genome
 from termsel.solvers.search import Search

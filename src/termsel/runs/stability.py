@@ -10,7 +10,8 @@ import numpy as np
 
 from termsel.errors import TermselError
 from termsel.fits.figures import Rmses, figures, in_role, plain_rmse
-from termsel.fits.fit import Rmse, fit
+from termsel.fits.least_squares import fit
+from termsel.fits.rmse import Rmse
 from termsel.measurements.features import BoolArray, FeatureSet, FloatArray, select
 from termsel.measurements.roles import together
 from termsel.measurements.scaling import scaling_of

@@ -1,0 +1,88 @@
+"""The least squares of distances in the image, as an estimator and as a verb."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from termsel.adjustment.parts import independent_parts
+from termsel.adjustment.solve import solve
+from termsel.fits.adjust import adjust
+from termsel.fits.fit import Estimator, Fit
+from termsel.fits.fittable import Fittable
+from termsel.fits.leave_out import solutions_without_each
+from termsel.measurements.features import BoolArray, FeatureSet
+from termsel.measurements.scaling import Scaling
+
+
+@dataclass(frozen=True)
+class LeastSquares(Estimator):
+    """The coefficients of the least squares of distances in the image.
+
+    Parameters
+    ----------
+    iterated : bool
+        Whether to go on from equations that hold to first order to the least squares of
+        distances; else the fit is the one a search judges.
+    """
+
+    least_squares = True
+    iterated: bool = True
+
+    def fit(self, model: Fittable, control: FeatureSet, scaling: Scaling, terms: BoolArray,
+            used: BoolArray) -> Fit:
+        """Fit a model (see `Estimator.fit`); `Fit.determined` says whether there is one."""
+        model = model.prepared(scaling, control.crs)
+        features = scaling.features(control)
+        adjustment = (adjust(model, features, terms, used) if self.iterated
+                      else solve(model.equations(features), terms, used))
+        return Fit(model, scaling, control, terms, used, adjustment, self)
+
+    def without_each(self, fitted: Fit) -> Iterator[Fit]:
+        """Yield the fits without each feature, in closed form.
+
+        Where equations are not exact, they are those about the solution: each fit is then one
+        Gauss-Newton step away from it. Models that correct by their control are fitted again.
+        """
+        model, features = fitted.model, fitted.scaled_control
+        equations = (model.linearised(features, fitted.adjustment.coefficients)
+                     if self.iterated else None) or model.equations(features)
+        solutions = None if model.corrects else solutions_without_each(
+            independent_parts(equations, model.axis), fitted.terms, fitted.used)
+        if solutions is None:
+            yield from super().without_each(fitted)
+            return
+        for out in np.flatnonzero(fitted.used):
+            used = fitted.used.copy()
+            used[out] = False
+            # Of the adjustment, only the coefficients are those of the others.
+            yield replace(fitted, used=used, adjustment=replace(
+                fitted.adjustment, coefficients=solutions[out]))
+
+
+LEAST_SQUARES = LeastSquares()
+
+
+def fit(model: Fittable, control: FeatureSet, scaling: Scaling,
+        terms: BoolArray | None = None, used: BoolArray | None = None, *,
+        iterated: bool = True) -> Fit:
+    """Fit a model to control features by least squares, whether or not they determine it.
+
+    Parameters
+    ----------
+    model : Fittable
+    control : FeatureSet
+        In px and ground units.
+    scaling : Scaling
+    terms : ndarray of bool, shape (k,), optional
+        Terms in use; all by default.
+    used : ndarray of bool, shape (len(control),), optional
+        Features in use; all by default.
+    iterated : bool
+        As for `LeastSquares`.
+    """
+    terms = np.ones(len(model.terms), dtype=bool) if terms is None else terms
+    used = np.ones(len(control), dtype=bool) if used is None else used
+    return LeastSquares(iterated).fit(model, control, scaling, terms, used)

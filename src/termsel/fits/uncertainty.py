@@ -1,0 +1,146 @@
+"""How uncertain a fitted model is at any place.
+
+The truth is believed to be a shrunken cubic polynomial (see `termsel.adjustment.posterior`): its
+posterior, given the same control points, says how likely each other course of the image is
+between and beyond them. The mean square error of any fit at a place is the variance of that
+posterior there, and the square of the distance of the fit from its mean. A model of a kind that
+the polynomial does not contain, and that predicts left-out control better, is judged by the
+propagation of the noise through its own adjustment, as is one of lines or of few points.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from termsel.adjustment.foresight import foresee
+from termsel.adjustment.monomials import graded_exponents, monomials
+from termsel.adjustment.posterior import Posterior, posterior, scales_of
+from termsel.adjustment.solve import Adjustment
+from termsel.fits.fittable import Fittable
+from termsel.measurements.features import BoolArray, FeatureSet, FloatArray
+
+DEGREE = 3
+"""Degree of the polynomial that the truth is believed to be; that of the model, if higher."""
+
+STEP = 1e-6
+"""Change of a coefficient, in scaled coordinates, by which a prediction is differentiated."""
+
+
+@dataclass(frozen=True, eq=False)
+class Spread:
+    """Mean square errors of predictions, in scaled coordinates.
+
+    Parameters
+    ----------
+    variance : ndarray, shape (m, 2)
+        Of line and sample, without the noise of a measurement at the place.
+    noise : ndarray, shape (2,)
+        Variance of that noise, for measurements of unit weight.
+    """
+
+    variance: FloatArray
+    noise: FloatArray
+
+
+def spread_of(model: Fittable, control: FeatureSet, terms: BoolArray, adjustment: Adjustment,
+              ground: FloatArray, image: FloatArray, *, least_squares: bool) -> Spread:
+    """Return the mean square errors of what a fit predicts.
+
+    Parameters
+    ----------
+    model : Fittable
+        Prepared.
+    control : FeatureSet
+        Features in use, in scaled coordinates.
+    terms : ndarray of bool, shape (k,)
+    adjustment : Adjustment
+    ground : ndarray, shape (m, 3)
+        Scaled.
+    image : ndarray, shape (m, 2)
+        What the fit predicts there, scaled.
+    least_squares : bool
+        Whether the coefficients are those of least squares.
+
+    Returns
+    -------
+    Spread
+        NaN where the control has no redundancy.
+    """
+    believed = None if len(control.lines) else _Belief.of(model, control)
+    if believed is None:
+        return _propagated(model, control, terms, adjustment, ground)[0] if least_squares else \
+            _unknown(len(ground))
+    if least_squares and model.polynomial_degree is None:
+        own, press = _propagated(model, control, terms, adjustment, ground)
+        if press < believed.press():
+            return own
+    return believed.spread(ground, image)
+
+
+@dataclass(frozen=True, eq=False)
+class _Belief:
+    """A shrunken polynomial of the control points, and where it can be looked up."""
+
+    found: Posterior
+    degree: int
+    variables: int
+
+    @classmethod
+    def of(cls, model: Fittable, control: FeatureSet) -> _Belief | None:
+        """Return what is believed; None if the points do not determine an affine model."""
+        degree = max(DEGREE, model.polynomial_degree or 0)
+        points, variables = control.points, 3 if model.uses_height else 2
+        exponents = np.array(graded_exponents(degree, variables))
+        order = exponents.sum(axis=1)
+        weights = None if points.sigma is None else np.median(points.sigma) / points.sigma
+        found = posterior(_columns(points.ground, degree, variables), points.image, order, weights,
+                          scales_of(exponents[order > 1]), len(points))
+        return None if found is None else cls(found, degree, variables)
+
+    def spread(self, ground: FloatArray, image: FloatArray) -> Spread:
+        """Return the mean square errors of predictions at places."""
+        columns = _columns(ground, self.degree, self.variables)
+        there = foresee(self.found, columns[:, :self.variables + 1],
+                        columns[:, self.variables + 1:])
+        return Spread(there.variance + (image - there.image) ** 2, np.full(2, there.noise))
+
+    def press(self) -> float:
+        """Return the sum of squared errors of the points, each by the others."""
+        errors = [self.found.without(i).error for i in range(len(self.found.sides[0].errors.T))]
+        return float((np.array(errors) ** 2).sum())
+
+
+def _columns(ground: FloatArray, degree: int, variables: int) -> FloatArray:
+    return monomials(ground, graded_exponents(degree, variables))
+
+
+def _unknown(count: int) -> Spread:
+    return Spread(np.full((count, 2), np.nan), np.full(2, np.nan))
+
+
+def _propagated(model: Fittable, control: FeatureSet, terms: BoolArray, adjustment: Adjustment,
+                ground: FloatArray) -> tuple[Spread, float]:
+    """Return the noise propagated through an adjustment, and its sum of squared held-out errors.
+
+    Of a model that corrects predictions by its control it is that of the uncorrected ones, which
+    are worse.
+    """
+    if not adjustment.feasible or not adjustment.redundancy > 0:
+        return _unknown(len(ground)), np.inf
+    x = adjustment.coefficients
+    equations = model.linearised(control, x) or model.equations(control)
+    held, right = equations.take(np.ones(len(equations.b), dtype=bool), terms).held()
+    q, r = np.linalg.qr(held)
+    errors = (right - held @ x[terms])[:len(equations.b)]
+    left = np.maximum(1.0 - (q[:len(errors)] ** 2).sum(axis=1), np.finfo(float).eps)
+    steps = STEP * np.maximum(1.0, np.abs(x[terms]))
+    moved = np.repeat(x[None], len(steps), axis=0)
+    moved[:, terms] += np.diag(steps)
+    back = 2 * x - moved
+    slopes = (model.project(moved, ground) - model.project(back, ground)) \
+        / (2 * steps[:, None, None])                                           # (k, m, 2)
+    along = np.linalg.solve(r.T, slopes.reshape(len(steps), -1))
+    variance = adjustment.sigma0**2 * (along**2).sum(axis=0).reshape(-1, 2)
+    return Spread(variance, np.full(2, adjustment.sigma0**2)), float(((errors / left) ** 2).sum())
