@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
@@ -16,7 +17,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from termsel.errors import TermselError
 from termsel.formats.readers.csv_tables import write_lines_csv, write_points_csv
+from termsel.measurements.features import select
+from termsel.runs.run import run as termsel_run
 from termsel.simulate import simulate_scene
 
 QUICK = ["--generations", "3", "--set", "population=30"]
@@ -234,7 +238,20 @@ BAD_WORDS = {
                       "Invalid value for '--seed': -1 is not in the range x>=0."),
     "no generations": (["--problem", "rfm-terms", "--generations", "0"],
                        "Invalid value for '--generations': 0 is not in the range x>=1."),
-    "no problem": ([], "Missing option '--problem'."),
+    "nothing to run": ([], "there is nothing to run. Give --points FILE or --lines FILE, or "),
+    "off without a feature": (["--problem", "poly-terms", "--off", "P001,P999"],
+                              "unknown feature 'P999'."),
+    "role of no feature": (["--problem", "poly-terms", "--role", "P999=check"],
+                           "unknown feature 'P999'."),
+    "no role": (["--problem", "poly-terms", "--role", "P001=best"],
+                "role 'P001=best' is not of the form ID=ROLE. For example P07=check. Roles are "),
+    "two roles": (["--problem", "poly-terms", "--role", "P001=check", "--off", "P001"],
+                  "'P001' is given the roles off and check. Give it one role."),
+    "role of a line": (["--problem", "owdis-lines", "--role", "L001=check"],
+                       "'L001' is a line and cannot have the role check."),
+    "role and other roles": (
+        ["--problem", "poly-terms", "--role", "P001=check", "--set", "roles=random"],
+        "the options role and roles=random exclude each other."),
     "crs without a file": (
         ["--problem", "rfm-terms", "--crs", "local"],
         "--crs requires --points or --lines. Give --points FILE, or leave --crs out."),
@@ -254,6 +271,67 @@ def test_bad_words_give_one_message_and_code_2(kind: str, call: Call) -> None:
     assert done.stdout == ""
     assert message in done.stderr
     assert "Traceback" not in done.stderr
+
+
+def test_points_and_lines_are_left_out_and_given_roles(files: Path, call: Call) -> None:
+    words = ["run", "--problem", "owdis-lines", "--points", files / "points.csv", "--lines",
+             files / "lines.csv", "--crs", "EPSG:4979", "--json", *QUICK]
+    plain, named = (json.loads(call(*words, *more).stdout) for more in (
+        [], ["--off", "P003,L027", "--off", "P005", "--role", "P001=check",
+             "--role", "P002=independent"]))
+    assert named["options"]["data"]["off"] == "P003,L027,P005"
+    assert named["options"]["data"]["role"] == "P001=check,P002=independent"
+    assert {"P003", "P005"} <= set(named["data"]["roles"]["off"])
+    assert "P001" in named["data"]["roles"]["check"]
+    assert "P002" in named["data"]["roles"]["independent"]
+    assert set(plain["data"]["roles"]["control"]) - set(named["data"]["roles"]["control"]) == {
+        "L027"}
+    assert plain["options"]["data"]["off"] is None
+
+
+def test_what_is_off_is_as_if_it_had_not_been_measured() -> None:
+    features = simulate_scene("ikonos-hamedan")
+    points = features.points
+    gone = select(points.ids, np.array(points.roles) == "check")[:3]
+    less = features.with_(points=points.take([name not in gone for name in points.ids]))
+    named, without = (termsel_run(
+        "poly-terms", features=one, generations=2, options=options).to_dict()
+        for one, options in ((features, {"off": ",".join(gone)}), (less, {})))
+    for key in ("selection", "coefficients", "rmse", "baselines"):
+        assert named[key] == without[key]
+
+
+def test_few_points_of_which_one_is_off_or_independent_are_all_control(call: Call,
+                                                                       tmp_path: Path) -> None:
+    points = simulate_scene("ikonos-hamedan", n_points=10, n_lines=0).points
+    write_points_csv(replace(points, roles=()), tmp_path / "ten.csv")
+    words = ["run", "--points", tmp_path / "ten.csv", "--crs", "EPSG:4979", "--json"]
+    done = json.loads(call(*words, "--off", "P001", "--role", "P002=independent").stdout)
+    counts = done["data"]["counts"]
+    assert (counts["control"], counts["independent"], counts["off"]) == (8, 1, 1)
+
+
+@pytest.mark.parametrize(("given", "heights", "problem"), [
+    ("points", True, "rfm-terms"), ("points", False, "poly-terms"),
+    ("lines", True, "owdis-lines")])
+def test_the_problem_follows_from_the_files(given: str, heights: bool, problem: str, files: Path,
+                                            tmp_path: Path, call: Call) -> None:
+    points = simulate_scene("ikonos-hamedan", n_points=30).points
+    ground = points.ground if heights else points.ground * [1, 1, np.nan]
+    write_points_csv(replace(points, ground=ground), tmp_path / "points.csv")
+    more = ["--lines", files / "lines.csv"] if given == "lines" else []
+    done = call("run", "--points", tmp_path / "points.csv", "--crs", "EPSG:4979", "--json",
+                "--generations", "1", *more)
+    assert json.loads(done.stdout)["problem"] == problem
+
+
+def test_a_problem_follows_from_features_in_python() -> None:
+    features = simulate_scene("ikonos-hamedan", n_points=30, n_lines=0)
+    found = termsel_run(features=features)
+    assert found.problem == "rfm-terms"
+    assert found.strategy is not None
+    with pytest.raises(TermselError, match="there is nothing to run"):
+        termsel_run()
 
 
 @pytest.mark.parametrize(("crs", "message"), [

@@ -125,7 +125,8 @@ def test_the_command_it_prints_repeats_the_data_of_its_own(tmp_path: Path) -> No
              "--criterion", "press", "--points", str(points), "--crs", "local",
              "--format", "points-csv", "--set", "columns=x:x,y:y", "--set", "degree=2",
              "--set", "loss=squares", "--set", "force_off=line.num:XY", "--repeats", "3",
-             "--out", str(tmp_path / "out")]
+             "--off", features.points.ids[0], "--role", f"{features.points.ids[1]}=control",
+             "--generations", "50", "--seconds", "100", "--out", str(tmp_path / "out")]
     done = CliRunner().invoke(cli, words)
     assert done.exit_code == 0, done.output
     record = json.loads((tmp_path / "out/stability.json").read_text())
@@ -133,7 +134,8 @@ def test_the_command_it_prints_repeats_the_data_of_its_own(tmp_path: Path) -> No
     assert printed.count("--points") == 1
     for name, value in (("--points", str(points)), ("--crs", "local"), ("--model", "poly3d"),
                         ("--format", "points-csv"), ("--set", "columns=x:x,y:y"),
-                        ("--set", "degree=2")):
+                        ("--set", "degree=2"), ("--set", f"off={features.points.ids[0]}"),
+                        ("--set", f"role={features.points.ids[1]}=control")):
         assert (name, value) in pairwise(printed)
     again = CliRunner().invoke(cli, [*printed[1:], "--json"])
     assert again.exit_code == 0, again.output

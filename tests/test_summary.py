@@ -252,10 +252,10 @@ def doubts(wrong: Mapping[str, float], in_use: tuple[str, ...] = (),
         "Probable blunders (beyond 3 sigma, 1.5 px): P2 (9.0 px) P1 (4.0 px)"]),
     (doubts({"P1": 4.0, "P2": 9.0}, ("P1",)), [
         "Probable blunders (beyond 3 sigma, 1.5 px): P2 (9.0 px) P1 (4.0 px, in use)",
-        "  leave out those in use by --set force_off=P1 and run again"]),
+        "  leave out those in use by --off P1 and run again"]),
     (doubts({"P1": 4.0, "P2": 9.0}, ("P1", "P2")), [
         "Probable blunders (beyond 3 sigma, 1.5 px): P2 (9.0 px, in use) P1 (4.0 px, in use)",
-        "  leave out those in use by --set force_off=P1,P2 and run again"]),
+        "  leave out those in use by --off P1,P2 and run again"]),
     (doubts({}, (), ("P3", "P4")), ["Left out though they fit: 2; they were not needed"])])
 def test_probable_blunders(given: dict[str, Any], lines: list[str]) -> None:
     assert added(doubts=given) == lines

@@ -23,7 +23,9 @@ INTERRUPTED = 130
 
 @click.command()
 @click.option("--problem", metavar="NAME", shell_complete=complete("problems"),
-              required=True, help="The problem to solve; see `termsel list problems`.")
+              help="The problem to solve; see `termsel list problems`. By default lines are "
+                   "selected where there are lines (owdis-lines), else terms from points "
+                   "(rfm-terms, or poly-terms where heights are not known).")
 @click.option("--dataset", metavar="NAME", shell_complete=complete("datasets"),
               help="A data set known by name; the problem's own by default.")
 @click.option("--points", metavar="FILE", type=click.Path(path_type=Path),
@@ -49,6 +51,11 @@ INTERRUPTED = 130
 @click.option("--fit-crs", metavar="CRS",
               help="Coordinates the model is fitted in: geodetic, projected (UTM), geocentric or "
                    "EPSG:n. auto takes the one of the first three that predicts best.")
+@click.option("--off", metavar="IDS", multiple=True,
+              help="Leave out these points and lines, such as P07,P12.")
+@click.option("--role", metavar="ID=ROLE", multiple=True,
+              help="Role of a point, whatever the file says: control, check, independent or off; "
+                   "may be repeated.")
 @click.option("--model", metavar="NAME", shell_complete=complete("models"),
               help="Sensor model; see `termsel list models`.")
 @click.option("--solver", metavar="NAME", shell_complete=complete("solvers"),
@@ -78,12 +85,14 @@ INTERRUPTED = 130
 @click.option("--json", "as_json", is_flag=True, help="Print result.json alone on stdout.")
 @click.option("--quiet", is_flag=True, help="No progress bar.")
 def run(
-    problem: str, dataset: str | None, points: Path | None, lines: Path | None,
+    problem: str | None, dataset: str | None, points: Path | None, lines: Path | None,
     areas: Path | None, formats: tuple[str, ...], dem: Path | None, raster: str | None,
-    image_lines: str | None, crs: str | None, fit_crs: str | None, model: str | None,
-    solver: str | None, criterion: str | None, strategy: str | None,
+    image_lines: str | None, crs: str | None, fit_crs: str | None, off: tuple[str, ...],
+    role: tuple[str, ...], model: str | None, solver: str | None, criterion: str | None,
+    strategy: str | None,
     settings: tuple[str, ...], seed: int, generations: int | None, evaluations: int | None,
-    seconds: float | None, out: Path | None, exports: tuple[str, ...], as_json: bool, quiet: bool,
+    seconds: float | None, out: Path | None, exports: tuple[str, ...], as_json: bool,
+    quiet: bool,
 ) -> None:
     """Search for the terms or control features that serve best.
 
@@ -92,14 +101,16 @@ def run(
 
     \b
     Examples:
+      termsel run --points gcp.csv --crs EPSG:4979 --out result
+      termsel run --points gcp.csv --crs EPSG:4979 --off P07,P12 --role P03=independent
       termsel run --problem owdis-lines
-      termsel run --problem rfm-terms --points gcp.csv --crs EPSG:4979 --out result
       termsel run --problem poly-terms --points gcp.csv --crs local --set degree=5
       termsel run --problem rfm-terms --points image.points --dem heights.tif
       termsel run --problem owdis-lines --points points.csv --lines roads.csv \\
           --crs EPSG:32639 --model poly3d --seed 7 --json > result.json
     """
-    options = parse_settings(settings, fit_crs=fit_crs)
+    options = parse_settings(settings, fit_crs=fit_crs, off=",".join(off) or None,
+                             role=",".join(role) or None)
     files = [path for path in (points, lines, areas) if path is not None]
     if dataset is not None and files:
         raise TermselError("--dataset cannot be combined with files",
@@ -107,6 +118,10 @@ def run(
     of_files = {"--crs": crs, "--format": formats, "--dem": dem, "--raster": raster,
                 "--image-lines": image_lines}
     require_files(of_files, bool(files))
+    if problem is None and not files:
+        raise TermselError("there is nothing to run",
+                           hint="Give --points FILE or --lines FILE, or --problem NAME for its "
+                                "simulated data.")
     if exports and out is None:
         raise TermselError("--export requires --out", hint="Give a folder: --out DIR.")
     show_messages()
@@ -125,11 +140,12 @@ def run(
         require_replaceable([*files_of_result(out), *written], overwrite=True,
                             reads=[*files, dem, raster, image_lines, *options.values()])
     features = None
-    if areas is not None and registry().get("problems", problem).control == "points":
+    if areas is not None and problem and registry().get("problems", problem).control == "points":
         options.setdefault("areas_as", "centroid")
     if files:
         features = read_files(points, lines, options, areas=areas, crs=crs, format=formats,
                               dem=dem, raster=raster, image_lines=image_lines)
+    problem = problem or running.problem_for(features)
     source = ", ".join(str(path) for path in (*files, image_lines) if path is not None)
     with _progress(problem, quiet) as observe:
         result = running.run(

@@ -22,14 +22,19 @@ from termsel.errors import TermselError
               help="A data set known by name; the problem's own by default.")
 @click.option("--points", metavar="FILE", type=click.Path(path_type=Path),
               help="Points, in any format `termsel run` reads.")
+@click.option("--areas", metavar="FILE", type=click.Path(path_type=Path),
+              help="Areas, by their corners; their centroids are points.")
 @click.option("--format", "form", metavar="NAME", shell_complete=complete("readers"),
-              help="Read the points in this format, whatever they look like.")
+              multiple=True, help="Read the file in this format, whatever it looks like.")
 @click.option("--dem", metavar="FILE", type=click.Path(path_type=Path),
               help="Raster of heights, for points that have none.")
 @click.option("--raster", metavar="FILE",
               help="The image the points were measured in, for formats that need it.")
 @click.option("--crs", metavar="CRS", help="CRS of the ground coordinates.")
 @click.option("--fit-crs", metavar="CRS", help="Coordinates the model is fitted in.")
+@click.option("--off", metavar="IDS", multiple=True, help="Leave out these points, as P07,P12.")
+@click.option("--role", metavar="ID=ROLE", multiple=True,
+              help="Role of a point, whatever the file says; may be repeated.")
 @click.option("--model", metavar="NAME", shell_complete=complete("models"), help="Sensor model.")
 @click.option("--solver", metavar="NAME", shell_complete=complete("solvers"), help="Solver.")
 @click.option("--criterion", metavar="NAME", shell_complete=complete("criteria"),
@@ -41,15 +46,19 @@ from termsel.errors import TermselError
 @click.option("--threshold", type=click.FloatRange(0, 1, min_open=True), default=0.6,
               show_default=True, help="Frequency from which on a term is stable.")
 @click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True)
-@click.option("--evaluations", type=click.IntRange(min=1), help="Budget of each search.")
+@click.option("--generations", type=click.IntRange(min=1), help="Budget of each search.")
+@click.option("--evaluations", type=click.IntRange(min=1), help="Likewise.")
+@click.option("--seconds", type=click.FloatRange(min=0, min_open=True), help="Likewise.")
 @click.option("--out", metavar="DIR", type=click.Path(path_type=Path),
               help="Folder for stability.json.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 def stability(
-    problem: str, dataset: str | None, points: Path | None, form: str | None, dem: Path | None,
-    raster: str | None, crs: str | None, fit_crs: str | None, model: str | None,
+    problem: str, dataset: str | None, points: Path | None, areas: Path | None,
+    form: tuple[str, ...], dem: Path | None, raster: str | None, crs: str | None,
+    fit_crs: str | None, off: tuple[str, ...], role: tuple[str, ...], model: str | None,
     solver: str | None, criterion: str | None, settings: tuple[str, ...], repeats: int,
-    threshold: float, seed: int, evaluations: int | None, out: Path | None, as_json: bool,
+    threshold: float, seed: int, generations: int | None, evaluations: int | None,
+    seconds: float | None, out: Path | None, as_json: bool,
 ) -> None:
     """Show how often each term is selected as control and check points change.
 
@@ -60,12 +69,16 @@ def stability(
     Examples:
       termsel stability --problem rfm-terms --points gcp.csv --crs EPSG:4979 --set order=2
     """
-    options = parse_settings(settings, fit_crs=fit_crs)
+    options = parse_settings(settings, fit_crs=fit_crs, off=",".join(off) or None,
+                             role=",".join(role) or None)
     of_points = {"--format": form, "--dem": dem, "--raster": raster, "--crs": crs}
-    require_files(of_points, points is not None)
-    if dataset is not None and points is not None:
+    files = points is not None or areas is not None
+    require_files(of_points, files)
+    if dataset is not None and files:
         raise TermselError("--dataset cannot be combined with files",
                            hint="Give --dataset NAME, or --points FILE.")
+    if areas is not None:
+        options.setdefault("areas_as", "centroid")
     given = dict(options)
     show_messages()
 
@@ -76,14 +89,14 @@ def stability(
 
     if out is not None:
         require_replaceable([out / "stability.json"], overwrite=True,
-                            reads=[points, dem, raster, *options.values()])
+                            reads=[points, areas, dem, raster, *options.values()])
         claim_folder(out)
-    features = None if points is None else read_files(
-        points, None, options, crs=crs, format=form or (), dem=dem, raster=raster)
+    features = read_files(points, None, options, areas=areas, crs=crs, format=form, dem=dem,
+                          raster=raster) if files else None
     found = module.stability(
-        problem, repeats=repeats, threshold=threshold, seed=seed, evaluations=evaluations,
-        options=options, dataset=dataset, model=model, solver=solver, criterion=criterion,
-        features=features)
+        problem, repeats=repeats, threshold=threshold, seed=seed, generations=generations,
+        evaluations=evaluations, seconds=seconds, options=options, dataset=dataset,
+        model=model, solver=solver, criterion=criterion, features=features)
     if out is not None:
         write_text(out / "stability.json", json_text(found.to_dict()))
         echo(f"Written: {out}/stability.json", err=True)
@@ -105,7 +118,8 @@ def stability(
              f"{independent.n} independent points.")
     others = [term for term in found.terms if term not in found.stable]
     if found.determined and others:
-        data = {"--dataset": dataset, "--points": points, **of_points, "--model": model}
+        data = {"--dataset": dataset, "--points": points, "--areas": areas, **of_points,
+                "--model": model}
         echo("For a result with the stable terms run\n"
              f"  {_command(problem, data, model, given, others)}")
 
@@ -129,7 +143,8 @@ def _command(problem: str, data: Mapping[str, object], model: str | None,
     settings["force_off"] = ",".join(dict.fromkeys([*filter(None, before), *off]))
     words = ["termsel", "run", "--problem", problem]
     for name, value in data.items():
-        words += [] if value is None else [name, str(value)]
+        for one in value if isinstance(value, tuple) else [value]:
+            words += [] if one is None else [name, str(one)]
     words += ["--solver", "all-terms", "--criterion", "press"]
     for key, value in settings.items():
         words += ["--set", f"{key}={value}"]

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from termsel.errors import TermselError
+from termsel.errors import TermselError, unknown_name
 from termsel.measurements.features import (
+    ROLES,
     FeatureSet,
     FloatArray,
     Points,
@@ -106,6 +107,63 @@ def assign(
         given[role] += 1
         roles[i] = ASSIGNABLE[role]
     return tuple(roles)
+
+
+def asked_roles(off: str | None, role: str | None) -> dict[str, str]:
+    """Return the role of each feature that the options `off` and `role` name.
+
+    Parameters
+    ----------
+    off : str or None
+        Ids with commas between them.
+    role : str or None
+        ID=ROLE with commas between them.
+
+    Raises
+    ------
+    TermselError
+        For what is not of this form, a role that does not exist, or a feature named twice.
+    """
+    named: dict[str, str] = {}
+    pairs = [(name, "off") for name in (off or "").split(",")]
+    for part in (role or "").split(","):
+        name, equals, value = part.rpartition("=")
+        if part.strip() and (not equals or value.strip() not in ROLES):
+            raise TermselError(f"role {part.strip()!r} is not of the form ID=ROLE",
+                               hint=f"For example P07=check. Roles are {', '.join(ROLES)}.")
+        pairs.append((name, value.strip()))
+    for name, value in ((name.strip(), value) for name, value in pairs if name.strip()):
+        if named.setdefault(name, value) != value:
+            raise TermselError(f"{name!r} is given the roles {named[name]} and {value}",
+                               hint="Give it one role.")
+    return named
+
+
+def with_roles(features: FeatureSet, named: Mapping[str, str]) -> FeatureSet:
+    """Return the features with the roles that are named; lines that are off are not among them.
+
+    Parameters
+    ----------
+    features : FeatureSet
+    named : mapping
+        Role by id. A line can be off, or stay control.
+
+    Raises
+    ------
+    TermselError
+        For an id that no feature has, or a line with the role of points.
+    """
+    points, lines = features.points, features.lines
+    for name, role in named.items():
+        if name not in features.ids:
+            raise unknown_name("feature", name, features.ids)
+        if name in lines.features and role not in ("control", "off"):
+            raise TermselError(f"{name!r} is a line and cannot have the role {role}",
+                               hint="Lines are control, or off.", ids=[name])
+    roles = tuple(named.get(name, role)
+                  for name, role in zip(points.ids, points.roles, strict=True))
+    kept = [named.get(name) != "off" for name in lines.ids]
+    return features.with_(points=replace(points, roles=roles), lines=lines.take(kept))
 
 
 def observe(

@@ -204,7 +204,7 @@ def _doubts(doubts: Record | None) -> Iterator[str]:
             f"{name} ({wrong[name]:.1f} px{', in use' * (name in in_use)})"
             for name in sorted(wrong, key=lambda name: -wrong[name])))
     if in_use:
-        yield f"  leave out those in use by --set force_off={','.join(in_use)} and run again"
+        yield f"  leave out those in use by --off {','.join(in_use)} and run again"
     if spare:
         yield f"Left out though they fit: {len(spare)}; they were not needed"
 

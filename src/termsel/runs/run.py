@@ -26,7 +26,7 @@ log = logging.getLogger(__name__)
 
 @one_blas_thread
 def run(
-    problem: str | Task,
+    problem: str | Task | None = None,
     *,
     features: FeatureSet | None = None,
     dataset: str | None = None,
@@ -47,8 +47,8 @@ def run(
 
     Parameters
     ----------
-    problem : str or Task
-        A recipe's name, or what `prepare` made of it.
+    problem : str or Task, optional
+        A recipe's name, or what `prepare` made of it; by default that of `problem_for`.
     features, dataset, source, model, solver, criterion, options
         As for `prepare`; for a name alone.
     strategy : {"auto", "as-asked"}, optional
@@ -87,6 +87,8 @@ def run(
         "features": features, "dataset": dataset, "source": source, "model": model,
         "solver": solver, "criterion": criterion, "options": options}
     asked = {name: value for name, value in given.items() if value is not None}
+    if problem is None:
+        problem = problem_for(features)
     if isinstance(problem, Task):
         if asked:
             raise TermselError(f"a prepared task takes no {', '.join(sorted(asked))}",
@@ -101,6 +103,26 @@ def run(
     found = search_in_steps(task, seed=seed, generations=generations, evaluations=evaluations,
                             seconds=seconds, observers=observers)
     return _finished(assess(task, recommended(task, found)), out)
+
+
+def problem_for(features: FeatureSet | None) -> str:
+    """Return the name of the problem that features are for where none is named.
+
+    Parameters
+    ----------
+    features : FeatureSet or None
+
+    Raises
+    ------
+    TermselError
+        If there are none.
+    """
+    if features is None:
+        raise TermselError("there is nothing to run",
+                           hint="Give points or lines, or name a problem.")
+    if len(features.lines):
+        return "owdis-lines"
+    return "poly-terms" if features.without_height() else "rfm-terms"
 
 
 def _method(asked: Mapping[str, Any], generations: int | None, evaluations: int | None,

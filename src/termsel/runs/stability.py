@@ -71,7 +71,9 @@ def stability(
     repeats: int = 20,
     threshold: float = 0.6,
     seed: int = 1,
+    generations: int | None = None,
     evaluations: int | None = None,
+    seconds: float | None = None,
     features: FeatureSet | None = None,
     dataset: str | None = None,
     model: str | None = None,
@@ -96,8 +98,9 @@ def stability(
         0.6 to 0.9.
     seed : int
         Seed of the shares and of the searches.
-    evaluations : int, optional
-        Budget of each search; the solver's own by default.
+    generations, evaluations : int, optional
+    seconds : float, optional
+        Budgets of each search; the solver's own by default.
     features, dataset, model, solver, criterion, options
         As for `termsel.prepare`.
 
@@ -133,13 +136,16 @@ def stability(
                            hint="Choose a problem that selects terms from points: rfm-terms, "
                                 "poly-terms.")
     rng = np.random.default_rng(seed)
+    # The drawn roles are those of the features, which take the place of roles that are named.
+    others = {key: value for key, value in (options or {}).items() if key not in ("off", "role")}
     rows = []
     for repetition in range(repeats):
         again = prepare(problem, features=_with_drawn_roles(task, rng), model=model,
                         solver=solver, criterion=criterion,
-                        options={**(options or {}), "roles": "file"})
+                        options={**others, "roles": "file"})
         found = recommended(again, search(again.problem, again.solver, seed=seed + repetition,
-                                          evaluations=evaluations))
+                                          generations=generations, evaluations=evaluations,
+                                          seconds=seconds))
         rows.append(np.isin(task.model.terms, again.problem.decode(found.genes).terms))
     selections = np.array(rows)
     chosen = selections.mean(axis=0) >= threshold

@@ -12,7 +12,7 @@ from termsel.criteria import Criterion
 from termsel.errors import TermselError, counted, unknown_name
 from termsel.fits.diagnosis import orientation_spread
 from termsel.measurements.features import FeatureSet, Points
-from termsel.measurements.roles import Observations, check_as_control
+from termsel.measurements.roles import Observations, asked_roles, check_as_control, with_roles
 from termsel.measurements.roles import observe as assign_roles
 from termsel.measurements.scaling import Scaling, scaling_of
 from termsel.models.base import SensorModel, require_heights
@@ -32,6 +32,9 @@ DATA_OPTIONS = (
     Option("roles", "file", "Roles of points: those of the file, with blank ones assigned by "
            "place; or all assigned by place or at random.",
            choices=("file", "stratified", "random")),
+    Option("off", None, "Ids of features that take no part, with commas between them (--off)."),
+    Option("role", None, "Roles of single points, whatever the file says, as ID=ROLE with commas "
+           "between them (--role)."),
     Option("fractions", ALIKE, "Shares of control, check and independent points among those "
            "that are assigned a role."),
     Option("split", 0, "Seed by which roles are assigned.", int, 0),
@@ -189,10 +192,15 @@ def ask(
     of_problem = _of_problem(recipe, chosen["problem"], the_criterion, solver_type,
                              published=solver is not None and solver_type.as_published)
     of_data = resolve(DATA_OPTIONS, chosen["data"])
+    named = asked_roles(of_data["off"], of_data["role"])
+    if of_data["roles"] != "file" and of_data["role"]:
+        raise TermselError(f"the options role and roles={of_data['roles']} exclude each other",
+                           hint="Leave one of them out; off goes with both.")
     if features is None:
         spec = names.get("datasets", dataset or recipe.dataset)
         features = spec.load()
         source = f"{spec.name} (simulated)" if spec.simulated else spec.name
+    features = with_roles(features, named)
     return Request(recipe, model_type(**{**own, **chosen["model"]}), the_criterion,
                    solver_type(**chosen["solver"]), features, source or "given in Python",
                    {"problem": of_problem, "data": of_data})
@@ -229,8 +237,10 @@ def all_control(request: Request) -> bool:
     ----------
     request : Request
     """
-    points, of_data = request.features.points, request.options["data"]
-    return (len(points) < FEW and not any(points.roles) and request.recipe.control == "points"
+    of_data = request.options["data"]
+    roles = [role for role in request.features.points.roles if role != "off"]
+    return (len(roles) < FEW and not {"control", "check"} & set(roles)
+            and request.recipe.control == "points"
             and not request.criterion.needs_check and of_data["roles"] == "file"
             and of_data["fractions"] == ALIKE)
 
