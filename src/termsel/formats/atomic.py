@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 import os
+import platform
 import secrets
+import shutil
+import sys
+import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from tempfile import gettempdir
 
 from termsel.errors import TermselError
 
@@ -18,39 +23,127 @@ def atomic_path(path: Path | str) -> Iterator[Path]:
     Parameters
     ----------
     path : path-like
-        The file to write; one that exists is replaced, through symbolic links.
+        The file to write; one that exists is replaced, through symbolic links, and its
+        permissions are kept.
 
     Yields
     ------
     pathlib.Path
-        A path in the same folder and with the same suffix; the block creates the file. It
-        is removed when the block fails, and `path` is then as it was.
+        A path on the same disk and with the same name, in a private folder; the block creates
+        the file. It is removed when the block fails, and `path` is then as it was.
 
     Raises
     ------
     TermselError
         If the file cannot be written; an OSError in the block is reported the same way.
     """
-    target = Path(path).resolve()
+    target = Path(os.path.realpath(path))
     # Replacing a folder fails anyway; replacing a device, such as /dev/null, must not succeed.
-    if target.exists() and not target.is_file():
+    if os.path.lexists(target) and not os.path.isfile(target):
         raise TermselError("this is not an ordinary file and cannot be replaced", file=path,
                            hint="Give the name of a file to write.")
     # Before long work, and with the name as given.
     if not os.access(target.parent, os.W_OK | os.X_OK):
-        why = "no permission" if target.parent.is_dir() else "there is no such folder"
+        why = "no permission" if os.path.isdir(target.parent) else "there is no such folder"
         raise _cannot_write(path, why)
-    # Not tempfile: its files are private to the user, those of open() follow the umask. The
-    # suffix stays because some libraries choose the format by it.
-    temporary = target.with_name(f".{target.stem}-{secrets.token_hex(6)}{target.suffix}")
     try:
-        yield temporary
-        temporary.replace(target)
+        with private_folder(target.parent) as folder:
+            temporary = folder / target.name
+            yield temporary
+            sync(temporary)
+            put_in_place(temporary, target)
+            sync(target.parent)
     except OSError as error:
         raise _cannot_write(path, error.strerror or str(error)) from error
+
+
+def put_in_place(file: Path, target: Path) -> None:
+    """Replace a file by another on the same disk, which takes its permissions.
+
+    Parameters
+    ----------
+    file : pathlib.Path
+        Its content is on the disk already; see `sync`.
+    target : pathlib.Path
+        Not a symbolic link.
+    """
+    with suppress(FileNotFoundError):
+        before = target.stat()
+        if sys.platform != "win32":
+            with suppress(PermissionError):  # only the superuser gives files away
+                os.chown(file, before.st_uid, before.st_gid)
+        file.chmod(before.st_mode & 0o7777)
+    file.replace(target)
+
+
+def sync(path: Path) -> None:
+    """Wait until the content of a file, or the names in a folder, are on the disk."""
+    if path.is_dir():
+        with suppress(OSError):  # some disks have no such thing for folders, nor has Windows
+            _sync(path, os.O_RDONLY)
+        return
+    _sync(path, os.O_RDWR if sys.platform == "win32" else os.O_RDONLY)
+
+
+def _sync(path: Path, mode: int) -> None:
+    descriptor = os.open(path, mode)
+    try:
+        os.fsync(descriptor)
     finally:
-        with suppress(OSError):  # gone after success; never hide the first error
-            temporary.unlink()
+        os.close(descriptor)
+
+
+_PREFIX = ".termsel-"
+
+
+@contextmanager
+def private_folder(parent: Path | None = None) -> Iterator[Path]:
+    """Yield a new folder that only this user can read, and remove it at the end.
+
+    Such folders of processes that were killed are removed first.
+
+    Parameters
+    ----------
+    parent : pathlib.Path, optional
+        The folder for temporary files of the system by default.
+    """
+    parent = Path(gettempdir()) if parent is None else parent
+    _remove_left(parent)
+    folder = parent / f"{_PREFIX}{_here()}-{os.getpid()}-{secrets.token_hex(6)}"
+    folder.mkdir(mode=0o700)
+    try:
+        yield folder
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)  # gone after a rename; never hide an error
+
+
+def _remove_left(parent: Path) -> None:
+    """Remove the private folders of processes of this user that have ended."""
+    for folder in parent.glob(f"{_PREFIX}{_here()}-*-*"):
+        process = folder.name.split("-")[2]
+        if process.isdecimal() and not _runs(int(process)):
+            shutil.rmtree(folder, ignore_errors=True)
+
+
+def _here() -> str:
+    """Return a word for this machine: elsewhere process numbers mean other processes."""
+    try:
+        space = os.readlink("/proc/self/ns/pid")  # containers may share a disk and a name
+    except OSError:
+        space = ""
+    return f"{zlib.crc32(f'{platform.node()} {space}'.encode()):08x}"
+
+
+def _runs(process: int) -> bool:
+    if sys.platform == "win32":  # os.kill would end it; what is left there stays
+        return True
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except (OSError, OverflowError):
+        return True
+    return True
 
 
 def _cannot_write(path: Path | str, why: str) -> TermselError:
@@ -78,4 +171,9 @@ def write_text(path: Path | str, text: str) -> None:
     TermselError
         If the file cannot be written.
     """
-    write_bytes(path, text.encode("utf-8"))
+    write_bytes(path, encoded(text))
+
+
+def encoded(text: str) -> bytes:
+    """Return UTF-8, in which names of files that are not UTF-8 have the bytes that they have."""
+    return text.encode("utf-8", errors="surrogateescape")

@@ -7,13 +7,12 @@ import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from termsel.errors import TermselError
-from termsel.formats.atomic import atomic_path, write_text
+from termsel.formats.atomic import atomic_path, private_folder, write_text
 from termsel.formats.heights import surface_of
 from termsel.formats.rasters import open_raster, require_rasterio
 from termsel.formats.rpc_files import rpc_items
@@ -107,8 +106,8 @@ def rectify(
     picture = picture_for(result, image)
     result = result.of_image(picture.size)
     level = float(result.fit.ground_box()[0][2]) if height is None else height
-    with TemporaryDirectory() as folder:
-        source, options = _source(result, picture, Path(folder) / "scene.vrt", dem, level)
+    with private_folder() as folder:
+        source, options = _source(result, picture, folder / "scene.vrt", dem, level)
         shape, transform = _map(result, dem, level, target, resolution)
         with open_raster(source) as raster, atomic_path(output) as temporary:
             empty = _nodata(raster) if nodata is None else _held(nodata, raster.dtypes[0])

@@ -6,7 +6,6 @@ import csv
 import io
 import json
 import os
-import secrets
 import shutil
 from collections.abc import Mapping
 from dataclasses import replace
@@ -22,13 +21,13 @@ from termsel.fits.figures import Baseline, residuals_of
 from termsel.fits.fit import Fit
 from termsel.fits.least_squares import fit
 from termsel.fits.rmse import Rmse
-from termsel.formats.atomic import write_bytes, write_text
+from termsel.formats.atomic import encoded, private_folder, put_in_place, sync, write_bytes
 from termsel.formats.base import located, read_text
 from termsel.formats.readers.csv_tables import (
     LinesCsv,
     PointsCsv,
-    write_lines_csv,
-    write_points_csv,
+    lines_text,
+    points_text,
 )
 from termsel.formats.readers.tables import guarded
 from termsel.measurements.crs import normalise
@@ -45,7 +44,6 @@ RECORD, POINTS, LINES = "result.json", "points.csv", "lines.csv"
 RESIDUALS, SUMMARY = "residuals.csv", "summary.txt"
 _PENDING = ".termsel-pending"
 """Folder in that of a result, complete or not there: files that are newer than those next to it."""
-_UNFINISHED = ".termsel-unfinished-"
 
 RESIDUAL_COLUMNS = ("id", "kind", "role", "used", "residual_line", "residual_sample", "distance")
 
@@ -92,30 +90,28 @@ def write_result(result: Result, folder: Path) -> None:
     folder : Path
         One that exists; files of an earlier result are replaced.
     """
+    files = {name: encoded(text) for name, text in _files(result).items()}
     _put_in_place(folder)  # an earlier result, if that was interrupted
-    for old in folder.glob(f"{_UNFINISHED}*"):
-        shutil.rmtree(old, ignore_errors=True)
-    new = folder / f"{_UNFINISHED}{secrets.token_hex(6)}"
     try:
-        new.mkdir()
-        _write_files(result, new)
-        new.rename(folder / _PENDING)
+        with private_folder(folder) as new:
+            for name, content in files.items():
+                (new / name).write_bytes(content)
+                sync(new / name)
+            shutil.copymode(folder, new)
+            new.rename(folder / _PENDING)
+            sync(folder)
     except OSError as error:
         raise _cannot_write(folder, error) from error
-    finally:
-        shutil.rmtree(new, ignore_errors=True)
     _put_in_place(folder)
 
 
-def _write_files(result: Result, folder: Path) -> None:
-    features = result.features
-    if len(features.points):
-        write_points_csv(features.points, folder / POINTS, features.crs)
-    if len(features.lines):
-        write_lines_csv(features.lines, folder / LINES, features.crs)
-    write_text(folder / RESIDUALS, residuals_csv(result))
-    write_text(folder / SUMMARY, result.summary())
-    write_text(folder / RECORD, result.to_json())
+def _files(result: Result) -> dict[str, str]:
+    """Return the content of each file of a result."""
+    points, lines, crs = result.features.points, result.features.lines, result.features.crs
+    return {**({POINTS: points_text(points, crs)} if len(points) else {}),
+            **({LINES: lines_text(lines, crs)} if len(lines) else {}),
+            RESIDUALS: residuals_csv(result), SUMMARY: result.summary(),
+            RECORD: result.to_json()}
 
 
 def _put_in_place(folder: Path) -> None:
@@ -129,7 +125,8 @@ def _put_in_place(folder: Path) -> None:
                 write_bytes(folder / file.name, file.read_bytes())
                 file.unlink()
             else:
-                file.replace(folder / file.name)
+                put_in_place(file, folder / file.name)
+        sync(folder)
         pending.rmdir()
     except OSError as error:
         raise _cannot_write(folder, error) from error

@@ -113,13 +113,18 @@ def write_points_csv(points: Points, path: Path | str, crs: str = "") -> None:
     TermselError
         If the file cannot be written.
     """
+    write_text(path, points_text(points, crs))
+
+
+def points_text(points: Points, crs: str) -> str:
+    """Return the text of a table; see `write_points_csv`."""
     header = ["id", "role", "line", "sample", "x", "y", "z"]
     columns = [points.image, points.ground]
     if points.sigma is not None:
         header += ["sigma_line", "sigma_sample"]
         columns.append(points.sigma)
     texts = [[name, role] for name, role in zip(points.ids, points.roles, strict=True)]
-    write_table(path, crs, header, texts, np.concatenate(columns, axis=1))
+    return table_text(crs, header, texts, np.concatenate(columns, axis=1))
 
 
 def write_lines_csv(lines: Lines, path: Path | str, crs: str = "") -> None:
@@ -137,8 +142,13 @@ def write_lines_csv(lines: Lines, path: Path | str, crs: str = "") -> None:
     TermselError
         If the file cannot be written.
     """
+    write_text(path, lines_text(lines, crs))
+
+
+def lines_text(lines: Lines, crs: str) -> str:
+    """Return the text of a table; see `write_lines_csv`."""
     header, values = line_columns(lines)
-    write_table(path, crs, ["id", *header], [[name] for name in lines.ids], values)
+    return table_text(crs, ["id", *header], [[name] for name in lines.ids], values)
 
 
 def line_columns(lines: Lines) -> tuple[list[str], FloatArray]:

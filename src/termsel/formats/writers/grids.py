@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import logging
+from contextlib import suppress
 from pathlib import Path
 from typing import ClassVar
+from xml.sax.saxutils import escape
 
 import numpy as np
 
 from termsel.errors import TermselError
 from termsel.fits.fit import Fit
-from termsel.formats.atomic import atomic_path, write_bytes, write_text
+from termsel.formats.atomic import atomic_path, encoded, write_bytes, write_text
 from termsel.formats.base import Writer
 from termsel.formats.heights import surface_of
 from termsel.formats.rasters import require_rasterio, tiff_bytes
-from termsel.formats.vrt import IMAGE, Gcp, picture_for, relative, vrt_text
+from termsel.formats.vrt import IMAGE, Gcp, picture_for, vrt_text
 from termsel.measurements.crs import horizontal
 from termsel.measurements.features import FloatArray
 from termsel.options import Option
@@ -114,11 +116,16 @@ class GeolocationVrt(GridWriter):
                              "longer side.", int, 1))
 
     def files(self, path: Path) -> tuple[Path, ...]:
-        """Return the VRT and the array next to it."""
-        return path, path.with_name(f"{path.stem}_xy.tif")
+        """Return the VRT and the array next to it, under the name or names in use."""
+        arrays = _arrays(path)
+        return path, *([array for array in arrays if array.exists()] or arrays[:1])
 
     def write(self, result: Result, path: Path) -> None:
         """Write a VRT and, next to it, FILE_xy.tif with longitudes or eastings and so on.
+
+        A VRT that is replaced keeps its array until the new VRT is in place, so that an interrupt
+        leaves no VRT with the array of another: where FILE_xy.tif is in use, the new array is
+        FILE_xy_2.tif, and the next one FILE_xy.tif again.
 
         Raises
         ------
@@ -134,11 +141,12 @@ class GeolocationVrt(GridWriter):
                           for size in picture.size)
         ground = self.ground(result, lines, samples)
         crs = horizontal(result.fit.control.crs)
-        array = self.files(path)[1]
+        array, other = sorted(_arrays(path), key=lambda array: _named(array, path))
+        replaced = _named(other, path)
         domain = {
-            "X_DATASET": relative(array, path.parent), "X_BAND": "1",
+            "X_DATASET": array.name, "X_BAND": "1",
             "X_DATASET_RELATIVE_TO_SOURCE": "YES",
-            "Y_DATASET": relative(array, path.parent), "Y_BAND": "2",
+            "Y_DATASET": array.name, "Y_BAND": "2",
             "Y_DATASET_RELATIVE_TO_SOURCE": "YES",
             # Counted from the centre of the upper-left pixel, in px of the image.
             "PIXEL_OFFSET": str(-step), "LINE_OFFSET": str(-step), "PIXEL_STEP": str(step),
@@ -147,10 +155,26 @@ class GeolocationVrt(GridWriter):
         values = np.nan_to_num(ground[..., :2], nan=_NODATA)
         content = tiff_bytes(np.moveaxis(values, -1, 0), nodata=_NODATA, compress="deflate",
                              predictor=3)
+        text = vrt_text(picture, path.parent, domains={"GEOLOCATION": domain})
         with atomic_path(path) as temporary:
-            temporary.write_text(vrt_text(picture, path.parent, domains={"GEOLOCATION": domain}),
-                                 encoding="utf-8")
+            temporary.write_bytes(encoded(text))
             write_bytes(array, content)
+        if replaced:
+            with suppress(OSError):  # the new VRT is right without that
+                other.unlink()
+
+
+def _arrays(path: Path) -> tuple[Path, Path]:
+    """Return the two names that the array of a VRT may have."""
+    return path.with_name(f"{path.stem}_xy.tif"), path.with_name(f"{path.stem}_xy_2.tif")
+
+
+def _named(array: Path, path: Path) -> bool:
+    """Return whether the VRT that is at a path, if any, names an array."""
+    if not path.is_file():
+        return False
+    with path.open("rb") as file:
+        return b">%b<" % encoded(escape(array.name)) in file.read(65536)
 
 
 _NODATA = -1e10

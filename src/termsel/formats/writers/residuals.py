@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import warnings
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any, ClassVar
 
 import numpy as np
 
 from termsel.errors import TermselError
-from termsel.formats.atomic import write_bytes
+from termsel.formats.atomic import private_folder, write_bytes
 from termsel.formats.base import Writer
 from termsel.measurements.crs import horizontal
 from termsel.measurements.features import FloatArray
@@ -67,8 +66,8 @@ class ResidualsGeopackage(Writer):
         columns["exaggeration"] = np.full(len(residuals), exaggeration)
         fields = [np.asarray(column, dtype=object) if column.dtype.kind == "U" else column
                   for column in columns.values()]
-        with TemporaryDirectory() as folder, warnings.catch_warnings():
-            whole = Path(folder) / "residuals.gpkg"
+        with private_folder() as folder, warnings.catch_warnings():
+            whole = folder / "residuals.gpkg"
             warnings.filterwarnings("ignore", "'crs' was not provided")  # plane coordinates
             try:
                 for layer, shapes in layers.items():

@@ -5,13 +5,12 @@ from __future__ import annotations
 import logging
 from abc import abstractmethod
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import ClassVar
 
 import numpy as np
 
 from termsel.errors import TermselError
-from termsel.formats.atomic import atomic_path, write_bytes, write_text
+from termsel.formats.atomic import atomic_path, encoded, private_folder, write_bytes, write_text
 from termsel.formats.base import Writer
 from termsel.formats.rasters import empty_tiff, open_raster, require_rasterio
 from termsel.formats.rpc_files import read_rpc, rpb_text, rpc_items, rpc_txt_text
@@ -55,7 +54,7 @@ class RpcWriter(Writer):
         rpc = result.to_rpc()
         text = self.text(rpc, result, path)
         with atomic_path(path) as temporary:
-            temporary.write_bytes(text.encode("utf-8"))
+            temporary.write_bytes(encoded(text))
             require_read_back(rpc, text, self.suffix)
         self.written(rpc, path)
 
@@ -143,8 +142,8 @@ def require_read_back(rpc: Rpc, text: str, suffix: str) -> None:
         If termsel reads another RPC, or GDAL, where rasterio is installed, cannot use it or
         projects any of 1,000 ground points more than AGREED away.
     """
-    with TemporaryDirectory() as folder:
-        path = Path(folder) / f"scene{suffix}"
+    with private_folder() as folder:
+        path = folder / f"scene{suffix}"
         write_text(path, text)
         if read_rpc(path) != rpc:
             raise TermselError("the RPC that is read back differs from the one that was written",
@@ -158,7 +157,7 @@ def require_read_back(rpc: Rpc, text: str, suffix: str) -> None:
         image = path
         if path.suffix.lower() != ".vrt":
             # GDAL looks for such files next to some kinds of images only.
-            image = Path(folder) / "scene.tif"
+            image = folder / "scene.tif"
             write_bytes(image, empty_tiff())
         _require_same_by_gdal(rpc, image)
 
