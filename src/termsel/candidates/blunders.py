@@ -38,16 +38,13 @@ from termsel.models.polynomial import Polynomial2D, Polynomial3D
 LEVEL = 1e-3
 """Chance of naming any point where there is no blunder, under normal errors."""
 
-STRAIN = 5.0
+STRAIN = 4.0
 """Standard deviations of a prediction that an error must exceed: real errors are not normal, and no
 model is exact."""
 
-ALLOWANCE = 2.0
+ALLOWANCE = 1.5
 """Standard deviations it must exceed for each standard deviation of the noise that the prediction
 has, on account of the form of the model."""
-
-SUSPICIOUS = 3.0
-"""Robust standard deviations of the worst error up to which nothing is looked for."""
 
 MOST = 1 / 3
 """Largest share of blunders."""
@@ -143,8 +140,6 @@ def find_blunders(control: FeatureSet, heights: bool) -> Suspects | None:
     whole = None if len(control.lines) else _test(points, everything, heights)
     if whole is None:
         return None
-    if _robust_strain(whole).max() <= SUSPICIOUS:
-        return whole.suspects(~everything, ~everything, everything)
     used, test = _forward(points, _core(points, whole, heights), whole, heights)
     while not used.all() and (choice := choose(FeatureSet(points.take(used)), heights)):
         more = used | _predicted_by(choice.chosen, points)
@@ -273,18 +268,6 @@ def _row(found: Posterior, i: int, used: bool) -> tuple[float, float, float, flo
     return (*one.error, float(one.share @ fdtrc(2, one.freedom, statistic)),
             float(np.sqrt(one.share @ statistic)),
             float(np.sqrt(max(one.share @ spread for spread in one.spread))))
-
-
-def _robust_strain(test: _Test) -> FloatArray:
-    """Return errors in standard deviations by the median error, whatever the blunders are."""
-    own = test.errors / test.spread
-    # The larger of two coordinates: half of them are below where each is below with sqrt(1/2).
-    median = float(np.median(own))
-    return np.asarray(own * LARGER_MEDIAN / max(median, ROUNDING))
-
-
-LARGER_MEDIAN = 1.0520
-"""Median of the larger absolute value of two standard normal variables."""
 
 
 def _consistency(share: float) -> float:
