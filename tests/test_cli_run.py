@@ -104,7 +104,7 @@ def test_ctrl_c_returns_the_best_so_far(tmp_path: Path) -> None:
     time.sleep(6)  # the search begins when the folder is claimed; the first run compiles
     stdout, stderr = interrupted(process)
     assert process.returncode == 130
-    assert "Interrupted. The same command with the same seed repeats the same search." in stderr
+    assert "Interrupted: this is the best so far. The same command repeats the whole run." in stderr
     result = json.loads(stdout)
     assert result["interrupted"]
     assert result["rmse"]["independent"]["total"] > 0

@@ -35,7 +35,7 @@ class Comparison:
     choice: Choice | None
 
 
-def compare(observations: Observations) -> Comparison:
+def compare(observations: Observations, choice: Choice | None = None) -> Comparison:
     """Return the candidates fitted to control and check together.
 
     No search is made with the check points there, so they are free to serve as control. A
@@ -45,9 +45,11 @@ def compare(observations: Observations) -> Comparison:
     Parameters
     ----------
     observations : Observations
+    choice : Choice, optional
+        That of `choose` for control and check; made here by default.
     """
     both, heights = together(observations), has_heights(observations)
-    choice, scaling = choose(both, heights), scaling_of(both)
+    choice, scaling = choice or choose(both, heights), scaling_of(both)
     found: dict[str, tuple[Fit, float | None]] = {}
     if choice:
         found = {one.name: (one.fit, one.predicted) for one in choice.judged}

@@ -5,7 +5,7 @@ Nothing here knows of roles: what it is given are features it may use.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -148,7 +148,11 @@ def left_out_squares(fitted: Fit) -> FloatArray:
     return np.asarray(fits.held_out_each(solutions[:, None])[0])
 
 
-def choose(control: FeatureSet, heights: bool) -> Choice | None:
+Watch = Callable[[Judged | None], None]
+"""Called with each candidate as soon as it is judged; with None where it is not determined."""
+
+
+def choose(control: FeatureSet, heights: bool, watch: Watch | None = None) -> Choice | None:
     """Fit the portfolio to features and choose by leave-one-out.
 
     A shrunken polynomial is averaged over all that lies between the plain ones, by a measure
@@ -163,6 +167,7 @@ def choose(control: FeatureSet, heights: bool) -> Choice | None:
     ----------
     control : FeatureSet
     heights : bool
+    watch : callable, optional
 
     Returns
     -------
@@ -170,8 +175,18 @@ def choose(control: FeatureSet, heights: bool) -> Choice | None:
         None if the features do not determine any candidate with redundancy.
     """
     scaling = scaling_of(control)
-    judged = tuple(one for one in (_judged(candidate, control, heights, scaling)
-                                   for candidate in portfolio(heights)) if one)
+    judged = []
+    for candidate in portfolio(heights):
+        one = _judged(candidate, control, heights, scaling)
+        judged += [one] if one else []
+        if watch:
+            watch(one)
+    return best_of(judged)
+
+
+def best_of(candidates: Iterable[Judged]) -> Choice | None:
+    """Return the choice among candidates by the rule of `choose`; None if there is none."""
+    judged = tuple(candidates)
     if not judged:
         return None
     shrunken = [one for one in judged if one.candidate.kind == "shrunken"]
@@ -221,7 +236,8 @@ def _gain(one: Judged, other: Judged) -> float:
     return float(gain.mean() / max(gain.std(ddof=1) / np.sqrt(len(gain)), tiny))
 
 
-def repeated(control: FeatureSet, heights: bool) -> FloatArray | None:
+def repeated(control: FeatureSet, heights: bool,
+             watch: Watch | None = None) -> FloatArray | None:
     """Return the errors of points under choices made without them.
 
     In each fold the whole portfolio is fitted and the choice made again, so that the errors are
@@ -232,6 +248,8 @@ def repeated(control: FeatureSet, heights: bool) -> FloatArray | None:
     control : FeatureSet
         Points. Folds are spread over the scene.
     heights : bool
+    watch : callable, optional
+        As for `choose`.
 
     Returns
     -------
@@ -245,7 +263,7 @@ def repeated(control: FeatureSet, heights: bool) -> FloatArray | None:
     for fold in range(folds):
         out = np.zeros(len(points), dtype=bool)
         out[order[fold::folds]] = True
-        choice = choose(control.with_(points=points.take(~out)), heights)
+        choice = choose(control.with_(points=points.take(~out)), heights, watch)
         if choice is None:
             return None
         errors[out] = choice.chosen.fit.errors(points.take(out))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import sys
 
 import click
 
@@ -23,16 +24,16 @@ def echo(text: str = "", *, err: bool = False, nl: bool = True) -> None:
     click.echo(printable(text), err=err, nl=nl)
 
 
-class _Printable(logging.Formatter):
-    def format(self, record: logging.LogRecord) -> str:
-        return printable(super().format(record))
+class _OnStderr(logging.Handler):
+    """Writes to what is stderr at the time: a progress bar puts itself in its place."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        print(printable(self.format(record)), file=sys.stderr)
 
 
 def show_messages() -> None:
     """Print the log messages of termsel, such as the plan of an enumeration, on stderr."""
     logger = logging.getLogger("termsel")
     if not logger.handlers:
-        handler = logging.StreamHandler()
-        handler.setFormatter(_Printable("%(message)s"))
-        logger.addHandler(handler)
+        logger.addHandler(_OnStderr())
         logger.setLevel(logging.INFO)

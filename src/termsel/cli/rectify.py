@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import click
 
+from termsel.cli.bars import share_bar
 from termsel.cli.messages import echo, show_messages
 from termsel.errors import TermselError
 
@@ -55,21 +53,7 @@ def rectify(folder: Path, image: Path, output: Path, dem: Path | None, height: f
     if dem is None and height is None and result.fit.model.uses_height:
         raise TermselError("the place of the image on the map depends on the height of the ground",
                            hint="Give --dem FILE or --height H.")
-    with _bar(quiet) as progress:
+    with share_bar("rectify", quiet) as progress:
         warp(result, image, output, dem=dem, height=height, crs=crs, resolution=resolution,
              resampling=resampling, nodata=nodata, overwrite=overwrite, progress=progress)
     echo(f"Written: {output}", err=True)
-
-
-@contextmanager
-def _bar(quiet: bool) -> Iterator[Callable[[float], None] | None]:
-    """Yield a function that shows the fraction done, or None if nobody would see it."""
-    if quiet or not sys.stderr.isatty():
-        yield None
-        return
-    from rich.console import Console
-    from rich.progress import Progress
-
-    with Progress(console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task("rectify", total=1.0)
-        yield lambda share: bar.update(task, completed=share)

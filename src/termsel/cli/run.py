@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Mapping
-from contextlib import nullcontext
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
+from termsel.cli.bars import search_bar
 from termsel.cli.completion import complete
 from termsel.cli.messages import echo, show_messages
-from termsel.errors import TermselError, printable
+from termsel.errors import TermselError
 
 if TYPE_CHECKING:
     from termsel.measurements.features import FeatureSet
-    from termsel.solvers.ledger import Progress
 
 INTERRUPTED = 130
 
@@ -89,10 +88,9 @@ def run(
     areas: Path | None, formats: tuple[str, ...], dem: Path | None, raster: str | None,
     image_lines: str | None, crs: str | None, fit_crs: str | None, off: tuple[str, ...],
     role: tuple[str, ...], model: str | None, solver: str | None, criterion: str | None,
-    strategy: str | None,
-    settings: tuple[str, ...], seed: int, generations: int | None, evaluations: int | None,
-    seconds: float | None, out: Path | None, exports: tuple[str, ...], as_json: bool,
-    quiet: bool,
+    strategy: str | None, settings: tuple[str, ...], seed: int, generations: int | None,
+    evaluations: int | None, seconds: float | None, out: Path | None, exports: tuple[str, ...],
+    as_json: bool, quiet: bool,
 ) -> None:
     """Search for the terms or control features that serve best.
 
@@ -147,7 +145,7 @@ def run(
                               dem=dem, raster=raster, image_lines=image_lines)
     problem = problem or running.problem_for(features)
     source = ", ".join(str(path) for path in (*files, image_lines) if path is not None)
-    with _progress(problem, quiet) as observe:
+    with search_bar(problem, quiet) as observe:
         result = running.run(
             problem, strategy=strategy, features=features, dataset=dataset, source=source or None,
             model=model, solver=solver, criterion=criterion, options=options, seed=seed,
@@ -160,7 +158,8 @@ def run(
             export(result, to, out / name, overwrite=True)
             echo(f"Written: {out}/{name}", err=True)
     if result.interrupted:
-        echo("Interrupted. The same command with the same seed repeats the same search.", err=True)
+        echo("Interrupted: this is the best so far. The same command repeats the whole run.",
+             err=True)
         sys.exit(INTERRUPTED)
 
 
@@ -208,40 +207,3 @@ def read_files(points: Path | None, lines: Path | None, settings: dict[str, str]
         if given.get(key) is not None:
             raise TermselError(f"{key} is given twice", hint="Give it once.")
     return read(points, lines, **{**given, **options})
-
-
-def _progress(title: str, quiet: bool) -> Any:
-    """Return a context that yields an observer, or None where nobody would see it."""
-    if quiet or not sys.stderr.isatty():
-        return nullcontext(None)
-    return _Bar(title)
-
-
-class _Bar:
-    """A progress bar on stderr that is driven by a search."""
-
-    def __init__(self, title: str) -> None:
-        from rich.console import Console
-        from rich.progress import BarColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
-        from rich.progress import Progress as RichProgress
-
-        self._bar = RichProgress(
-            TextColumn("{task.description}", markup=False), BarColumn(),
-            TextColumn("{task.percentage:>3.0f}%"),
-            TextColumn("best {task.fields[best]}"), TextColumn("{task.fields[count]} evaluations"),
-            TimeElapsedColumn(), TimeRemainingColumn(), console=Console(stderr=True),
-            transient=True)
-        self._task = self._bar.add_task(printable(title), total=1.0, best="-", count=0)
-
-    def __enter__(self) -> Callable[[Progress], None]:
-        self._bar.start()
-        return self._observe
-
-    def __exit__(self, *error: object) -> None:
-        self._bar.stop()
-
-    def _observe(self, progress: Progress) -> None:
-        best = f"{progress.best:.4f}" if progress.violation == 0 else "infeasible"
-        self._bar.update(self._task, completed=progress.share, best=best,
-                         count=progress.evaluations,
-                         total=None if progress.share is None else 1.0)

@@ -3,13 +3,20 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
 
 from termsel.candidates.compare import compare, has_heights
-from termsel.candidates.portfolio import MAX_FOLDS, portfolio, repeated
+from termsel.candidates.portfolio import (
+    MAX_FOLDS,
+    Judged,
+    best_of,
+    choose,
+    portfolio,
+    repeated,
+)
 from termsel.errors import TermselError
 from termsel.fits.diagnosis import diagnose
 from termsel.fits.extrapolation import warnings_of
@@ -17,13 +24,19 @@ from termsel.fits.figures import figures, in_role, residuals_of
 from termsel.measurements.features import FloatArray, no_points, select
 from termsel.measurements.roles import Observations, together
 from termsel.models.base import SensorModel
-from termsel.problems.base import Selection
+from termsel.problems.base import Evaluation, Selection
 from termsel.problems.recipes import Recipe
 from termsel.results.result import Result
 from termsel.runs.judge import judge_choice
 from termsel.runs.outliers import judged_independent, without_blunders
 from termsel.runs.provenance import data_of, versions
 from termsel.runs.task import FEW, Request, all_control
+from termsel.solvers.base import Generation
+from termsel.solvers.ledger import Progress
+from termsel.solvers.search import Observer
+
+INTERRUPTED = ("The run was interrupted when {0} of {1} candidates were judged. The choice was not "
+               "repeated without some of the points, so it predicts no accuracy.")
 
 NAMES = ("auto", "as-asked")
 
@@ -62,7 +75,51 @@ def wanted(strategy: str | None, recipe: Recipe, asked: Mapping[str, Any]) -> bo
     return True
 
 
-def choose_for(request: Request, observations: Observations, seed: int) -> Result:
+class _Watch:
+    """Tells observers how far a choice is, and keeps the candidates judged for all points.
+
+    Parameters
+    ----------
+    observers : iterable of callable
+    candidates, folds : int
+        How many there are; each fold judges all candidates, as the choice itself does.
+
+    Attributes
+    ----------
+    candidates : int
+    judged : list of Judged
+        Of all points.
+    count : int
+        Candidates judged, those of folds included.
+    """
+
+    def __init__(self, observers: Iterable[Observer], candidates: int, folds: int) -> None:
+        self._observers = tuple(observers)
+        self.candidates, self._folds = candidates, folds
+        self.judged: list[Judged] = []
+        self.count = 0
+
+    def tell(self, what: str, share: float | None = None) -> None:
+        """Tell what is being done, and the share of it that is done."""
+        best = min((one.predicted for one in self.judged), default=np.inf)
+        generation = Generation(self.count, np.zeros((0, 0), dtype=bool),
+                                Evaluation(np.zeros((0, 1)), np.zeros(0)))
+        for observe in self._observers:
+            observe(Progress(generation, self.count, share, best, 0.0,
+                             np.zeros(0, dtype=bool), what))
+
+    def candidate(self, one: Judged | None) -> None:
+        """Count a candidate that was judged, and tell."""
+        fold = self.count // self.candidates
+        self.count += 1
+        if one and not fold:
+            self.judged.append(one)
+        self.tell("candidates" if not fold else f"fold {fold} of {self._folds}",
+                  self.count / self.candidates / (1 + self._folds))
+
+
+def choose_for(request: Request, observations: Observations, seed: int,
+               observers: Iterable[Observer] = ()) -> Result:
     """Return the choice from the portfolio as a result.
 
     Parameters
@@ -72,10 +129,13 @@ def choose_for(request: Request, observations: Observations, seed: int) -> Resul
     observations : Observations
     seed : int
         For the record: nothing is drawn.
+    observers : iterable of callable
+        Called with `Progress` after each candidate.
 
     Returns
     -------
     Result
+        Also when interrupted with Ctrl-C, if any candidate was judged.
 
     Raises
     ------
@@ -84,14 +144,23 @@ def choose_for(request: Request, observations: Observations, seed: int) -> Resul
     """
     start = time.perf_counter()
     heights = has_heights(observations)
+    watch = _Watch(observers, len(portfolio(heights)), min(MAX_FOLDS, len(together(observations))))
+    watch.tell("blunders")
     observations, outliers, notes = without_blunders(observations, heights)
-    both, comparison = together(observations), compare(observations)
-    if comparison.choice is None:
+    both = together(observations)
+    errors, interrupted = None, False
+    try:
+        choice = choose(both, heights, watch.candidate)
+        errors = repeated(both, heights, watch.candidate) if choice else None
+    except KeyboardInterrupt:
+        choice, interrupted = best_of(watch.judged), True
+        if choice is None:
+            raise
+    if choice is None:
         raise TermselError(
             f"{len(both)} control and check points are too few for any model with redundancy, or "
             "lie badly", hint="Measure more, spread over the scene: an affine model needs 5.")
-    chosen, candidates = comparison.choice.chosen, comparison.choice.judged
-    errors = repeated(both, heights)
+    chosen, comparison = choice.chosen, compare(observations, choice)
     predicted = None if errors is None else float(np.sqrt((errors**2).sum(axis=1).mean()))
     fitted = in_role(chosen.fit, observations)
     model = fitted.model
@@ -101,6 +170,8 @@ def choose_for(request: Request, observations: Observations, seed: int) -> Resul
     baselines = tuple(b for b in comparison.baselines
                       if b.name != chosen.name or chosen.candidate.is_plain)
     folds = min(MAX_FOLDS, len(both))
+    said = INTERRUPTED.format(min(watch.count, watch.candidates), watch.candidates) \
+        if interrupted else ""
     return Result(
         problem=request.recipe.name, model=model.name, solver="auto", criterion="press", seed=seed,
         options={"problem": {}, "data": request.options["data"], "model": model.options,
@@ -110,22 +181,22 @@ def choose_for(request: Request, observations: Observations, seed: int) -> Resul
         feasible=True, rmse=rmse, baselines=baselines,
         judgement=judge_choice(chosen.candidate, predicted, rmse, baselines,
                                request.features.noise),
-        notes=(*_few(request), *_notes(request.model, observations, errors), *notes, *more),
+        notes=(*_few(request), *_notes(request.model, observations, errors, said), *notes, *more),
         outliers=(*outliers, *contradicting),
         objectives={"press": chosen.predicted},
-        evaluations=len(portfolio(heights)) * (1 + folds), lookups=0, generations=0,
-        seconds=time.perf_counter() - start, interrupted=False, polish=None, fit=fitted,
+        evaluations=watch.count, lookups=0, generations=0,
+        seconds=time.perf_counter() - start, interrupted=interrupted, polish=None, fit=fitted,
         residuals=residuals_of(fitted, observations, check_used=True),
         diagnosis=diagnose(fitted),
         features=observations.features, versions=versions(),
         strategy={
-            "name": "auto", "chosen": chosen.name, "reason": comparison.choice.reason,
+            "name": "auto", "chosen": chosen.name, "reason": choice.reason,
             "predicted": predicted, "folds": folds,
             "fitted_to": ["control", "check"],
             "candidates": [
                 {"name": one.name, "model": one.fit.model.name,
                  "n_terms": int(one.fit.terms.sum()), "effective": one.fit.effective,
-                 "predicted": one.predicted} for one in candidates]})
+                 "predicted": one.predicted} for one in choice.judged]})
 
 
 def _few(request: Request) -> list[str]:
@@ -136,10 +207,12 @@ def _few(request: Request) -> list[str]:
 
 
 def _notes(model: SensorModel, observations: Observations,
-           errors: FloatArray | None) -> list[str]:
+           errors: FloatArray | None, interrupted: str) -> list[str]:
     both = together(observations)
     notes = [*warnings_of(both, np.ones(len(both), dtype=bool), no_points())]
-    if errors is None:
+    if interrupted:
+        notes.append(interrupted)
+    elif errors is None:
         notes.append("The points are too few to repeat the choice without some of them, so it "
                      "predicts no accuracy.")
     if has_heights(observations) and not model.uses_height:

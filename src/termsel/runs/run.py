@@ -63,7 +63,7 @@ def run(
     seconds : float, optional
         Budget of time.
     observers : iterable of callable
-        Called after each generation.
+        Called with `Progress` after each generation, or each candidate of the strategy "auto".
     out : path, optional
         Folder for result.json, residuals.csv and summary.txt.
 
@@ -96,7 +96,7 @@ def run(
         task = problem
     elif wanted(strategy, registry().get("problems", problem), _method(
             asked, generations, evaluations, seconds)):
-        return _chosen(problem, asked, seed, out)
+        return _chosen(problem, asked, seed, observers, out)
     else:
         task = prepare(problem, **asked)
     _begin(out)
@@ -135,7 +135,8 @@ def _method(asked: Mapping[str, Any], generations: int | None, evaluations: int 
             "a budget": any(budget is not None for budget in (generations, evaluations, seconds))}
 
 
-def _chosen(problem: str, asked: Mapping[str, Any], seed: int, out: Path | str | None) -> Result:
+def _chosen(problem: str, asked: Mapping[str, Any], seed: int, observers: Iterable[Observer],
+            out: Path | str | None) -> Result:
     """Return the result of the strategy "auto", which builds no problem."""
     # It fits to check points as to control, and yet shows their figures.
     options = {"check_as": "judge", **asked.get("options", {})}
@@ -143,7 +144,7 @@ def _chosen(problem: str, asked: Mapping[str, Any], seed: int, out: Path | str |
                               "options": options})
     observations = observe(request)
     _begin(out)
-    return _finished(choose_for(request, observations, seed), out)
+    return _finished(choose_for(request, observations, seed, observers), out)
 
 
 def _begin(out: Path | str | None) -> None:

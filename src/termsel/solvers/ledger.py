@@ -30,6 +30,9 @@ class Progress:
         Its violation; 0 is feasible.
     genes : ndarray of bool, shape (size,)
         The best individual so far.
+    what : str
+        What is being done, of the strategy "auto": there each candidate of each fold counts as an
+        evaluation and as a generation, none of which has genes.
     """
 
     generation: Generation
@@ -38,6 +41,7 @@ class Progress:
     best: float
     violation: float
     genes: BoolArray
+    what: str = ""
 
 
 class BudgetSpent(Exception):

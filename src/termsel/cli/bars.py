@@ -1,0 +1,82 @@
+"""Progress bars on stderr, where it is a terminal; nothing elsewhere."""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+from termsel.errors import printable
+
+if TYPE_CHECKING:
+    from rich.progress import Progress as RichProgress
+    from rich.progress import ProgressColumn
+
+    from termsel.solvers.ledger import Progress
+
+
+@contextmanager
+def search_bar(title: str, quiet: bool) -> Iterator[Callable[[Progress], None] | None]:
+    """Yield an observer that shows how far a run is, or None where nobody would see it.
+
+    Parameters
+    ----------
+    title : str
+    quiet : bool
+    """
+    if quiet or not sys.stderr.isatty():
+        yield None
+        return
+    from rich.progress import TextColumn
+
+    with _bar(TextColumn("{task.fields[state]}")) as bar:
+        task = bar.add_task(printable(title), total=None, state="")
+
+        def observe(progress: Progress) -> None:
+            found = progress.violation == 0 and math.isfinite(progress.best)
+            best = f"{progress.best:.4g}" if found else "-"
+            bar.update(task, completed=progress.share or 0,
+                       description=progress.what or printable(title),
+                       total=None if progress.share is None else 1.0,
+                       state=f"best {best}, {progress.evaluations} evaluations")
+
+        yield observe
+
+
+@contextmanager
+def share_bar(title: str, quiet: bool) -> Iterator[Callable[[float], None] | None]:
+    """Yield a function that shows the fraction done, or None where nobody would see it.
+
+    Parameters
+    ----------
+    title : str
+    quiet : bool
+    """
+    if quiet or not sys.stderr.isatty():
+        yield None
+        return
+    with _bar() as bar:
+        task = bar.add_task(title, total=1.0)
+        yield lambda share: bar.update(task, completed=share)
+
+
+@contextmanager
+def _bar(*more: ProgressColumn) -> Iterator[RichProgress]:
+    """Yield a bar that leaves no trace; what is printed meanwhile appears above it."""
+    from rich.console import Console
+    from rich.progress import (
+        BarColumn,
+        Progress,
+        TaskProgressColumn,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
+
+    # Text of names and files is no markup.
+    columns = (TextColumn("{task.description}", markup=False), BarColumn(bar_width=20),
+               TaskProgressColumn(), *more, TimeElapsedColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        yield bar
