@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 import sys
 from types import TracebackType
@@ -32,9 +33,29 @@ def report_fault(
     print(printable(FAULT.format(what=cut(what, 1000), version=__version__)), file=sys.stderr)
 
 
+def open_streams() -> None:
+    """Make stdout and stderr take any text, also where the shell has closed them.
+
+    What stdout cannot show is escaped. A stdout that is closed refuses what is written to it, and
+    no file that is opened later takes its place.
+    """
+    for number, mode in enumerate((os.O_RDONLY, os.O_RDONLY, os.O_WRONLY)):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.open(os.devnull, mode)  # takes the lowest number that is free
+    if sys.stdout is None:
+        sys.stdout = open(1, "w", encoding="utf-8", closefd=False)  # noqa: SIM115 - stays open
+    if sys.stderr is None:
+        sys.stderr = open(2, "w", encoding="utf-8", closefd=False)  # noqa: SIM115 - stays open
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="backslashreplace")
+
+
 def main() -> None:
     """Run the command line."""
     sys.excepthook = report_fault
+    open_streams()
     cli.main(prog_name="termsel")
 
 

@@ -6,6 +6,7 @@ Exit codes: 0 done; 2 the user can correct it; 1 a bug in termsel; 130 interrupt
 
 from __future__ import annotations
 
+import errno
 import io
 import os
 import sys
@@ -24,15 +25,32 @@ from termsel.version import __version__
 CORRECTABLE, INTERRUPTED = 2, 130
 
 
+_UNWRITABLE = {errno.EPIPE, errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EBADF,
+               errno.EAGAIN}
+
+
 @contextmanager
-def _closed_pipe_ends_quietly() -> Iterator[None]:
-    """End the program silently when the reader of its output, such as head, has ended."""
+def _stdout_may_end() -> Iterator[None]:
+    """End the program silently when the reader of its output, such as head, has ended.
+
+    Raises
+    ------
+    TermselError
+        If stdout cannot be written for another reason, such as a full disk.
+    """
     try:
         yield
-    except BrokenPipeError:
+        sys.stdout.flush()
+    except OSError as error:
+        if error.errno not in _UNWRITABLE or error.filename is not None:
+            raise
         # Python flushes stdout once more when it ends.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        raise click.exceptions.Exit(0) from None
+        if isinstance(error, BrokenPipeError):
+            raise click.exceptions.Exit(0) from None
+        raise TermselError(f"cannot write to stdout: {error.strerror}",
+                           hint="Check where the output goes, and the free space there."
+                           ) from error
 
 
 class Commands(click.Group):
@@ -82,15 +100,13 @@ class Commands(click.Group):
         **extra: Any,
     ) -> click.Context:
         """Return the context of a call; prints help and version."""
-        with _closed_pipe_ends_quietly():
+        with _stdout_may_end():
             return super().make_context(info_name, args, parent, **extra)
 
     def invoke(self, ctx: click.Context) -> Any:
         """Call the command."""
-        with _closed_pipe_ends_quietly():
-            value = super().invoke(ctx)
-            sys.stdout.flush()
-            return value
+        with _stdout_may_end():
+            return super().invoke(ctx)
 
     def main(
         self,

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import logging
 import sys
+from contextlib import nullcontext, suppress
 
 import click
 
-from termsel.errors import printable
+from termsel.errors import TermselError, printable
 
 
 def echo(text: str = "", *, err: bool = False, nl: bool = True) -> None:
@@ -17,18 +18,44 @@ def echo(text: str = "", *, err: bool = False, nl: bool = True) -> None:
     ----------
     text : str
     err : bool
-        On stderr.
+        On stderr. If that cannot be written, as on a full disk, the command goes on.
     nl : bool
         Whether a line end follows.
     """
-    click.echo(printable(text), err=err, nl=nl)
+    with suppress(OSError) if err else nullcontext():
+        click.echo(printable(text), err=err, nl=nl)
+
+
+def stdout_has(text: str) -> bool:
+    """Return True if the encoding of stdout has all characters of a text."""
+    try:
+        text.encode(getattr(sys.stdout, "encoding", None) or "utf-8")
+    except UnicodeEncodeError:
+        return False
+    return True
+
+
+def echo_table(text: str) -> None:
+    """Print a table for other programs, as it is.
+
+    Raises
+    ------
+    TermselError
+        If the encoding of stdout has not all of its characters.
+    """
+    if not stdout_has(text):
+        raise TermselError(f"the encoding of stdout, {sys.stdout.encoding}, does not have all "
+                           "characters of the table",
+                           hint="Write to a file with --output, or set PYTHONIOENCODING=utf-8.")
+    echo(text, nl=False)
 
 
 class _OnStderr(logging.Handler):
     """Writes to what is stderr at the time: a progress bar puts itself in its place."""
 
     def emit(self, record: logging.LogRecord) -> None:
-        print(printable(self.format(record)), file=sys.stderr)
+        with suppress(OSError):
+            print(printable(self.format(record)), file=sys.stderr)
 
 
 def show_messages() -> None:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from termsel.cli.messages import echo, show_messages
+from termsel.cli.messages import echo, echo_table, show_messages
 
 
 @click.command()
@@ -48,7 +48,7 @@ def project(folder: Path, points: Path, inverse: bool, dem: Path | None, height:
     text, missed = project_table(read_result(folder), points, inverse=inverse, dem=dem,
                                  height=height)
     if output is None:
-        echo(text, nl=False)
+        echo_table(text)
     else:
         write_text(output, text)
         echo(f"Written: {output}", err=True)

@@ -7,7 +7,7 @@ import sys
 from collections.abc import Sequence
 from typing import Any
 
-from termsel.cli.messages import echo
+from termsel.cli.messages import echo, stdout_has
 from termsel.errors import printable
 
 
@@ -52,4 +52,5 @@ def json_text(value: Any) -> str:
 
 def print_json(value: Any) -> None:
     """Print a value as JSON."""
-    echo(json_text(value), nl=False)
+    text = json_text(value)
+    echo(text if stdout_has(text) else json.dumps(value, indent=2) + "\n", nl=False)
