@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from termsel.fits.fit import Fit
     from termsel.formats.base import Reader, Writer
     from termsel.formats.readers.csv_tables import write_lines_csv, write_points_csv
+    from termsel.formats.remote import allow_remote
     from termsel.formats.rpc_files import read_rpc
     from termsel.io.export import export
     from termsel.io.read import read
@@ -94,6 +95,7 @@ _HOME = {
     "Term": "termsel.models",
     "TermselError": "termsel.errors",
     "Writer": "termsel.formats.base",
+    "allow_remote": "termsel.formats.remote",
     "export": "termsel.io.export",
     "feature_options": "termsel.problems.recipes",
     "fit": "termsel.runs.fit",
@@ -154,6 +156,7 @@ __all__ = [
     "TermselError",
     "Writer",
     "__version__",
+    "allow_remote",
     "export",
     "feature_options",
     "fit",

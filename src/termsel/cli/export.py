@@ -8,6 +8,7 @@ import click
 
 from termsel.cli.completion import complete
 from termsel.cli.messages import echo, show_messages
+from termsel.cli.remote import allow_remote
 from termsel.cli.run import parse_settings
 
 
@@ -22,6 +23,7 @@ from termsel.cli.run import parse_settings
 @click.option("--set", "settings", metavar="KEY=VALUE", multiple=True,
               help="An option of the format; `termsel describe FORMAT` lists them.")
 @click.option("--overwrite", is_flag=True, help="Replace an existing file.")
+@allow_remote
 def export(folder: Path, to: str, output: Path, image: str | None, dem: str | None,
            settings: tuple[str, ...], overwrite: bool) -> None:
     """Write a result for GDAL, QGIS, OTB, Orthority and others.

@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from termsel.cli.messages import echo, echo_table, show_messages
+from termsel.cli.remote import allow_remote
 
 
 @click.command()
@@ -21,6 +22,7 @@ from termsel.cli.messages import echo, echo_table, show_messages
 @click.option("--output", "-o", metavar="FILE", type=click.Path(path_type=Path),
               help="Table to write; stdout by default.")
 @click.option("--overwrite", is_flag=True, help="Replace an existing file.")
+@allow_remote
 def project(folder: Path, points: Path, inverse: bool, dem: Path | None, height: float | None,
             output: Path | None, overwrite: bool) -> None:
     """Compute image positions of ground points, or ground positions of image points.

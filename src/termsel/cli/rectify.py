@@ -8,6 +8,7 @@ import click
 
 from termsel.cli.bars import share_bar
 from termsel.cli.messages import echo, show_messages
+from termsel.cli.remote import allow_remote
 from termsel.errors import TermselError
 
 
@@ -28,6 +29,7 @@ from termsel.errors import TermselError
                                            "the image, else 0.")
 @click.option("--overwrite", is_flag=True, help="Replace an existing file.")
 @click.option("--quiet", is_flag=True, help="Show no progress bar.")
+@allow_remote
 def rectify(folder: Path, image: Path, output: Path, dem: Path | None, height: float | None,
             crs: str | None, resolution: float | None, resampling: str, nodata: float | None,
             overwrite: bool, quiet: bool) -> None:

@@ -12,6 +12,7 @@ import click
 from termsel.cli.bars import search_bar
 from termsel.cli.completion import complete
 from termsel.cli.messages import echo, show_messages
+from termsel.cli.remote import allow_remote
 from termsel.errors import TermselError
 
 if TYPE_CHECKING:
@@ -83,6 +84,7 @@ INTERRUPTED = 130
               help="Write the result to --out in this format too; may be repeated.")
 @click.option("--json", "as_json", is_flag=True, help="Print result.json alone on stdout.")
 @click.option("--quiet", is_flag=True, help="No progress bar.")
+@allow_remote
 def run(
     problem: str | None, dataset: str | None, points: Path | None, lines: Path | None,
     areas: Path | None, formats: tuple[str, ...], dem: Path | None, raster: str | None,

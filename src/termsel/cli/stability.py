@@ -10,6 +10,7 @@ import click
 
 from termsel.cli.completion import complete
 from termsel.cli.messages import echo, show_messages
+from termsel.cli.remote import allow_remote
 from termsel.cli.run import parse_settings, read_files, require_files
 from termsel.cli.tables import json_text, print_json, print_table
 from termsel.errors import TermselError
@@ -52,6 +53,7 @@ from termsel.errors import TermselError
 @click.option("--out", metavar="DIR", type=click.Path(path_type=Path),
               help="Folder for stability.json.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+@allow_remote
 def stability(
     problem: str, dataset: str | None, points: Path | None, areas: Path | None,
     form: tuple[str, ...], dem: Path | None, raster: str | None, crs: str | None,

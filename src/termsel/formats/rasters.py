@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from termsel.errors import TermselError
+from termsel.formats.remote import HINT, NO_PROXY_EXISTS, local_alone
 from termsel.measurements.features import FloatArray
 
 
@@ -68,24 +69,33 @@ def open_raster(path: Path | str) -> Iterator[Any]:
     Raises
     ------
     TermselError
-        If rasterio is not installed, or GDAL cannot open or read the file.
+        If rasterio is not installed; if GDAL cannot open or read the file; if it has remote
+        sources that are not allowed (see `termsel.formats.remote`).
     """
     rasterio = require_rasterio()
+    from rasterio._err import CPLE_BaseError
+
     try:
-        with warnings.catch_warnings():
-            # An image that is to be georeferenced has no geotransform.
-            warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
-            raster = rasterio.open(path)
-        with raster:
-            yield raster
-    except (rasterio.errors.RasterioError, rasterio.errors.RasterioIOError) as error:
+        with local_alone(path) as options, rasterio.Env(**options):
+            with warnings.catch_warnings():
+                # An image that is to be georeferenced has no geotransform.
+                warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
+                raster = rasterio.open(path)
+            with raster:
+                yield raster
+    except (rasterio.errors.RasterioError, CPLE_BaseError) as error:
         if not Path(path).exists():
             raise TermselError("this file does not exist", file=path,
                                hint="Check the name and the folder.") from error
         # rasterio's own message only points to the cause.
         reason = str(error.__cause__ or error).rstrip(".")
+        hint = HINT if NO_PROXY_EXISTS in reason else "Is it complete, and an image?"
         raise TermselError(f"GDAL cannot read this raster: {reason}", file=path,
-                           hint="Is it complete, and an image?") from error
+                           hint=hint) from error
+    except UnicodeDecodeError as error:  # names, or what GDAL quotes of the file
+        raise TermselError("this raster has text that is not UTF-8", file=path,
+                           hint="Save the file, or what is next to it, with the encoding UTF-8."
+                           ) from error
 
 
 def positions(raster: Any, x: FloatArray, y: FloatArray) -> FloatArray:

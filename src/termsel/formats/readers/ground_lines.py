@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
+from warnings import catch_warnings, simplefilter
 
 import numpy as np
 
@@ -20,6 +22,7 @@ from termsel.formats.readers.geojson import (
     vertices,
 )
 from termsel.formats.readers.tables import read_table
+from termsel.formats.remote import local_alone
 from termsel.measurements.features import FeatureSet, FloatArray, Lines
 from termsel.options import Option
 
@@ -81,6 +84,19 @@ class VectorLines(Reader):
         return _joined(path, features, crs, **options)
 
 
+@contextmanager
+def _configured(options: Mapping[str, str]) -> Iterator[None]:
+    """Set options of pyogrio's GDAL while the block runs."""
+    from pyogrio import get_gdal_config_option, set_gdal_config_options
+
+    before = {key: get_gdal_config_option(key) for key in options}
+    set_gdal_config_options(dict(options))
+    try:
+        yield
+    finally:
+        set_gdal_config_options(before)
+
+
 def _read_layer(path: Path, layer: str | None) -> tuple[list[Feature], str]:
     """Return the features of a layer, and its CRS."""
     try:
@@ -91,7 +107,9 @@ def _read_layer(path: Path, layer: str | None) -> tuple[list[Feature], str]:
         raise TermselError("this requires pyogrio and shapely, which are not installed", file=path,
                            hint='Install them: pip install "termsel[gis]".') from None
     try:
-        meta, _, geometries, columns = read(path, layer=layer)
+        with local_alone(path) as options, _configured(options), catch_warnings():
+            simplefilter("ignore")  # what GDAL says of a file that it reads all the same
+            meta, _, geometries, columns = read(path, layer=layer)
         shapes = from_wkb(geometries)
     except (DataSourceError, DataLayerError, GEOSException, ValueError) as error:
         raise TermselError(f"GDAL cannot read this file: {error}", file=path,

@@ -1,0 +1,24 @@
+"""The option --allow-remote of every command that reads rasters or vector files."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+import click
+
+Command = TypeVar("Command", bound=Callable[..., Any])
+
+
+def allow_remote(command: Command) -> Command:
+    """Add ``--allow-remote``, which holds for all that the command reads."""
+    return click.option(
+        "--allow-remote", is_flag=True, expose_value=False, callback=_allow,
+        help="Let rasters and vector files refer to servers; refused otherwise.")(command)
+
+
+def _allow(context: click.Context, parameter: click.Parameter, given: bool) -> None:  # noqa: ARG001
+    if given and not context.resilient_parsing:
+        from termsel.formats.remote import allow_remote as allowed
+
+        context.with_resource(allowed())
