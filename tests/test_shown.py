@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 import termsel
-from termsel.cli import messages, tables
-from termsel.cli.run import _Bar
+from termsel.cli import bars, messages, tables
 from termsel.errors import TermselError, cut, printable
 
 CLI = Path(messages.__file__).parent
@@ -96,10 +95,13 @@ def test_tables_and_json(capsys, monkeypatch) -> None:
     assert "\x07" not in capsys.readouterr().out
 
 
-def test_a_bar_shows_brackets_and_no_escape_sequence(capsys) -> None:
-    with _Bar(f"[/nope] {ESC}"):
-        pass
-    assert "\x1b" not in capsys.readouterr().err
+def test_a_bar_shows_brackets_and_no_escape_sequence(capsys, monkeypatch) -> None:
+    monkeypatch.setattr(bars.sys.stderr, "isatty", lambda: True)
+    with bars.search_bar(f"[/nope] {ESC}", quiet=False) as observe:
+        assert observe is not None
+    drawn = capsys.readouterr().err
+    assert "[/nope]" in drawn
+    assert "\x1b]0" not in drawn
 
 
 def test_long_parts_of_a_message_lose_their_middle() -> None:
