@@ -174,7 +174,9 @@ def _require_same_by_gdal(rpc: Rpc, image: Path) -> None:
     # Near a pole, far outside the image, nothing can be compared.
     seen = (np.abs(ours - rpc.image_offset) <= 3 * np.abs(rpc.image_scale)).all(axis=1)
     try:
-        with open_raster(image) as raster, RPCTransformer(raster.rpcs) as transformer:
+        with open_raster(image) as raster:
+            rpcs = raster.rpcs
+        with RPCTransformer(rpcs) as transformer:
             rows, columns = transformer.rowcol(*ground[seen].T, op=np.asarray)
     except (RasterioError, CPLE_BaseError, ValueError) as error:
         raise TermselError(f"GDAL cannot use this RPC: {error}",
