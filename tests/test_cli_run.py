@@ -104,7 +104,8 @@ def test_ctrl_c_returns_the_best_so_far(tmp_path: Path) -> None:
     time.sleep(6)  # the search begins when the folder is claimed; the first run compiles
     stdout, stderr = interrupted(process)
     assert process.returncode == 130
-    assert "Interrupted: this is the best so far. The same command repeats the whole run." in stderr
+    assert "Interrupted: this is the best so far. The same command with " \
+        "--overwrite repeats the whole run." in stderr
     result = json.loads(stdout)
     assert result["interrupted"]
     assert result["rmse"]["independent"]["total"] > 0
@@ -271,6 +272,33 @@ def test_bad_words_give_one_message_and_code_2(kind: str, call: Call) -> None:
     assert done.stdout == ""
     assert message in done.stderr
     assert "Traceback" not in done.stderr
+
+
+def test_a_result_is_replaced_only_where_that_is_asked_for(
+        files: Path, tmp_path: Path, call: Call) -> None:
+    words = ["run", "--problem", "rfm-terms", "--model", "affine", "--solver", "all-terms",
+             "--criterion", "press", "--points", files / "points.csv", "--crs", "EPSG:4979",
+             "--out", tmp_path, "--export", "geolocation-vrt"]
+    first = call(*words)
+    written = [line.removeprefix("Written: ") for line in first.stderr.splitlines()
+               if line.startswith("Written: ")]
+    assert written[0] == f"{tmp_path}/result.json, residuals.csv, summary.txt, points.csv"
+    assert written[1] == ", ".join(str(tmp_path / f"result_geolocation{end}")
+                                   for end in (".vrt", "_xy.tif"))
+    before = {file: file.read_bytes() for file in tmp_path.iterdir()}
+    assert len(before) == 6
+    again = call(*words)
+    assert (again.exit_code, again.stdout) == (2, "")
+    assert "add --overwrite" in again.stderr
+    assert {file: file.read_bytes() for file in tmp_path.iterdir()} == before
+    refused = call(*words[:-2])
+    assert refused.exit_code == 2
+    assert f"{tmp_path}: there is a result in this folder already." in refused.stderr
+    with pytest.raises(TermselError, match="there is a result in this folder already"):
+        termsel_run("rfm-terms", out=tmp_path)
+    other = call(*words, "--overwrite", "--off", "P002")
+    assert other.exit_code == 0
+    assert (tmp_path / "result.json").read_bytes() != before[tmp_path / "result.json"]
 
 
 def test_points_and_lines_are_left_out_and_given_roles(files: Path, call: Call) -> None:

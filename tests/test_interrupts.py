@@ -73,7 +73,7 @@ def scenarios() -> dict[str, Scenario]:
     of_result = frozenset({"result.json", "residuals.csv", "summary.txt", "points.csv"})
 
     def run(result: Any, folder: Path) -> None:
-        claim_folder(folder)
+        claim_folder(folder, overwrite=True)
         write_result(result, folder)
 
     def result_in(folder: Path) -> str:

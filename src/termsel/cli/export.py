@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from termsel.cli.completion import complete
-from termsel.cli.messages import echo, show_messages
+from termsel.cli.messages import say_written, show_messages
 from termsel.cli.remote import allow_remote
 from termsel.cli.run import parse_settings
 
@@ -50,5 +50,4 @@ def export(folder: Path, to: str, output: Path, image: str | None, dem: str | No
     # Report a mistake in these before the folder is read.
     files = writer_of(to, **options).files(output)
     require_replaceable(files, reads=[folder, *options.values()], overwrite=overwrite)
-    write(read_result(folder), to, output, overwrite=overwrite, **options)
-    echo(f"Written: {output}", err=True)
+    say_written(write(read_result(folder), to, output, overwrite=overwrite, **options))

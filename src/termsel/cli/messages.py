@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import sys
+from collections.abc import Iterable
 from contextlib import nullcontext, suppress
 
 import click
@@ -48,6 +49,11 @@ def echo_table(text: str) -> None:
                            "characters of the table",
                            hint="Write to a file with --output, or set PYTHONIOENCODING=utf-8.")
     echo(text, nl=False)
+
+
+def say_written(files: Iterable[object]) -> None:
+    """Say on stderr which files were written."""
+    echo(f"Written: {', '.join(map(str, files))}", err=True)
 
 
 class _OnStderr(logging.Handler):

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from termsel.cli.messages import echo, echo_table, show_messages
+from termsel.cli.messages import echo, echo_table, say_written, show_messages
 from termsel.cli.remote import allow_remote
 
 
@@ -53,7 +53,7 @@ def project(folder: Path, points: Path, inverse: bool, dem: Path | None, height:
         echo_table(text)
     else:
         write_text(output, text)
-        echo(f"Written: {output}", err=True)
+        say_written([output])
     if missed:
         echo(f"Warning: no position was found for {counted(len(missed), 'point')}: "
              f"{', '.join(missed[:10])}{' ...' if len(missed) > 10 else ''}", err=True)

@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from termsel.cli.bars import share_bar
-from termsel.cli.messages import echo, show_messages
+from termsel.cli.messages import say_written, show_messages
 from termsel.cli.remote import allow_remote
 from termsel.errors import TermselError
 
@@ -58,4 +58,4 @@ def rectify(folder: Path, image: Path, output: Path, dem: Path | None, height: f
     with share_bar("rectify", quiet) as progress:
         warp(result, image, output, dem=dem, height=height, crs=crs, resolution=resolution,
              resampling=resampling, nodata=nodata, overwrite=overwrite, progress=progress)
-    echo(f"Written: {output}", err=True)
+    say_written([output])

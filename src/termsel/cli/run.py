@@ -11,7 +11,7 @@ import click
 
 from termsel.cli.bars import search_bar
 from termsel.cli.completion import complete
-from termsel.cli.messages import echo, show_messages
+from termsel.cli.messages import echo, say_written, show_messages
 from termsel.cli.remote import allow_remote
 from termsel.errors import TermselError
 
@@ -82,6 +82,7 @@ INTERRUPTED = 130
 @click.option("--export", "exports", metavar="FORMAT", multiple=True,
               shell_complete=complete("writers"),
               help="Write the result to --out in this format too; may be repeated.")
+@click.option("--overwrite", is_flag=True, help="Replace an earlier result in --out.")
 @click.option("--json", "as_json", is_flag=True, help="Print result.json alone on stdout.")
 @click.option("--quiet", is_flag=True, help="No progress bar.")
 @allow_remote
@@ -92,7 +93,7 @@ def run(
     role: tuple[str, ...], model: str | None, solver: str | None, criterion: str | None,
     strategy: str | None, settings: tuple[str, ...], seed: int, generations: int | None,
     evaluations: int | None, seconds: float | None, out: Path | None, exports: tuple[str, ...],
-    as_json: bool, quiet: bool,
+    overwrite: bool, as_json: bool, quiet: bool,
 ) -> None:
     """Search for the terms or control features that serve best.
 
@@ -128,7 +129,7 @@ def run(
 
     from termsel.io.export import export, writer_of
     from termsel.io.replacing import require_replaceable
-    from termsel.io.result_folder import files_of_result
+    from termsel.io.result_folder import RECORD, files_of_result, names_of
     from termsel.plugins.registry import registry
     from termsel.runs import run as running
 
@@ -137,8 +138,9 @@ def run(
     if out is not None:
         written = [file for to, name in exported.items()
                    for file in writer_of(to).files(out / name)]
-        require_replaceable([*files_of_result(out), *written], overwrite=True,
-                            reads=[*files, dem, raster, image_lines, *options.values()])
+        reads = [*files, dem, raster, image_lines, *options.values()]
+        require_replaceable(files_of_result(out), reads=reads, overwrite=True)
+        require_replaceable(written, reads=reads, overwrite=overwrite)
     features = None
     if areas is not None and problem and registry().get("problems", problem).control == "points":
         options.setdefault("areas_as", "centroid")
@@ -152,16 +154,15 @@ def run(
             problem, strategy=strategy, features=features, dataset=dataset, source=source or None,
             model=model, solver=solver, criterion=criterion, options=options, seed=seed,
             generations=generations, evaluations=evaluations, seconds=seconds,
-            observers=[observe] if observe else [], out=out)
+            observers=[observe] if observe else [], out=out, overwrite=overwrite)
     echo(result.to_json() if as_json else result.summary(), nl=False)
     if out is not None:
-        echo(f"Written: {out}/result.json, residuals.csv, summary.txt", err=True)
+        say_written([f"{out}/{RECORD}", *names_of(result.features)[1:]])
         for to, name in exported.items():
-            export(result, to, out / name, overwrite=True)
-            echo(f"Written: {out}/{name}", err=True)
+            say_written(export(result, to, out / name, overwrite=overwrite))
     if result.interrupted:
-        echo("Interrupted: this is the best so far. The same command repeats the whole run.",
-             err=True)
+        echo("Interrupted: this is the best so far. The same command"
+             f"{' with --overwrite' if out else ''} repeats the whole run.", err=True)
         sys.exit(INTERRUPTED)
 
 

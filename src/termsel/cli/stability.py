@@ -9,7 +9,7 @@ from pathlib import Path
 import click
 
 from termsel.cli.completion import complete
-from termsel.cli.messages import echo, show_messages
+from termsel.cli.messages import echo, say_written, show_messages
 from termsel.cli.remote import allow_remote
 from termsel.cli.run import parse_settings, read_files, require_files
 from termsel.cli.tables import json_text, print_json, print_table
@@ -52,6 +52,7 @@ from termsel.errors import TermselError
 @click.option("--seconds", type=click.FloatRange(min=0, min_open=True), help="Likewise.")
 @click.option("--out", metavar="DIR", type=click.Path(path_type=Path),
               help="Folder for stability.json.")
+@click.option("--overwrite", is_flag=True, help="Replace an existing file.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 @allow_remote
 def stability(
@@ -60,7 +61,7 @@ def stability(
     fit_crs: str | None, off: tuple[str, ...], role: tuple[str, ...], model: str | None,
     solver: str | None, criterion: str | None, settings: tuple[str, ...], repeats: int,
     threshold: float, seed: int, generations: int | None, evaluations: int | None,
-    seconds: float | None, out: Path | None, as_json: bool,
+    seconds: float | None, out: Path | None, overwrite: bool, as_json: bool,
 ) -> None:
     """Show how often each term is selected as control and check points change.
 
@@ -90,9 +91,9 @@ def stability(
     from termsel.runs import stability as module
 
     if out is not None:
-        require_replaceable([out / "stability.json"], overwrite=True,
+        require_replaceable([out / "stability.json"], overwrite=overwrite,
                             reads=[points, areas, dem, raster, *options.values()])
-        claim_folder(out)
+        claim_folder(out, overwrite=True)
     features = read_files(points, None, options, areas=areas, crs=crs, format=form, dem=dem,
                           raster=raster) if files else None
     found = module.stability(
@@ -101,7 +102,7 @@ def stability(
         model=model, solver=solver, criterion=criterion, features=features)
     if out is not None:
         write_text(out / "stability.json", json_text(found.to_dict()))
-        echo(f"Written: {out}/stability.json", err=True)
+        say_written([out / "stability.json"])
     if as_json:
         print_json(found.to_dict())
         return

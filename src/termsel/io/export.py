@@ -45,7 +45,7 @@ def _of_others(writer: type[Writer]) -> set[str]:
 
 
 def export(result: Result, to: str, path: Path | str, *, overwrite: bool = False,
-           **options: Any) -> None:
+           **options: Any) -> tuple[Path, ...]:
     """Write a result in a format known by name.
 
     Parameters
@@ -59,6 +59,11 @@ def export(result: Result, to: str, path: Path | str, *, overwrite: bool = False
     **options
         Options of the writer, such as `image`. Those that only other formats have are ignored
         with a note, so that one call suits several formats.
+
+    Returns
+    -------
+    tuple of pathlib.Path
+        The files that were written.
 
     Raises
     ------
@@ -79,3 +84,4 @@ def export(result: Result, to: str, path: Path | str, *, overwrite: bool = False
     require_replaceable(writer.files(path), reads=writer.options.values(),
                         overwrite=overwrite)
     writer.write(result, path)
+    return tuple(file for file in writer.files(path) if file.exists())

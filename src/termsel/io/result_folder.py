@@ -54,14 +54,26 @@ def files_of_result(folder: Path) -> list[Path]:
             for name in (RECORD, POINTS, LINES, RESIDUALS, SUMMARY)]
 
 
-def claim_folder(folder: Path) -> None:
+def names_of(features: FeatureSet) -> tuple[str, ...]:
+    """Return the names of the files that a result of these features has."""
+    return (RECORD, RESIDUALS, SUMMARY, *[POINTS] * bool(len(features.points)),
+            *[LINES] * bool(len(features.lines)))
+
+
+def claim_folder(folder: Path, *, overwrite: bool = False) -> None:
     """Make the folder, or refuse it before a long search.
+
+    Parameters
+    ----------
+    folder : path
+    overwrite : bool
+        Whether a result that is there may be replaced.
 
     Raises
     ------
     TermselError
-        If it cannot be made or written to, or has files that would be replaced and are not those
-        of a result.
+        If it cannot be made or written to, or has a result that may not be replaced, or files that
+        would be replaced and are not those of a result.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -74,6 +86,9 @@ def claim_folder(folder: Path) -> None:
         if (folder / name).exists() and not _place(folder, RECORD).exists():
             raise TermselError("the result would replace this file, which is not part of a result",
                                file=folder / name, hint="Choose another --out.")
+    if not overwrite and _place(folder, RECORD).exists():
+        raise TermselError("there is a result in this folder already", file=folder,
+                           hint="Choose another --out, or add --overwrite.")
 
 
 def write_result(result: Result, folder: Path) -> None:

@@ -42,6 +42,7 @@ def run(
     seconds: float | None = None,
     observers: Iterable[Observer] = (),
     out: Path | str | None = None,
+    overwrite: bool = False,
 ) -> Result:
     """Search a problem and assess the selection.
 
@@ -65,7 +66,9 @@ def run(
     observers : iterable of callable
         Called with `Progress` after each generation, or each candidate of the strategy "auto".
     out : path, optional
-        Folder for result.json, residuals.csv and summary.txt.
+        Folder for result.json, residuals.csv, summary.txt and the features.
+    overwrite : bool
+        Whether a result that is there may be replaced.
 
     Returns
     -------
@@ -96,10 +99,10 @@ def run(
         task = problem
     elif wanted(strategy, registry().get("problems", problem), _method(
             asked, generations, evaluations, seconds)):
-        return _chosen(problem, asked, seed, observers, out)
+        return _chosen(problem, asked, seed, observers, out, overwrite)
     else:
         task = prepare(problem, **asked)
-    _begin(out)
+    _begin(out, overwrite)
     found = search_in_steps(task, seed=seed, generations=generations, evaluations=evaluations,
                             seconds=seconds, observers=observers)
     return _finished(assess(task, recommended(task, found)), out)
@@ -136,20 +139,20 @@ def _method(asked: Mapping[str, Any], generations: int | None, evaluations: int 
 
 
 def _chosen(problem: str, asked: Mapping[str, Any], seed: int, observers: Iterable[Observer],
-            out: Path | str | None) -> Result:
+            out: Path | str | None, overwrite: bool) -> Result:
     """Return the result of the strategy "auto", which builds no problem."""
     # It fits to check points as to control, and yet shows their figures.
     options = {"check_as": "judge", **asked.get("options", {})}
     request = ask(problem, **{**asked, "criterion": "press", "solver": "all-terms",
                               "options": options})
     observations = observe(request)
-    _begin(out)
+    _begin(out, overwrite)
     return _finished(choose_for(request, observations, seed, observers), out)
 
 
-def _begin(out: Path | str | None) -> None:
+def _begin(out: Path | str | None, overwrite: bool) -> None:
     if out is not None:
-        claim_folder(Path(out))
+        claim_folder(Path(out), overwrite=overwrite)
     if needs_compilation():
         log.info("Compiling: the first run on this machine takes some 10 s longer.")
 
