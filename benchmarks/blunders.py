@@ -19,7 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.honest import MEASURED, NOISE, _heights, _rmse, names, split
+from benchmarks.honest import MEASURED, NOISE, heights_of, names, rmse_of, split
 from termsel.adjustment.monomials import graded_exponents, monomials
 from termsel.candidates.blunders import find_blunders
 from termsel.candidates.portfolio import choose
@@ -104,20 +104,20 @@ PEERS: dict[str, Peer] = {"least squares": _least_squares, "RANSAC": _ransac,
 def _quadratic(peer: Peer, points: Points, others: Points) -> float:
     """Return the independent RMSE of a quadratic polynomial by a peer."""
     scaling = scaling_of(FeatureSet(points))
-    exponents = graded_exponents(2, 3 if _heights(points) else 2)
+    exponents = graded_exponents(2, 3 if heights_of(points) else 2)
     columns, there = (monomials(scaling.ground(one.ground), exponents) for one in (points, others))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         predicted = np.stack([there @ peer(columns, target)
                               for target in scaling.image(points.image).T], axis=1)
-    return _rmse(others.image - scaling.pixels(predicted))
+    return rmse_of(others.image - scaling.pixels(predicted))
 
 
 def _auto(points: Points, others: Points, heights: bool) -> tuple[float, float]:
     """Return the independent RMSE of auto, and what it predicts, for all of the points."""
     choice = choose(FeatureSet(points), heights)
     assert choice is not None
-    return _rmse(choice.chosen.fit.errors(others)), choice.chosen.predicted
+    return rmse_of(choice.chosen.fit.errors(others)), choice.chosen.predicted
 
 
 def measure(job: tuple[str, int, int, float]) -> Outcome | None:
@@ -126,7 +126,7 @@ def measure(job: tuple[str, int, int, float]) -> Outcome | None:
     mine, independent = split(name, count, seed)
     if len(independent) < 30:
         return None
-    heights = _heights(mine)
+    heights = heights_of(mine)
     clean, predicted = _auto(mine, independent, heights)
     sigma = predicted / np.sqrt(2) if name in UNKNOWN_NOISE else NOISE
     wrong = np.zeros(count, dtype=bool)

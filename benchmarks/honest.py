@@ -86,7 +86,7 @@ def measure(job: tuple[str, int, int]) -> Split | None:
     mine, independent = split(name, count, seed)
     if len(independent) < 30:
         return None
-    control, heights = FeatureSet(mine), _heights(mine)
+    control, heights = FeatureSet(mine), heights_of(mine)
     start = time.perf_counter()
     choice, errors = choose(control, heights), repeated(control, heights)
     seconds = time.perf_counter() - start
@@ -95,8 +95,8 @@ def measure(job: tuple[str, int, int]) -> Split | None:
     below = chosen.model.denominators(chosen.adjustment.coefficients,
                                       chosen.scaling.ground(independent.ground))
     return Split(
-        _rmse(chosen.errors(independent)), float("nan") if errors is None else _rmse(errors),
-        {one.name: _rmse(one.fit.errors(independent)) for one in choice.judged
+        rmse_of(chosen.errors(independent)), float("nan") if errors is None else rmse_of(errors),
+        {one.name: rmse_of(one.fit.errors(independent)) for one in choice.judged
          if one.name in PLAIN}, below is not None and bool((below <= 0).any()), seconds)
 
 
@@ -108,18 +108,20 @@ def papers(job: tuple[str, int, int]) -> tuple[float, float]:
     points = Points(mine.ids + independent.ids, np.concatenate([mine.image, independent.image]),
                     np.concatenate([mine.ground, independent.ground]), None,
                     (*roles[:count], *["independent"] * len(independent)))
-    problem = "rfm-terms" if _heights(mine) else "poly-terms"
+    problem = "rfm-terms" if heights_of(mine) else "poly-terms"
     found = [run(problem, features=FeatureSet(points), solver=solver).rmse["independent"]
              for solver in ("ga", None)]
     return tuple(one.total if one else float("nan") for one in found)
 
 
-def _heights(points: Points) -> bool:
+def heights_of(points: Points) -> bool:
+    """Return whether points have heights that differ."""
     z = points.ground[:, 2]
     return not np.isnan(z).any() and bool(np.ptp(z) > 0)
 
 
-def _rmse(errors: FloatArray) -> float:
+def rmse_of(errors: FloatArray) -> float:
+    """Return the RMSE of errors, shape (n, 2)."""
     return float(np.sqrt((errors**2).sum(axis=1).mean()))
 
 
@@ -274,10 +276,10 @@ def _ratio(jobs: list[tuple[str, int, int]]) -> float:
     found = []
     for name, count, seed in jobs:
         mine, independent = split(name, count, seed)
-        choice = choose(FeatureSet(mine), _heights(mine))
+        choice = choose(FeatureSet(mine), heights_of(mine))
         assert choice is not None
-        found.append(_rmse(choice.chosen.fit.errors(independent))
-                     / min(_rmse(one.fit.errors(independent)) for one in choice.judged
+        found.append(rmse_of(choice.chosen.fit.errors(independent))
+                     / min(rmse_of(one.fit.errors(independent)) for one in choice.judged
                            if one.name in PLAIN))
     return median(found)
 

@@ -106,7 +106,7 @@ def _set(*path: Any, value: Any) -> Callable[[Record], None]:
 
 BROKEN: dict[str, Callable[[Record], None]] = {
     "a key is missing": lambda record: record.pop("judgement"),
-    "a key is unknown": _set("accuracy", value=1.0),
+    "a key is unknown": _set("precision", value=1.0),
     "another layout": _set("schema", value="termsel-result-2"),
     "a number as text": _set("rmse", "check", "total", value="0.83"),
     "a role that is none": _set("rmse", "off", value={"line": 1, "sample": 1, "total": 1, "n": 1}),

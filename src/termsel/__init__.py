@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from termsel.adjustment import Equations, image_equations, line_normals, row_weights
     from termsel.criteria import Criterion, Fits
     from termsel.errors import TermselError
+    from termsel.fits.accuracy import ce90
     from termsel.fits.fit import Fit
     from termsel.formats.base import Reader, Writer
     from termsel.formats.readers.csv_tables import write_lines_csv, write_points_csv
@@ -96,6 +97,7 @@ _HOME = {
     "TermselError": "termsel.errors",
     "Writer": "termsel.formats.base",
     "allow_remote": "termsel.formats.remote",
+    "ce90": "termsel.fits.accuracy",
     "export": "termsel.io.export",
     "feature_options": "termsel.problems.recipes",
     "fit": "termsel.runs.fit",
@@ -157,6 +159,7 @@ __all__ = [
     "Writer",
     "__version__",
     "allow_remote",
+    "ce90",
     "export",
     "feature_options",
     "fit",

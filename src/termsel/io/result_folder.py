@@ -16,6 +16,7 @@ import numpy as np
 
 from termsel.candidates.candidate import named
 from termsel.errors import TermselError
+from termsel.fits.accuracy import Predicted, accuracy_from
 from termsel.fits.diagnosis import Diagnosis, Doubts, Significance
 from termsel.fits.figures import Baseline, residuals_of
 from termsel.fits.fit import Fit
@@ -282,6 +283,8 @@ def result_from(record: Mapping[str, Any], features: FeatureSet) -> Result:
         notes=tuple(record["notes"]), fit=fitted, residuals=residuals,
         diagnosis=_diagnosis(record), features=features,
         outliers=tuple(Outlier(**one) for one in record.get("outliers", ())),
+        predicted=Predicted(**found) if (found := record.get("predicted")) else None,
+        accuracy=accuracy_from(given) if (given := record.get("accuracy")) else None,
         front=tuple(record["front"]))
 
 

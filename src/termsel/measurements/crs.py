@@ -116,6 +116,19 @@ def is_geographic(crs: str) -> bool:
     return _kind(normalise(crs)) == "geographic"
 
 
+def metres_per_unit(crs: str) -> float | None:
+    """Return the length of the unit of x and y of a projected CRS in metres.
+
+    None for other kinds, and where only pyproj would know and is not installed.
+    """
+    crs = normalise(crs)
+    if _UTM.fullmatch(crs):
+        return 1.0
+    known = None if crs == LOCAL else _with_pyproj(crs)
+    return float(known.axis_info[0].unit_conversion_factor) \
+        if known is not None and known.is_projected else None
+
+
 def to_wgs84(crs: str) -> Transformation:
     """Return a function from ground coordinates to WGS84 longitude, latitude, ellipsoidal height.
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from numpy.typing import ArrayLike
 
+from termsel.fits.accuracy import Accuracy, Predicted, plain_accuracy
 from termsel.fits.diagnosis import Diagnosis
 from termsel.fits.figures import Baseline, Rmses, finite_or_none, plain_rmse
 from termsel.fits.fit import Fit
@@ -95,6 +96,10 @@ class Result:
         What was proven.
     outliers : tuple of Outlier
         Every probable blunder, used or not.
+    predicted : Predicted, optional
+        RMSE that a choice by the strategy "auto" predicts, with its interval.
+    accuracy : Accuracy, optional
+        Of the independent points, in px and on the ground, and by standards.
     strategy : mapping, optional
         Of a choice by the strategy "auto": what was chosen, the accuracy it predicts, and all
         candidates with theirs.
@@ -129,6 +134,8 @@ class Result:
     certificate: Mapping[str, Any] | None = None
     strategy: Mapping[str, Any] | None = None
     outliers: tuple[Outlier, ...] = ()
+    predicted: Predicted | None = None
+    accuracy: Accuracy | None = None
 
     @property
     def hit_rate(self) -> float:
@@ -161,6 +168,8 @@ class Result:
                 for b in self.baselines],
             "judgement": self.judgement, "notes": list(self.notes),
             "outliers": [asdict(one) for one in self.outliers],
+            "predicted": self.predicted and asdict(self.predicted),
+            "accuracy": self.accuracy and plain_accuracy(self.accuracy),
             "front": list(self.front), "certificate": self.certificate, "strategy": self.strategy,
             "evaluations": self.evaluations, "lookups": self.lookups,
             "hit_rate": self.hit_rate,

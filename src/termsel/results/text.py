@@ -27,7 +27,7 @@ def summary(record: Record) -> str:
     """
     # File names may have what a terminal would obey.
     return printable("\n".join([*_head(record), "", *_table(record), "", *_front(record),
-                                *_foot(record)])) + "\n"
+                                *_accuracy(record), *_foot(record)])) + "\n"
 
 
 def _offered(record: Record) -> tuple[int, int]:
@@ -170,6 +170,37 @@ def _front(record: Record) -> Iterator[str]:
     if rule and (len(record["objectives"]) > 1 or rule != "best"):
         yield f"-> the selection, recommended by the rule {rule} (--set recommend=...)"
     yield ""
+
+
+def _accuracy(record: Record) -> Iterator[str]:
+    """Yield the accuracy on independent points, by standards, and as it was predicted."""
+    accuracy, predicted = record.get("accuracy"), record.get("predicted")  # not in older records
+    if accuracy:
+        image, ground = accuracy["image"], accuracy["ground"]
+        yield f"{'Independent points':<24}{'RMSE':>10}{'maximum':>10}{'CE90':>10}"
+        yield _distances("in the image", image, "px", "line", "sample")
+        if ground:
+            yield _distances("on the ground", ground, "m", "x", "y")
+        for key, title, meaning in (
+                ("nssda", "NSSDA", "at 95 % confidence"),
+                ("asprs", "ASPRS 2024", "RMSE, without the error of the survey itself")):
+            one = accuracy[key]
+            yield (f"{title}: {one['value']:.3g} m {meaning}" if one["value"] is not None else
+                   f"{title}: no figure ({one['reason']})")
+    if predicted:
+        of = (f"of {counted(predicted['points'], 'independent point')}" if predicted["points"]
+              else "of any further points")
+        yield (f"Predicted RMSE {of}: {predicted['rmse']:.3g} px; "
+               f"{100 * predicted['level']:.0f} % interval {predicted['low']:.3g} to "
+               f"{predicted['high']:.3g} px")
+    if accuracy or predicted:
+        yield ""
+
+
+def _distances(title: str, one: Record, unit: str, *axes: str) -> str:
+    cells = "".join(f"{one[key]:>10.3g}" for key in ("total", "maximum", "ce90"))
+    parts = ", ".join(f"{axis} {one[axis]:.3g}" for axis in axes)
+    return f"{f'  {title} [{unit}]':<24}{cells}   {parts}"
 
 
 def _figure(rmse: Record) -> str:

@@ -10,6 +10,7 @@ import numpy as np
 
 from termsel.candidates.compare import compare
 from termsel.candidates.ridge import RidgeByOrder
+from termsel.fits.accuracy import accuracy_of
 from termsel.fits.diagnosis import Doubts, diagnose
 from termsel.fits.figures import baseline, figures, plain_rmse, residuals_of
 from termsel.fits.fit import Fit
@@ -68,6 +69,7 @@ def assess(task: Task, found: Search) -> Result:
         residuals=residuals_of(chosen, observations),
         diagnosis=diagnosis,
         outliers=tuple(_outliers(chosen, diagnosis.doubts)),
+        accuracy=accuracy_of(chosen, observations.independent),
         features=observations.features, versions=versions(),
         front=tuple(_front(task, found)), certificate=_certificate(task, found, chosen))
 

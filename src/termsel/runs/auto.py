@@ -18,6 +18,7 @@ from termsel.candidates.portfolio import (
     repeated,
 )
 from termsel.errors import TermselError
+from termsel.fits.accuracy import accuracy_of, predicted_rmse
 from termsel.fits.diagnosis import diagnose
 from termsel.fits.extrapolation import warnings_of
 from termsel.fits.figures import figures, in_role, residuals_of
@@ -161,7 +162,9 @@ def choose_for(request: Request, observations: Observations, seed: int,
             f"{len(both)} control and check points are too few for any model with redundancy, or "
             "lie badly", hint="Measure more, spread over the scene: an affine model needs 5.")
     chosen, comparison = choice.chosen, compare(observations, choice)
-    predicted = None if errors is None else float(np.sqrt((errors**2).sum(axis=1).mean()))
+    expected = None if errors is None else predicted_rmse(
+        errors, chosen.fit.effective, len(observations.independent))
+    predicted = None if expected is None else expected.rmse
     fitted = in_role(chosen.fit, observations)
     model = fitted.model
     rmse = figures(fitted, observations)
@@ -182,7 +185,8 @@ def choose_for(request: Request, observations: Observations, seed: int,
         judgement=judge_choice(chosen.candidate, predicted, rmse, baselines,
                                request.features.noise),
         notes=(*_few(request), *_notes(request.model, observations, errors, said), *notes, *more),
-        outliers=(*outliers, *contradicting),
+        outliers=(*outliers, *contradicting), predicted=expected,
+        accuracy=accuracy_of(fitted, observations.independent),
         objectives={"press": chosen.predicted},
         evaluations=watch.count, lookups=0, generations=0,
         seconds=time.perf_counter() - start, interrupted=interrupted, polish=None, fit=fitted,

@@ -15,6 +15,7 @@ from termsel import (
     Problem,
     Recipe,
     SelectionProblem,
+    ce90,
     feature_options,
 )
 from termsel_rpc.refinement import FloatArray
@@ -40,8 +41,7 @@ class Ce90(Criterion):
     def score(self, fits: Fits) -> FloatArray:
         """Return the quantile [px]."""
         with np.errstate(over="ignore", invalid="ignore"):
-            distance = np.linalg.norm(fits.check_errors, axis=2)
-            return np.asarray(np.quantile(distance, 0.9, axis=1))
+            return ce90(fits.check_errors)
 
 
 def _gcps(inputs: Inputs) -> Problem:

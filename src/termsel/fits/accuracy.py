@@ -1,0 +1,243 @@
+"""Figures of accuracy: of points that took no part, by standards, and as it is predicted.
+
+References
+----------
+FGDC-STD-007.3-1998, National Standard for Spatial Data Accuracy, section 3.2 and appendix 3-A.
+ASPRS Positional Accuracy Standards for Digital Geospatial Data, edition 2 (2023, version 2 of
+2024): at least 30 check points, accuracy as RMSE without a level of confidence.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from termsel.errors import counted
+from termsel.fits.fit import Fit
+from termsel.measurements.features import FloatArray, Points
+from termsel.measurements.metres import in_metres
+
+LEVEL = 0.9
+"""Probability of an interval."""
+
+QUANTILE = 1.645
+"""Standard deviations within which nine in ten normal values are."""
+
+LENT = 0.4
+"""How uncertain what a fit adds to the errors is, by effective parameters over redundancy: the
+points that find the coefficients also judge them. Chosen on simulated scenes;
+`benchmarks/coverage.py` shows what it covers on others."""
+
+NSSDA_POINTS, ASPRS_POINTS = 20, 30
+"""Fewest check points of the standards."""
+
+ROUND = 0.6
+"""Least ratio of the RMSE of x and y for which NSSDA has a figure."""
+
+
+def ce90(errors: FloatArray) -> FloatArray:
+    """Return the circular error of nine in ten points: the 90 % quantile of the distances.
+
+    It is interpolated linearly between the distances; no distribution is assumed.
+
+    Parameters
+    ----------
+    errors : ndarray, shape (..., n, 2)
+
+    Returns
+    -------
+    ndarray, shape (...)
+    """
+    return np.asarray(np.quantile(np.linalg.norm(errors, axis=-1), 0.9, axis=-1))
+
+
+@dataclass(frozen=True)
+class Predicted:
+    """A predicted RMSE with its interval.
+
+    Parameters
+    ----------
+    rmse, low, high : float
+        [px]
+    level : float
+        Probability that the interval holds the RMSE.
+    points : int or None
+        Number of independent points whose RMSE it is for; None for that of endlessly many.
+    """
+
+    rmse: float
+    low: float
+    high: float
+    level: float = LEVEL
+    points: int | None = None
+
+
+def predicted_rmse(errors: FloatArray, effective: float, points: int) -> Predicted:
+    """Return the RMSE that held-out errors predict, with an interval.
+
+    The logarithm of the RMSE has two uncertainties. One is that of a mean of so many squares, of
+    those held out and of those to come, with the spread that the squares show. The other is that
+    all held-out errors share coefficients that few points determine: `LENT` times the effective
+    parameters of an axis over its redundancy and 1. As the squares have the right mean, their
+    logarithm is below it by half the variance.
+
+    Parameters
+    ----------
+    errors : ndarray, shape (n, 2)
+        Of points under choices made without them [px].
+    effective : float
+        Effective parameters of the fit, of both axes together.
+    points : int
+        Number of independent points; 0 if there are none.
+    """
+    squares, n = (errors**2).sum(axis=1), len(errors)
+    rmse = float(np.sqrt(squares.mean()))
+    if rmse == 0:
+        return Predicted(0.0, 0.0, 0.0, points=points or None)
+    spread = squares.var(ddof=1) / squares.mean() ** 2
+    parameters = effective / 2
+    shared = LENT * parameters / (max(n - parameters, 0.0) + 1.0)
+    variance = spread / 4 * (1 / n + (1 / points if points else 0.0)) + shared**2
+    middle, half = np.log(rmse) - variance / 2, QUANTILE * np.sqrt(variance)
+    return Predicted(rmse, float(np.exp(middle - half)), float(np.exp(middle + half)),
+                     points=points or None)
+
+
+@dataclass(frozen=True)
+class Distances:
+    """Figures of errors in two coordinates.
+
+    Parameters
+    ----------
+    n : int
+    first, second : float
+        RMSE of line and sample [px], or of x and y [m].
+    total : float
+        RMSE of the distances.
+    maximum, ce90 : float
+        Largest distance, and that of nine in ten points.
+    """
+
+    n: int
+    first: float
+    second: float
+    total: float
+    maximum: float
+    ce90: float
+
+    @classmethod
+    def of(cls, errors: FloatArray) -> Distances:
+        """Return the figures of errors, shape (n, 2)."""
+        first, second = np.sqrt((errors**2).mean(axis=0)).tolist()
+        return cls(len(errors), first, second, float(np.hypot(first, second)),
+                   float(np.linalg.norm(errors, axis=1).max()), float(ce90(errors)))
+
+
+@dataclass(frozen=True)
+class Standard:
+    """A figure of a standard [m], or why there is none."""
+
+    value: float | None
+    reason: str | None = None
+
+
+@dataclass(frozen=True)
+class Accuracy:
+    """The accuracy on independent points.
+
+    Parameters
+    ----------
+    image : Distances
+        [px]
+    ground : Distances or None
+        On the ground at the height of each point [m].
+    nssda : Standard
+        Horizontal accuracy at 95 % confidence by NSSDA.
+    asprs : Standard
+        Horizontal RMSE by ASPRS 2024, without the error of the check points' survey.
+    """
+
+    image: Distances
+    ground: Distances | None
+    nssda: Standard
+    asprs: Standard
+
+
+def plain_accuracy(accuracy: Accuracy) -> dict[str, Any]:
+    """Return an accuracy as result.json holds it."""
+    def distances(one: Distances, *axes: str) -> dict[str, Any]:
+        plain = asdict(one)
+        return {"n": plain.pop("n"), **dict(zip(axes, (plain.pop("first"), plain.pop("second")),
+                                                strict=True)), **plain}
+
+    return {"image": distances(accuracy.image, "line", "sample"),
+            "ground": accuracy.ground and distances(accuracy.ground, "x", "y"),
+            "nssda": asdict(accuracy.nssda), "asprs": asdict(accuracy.asprs)}
+
+
+def accuracy_from(plain: Mapping[str, Any]) -> Accuracy:
+    """Return the accuracy that `plain_accuracy` gave this content of result.json for."""
+    def distances(one: Mapping[str, Any], *axes: str) -> Distances:
+        first, second = (one[axis] for axis in axes)
+        return Distances(one["n"], first, second, one["total"], one["maximum"], one["ce90"])
+
+    return Accuracy(distances(plain["image"], "line", "sample"),
+                    distances(plain["ground"], "x", "y") if plain["ground"] else None,
+                    Standard(**plain["nssda"]), Standard(**plain["asprs"]))
+
+
+def accuracy_of(fitted: Fit, independent: Points) -> Accuracy | None:
+    """Return the accuracy on independent points; None without any.
+
+    Parameters
+    ----------
+    fitted : Fit
+    independent : Points
+    """
+    if not len(independent):
+        return None
+    errors = fitted.errors(independent)
+    if not np.isfinite(errors).all():
+        return None
+    metres = _on_ground(fitted, independent)
+    ground = None if metres is None else Distances.of(metres)
+    return Accuracy(Distances.of(errors), ground, nssda(len(independent), ground),
+                    asprs(len(independent), ground))
+
+
+def _on_ground(fitted: Fit, points: Points) -> FloatArray | None:
+    """Return computed minus given ground positions [m]; None where they are not all known."""
+    heights = np.nan_to_num(points.ground[:, 2]) if not fitted.model.uses_height \
+        else points.ground[:, 2]
+    offsets = (fitted.locate(points.image, heights) - points.ground)[:, :2]
+    metres = in_metres(fitted.control.crs, points.ground, offsets)
+    return None if metres is None or not np.isfinite(metres).all() else metres
+
+
+def nssda(points: int, ground: Distances | None) -> Standard:
+    """Return the horizontal accuracy at 95 % confidence by NSSDA (appendix 3-A)."""
+    missing = _missing(points, ground, NSSDA_POINTS)
+    if ground is None or missing:
+        return Standard(None, missing)
+    low, high = sorted((ground.first, ground.second))
+    if high > 0 and low < ROUND * high:
+        return Standard(None, f"the RMSE of x and y differ by more than the factor {ROUND:g}, for "
+                              "which it has no figure")
+    return Standard(2.4477 * (low + high) / 2)
+
+
+def asprs(points: int, ground: Distances | None) -> Standard:
+    """Return the horizontal RMSE by ASPRS 2024."""
+    missing = _missing(points, ground, ASPRS_POINTS)
+    return Standard(None if ground is None or missing else ground.total, missing)
+
+
+def _missing(points: int, ground: Distances | None, fewest: int) -> str | None:
+    if points < fewest:
+        return f"{counted(points, 'independent point')}, at least {fewest} needed"
+    if ground is None:
+        return "the errors on the ground are not known in metres"
+    return None

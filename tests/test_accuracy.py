@@ -1,0 +1,193 @@
+"""The predicted RMSE and its interval, and the accuracy in px, in metres and by standards."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import termsel
+from termsel.candidates.portfolio import choose, repeated
+from termsel.fits.accuracy import Distances, accuracy_of, asprs, nssda, predicted_rmse
+from termsel.measurements.features import FeatureSet, Points
+from termsel.measurements.metres import in_metres
+from termsel.simulate import simulate_scene
+
+
+def _all_points(name: str = "irs1c-mashad", independent: int = 26, **changes: int) -> FeatureSet:
+    points = simulate_scene(name, n_points=40 + independent, **changes).points
+    roles = ("control",) * 40 + ("independent",) * independent
+    return FeatureSet(replace(points, roles=roles), crs="EPSG:4979", image_size=(4000, 4000))
+
+
+def _errors(n: int, effective: float, rng: np.random.Generator) -> tuple[float, float, float]:
+    """Return ends of an interval, and the RMSE of points to come, for independent errors."""
+    found = predicted_rmse(rng.standard_normal((n, 2)), effective, 15)
+    to_come = (rng.standard_normal((15, 2)) ** 2).sum(axis=1)
+    return found.low, float(np.sqrt(to_come.mean())), found.high
+
+
+def test_interval_of_errors_without_a_fit_holds_nine_in_ten() -> None:
+    rng = np.random.default_rng(0)
+    held = [low <= rmse <= high for low, rmse, high in (_errors(20, 0.0, rng) for _ in range(600))]
+    assert 0.85 <= np.mean(held) <= 0.95
+
+
+def test_interval_is_wider_for_fewer_points_more_parameters_and_heavier_tails() -> None:
+    rng = np.random.default_rng(1)
+    errors = rng.standard_normal((40, 2))
+
+    def width(errors: np.ndarray, effective: float, points: int) -> float:
+        found = predicted_rmse(errors, effective, points)
+        return found.high / found.low
+
+    usual = width(errors, 12.0, 100)
+    assert width(errors[:20], 12.0, 100) > 1.3 * usual
+    assert width(errors, 40.0, 100) > 1.3 * usual
+    assert width(errors, 12.0, 8) > 1.3 * usual
+    assert width(errors * np.where(np.arange(40) % 8, 1.0, 6.0)[:, None], 12.0, 100) > 1.3 * usual
+    assert width(errors, 12.0, 0) < usual
+
+
+@pytest.mark.slow
+def test_interval_of_simulated_scenes_holds_the_independent_rmse() -> None:
+    """Fewer than 9 of 12 would have a chance of 3 % if the true share is 90 %."""
+    held = 0
+    for seed in range(12):
+        points = simulate_scene("spot-isfahan", seed=200 + seed, n_points=112).points
+        order = np.random.default_rng(seed).permutation(112)
+        control = FeatureSet(points.take(order[:12]))
+        choice, errors = choose(control, heights=True), repeated(control, heights=True)
+        assert choice is not None
+        assert errors is not None
+        fitted = choice.chosen.fit
+        found = predicted_rmse(errors, fitted.effective, 100)
+        independent = fitted.rmse(points.take(order[12:]))
+        assert independent is not None
+        held += found.low <= independent.total <= found.high
+    assert 9 <= held <= 12
+
+
+def test_interval_does_not_look_at_what_independent_points_measure() -> None:
+    features = _all_points()
+    image = features.points.image.copy()
+    image[40:] += np.random.default_rng(0).normal(0, 50, (26, 2))
+    moved = features.with_(points=replace(features.points, image=image))
+    one, other = (termsel.run("rfm-terms", features=part) for part in (features, moved))
+    assert one.predicted == other.predicted
+    assert one.accuracy != other.accuracy
+
+
+def test_record_and_folder_hold_prediction_and_accuracy(tmp_path: Path) -> None:
+    result = termsel.run("rfm-terms", features=_all_points(), out=tmp_path / "r")
+    record = result.to_dict()
+    assert set(record["predicted"]) == {"rmse", "low", "high", "level", "points"}
+    assert record["predicted"]["rmse"] == record["strategy"]["predicted"]
+    assert record["accuracy"]["image"]["total"] == record["rmse"]["independent"]["total"]
+    back = termsel.read_result(tmp_path / "r")
+    assert back.predicted == result.predicted
+    assert back.accuracy == result.accuracy
+    text = result.summary()
+    assert "90 % interval" in text
+    assert "Predicted RMSE of 26 independent points" in text
+
+
+def test_without_independent_points_the_interval_is_for_the_true_accuracy() -> None:
+    features = _all_points(independent=0)
+    result = termsel.run("rfm-terms", features=features)
+    assert result.accuracy is None
+    assert result.predicted is not None
+    assert result.predicted.points is None
+    assert "Predicted RMSE of any further points" in result.summary()
+
+
+def test_a_search_has_accuracy_and_no_prediction() -> None:
+    result = termsel.run("rfm-terms", features=_all_points(), solver="all-terms", model="affine",
+                         criterion="press")
+    assert result.predicted is None
+    assert result.accuracy is not None
+
+
+def test_figures_of_known_errors() -> None:
+    errors = np.array([[3.0, 4.0]] + [[0.0, 1.0]] * 9)
+    found = Distances.of(errors)
+    assert found.n == 10
+    assert found.first == pytest.approx(np.sqrt(0.9))
+    assert found.second == pytest.approx(np.sqrt(2.5))
+    assert found.total == pytest.approx(np.sqrt(3.4))
+    assert found.maximum == 5.0
+    assert found.ce90 == termsel.ce90(errors) == pytest.approx(1.4)
+
+
+def test_accuracy_on_the_ground_is_that_in_the_image_by_the_size_of_a_pixel() -> None:
+    features = _all_points()  # 5.8 m, seen at 15 degrees from the vertical
+    result = termsel.run("rfm-terms", features=features)
+    assert result.accuracy is not None
+    assert result.accuracy.ground is not None
+    assert 5.3 < result.accuracy.ground.total / result.accuracy.image.total < 6.6
+
+
+def test_metres_of_degrees_of_feet_and_of_nothing() -> None:
+    pytest.importorskip("pyproj")
+    geod = __import__("pyproj").Geod(ellps="WGS84")
+    place = np.array([[59.6, 36.3, 1000.0]])
+    azimuth, _, distance = geod.inv(59.6, 36.3, 59.601, 36.3005)
+    expected = distance * np.array([np.sin(np.radians(azimuth)), np.cos(np.radians(azimuth))])
+    found = in_metres("EPSG:4979", place, np.array([[0.001, 0.0005]]))
+    assert found is not None
+    np.testing.assert_allclose(found[0], expected, rtol=1e-4)
+    turned = in_metres("EPSG:4979", place, np.array([[0.001 - 360, 0.0005]]))
+    np.testing.assert_allclose(turned, found, rtol=1e-6)
+    feet = in_metres("EPSG:2229", place, np.array([[1.0, 0.0]]))
+    assert feet is not None
+    assert feet[0, 0] == pytest.approx(0.3048, rel=1e-4)
+    assert in_metres("local", place, np.array([[1.0, 0.0]])) is None
+    assert in_metres("EPSG:4978", place, np.array([[1.0, 0.0]])) is None
+
+
+def _of(x: float, y: float) -> Distances:
+    return Distances(30, x, y, float(np.hypot(x, y)), 3 * x, 2 * x)
+
+
+def test_standards_have_figures_only_where_their_rules_hold() -> None:
+    assert nssda(20, _of(2.0, 2.0)).value == pytest.approx(1.7308 * np.hypot(2.0, 2.0), rel=1e-4)
+    assert nssda(20, _of(1.5, 2.0)).value == pytest.approx(2.4477 * 1.75)
+    assert asprs(30, _of(1.5, 2.0)).value == pytest.approx(2.5)
+    for found, words in ((nssda(19, _of(2.0, 2.0)), "at least 20"),
+                         (asprs(29, _of(2.0, 2.0)), "at least 30"),
+                         (nssda(25, None), "metres"), (asprs(30, None), "metres"),
+                         (nssda(25, _of(1.0, 2.0)), "differ by more than")):
+        assert found.value is None
+        assert words in (found.reason or "")
+
+
+def test_the_summary_says_why_a_standard_has_no_figure() -> None:
+    text = termsel.run("rfm-terms", features=_all_points(independent=10)).summary()
+    assert "NSSDA: no figure (10 independent points, at least 20 needed)" in text
+    assert "ASPRS 2024: no figure (10 independent points, at least 30 needed)" in text
+
+
+def test_local_coordinates_have_no_metres() -> None:
+    features = _all_points()
+    result = termsel.run("rfm-terms", features=replace(features, crs="local"))
+    assert result.accuracy is not None
+    assert result.accuracy.ground is None
+    assert "NSSDA: no figure (the errors on the ground are not known in metres)" \
+        in result.summary()
+
+
+def test_a_plane_model_is_judged_on_the_ground_too() -> None:
+    rng = np.random.default_rng(0)
+    ground = np.column_stack([rng.uniform(5e5, 5.1e5, (40, 2)), np.full(40, np.nan)])
+    ground[:, 1] += 4e6
+    image = (ground[:, 1::-1] - [4.5e6, 5e5]) / [-5.0, 5.0] + rng.normal(0, 0.5, (40, 2))
+    roles = ("control",) * 20 + ("independent",) * 20
+    features = FeatureSet(Points(tuple(f"P{i}" for i in range(40)), image, ground, None, roles),
+                          crs="EPSG:32631")
+    fitted = termsel.fit(features, "poly2d", degree=1)
+    found = accuracy_of(fitted, features.points.take(np.arange(40) >= 20))
+    assert found is not None
+    assert found.ground is not None
+    assert found.ground.total == pytest.approx(5 * found.image.total, rel=0.05)
