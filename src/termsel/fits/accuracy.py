@@ -224,8 +224,7 @@ def nssda(points: int, ground: Distances | None) -> Standard:
         return Standard(None, missing)
     low, high = sorted((ground.first, ground.second))
     if high > 0 and low < ROUND * high:
-        return Standard(None, f"the RMSE of x and y differ by more than the factor {ROUND:g}, for "
-                              "which it has no figure")
+        return Standard(None, f"the RMSE of one axis is below {ROUND:g} of the other")
     return Standard(2.4477 * (low + high) / 2)
 
 
