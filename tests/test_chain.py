@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import re
 import sys
 from pathlib import Path
 from types import ModuleType
@@ -94,6 +95,32 @@ def test_map_is_cloud_optimised_and_empty_around(chain: ModuleType, folder: Path
     assert (pixels[:, -1] == 0).all()
     assert (pixels > 0).mean() > 0.5
     assert sorted(path.name for path in folder.glob("map*")) == ["map.tif"]
+
+
+def test_rectify_says_what_the_map_is_and_what_is_missing(
+        folder: Path, result: Path, tmp_path: Path) -> None:
+    import rasterio
+
+    with rasterio.open(folder / "dem.tif") as dem:
+        half = dem.read(1)[:, : dem.width // 2]
+        profile = {**dem.profile, "width": half.shape[1]}
+    with rasterio.open(tmp_path / "half.tif", "w", **profile) as part:
+        part.write(half, 1)
+    texts, shown = [], []
+    for name in (folder / "dem.tif", tmp_path / "half.tif"):
+        target = tmp_path / f"{name.stem}_map.tif"
+        texts.append(_termsel("rectify", str(result), str(folder / "scene.tif"), "--dem", str(name),
+                              "--output", str(target), "--crs", "EPSG:32639", "--res", "20"))
+        with rasterio.open(target) as made:
+            shown.append((made.read(1) > 0).sum())
+            assert (f"Map: {made.height} lines and {made.width} samples of 20 metre in EPSG:32639, "
+                    "with ") in texts[-1]
+    assert "with all of the image." in texts[0]
+    assert "Warning" not in texts[0]
+    share = int(re.search(r"with about (\d+) % of the image", texts[1])[1])
+    assert share == pytest.approx(100 * shown[1] / shown[0], abs=5)
+    assert (f"Warning: about {100 - share} % of the image is not on the map, as "
+            f"{tmp_path / 'half.tif'} has no heights there.") in texts[1]
 
 
 def test_gdal_warps_the_exported_rpc_to_the_same_place(

@@ -219,6 +219,42 @@ def test_project_tells_how_uncertain_each_place_is(folder: Path) -> None:
                                result.sigma(result.features.points.ground)[0])
 
 
+def test_project_flags_places_outside_the_control(folder: Path, tmp_path: Path) -> None:
+    features = read_result(folder).features
+    middle = features.points.ground.mean(axis=0)
+    span = np.ptp(features.points.ground, axis=0)
+    shift = np.array([[0, 0, 0], [0, 0, 3.0], [0.7, 0, 0], [5, 5, 0], [-30, 9, 0]]) * span
+    rows = [f"P{i},{x!r},{y!r},{z!r}" for i, (x, y, z) in enumerate((middle + shift).tolist())]
+    places = tmp_path / "places.csv"
+    places.write_text("id,x,y,z\n" + "\n".join(rows) + "\n")
+    code, out, err = _termsel("project", folder, "--points", places, "-o", "-")
+    assert code == 0
+    assert not (tmp_path / "-").exists()
+    assert "far outside the control, where the model does not hold: P1, P3, P4\n" in err
+    table = [line.split(",") for line in out.splitlines()[1:]]
+    assert table[0][-1] == "outside"
+    apart = [float(row[-1]) for row in table[1:]]
+    assert apart[0] == 0
+    assert 0 < apart[2] < 0.5 < min(apart[1], apart[3])
+    assert apart[3] < apart[4]
+    # And the other way, by the ground that is found.
+    pixels = tmp_path / "pixels.csv"
+    pixels.write_text(out)
+    code, out, _ = _termsel("project", folder, "--points", pixels, "--inverse", "--height",
+                            middle[2])
+    found = [line.split(",")[-1] for line in out.splitlines()[2:]]
+    assert float(found[0]) == 0
+    assert float(found[2]) > 0
+    assert found[4] == ""  # without a place
+
+
+def test_what_writes_files_does_not_write_to_stdout(folder: Path) -> None:
+    for words in (("export", folder, "--to", "rpb"), ("rectify", folder, "scene.tif")):
+        code, _, err = _termsel(*words, "-o", "-")
+        assert (code, err) == (
+            2, "Error: this command cannot write to stdout. Give --output FILE.\n")
+
+
 def test_project_says_which_rays_meet_no_ground(folder: Path, tmp_path: Path) -> None:
     rasterio = pytest.importorskip("rasterio")
     from affine import Affine

@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from termsel.cli.completion import complete
-from termsel.cli.messages import say_written, show_messages
+from termsel.cli.messages import refuse_stdout, say_written, show_messages
 from termsel.cli.remote import allow_remote
 from termsel.cli.run import parse_settings
 
@@ -40,6 +40,7 @@ def export(folder: Path, to: str, output: Path, image: str | None, dem: str | No
           --dem heights.tif
     """
     options = parse_settings(settings, image=image, dem=dem)
+    refuse_stdout(output)
     show_messages()
 
     from termsel.io.export import export as write

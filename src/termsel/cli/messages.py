@@ -6,6 +6,7 @@ import logging
 import sys
 from collections.abc import Iterable
 from contextlib import nullcontext, suppress
+from pathlib import Path
 
 import click
 
@@ -54,6 +55,17 @@ def echo_table(text: str) -> None:
 def say_written(files: Iterable[object]) -> None:
     """Say on stderr which files were written."""
     echo(f"Written: {', '.join(map(str, files))}", err=True)
+
+
+def refuse_stdout(output: Path) -> None:
+    """Refuse ``-`` as the name of a file.
+
+    Raises
+    ------
+    TermselError
+    """
+    if str(output) == "-":
+        raise TermselError("this command cannot write to stdout", hint="Give --output FILE.")
 
 
 class _OnStderr(logging.Handler):

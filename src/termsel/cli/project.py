@@ -20,7 +20,7 @@ from termsel.cli.remote import allow_remote
               help="With --inverse: raster of heights of the ground.")
 @click.option("--height", type=float, help="With --inverse: height of the ground.")
 @click.option("--output", "-o", metavar="FILE", type=click.Path(path_type=Path),
-              help="Table to write; stdout by default.")
+              help="Table to write; stdout by default, and for -.")
 @click.option("--overwrite", is_flag=True, help="Replace an existing file.")
 @allow_remote
 def project(folder: Path, points: Path, inverse: bool, dem: Path | None, height: float | None,
@@ -28,9 +28,10 @@ def project(folder: Path, points: Path, inverse: bool, dem: Path | None, height:
     """Compute image positions of ground points, or ground positions of image points.
 
     DIR is the folder that a run wrote with --out. The output has the columns
-    id,line,sample,x,y,z,uncertainty_line,uncertainty_sample; cells are blank where a ray does not
-    meet the ground. The uncertainties are standard deviations of the model's line and sample at
-    the place [px].
+    id,line,sample,x,y,z,uncertainty_line,uncertainty_sample,outside; cells are blank where a ray
+    does not meet the ground. The uncertainties are standard deviations of the model's line and
+    sample at the place [px]. The last column says how far the place is outside the control, by its
+    extent: 0 is inside, and beyond 0.5 the model does not hold.
 
     \b
     Examples:
@@ -39,21 +40,20 @@ def project(folder: Path, points: Path, inverse: bool, dem: Path | None, height:
     """
     show_messages()
 
-    from termsel.errors import counted
     from termsel.formats.atomic import write_text
     from termsel.io.project import project_table
     from termsel.io.replacing import require_replaceable
     from termsel.io.result_folder import read_result
 
+    output = None if output == Path("-") else output
     if output is not None:
         require_replaceable([output], reads=[folder, points, dem], overwrite=overwrite)
-    text, missed = project_table(read_result(folder), points, inverse=inverse, dem=dem,
+    text, warnings = project_table(read_result(folder), points, inverse=inverse, dem=dem,
                                  height=height)
     if output is None:
         echo_table(text)
     else:
         write_text(output, text)
         say_written([output])
-    if missed:
-        echo(f"Warning: no position was found for {counted(len(missed), 'point')}: "
-             f"{', '.join(missed[:10])}{' ...' if len(missed) > 10 else ''}", err=True)
+    for warning in warnings:
+        echo(f"Warning: {warning}", err=True)

@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from termsel.cli.bars import share_bar
-from termsel.cli.messages import say_written, show_messages
+from termsel.cli.messages import refuse_stdout, say_written, show_messages
 from termsel.cli.remote import allow_remote
 from termsel.errors import TermselError
 
@@ -44,6 +44,7 @@ def rectify(folder: Path, image: Path, output: Path, dem: Path | None, height: f
     """
     if dem is not None and height is not None:
         raise TermselError("--dem and --height exclude each other", hint="Give one of them.")
+    refuse_stdout(output)
     show_messages()
 
     from termsel.io.rectify import rectify as warp

@@ -7,12 +7,34 @@ from collections.abc import Iterator
 import numpy as np
 
 from termsel.errors import counted
-from termsel.measurements.features import BoolArray, FeatureSet, Points
+from termsel.measurements.features import BoolArray, FeatureSet, FloatArray, Points
 from termsel.measurements.places import beyond, centres
 
 FAR = 0.5
 """Distance from the hull of the control, by the hull's longer side, from which on a place counts
 as far outside: a quadratic term is then 4 times what it is at the hull's edge."""
+
+
+def outside(control: FloatArray, places: FloatArray) -> FloatArray:
+    """Return how far places on the ground are outside the control.
+
+    Parameters
+    ----------
+    control, places : ndarray, shape (n, 3) and (m, 3)
+        NaN for a height that is not known.
+
+    Returns
+    -------
+    ndarray, shape (m,)
+        Distance from the hull by its longer side, or above or below its heights by their range,
+        whichever is larger; 0 inside. Infinite if the control has no hull, NaN for no place.
+    """
+    apart = beyond(control[:, :2], places[:, :2])
+    low, high = control[:, 2].min(), control[:, 2].max()
+    if high > low:
+        above = np.maximum(places[:, 2] - high, low - places[:, 2]) / (high - low)
+        apart = np.maximum(apart, np.where(np.isnan(above), 0.0, above))
+    return np.asarray(np.where(np.isnan(places[:, :2]).any(axis=1), np.nan, apart))
 
 
 def warnings_of(control: FeatureSet, used: BoolArray, check: Points) -> Iterator[str]:

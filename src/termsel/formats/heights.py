@@ -126,7 +126,8 @@ def open_dem(path: Path, crs: str) -> Iterator[Dem]:
             raise TermselError(
                 f"the heights of this raster are {datum}, those of the ground coordinates {stated}",
                 file=path, hint="termsel does not convert heights. Give a raster with the same "
-                                "heights, or a --crs without a vertical datum, such as EPSG:4326.")
+                                "heights, or run the selection with a CRS of the control without "
+                                "a vertical datum, such as EPSG:4326.")
         to_raster = Transformer.from_crs(CRS.from_user_input(crs).to_2d(), own.to_2d(),
                                          always_xy=True)
         yield Dem(path, raster, to_raster, datum or "not declared by the raster")

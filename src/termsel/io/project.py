@@ -2,20 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from termsel.errors import TermselError
+from termsel.errors import TermselError, counted
+from termsel.fits.extrapolation import FAR, outside
 from termsel.formats.heights import surface_of
 from termsel.formats.readers.csv_tables import COORDINATES, table_text
 from termsel.formats.readers.tables import Table, read_table
 from termsel.measurements.crs import normalise
+from termsel.measurements.features import BoolArray, FloatArray, select
+from termsel.measurements.roles import by_roles, together
 
 if TYPE_CHECKING:
     from termsel.results.result import Result
 
+_NAMED = 10  # points named in a warning
 _ID = {"id": ("id", "name")}
 
 
@@ -26,7 +31,7 @@ def project_table(
     inverse: bool = False,
     dem: Path | None = None,
     height: float | None = None,
-) -> tuple[str, tuple[str, ...]]:
+) -> tuple[str, list[str]]:
     """Return a table of points with image and ground coordinates.
 
     Parameters
@@ -44,10 +49,12 @@ def project_table(
     Returns
     -------
     text : str
-        CSV headed id,line,sample,x,y,z,uncertainty_line,uncertainty_sample. The last two are
-        the standard deviations of what the model predicts there (see `termsel.Fit.sigma`).
-    missed : tuple of str
-        Ids of points without a place.
+        CSV headed id,line,sample,x,y,z,uncertainty_line,uncertainty_sample,outside. The
+        uncertainties are the standard deviations of what the model predicts there (see
+        `termsel.Fit.sigma`). The last says how far a place is outside the control that the model
+        was fitted to (see `termsel.fits.extrapolation.outside`).
+    warnings : list of str
+        Sentences on points without a place and on those outside the control.
 
     Raises
     ------
@@ -92,14 +99,36 @@ def project_table(
     with np.errstate(all="ignore"):
         sigma = result.sigma(ground)
     sigma[~np.isfinite(sigma)] = np.nan
-    values = np.concatenate([image, ground, sigma], axis=1)
+    apart = outside(_control(result), ground)
+    values = np.column_stack([image, ground, sigma, apart])
     # Heights may be unknown; line, sample, x and y of what was found are not.
-    missed = np.isnan(values[:, :4]).any(axis=1)
+    missed: BoolArray = np.asarray(np.isnan(values[:, :4]).any(axis=1))
     ids = table.ids()
     header = ["id", "line", "sample", "x", "y", "z", "uncertainty_line",
-              "uncertainty_sample"]
+              "uncertainty_sample", "outside"]
     text = table_text(crs, header, [[name] for name in ids], values)
-    return text, tuple(name for name, gone in zip(ids, missed, strict=True) if gone)
+    return text, list(_warnings(
+        select(ids, missed), select(ids, ~missed & (apart > FAR))))
+
+
+def _warnings(missed: Sequence[str], far: Sequence[str]) -> Iterator[str]:
+    if missed:
+        yield f"no position was found for {counted(len(missed), 'point')}: {_listed(missed)}"
+    if far:
+        yield (f"{counted(len(far), 'point')} {'is' if len(far) == 1 else 'are'} far outside the "
+               f"control, where the model does not hold: {_listed(far)}")
+
+
+def _listed(ids: Sequence[str]) -> str:
+    return f"{', '.join(ids[:_NAMED])}{' ...' if len(ids) > _NAMED else ''}"
+
+
+def _control(result: Result) -> FloatArray:
+    """Return the ground coordinates of what a result was fitted to."""
+    control = result.fit.control.take(result.fit.used)
+    if result.strategy is None:
+        return control.ground_vertices()
+    return together(by_roles(result.features)).ground_vertices()
 
 
 def _table(path: Path, *meanings: str) -> Table:

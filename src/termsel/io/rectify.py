@@ -108,9 +108,11 @@ def rectify(
     level = float(result.fit.ground_box()[0][2]) if height is None else height
     with private_folder() as folder:
         source, options = _source(result, picture, folder / "scene.vrt", dem, level)
-        shape, transform = _map(result, dem, level, target, resolution)
+        outline = _ground(result, dem, level, target)
+        shape, transform = _map(result, outline, dem, resolution)
         with open_raster(source) as raster, atomic_path(output) as temporary:
             empty = _nodata(raster) if nodata is None else _held(nodata, raster.dtypes[0])
+            _say(shape, transform, target, outline, dem)
             _warp(raster, temporary, shape, transform, target, empty, progress,
                   resampling=resampling, **options)
 
@@ -142,12 +144,26 @@ def _rpc(result: Result) -> RpcFit | None:
     return found if found.worst <= GOOD else None
 
 
-def _map(result: Result, dem: Path | str | None, height: float, target: str,
+def _say(shape: tuple[int, int], transform: Any, target: str, outline: FloatArray,
+         dem: Path | str | None) -> None:
+    """Log what the map is, and which share of the image it shows."""
+    from pyproj import CRS
+
+    unit = CRS.from_user_input(target).axis_info[0].unit_name
+    share = float(np.isfinite(outline).all(axis=-1).mean())
+    log.info("Map: %d lines and %d samples of %g %s in %s, with %s of the image.", *shape,
+             transform.a, unit, target, "all" if share == 1 else f"about {100 * share:.0f} %")
+    if share < 1:
+        log.warning("Warning: about %s of the image is not on the map, as %s.", f"{100 - 100 * share:.0f} %",
+                    "the model has no ground position there" if dem is None
+                    else f"{dem} has no heights there")
+
+
+def _map(result: Result, outline: FloatArray, dem: Path | str | None,
          resolution: float | None) -> tuple[tuple[int, int], Any]:
     """Return lines and samples of the map, and its geotransform."""
     from affine import Affine
 
-    outline = _ground(result, dem, height, target)
     known = outline[np.isfinite(outline).all(axis=-1)]
     if not len(known):
         raise TermselError("the image is outside the raster of heights", file=dem,
