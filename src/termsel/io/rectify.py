@@ -154,8 +154,8 @@ def _say(shape: tuple[int, int], transform: Any, target: str, outline: FloatArra
     log.info("Map: %d lines and %d samples of %g %s in %s, with %s of the image.", *shape,
              transform.a, unit, target, "all" if share == 1 else f"about {100 * share:.0f} %")
     if share < 1:
-        log.warning("Warning: about %s of the image is not on the map, as %s.", f"{100 - 100 * share:.0f} %",
-                    "the model has no ground position there" if dem is None
+        log.warning("Warning: about %.0f %% of the image is not on the map, as %s.",
+                    100 - 100 * share, "the model has no ground position there" if dem is None
                     else f"{dem} has no heights there")
 
 
