@@ -583,6 +583,13 @@ class Clears(CheckRmse):
         return score
 
 
+class NotAdditive(CheckRmse):
+    """Has figures that do not add up over line and sample."""
+
+    def score(self, fits: Fits) -> FloatArray:
+        return np.asarray(np.median(np.sqrt((fits.check_errors**2).sum(axis=2)), axis=1))
+
+
 BROKEN_CRITERIA: list[tuple[type[Criterion], str, str]] = [
     (Undescribed, "declaration", "text without blanks"),
     (Column, "score_shape", r"array of 4 figures, not float64 of shape \(4, 1\)"),
@@ -593,6 +600,7 @@ BROKEN_CRITERIA: list[tuple[type[Criterion], str, str]] = [
     (Ranks, "one_by_one", "one by one"),
     (Squares, "inputs_unchanged", "changes fits.check_errors"),
     (Clears, "inputs_unchanged", "changes fits.coefficients"),
+    (NotAdditive, "subset_score_agrees", "another one has"),
 ]
 
 

@@ -10,9 +10,12 @@ import pytest
 
 import termsel
 import termsel.results.text
+from termsel.criteria import CheckRmse, Fits
+from termsel.errors import TermselError
 from termsel.runs.assess import assess
 from termsel.solvers.exact import Exact, count, gap
 from termsel.solvers.ga import GeneticAlgorithm
+from termsel.testing import check_criterion
 
 
 def brute_force(problem: termsel.Problem) -> tuple[np.ndarray, np.ndarray]:
@@ -155,3 +158,27 @@ def test_swap_reaches_the_optimum_of_a_small_space() -> None:
     assert swapped.objectives["check-rmse"] == pytest.approx(
         optimum.objectives["check-rmse"], rel=1e-9)
     assert swapped.certificate["optimal"]
+
+
+class Median(CheckRmse):
+    """Median distance of the check points, which does not add up over line and sample."""
+
+    name = "not-additive"
+
+    def score(self, fits: Fits) -> np.ndarray:
+        return np.median(np.sqrt((fits.check_errors**2).sum(axis=2)), axis=1)
+
+
+def test_a_proof_that_an_evaluation_beats_is_refused() -> None:
+    task = termsel.prepare("poly-terms", solver="exact", options={"degree": 2})
+    with pytest.raises(TermselError, match=r"subset_score does not agree with its score"):
+        termsel.search(task.problem.judged_by(Median()), task.solver)
+    with pytest.raises(AssertionError, match="subset_score_agrees"):
+        check_criterion(Median)
+
+
+def test_no_gap_to_an_optimum_that_the_find_beats() -> None:
+    problem = termsel.prepare("poly-terms", options={"degree": 2}).problem
+    optimum = gap(problem, 1e6)["optimum"]
+    assert gap(problem, optimum)["optimal"]
+    assert gap(problem, 0.9 * optimum) is None

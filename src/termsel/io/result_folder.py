@@ -18,7 +18,7 @@ from termsel.candidates.candidate import named
 from termsel.errors import TermselError
 from termsel.fits.accuracy import Predicted, accuracy_from
 from termsel.fits.diagnosis import Diagnosis, Doubts, Significance
-from termsel.fits.figures import Baseline, residuals_of
+from termsel.fits.figures import Baseline, figures, residuals_of
 from termsel.fits.fit import Fit
 from termsel.fits.least_squares import fit
 from termsel.fits.rmse import Rmse
@@ -33,7 +33,7 @@ from termsel.formats.readers.csv_tables import (
 from termsel.formats.readers.tables import guarded
 from termsel.measurements.crs import normalise
 from termsel.measurements.features import FeatureSet, no_lines, no_points
-from termsel.measurements.roles import by_roles, together
+from termsel.measurements.roles import Observations, by_roles, together
 from termsel.measurements.scaling import Scaling
 from termsel.models.base import SensorModel
 from termsel.plugins.registry import registry
@@ -270,12 +270,14 @@ def result_from(record: Mapping[str, Any], features: FeatureSet) -> Result:
         If the record is not one that `Result.to_dict` has made.
     """
     fitted, chosen = _fit(record, features), record["selection"]
+    _refuse_other_model(record, fitted, by_roles(features))
     residuals = residuals_of(fitted, by_roles(features), check_used=record["strategy"] is not None)
     return Result(
         **{name: record[name] for name in (
             "problem", "model", "solver", "criterion", "seed", "options", "data", "feasible",
             "judgement", "objectives", "evaluations", "lookups", "generations", "seconds",
             "interrupted", "polish", "versions", "certificate", "strategy")},
+        plugins=record.get("plugins", {}),
         selection=Selection(tuple(chosen["terms"]), tuple(chosen["features"])),
         rmse=_rmse(record["rmse"]),
         baselines=tuple(Baseline(b["name"], b["n_terms"], tuple(b["fitted_to"]), b["determined"],
@@ -289,7 +291,8 @@ def result_from(record: Mapping[str, Any], features: FeatureSet) -> Result:
 
 
 def _fit(record: Mapping[str, Any], features: FeatureSet) -> Fit:
-    model_type = registry().get("models", record["model"])
+    plugin = record.get("plugins", {}).get("model")
+    model_type = registry().get("models", plugin["name"] if plugin else record["model"])
     model: SensorModel = model_type(**record["options"]["model"])
     scaling = Scaling.from_dict(record["scaling"])
     coefficients, deviations = np.zeros(len(model.terms)), np.zeros(len(model.terms))
@@ -319,6 +322,24 @@ def _fit(record: Mapping[str, Any], features: FeatureSet) -> Fit:
     both = together(by_roles(features))
     return replace(fitted, made=replace(fitted, control=both, estimator=chosen.estimator,
                                         used=np.ones(len(both), dtype=bool)))
+
+
+def _refuse_other_model(record: Mapping[str, Any], fitted: Fit,
+                        observations: Observations) -> None:
+    """Refuse a model that has changed since the run, as another version of a plugin may have."""
+    said = {role: _float(one["total"]) for role, one in record["rmse"].items()}
+    now = {role: rmse.total for role, rmse in figures(fitted, observations).items() if rmse}
+    other = [role for role, value in now.items()
+             if not np.isclose(said[role], value, rtol=1e-3, atol=1e-6, equal_nan=True)]
+    if not other:
+        return
+    plugin = record.get("plugins", {}).get("model", {})
+    made_by = (f"{plugin['name']} of version {plugin['version']}" if plugin else
+               f"{record['model']} of termsel {record['versions']['termsel']}")
+    raise TermselError(
+        f"the {other[0]} RMSE is {now[other[0]]:.4g} px by the installed model and "
+        f"{said[other[0]]:.4g} px in the record: the model is not the one of the run",
+        hint=f"The run used {made_by}. Install that version, or run the search again.")
 
 
 def _diagnosis(record: Mapping[str, Any]) -> Diagnosis:

@@ -50,6 +50,11 @@ class Entry:
     object: Any
     note: str = ""
 
+    @property
+    def full_name(self) -> str:
+        """Its name as ``distribution:name``."""
+        return f"{self.provided_by}:{self.name.rpartition(':')[2]}"
+
     def answers_to(self, name: str) -> bool:
         """Return True for the entry's name, bare or with its distribution before it."""
         distribution, _, bare = name.rpartition(":")
@@ -135,6 +140,15 @@ class Registry:
         return [(kind, entry) for kind in KINDS for entry in self.entries(kind)
                 if entry.answers_to(name)]
 
+    def origin(self, thing: Any) -> Entry | None:
+        """Return the entry of a class, `Recipe` or `DatasetSpec`; None if nothing provides it."""
+        return next((entry for kind in KINDS for entry in self.entries(kind)
+                     if entry.object is thing), None)
+
+    def version(self, distribution: str) -> str:
+        """Return the version of a distribution that provides a plugin."""
+        return next(one.version for one in self.plugins if one.distribution == distribution)
+
     def failures(self, *kinds: str) -> list[Remark]:
         """Return what does not work: plugins that cannot be loaded, then things of the kinds.
 
@@ -162,6 +176,9 @@ class Registry:
     def hint(self, name: str, *kinds: str) -> str:
         """Return a sentence on where an unknown name may come from, or nothing."""
         installed = {plugin.distribution for plugin in self.plugins}
+        distribution = canonical(name.rpartition(":")[0])
+        if distribution and distribution not in installed:
+            return f"It comes with the package {distribution}, which is not installed."
         for package, names in _PACKAGES.items():
             if name in names and package not in installed:
                 return f"It comes with the package {package}, which is not installed."

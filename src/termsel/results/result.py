@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from html import escape
 from typing import TYPE_CHECKING, Any
 
@@ -90,6 +90,9 @@ class Result:
     features : FeatureSet
         What was measured; each point has the role it played.
     versions : mapping
+    plugins : mapping
+        Of problem, model, solver and criterion those that plugins provide, with
+        ``distribution:name`` and version.
     front : tuple
         Non-dominated selections of a search with several objectives.
     certificate : mapping, optional
@@ -136,6 +139,7 @@ class Result:
     outliers: tuple[Outlier, ...] = ()
     predicted: Predicted | None = None
     accuracy: Accuracy | None = None
+    plugins: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
 
     @property
     def hit_rate(self) -> float:
@@ -190,7 +194,8 @@ class Result:
                              for one, other, value in self.diagnosis.correlations],
             "doubts": asdict(self.diagnosis.doubts) if self.diagnosis.doubts else None,
             "scaling": self.fit.scaling.to_dict(),
-            "versions": dict(self.versions)}
+            "versions": dict(self.versions),
+            "plugins": {part: dict(one) for part, one in self.plugins.items()}}
 
     def of_image(self, size: tuple[int, int]) -> Result:
         """Return the result with the size of its image, which files of points do not state.

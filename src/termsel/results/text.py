@@ -109,6 +109,9 @@ def _title(name: str) -> str:
 
 def _certificate(certificate: Mapping[str, Any], exact: str) -> str:
     proven = f"{certificate['subsets']:,} subsets decided, {certificate['space']}"
+    if "claimed_by" in certificate and certificate["optimal"]:
+        return (f"{certificate['claimed_by']} claims that no selection has a better criterion "
+                f"({proven}); termsel has not proven it")
     if certificate["optimal"]:
         return f"Proven: no selection has a better criterion ({proven})"
     if certificate.get("gap") is not None:

@@ -10,6 +10,7 @@ import numpy as np
 
 from termsel.candidates.compare import compare
 from termsel.candidates.ridge import RidgeByOrder
+from termsel.errors import TermselError, unknown_name
 from termsel.fits.accuracy import accuracy_of
 from termsel.fits.diagnosis import Doubts, diagnose
 from termsel.fits.figures import baseline, figures, plain_rmse, residuals_of
@@ -20,7 +21,7 @@ from termsel.models.poles import guard_points, pole_violation
 from termsel.problems.base import Selection
 from termsel.results.result import Outlier, Result
 from termsel.runs.judge import judge, name_conventional, notes_on
-from termsel.runs.provenance import data_of, versions
+from termsel.runs.provenance import data_of, plugins_of, versions
 from termsel.runs.task import Task
 from termsel.solvers.exact import gap
 from termsel.solvers.search import Search
@@ -71,6 +72,7 @@ def assess(task: Task, found: Search) -> Result:
         outliers=tuple(_outliers(chosen, diagnosis.doubts)),
         accuracy=accuracy_of(chosen, observations.independent),
         features=observations.features, versions=versions(),
+        plugins=plugins_of(task),
         front=tuple(_front(task, found)), certificate=_certificate(task, found, chosen))
 
 
@@ -94,10 +96,24 @@ def _estimated(task: Task, selection: Selection, found: Search) -> Fit:
 
 def _certificate(task: Task, found: Search, chosen: Fit) -> Mapping[str, Any] | None:
     """Return what the solver proved, or how far its find is from the proven optimum."""
+    claim = plugins_of(task).get("solver")
+    if found.certificate is not None and claim:
+        return {**_required(found.certificate, claim["name"]), "claimed_by": claim["name"]}
     if (found.certificate is not None or found.violation or found.interrupted
             or not chosen.estimator.least_squares or len(found.objectives) > 1):
         return found.certificate
     return gap(task.problem, float(found.objectives[0]))
+
+
+def _required(certificate: Mapping[str, Any], solver: str) -> dict[str, Any]:
+    """Return what a plugin's certificate must say; refuse one that does not."""
+    kinds = {"optimal": bool, "subsets": int, "of": int, "space": str}
+    if not isinstance(certificate, Mapping) or any(
+            not isinstance(certificate.get(key), kind) for key, kind in kinds.items()):
+        raise TermselError(f"the certificate of solver {solver!r} lacks something or has it of "
+                           f"another type: it needs {', '.join(kinds)}",
+                           hint="This is a bug in the solver: tell its author.")
+    return {key: certificate[key] for key in kinds}
 
 
 def _front(task: Task, found: Search) -> Iterable[Mapping[str, Any]]:
@@ -126,7 +142,8 @@ def fit_of(task: Task, selection: Selection) -> Fit:
     the solution it began with, which the search judged, is taken.
     """
     control = task.observations.control
-    terms, used = _mask(task.model.terms, selection.terms), _mask(control.ids, selection.features)
+    terms = _mask(task.model.terms, selection.terms, "term")
+    used = _mask(control.ids, selection.features, "control feature")
     chosen = fit(task.model, control, task.scaling, terms, used)
     return fit(task.model, control, task.scaling, terms, used, iterated=False) \
         if _has_pole(task, chosen) else chosen
@@ -139,6 +156,10 @@ def _has_pole(task: Task, chosen: Fit) -> bool:
     return bool(pole_violation(task.model, chosen.adjustment.coefficients[None], guard).any())
 
 
-def _mask(names: tuple[str, ...], chosen: Iterable[str]) -> BoolArray:
+def _mask(names: tuple[str, ...], chosen: Iterable[str], what: str) -> BoolArray:
+    """Return which names a problem's `decode` gives; refuse one that there is not."""
     wanted = set(chosen)
+    if not wanted <= set(names):
+        raise unknown_name(what, min(wanted - set(names)), names,
+                           "The selection that the problem decodes names it: tell its author.")
     return np.array([name in wanted for name in names], dtype=bool)

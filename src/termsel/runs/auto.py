@@ -30,7 +30,7 @@ from termsel.problems.recipes import Recipe
 from termsel.results.result import Result
 from termsel.runs.judge import judge_choice
 from termsel.runs.outliers import judged_independent, without_blunders
-from termsel.runs.provenance import data_of, versions
+from termsel.runs.provenance import data_of, plugins_of, versions
 from termsel.runs.task import FEW, Request, all_control
 from termsel.solvers.base import Generation
 from termsel.solvers.ledger import Progress
@@ -193,6 +193,7 @@ def choose_for(request: Request, observations: Observations, seed: int,
         residuals=residuals_of(fitted, observations, check_used=True),
         diagnosis=diagnose(fitted),
         features=observations.features, versions=versions(),
+        plugins=plugins_of(request),
         strategy={
             "name": "auto", "chosen": chosen.name, "reason": choice.reason,
             "predicted": predicted, "folds": folds,

@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import platform
 from importlib.metadata import version
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from termsel.measurements.crs import height_reference
 from termsel.measurements.features import FeatureSet
 from termsel.measurements.roles import Observations
+from termsel.plugins.registry import registry
 from termsel.results.checksums import of_features
+
+if TYPE_CHECKING:
+    from termsel.runs.task import Request, Task
 
 
 def data_of(features: FeatureSet, source: str, observations: Observations) -> dict[str, Any]:
@@ -41,3 +45,25 @@ def versions() -> dict[str, str]:
     """Return the versions of termsel and what it computes with."""
     packages = ("termsel", "numpy", "scipy", "numba", "deap", "pymoo")
     return {"python": platform.python_version(), **{name: version(name) for name in packages}}
+
+
+def plugins_of(asked: Request | Task) -> dict[str, dict[str, str]]:
+    """Return the parts of a run that plugins provide, for the record.
+
+    A name alone does not identify them: two packages may use the same one.
+
+    Parameters
+    ----------
+    asked : Request or Task
+
+    Returns
+    -------
+    dict
+        By "problem", "model", "solver" and "criterion": ``name`` as ``distribution:name``, and
+        ``version`` of the distribution. Parts of termsel itself are left out.
+    """
+    parts = {"problem": asked.recipe, "model": type(asked.model), "solver": type(asked.solver),
+             "criterion": type(asked.criterion)}
+    found = {word: registry().origin(thing) for word, thing in parts.items()}
+    return {word: {"name": entry.full_name, "version": registry().version(entry.provided_by)}
+            for word, entry in found.items() if entry and entry.provided_by != "termsel"}

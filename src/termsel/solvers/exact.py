@@ -16,8 +16,9 @@ from termsel.adjustment.subsets import SubsetResult
 from termsel.errors import TermselError
 from termsel.measurements.features import BoolArray
 from termsel.options import Option
-from termsel.problems.base import EnumerablePart, Problem
+from termsel.problems.base import EnumerablePart, Evaluation, Problem
 from termsel.solvers.base import Generation, Solver
+from termsel.solvers.swap import neighbours
 
 log = logging.getLogger(__name__)
 
@@ -201,6 +202,8 @@ def gap(problem: Problem, found: float) -> dict[str, Any] | None:
     if evaluation.violation[0] > 0:  # enumeration and evaluation differ at a tolerance
         return None
     optimum = float(evaluation.objectives[0, 0])
+    if found < optimum - TIE * abs(optimum):  # what was enumerated is not this criterion
+        return None
     return {"optimal": found <= optimum + TIE * abs(optimum), "subsets": proof.decided,
             "of": proof.total, "space": "all selections", **gap_of(found, optimum)}
 
@@ -255,20 +258,22 @@ class Exact(Solver):
         for proof in prove(problem, most, workers):
             if index and not proof.complete and time.perf_counter() - reported < _REPORT_SECONDS:
                 continue
-            generation = self._report(problem, proof, index, space)
+            generation = self._report(problem, proof, index, space, most)
             if generation is not None:
                 yield generation
                 index += 1
             reported = time.perf_counter()
 
-    def _report(self, problem: Problem, proof: Proof, index: int,
-                space: str) -> Generation | None:
+    def _report(self, problem: Problem, proof: Proof, index: int, space: str,
+                most: int | None) -> Generation | None:
         front = proof.front()
         if not front and not proof.complete:
             return None
         genes = (np.array(front) if proof.complete else np.array(front[-1:])) if front \
             else np.zeros((1, problem.genome.size), dtype=bool)
         evaluation = problem.evaluate(genes)
+        if proof.complete and front:
+            _require_unbeaten(problem, proof, front[-1], evaluation, most)
         proven = proof.complete and bool(front) and evaluation.violation[-1] == 0
         details: dict[str, Any] = {
             "share": proof.decided / proof.total,
@@ -276,6 +281,33 @@ class Exact(Solver):
             "certificate": {"optimal": bool(proven), "subsets": proof.decided,
                             "of": proof.total, "space": space}}
         return Generation(index, genes, evaluation, details)
+
+
+def _require_unbeaten(problem: Problem, proof: Proof, optimum: BoolArray,
+                      front: Evaluation, most: int | None) -> None:
+    """Refuse a proof that an evaluation contradicts.
+
+    The enumeration decides by the criterion's `subset_score` and `subset_cost`, and a plugin's may
+    not agree with its `score`. The best selection of every size and all neighbours of the optimum
+    are evaluated as any solver's are.
+    """
+    best, violation = front.objectives[-1, 0], front.violation[-1]
+    if violation > 0:  # enumeration and evaluation differ at a tolerance: nothing is proven
+        return
+    values = [front.objectives[front.violation == 0, 0]]
+    for genes in neighbours(optimum, problem.genome):
+        if most is not None:
+            sizes = [genes[:, part.genes].sum(axis=1) for part in proof.parts]
+            genes = genes[np.all(np.array(sizes) <= most, axis=0)]
+        found = problem.evaluate(genes)
+        values.append(found.objectives[found.violation == 0, 0])
+    least = float(np.concatenate(values).min())
+    if least < best - TIE * abs(best):
+        raise TermselError(
+            f"the enumeration ends at {best:.6g}, but a selection it passed over has {least:.6g}: "
+            "the criterion's subset_score does not agree with its score",
+            hint="Tell the author of the criterion, or choose another solver, such as "
+                 "--solver ga.")
 
 
 def _duration(seconds: float) -> str:

@@ -80,6 +80,7 @@ class Ledger(Problem):
         """Return the evaluation, computing only what is not known."""
         if self.deadline is not None and self.count and time.perf_counter() > self.deadline:
             raise BudgetSpent
+        self._require_bits(genes)
         allowed = len(genes) if self.limit is None else self.limit - self.count
         evaluation = self._look_up(genes[:allowed])
         if allowed < len(genes):
@@ -140,6 +141,15 @@ class Ledger(Problem):
         return Evaluation(
             np.array([self._objectives[i] for i in where]).reshape(-1, len(self.objectives)),
             np.array([self._violation[i] for i in where]))
+
+    def _require_bits(self, genes: BoolArray) -> None:
+        """Refuse anything but chromosomes of bits: others would be looked up as if they were."""
+        if not isinstance(genes, np.ndarray) or genes.dtype != np.bool_ or genes.ndim != 2 \
+                or genes.shape[1] != self.genome.size:
+            raise TermselError(
+                f"the solver asks for an evaluation of {getattr(genes, 'dtype', type(genes))} of "
+                f"shape {np.shape(genes)}, not of bool of shape (n, {self.genome.size})",
+                hint="This is a bug in the solver: tell its author.")
 
     def _check(self, evaluation: Evaluation, n: int) -> None:
         if (evaluation.objectives.shape != (n, len(self.objectives))

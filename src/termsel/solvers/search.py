@@ -135,6 +135,7 @@ def search(
                         ("seconds", seconds)):
         if value is not None and not value > 0:
             raise TermselError(f"the budget of {value} {name} is not positive")
+    _require_names(problem)
     require_able(problem, solver)
     if generations is None and evaluations is None and seconds is None:
         generations = solver.default_generations
@@ -196,6 +197,15 @@ def require_able(problem: Problem, solver: Solver,
         f"solver {solver.name!r} cannot handle {wanted} objective{'s' if wanted > 1 else ''}: "
         f"{', '.join(problem.objectives)}",
         hint=f"Choose one of: {', '.join(able)}." if able else None)
+
+
+def _require_names(problem: Problem) -> None:
+    """Refuse objectives that are not named one by one: the letters of a str would be taken."""
+    names = problem.objectives
+    if isinstance(names, str) or not names or not all(isinstance(name, str) for name in names):
+        raise TermselError(
+            f"the objectives of problem {type(problem).__name__!r} are {names!r}, not a tuple of "
+            "names", hint="This is a bug in the problem: tell its author.")
 
 
 def _until_spent(running: Iterator[Generation]) -> Iterator[Generation]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from itertools import product
 
 import numpy as np
 
@@ -12,6 +13,7 @@ from termsel.models.polynomial import Polynomial3D
 from termsel.models.terms import Term
 from termsel.problems.base import Inputs
 from termsel.problems.selection import SelectionProblem
+from termsel.solvers.exact import prove
 from termsel.testing.checks import (
     Case,
     Check,
@@ -28,6 +30,9 @@ from termsel.testing.scenes import imaged, seeded
 PIXELS = 1000.0
 NOISE = 0.5
 """Standard deviation of the measurements [px]."""
+
+SETS = 4
+"""Random sets of points on which all selections are compared."""
 
 
 class _Recorder(Criterion):
@@ -106,8 +111,25 @@ def inputs_unchanged(criterion: Criterion) -> None:
             "score() changes fits.check_errors; work on a copy")
 
 
+def subset_score_agrees(criterion: Criterion) -> None:
+    """The optimum by its subset score, if it declares one, is that of its figures."""
+    if not criterion.subset_score:
+        return
+    for seed in range(SETS):
+        problem = SelectionProblem(_random_inputs(criterion, seed), terms=True, features=False)
+        genes = np.array(list(product((False, True), repeat=problem.genome.size)))
+        every = problem.evaluate(genes)
+        feasible = every.violation == 0
+        *_, proof = prove(problem)
+        found = problem.evaluate(np.array(proof.front()[-1:]))
+        least = every.objectives[feasible, 0].min()
+        require(bool(np.isclose(found.objectives[0, 0], least, rtol=1e-9)),
+                f"the best selection by subset_score {criterion.subset_score!r} and subset_cost() "
+                f"has the score {found.objectives[0, 0]:.9g}; another one has {least:.9g}")
+
+
 CRITERION_CHECKS = (declaration, score_shape, score_finite, smaller_is_better, deterministic,
-                    one_by_one, inputs_unchanged)
+                    one_by_one, inputs_unchanged, subset_score_agrees)
 
 
 def criterion_checks(
@@ -187,3 +209,13 @@ def _fits(masks: BoolArray) -> Fits:
     inputs = Inputs(model, control.with_(points=noisy[0]), noisy[1], PIXELS, recorder)
     SelectionProblem(inputs, terms=True, features=False).evaluate(masks)
     return recorder.seen[-1]
+
+
+def _random_inputs(criterion: Criterion, seed: int) -> Inputs:
+    """Return few points whose image positions an affine model explains in part."""
+    model, rng = Polynomial3D(degree=1), np.random.default_rng(seed)
+    control, check = (imaged(model, rng.normal(0.0, 0.5, len(model.terms)), rng, points=n)
+                      for n in (12, 8))
+    noisy = [Points(f.points.ids, f.points.image + rng.normal(0.0, 0.2, f.points.image.shape),
+                    f.points.ground) for f in (control, check)]
+    return Inputs(model, control.with_(points=noisy[0]), noisy[1], PIXELS, criterion)

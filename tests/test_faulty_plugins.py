@@ -1,0 +1,158 @@
+"""Plugins whose faults would give wrong results in silence."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from textwrap import dedent
+
+import numpy as np
+import pytest
+
+import termsel
+from termsel.criteria import CheckRmse
+from termsel.errors import TermselError
+from termsel.problems.base import Selection
+from termsel.runs.assess import fit_of
+from termsel.solvers.base import Generation, Solver
+
+AFFINE = """
+    import numpy as np
+    from termsel import Blocks, RationalModel, hookimpl
+
+    class Affine(RationalModel):
+        '''An affine model of another kind.'''
+        name = "affine"
+        def blocks(self, ground):
+            one = np.column_stack([np.ones(len(ground)), {columns}])
+            return Blocks(line=one, sample=one)
+
+    @hookimpl
+    def termsel_models():
+        return [Affine]
+"""
+
+CLAIMING = """
+    from termsel import Generation, Solver, hookimpl
+
+    class Claiming(Solver):
+        '''Claims that the first random selection is the best.'''
+        name = "claiming"
+        def generations(self, problem, rng):
+            genes = problem.genome.random(rng, 20)
+            yield Generation(0, genes, problem.evaluate(genes), {{"certificate": {certificate}}})
+
+    @hookimpl
+    def termsel_solvers():
+        return [Claiming]
+"""
+
+
+@pytest.fixture
+def install(tmp_path: Path) -> Callable[..., None]:
+    """Return a function that puts a package into a folder for PYTHONPATH."""
+    def package(distribution: str, code: str, version: str = "1.0") -> None:
+        (tmp_path / f"{distribution}.py").write_text(dedent(code))
+        info = tmp_path / f"{distribution}-1.dist-info"
+        info.mkdir(exist_ok=True)
+        (info / "METADATA").write_text(
+            f"Metadata-Version: 2.1\nName: {distribution}\nVersion: {version}\n")
+        (info / "entry_points.txt").write_text(f"[termsel]\n{distribution} = {distribution}\n")
+
+    return package
+
+
+def _termsel(tmp_path: Path, *args: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([sys.executable, "-m", "termsel", *args], cwd=tmp_path, text=True,
+                          capture_output=True, check=False)
+
+
+RUN = ("run", "--problem", "rfm-terms", "--model", "demo:affine", "--solver", "all-terms",
+       "--out", "r")
+
+
+@pytest.mark.slow
+def test_a_result_is_read_with_the_plugin_that_made_it(install: Callable[..., None],
+                                                       tmp_path: Path) -> None:
+    install("demo", AFFINE.format(columns="ground[:, 0] * ground[:, 1], ground[:, :2]"))
+    assert _termsel(tmp_path, *RUN).returncode == 0
+    (tmp_path / "at.csv").write_text("id,X,Y,Z\na,0,0,1000\n")
+    # Another version of the same model: the coefficients mean something else.
+    install("demo", AFFINE.format(columns="ground[:, :2], ground[:, 0] * ground[:, 1]"), "1.1")
+    refused = _termsel(tmp_path, "project", "r", "--points", "at.csv")
+    assert refused.returncode == 2
+    assert "the model is not the one of the run" in refused.stderr
+    assert "demo:affine of version 1.0" in refused.stderr
+    for file in tmp_path.glob("demo*/*"):
+        file.unlink()
+    refused = _termsel(tmp_path, "project", "r", "--points", "at.csv")
+    assert refused.returncode == 2
+    assert "package demo, which is not installed" in refused.stderr
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("certificate", "code", "said"), [
+    ('{"optimal": True, "subsets": 20, "of": 20, "space": "all"}', 0, "claiming:claiming claims"),
+    ('{"optimal": True}', 2, "the certificate of solver 'claiming:claiming' lacks something")])
+def test_a_proof_of_a_plugin_is_its_claim(install: Callable[..., None], certificate: str,
+                                          code: int, said: str, tmp_path: Path) -> None:
+    install("claiming", CLAIMING.format(certificate=certificate))
+    done = _termsel(tmp_path, "run", "--problem", "rfm-terms", "--solver", "claiming")
+    assert done.returncode == code
+    assert said in done.stdout + done.stderr
+    assert "Proven" not in done.stdout
+
+
+class Broadcast(CheckRmse):
+    """One figure for all models."""
+
+    name = "broadcast"
+
+    def score(self, fits: termsel.Fits) -> np.ndarray:
+        return super().score(fits)[:1]
+
+
+def test_one_figure_for_all_models_is_refused() -> None:
+    task = termsel.prepare("rfm-terms", solver="ga")
+    with pytest.raises(TermselError, match=r"criterion 'broadcast' gives figures of shape \(1,\)"):
+        termsel.search(task.problem.judged_by(Broadcast()), task.solver)
+
+
+class Strange(Solver):
+    """Asks for evaluations of what it is given."""
+
+    name = "strange"
+    genes = np.zeros((1, 1))
+
+    def generations(self, problem: termsel.Problem, rng: np.random.Generator,
+                    ) -> Iterator[Generation]:
+        yield Generation(0, self.genes, problem.evaluate(self.genes))
+
+
+@pytest.mark.parametrize("change", [
+    lambda genes: genes.astype(int) * 3, lambda genes: genes.astype(float),
+    lambda genes: genes[:, :-1], lambda genes: genes[0], lambda genes: genes.tolist()])
+def test_anything_but_bits_of_the_genome_is_refused(
+        change: Callable[[np.ndarray], np.ndarray]) -> None:
+    problem = termsel.prepare("rfm-terms", solver="ga").problem
+    solver = Strange()
+    solver.genes = change(problem.genome.random(np.random.default_rng(1), 5))
+    with pytest.raises(TermselError, match=r"not of bool of shape \(n, 78\)"):
+        termsel.search(problem, solver)
+
+
+def test_a_name_that_the_model_does_not_have_is_refused() -> None:
+    task = termsel.prepare("rfm-terms", solver="ga")
+    with pytest.raises(TermselError, match=r"unknown term 'line\.nom:X'"):
+        fit_of(task, Selection(("line.nom:X",), task.observations.control.ids))
+    with pytest.raises(TermselError, match="unknown control feature 'nobody'"):
+        fit_of(task, Selection(task.model.terms, ("nobody",)))
+
+
+def test_objectives_are_names_and_not_letters() -> None:
+    task = termsel.prepare("rfm-terms", solver="ga")
+    task.problem.objectives = "check"
+    with pytest.raises(TermselError, match="are 'check', not a tuple of names"):
+        termsel.search(task.problem, task.solver)
