@@ -130,6 +130,7 @@ def test_is_geographic() -> None:
     ("EPSG:32621", [(560_000, -3_800_000)]), ("EPSG:32721", [(560_000, 6_130_000)]),
     ("EPSG:2100", [(268_968.6, 4_488_342.0)]), ("EPSG:3857", [(15_114_673.7, 4_155_984.2)]),
     ("EPSG:4978", [(4_000_000, 400_000)]), ("local", [(5, 44)]), ("local", [(1e9, -1e9)]),
+    ("EPSG:3857", [(40, 60), (2000, 5000), (7000, 3000), (9000, 9000)]),
     ("EPSG:32631", []), ("EPSG:4979", [])])
 def test_coordinates_that_fit(crs: str, xy: list[tuple[float, float]]) -> None:
     check_ground(ground(crs, *xy))
@@ -148,6 +149,10 @@ def test_coordinates_that_fit(crs: str, xy: list[tuple[float, float]]) -> None:
     ("EPSG:32631", [(4_880_000, 500_000)], "The columns look swapped"),
     ("EPSG:32731", [(6_130_000, 560_000)], "The columns look swapped"),
     ("EPSG:32631", [(500_000, 4_880_000), (1_500_000, 4_880_000)], "feature 'p1' with x = 1500000"),
+    ("EPSG:32631", [(3.1, 41.7), (500_000, 4_880_000), (507_000, 4_890_000)],
+     "1 of 3 features looks like degrees, but EPSG:32631 is a projected CRS: feature 'p0' with"),
+    ("EPSG:2100", [(268_968, 4_488_342), (21.2, 40.5), (21.3, 40.6)], "2 of 3 features look like"),
+    ("EPSG:32631", [(500_000, 4_880_000), (4_880_000, 500_000)], "Perhaps x and y are swapped"),
     ("EPSG:32631", [(500_000, 12_000_000)], "easting and northing in EPSG:32631"),
     ("EPSG:32731", [(500_000, -3_800_000)], "easting and northing in EPSG:32731")])
 def test_coordinates_that_cannot_be(crs: str, xy: list[tuple[float, float]], words: str) -> None:

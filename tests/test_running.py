@@ -12,7 +12,7 @@ import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
 import termsel
-from termsel.measurements.features import FeatureSet, Points
+from termsel.measurements.features import FeatureSet, Points, join_points
 from termsel.simulate import simulate_scene
 
 PROBLEMS = ("rfm-terms", "poly-terms", "owdis-points", "owdis-lines", "owdis-points-terms",
@@ -82,12 +82,21 @@ def but_independent(result: termsel.Result) -> dict:
     return record
 
 
+def with_off(features: FeatureSet, lon: float) -> FeatureSet:
+    """Return the features with a further point that takes no part."""
+    one = Points(("off",), [[0.0, 0.0]], [[lon, 34.0, 9.0]], roles=("off",))
+    return features.with_(points=join_points(features.points, one))
+
+
 SMALL = {"population": 30, "polish": False}
 PATHS = {
     "auto": ("rfm-terms", {}),
     "auto, plane": ("poly-terms", {}),
     "auto, blank roles": ("rfm-terms", {"options": {"split": 3}}),
     "auto, coordinates too": ("rfm-terms", {"options": {"fit_crs": "auto"}}),
+    "auto, projected coordinates": ("rfm-terms", {"options": {"fit_crs": "projected"}}),
+    "lines, projected coordinates": ("owdis-lines", {"options": {
+        "population": 30, "polish": False, "fit_crs": "projected"}, "generations": 4}),
     "ga": ("rfm-terms", {"solver": "ga", "options": SMALL, "generations": 4}),
     "ga, assigned again": ("rfm-terms", {"solver": "ga", "generations": 4,
                                           "options": {**SMALL, "roles": "random"}}),
@@ -108,17 +117,32 @@ PATHS = {
 }
 
 
-@pytest.mark.parametrize("path", PATHS)
-def test_independent_points_change_nothing_but_their_own_rmse(path: str) -> None:
+MOVES = [pytest.param(path, side, id=f"{path}, {side}") for path in PATHS
+         for side in ("image", "ground", "off") if side == "image" or (
+             # Roles that are assigned by place depend on the place.
+             ("blank" not in path and "coordinates" in path) or path in ("auto", "ga", "lines"))]
+
+
+@pytest.mark.parametrize(("path", "side"), MOVES)
+def test_independent_points_change_nothing_but_their_own_rmse(path: str, side: str) -> None:
     problem, given = PATHS[path]
     features = simulate_scene("ikonos-hamedan")
     if "blank" in path:
         features = features.with_(points=replace(features.points, roles=()))
+    if side == "off":
+        first, second = (termsel.run(problem, features=with_off(features, lon), **given)
+                         for lon in (48.5, -140.0))
+        assert but_independent(first) == but_independent(second)
+        return
     first = termsel.run(problem, features=features, **given)
     independent = np.isin(features.points.ids, first.data["roles"]["independent"])
-    moved = features.points.image + np.array([400.0, -70.0]) * independent[:, None]
+    image, ground = features.points.image.copy(), features.points.ground.copy()
+    if side == "image":
+        image[independent] += [400.0, -70.0]
+    else:
+        ground[independent] += [140.0, -60.0, 3000.0]
     second = termsel.run(problem, features=features.with_(
-        points=replace(features.points, image=moved)), **given)
+        points=replace(features.points, image=image, ground=ground)), **given)
     assert first.rmse["independent"].total < 0.5 * second.rmse["independent"].total
     assert but_independent(first) == but_independent(second)
     of_others = [[r for r in result.residuals if r.role != "independent"]

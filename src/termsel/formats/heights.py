@@ -15,6 +15,7 @@ from termsel.errors import TermselError
 from termsel.formats.rasters import open_raster, positions
 from termsel.measurements.crs import LOCAL, vertical_datum
 from termsel.measurements.features import FeatureSet, FloatArray
+from termsel.measurements.longitudes import nearest
 
 log = logging.getLogger(__name__)
 
@@ -36,12 +37,15 @@ class Dem:
         From ground coordinates to the raster's.
     datum : str
         What the heights refer to, in words.
+    turns : bool
+        Whether the raster's x is a longitude, which is the same after a full turn.
     """
 
     path: Path
     raster: Any
     to_raster: Any
     datum: str
+    turns: bool
 
     def __call__(self, xy: FloatArray) -> FloatArray:
         """Return heights, shape (n,), of x and y, shape (n, 2); NaN where there are none.
@@ -50,6 +54,8 @@ class Dem:
         they are constant across the edge.
         """
         x, y = self.to_raster.transform(*np.asarray(xy, dtype=np.float64).T)
+        if self.turns:
+            x = nearest(np.asarray(x), (self.raster.bounds.left + self.raster.bounds.right) / 2)
         place = positions(self.raster, np.asarray(x), np.asarray(y))
         size = np.array(self.raster.shape)
         heights = np.full(len(place), np.nan)
@@ -130,7 +136,8 @@ def open_dem(path: Path, crs: str) -> Iterator[Dem]:
                                 "a vertical datum, such as EPSG:4326.")
         to_raster = Transformer.from_crs(CRS.from_user_input(crs).to_2d(), own.to_2d(),
                                          always_xy=True)
-        yield Dem(path, raster, to_raster, datum or "not declared by the raster")
+        yield Dem(path, raster, to_raster, datum or "not declared by the raster",
+                  own.is_geographic)
 
 
 @contextmanager

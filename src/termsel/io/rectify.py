@@ -19,8 +19,9 @@ from termsel.formats.rpc_files import rpc_items
 from termsel.formats.vrt import Picture, picture_for, vrt_text
 from termsel.formats.writers.grids import GeolocationVrt
 from termsel.io.replacing import require_replaceable
-from termsel.measurements.crs import LOCAL, horizontal, normalise
+from termsel.measurements.crs import LOCAL, horizontal, is_geocentric, is_geographic, normalise
 from termsel.measurements.features import FloatArray
+from termsel.measurements.longitudes import continuous
 from termsel.models.rpc_fit import GOOD, RpcFit, rpc_of
 
 if TYPE_CHECKING:
@@ -103,6 +104,10 @@ def rectify(
     target = horizontal(crs if crs is not None else result.features.crs)
     if not target:
         raise TermselError("a map needs a CRS", hint="Give --crs, such as EPSG:32631.")
+    if is_geocentric(target):
+        raise TermselError(f"a map cannot be in the geocentric CRS {target}, which has no plane",
+                           hint="Give --crs with a projected or geographic CRS, such as "
+                                "EPSG:32631.")
     picture = picture_for(result, image)
     result = result.of_image(picture.size)
     level = float(result.fit.ground_box()[0][2]) if height is None else height
@@ -180,7 +185,9 @@ def _map(result: Result, outline: FloatArray, dem: Path | str | None,
     width, lines = high - low
     if max(width, lines) > _LARGEST:
         raise TermselError(f"with pixels of {resolution:g} the map would have {lines:.0f} lines "
-                           f"and {width:.0f} samples", hint="Give --res in the units of --crs.")
+                           f"and {width:.0f} samples",
+                           hint="Give --res in the units of --crs, or a --crs whose edge does not "
+                                "run through the image.")
     west, north = low[0] * resolution, high[1] * resolution
     return (int(lines), int(width)), Affine(resolution, 0.0, west, 0.0, -resolution, north)
 
@@ -201,7 +208,10 @@ def _ground(result: Result, dem: Path | str | None, height: float, target: str,
     turn = Transformer.from_crs(horizontal(own), target, always_xy=True)
     x, y = turn.transform(ground[:, 0], ground[:, 1])
     places = np.stack([x, y], axis=-1)
-    places[~np.isfinite(places).all(axis=1)] = np.nan
+    known = np.isfinite(places).all(axis=1)
+    places[~known] = np.nan
+    if known.any() and is_geographic(target):
+        places[known, 0] = continuous(places[known, 0])
     return np.asarray(places.reshape(_OUTLINE, _OUTLINE, 2))
 
 

@@ -15,7 +15,7 @@ from warnings import catch_warnings, simplefilter
 
 import numpy as np
 
-from termsel.errors import TermselError
+from termsel.errors import TermselError, counted
 from termsel.measurements.features import BoolArray, FeatureSet, FloatArray
 
 if TYPE_CHECKING:
@@ -43,6 +43,7 @@ _WKT = re.compile(r"(GEOG|GEOD|GEOC|PROJ|COMP|LOCAL_CS|ENG|BOUND|DERIVED)\w*\s*\
 _AUTHORITY = re.compile(r'(?:ID|AUTHORITY)\s*\[\s*"EPSG"\s*,\s*"?(\d{1,9})"?\s*\]\s*\]\s*$',
                         re.IGNORECASE)
 
+_NEAR = 1000.0  # metres from the origin of a CRS
 _DEGREES = ((-180.0, -90.0), (360.0, 90.0))
 # Generous: scenes reach into the next zone, and some producers keep northern zones with
 # negative northings south of the equator.
@@ -281,8 +282,8 @@ def check_ground(features: FeatureSet) -> None:
     ------
     TermselError
         For longitudes outside -180 to 360 or latitudes outside -90 to 90 degrees in a
-        geographic CRS, coordinates that all look like degrees in a projected one, and
-        eastings or northings that no UTM zone has.
+        geographic CRS, coordinates that look like degrees in a projected one, and eastings
+        or northings that no UTM zone has.
     """
     crs = normalise(features.crs)
     kind = _kind(crs)
@@ -296,17 +297,36 @@ def check_ground(features: FeatureSet) -> None:
                 "x must be longitude and y latitude, in degrees.")
         _check_range(xy, ids, *_DEGREES, f"cannot be longitude and latitude in {crs}", hint)
     elif kind == "projected":
-        if (np.abs(xy) <= (180, 90)).all():
-            raise TermselError(
-                f"the ground coordinates look like degrees, but {_short(crs)} is a projected CRS: "
-                f"{_values(xy, ids, 0)}", ids=ids[:1],
-                hint="State --crs EPSG:4979 for longitude, latitude and ellipsoidal height, or "
-                     "--crs local for plane coordinates without a CRS.")
+        _check_metres(xy, ids, crs)
         utm = _UTM.fullmatch(crs)
         if utm:
             _check_range(xy, ids, *_UTM_RANGE[utm[1]],
                          f"cannot be easting and northing in {crs} (UTM)",
                          "x must be easting and y northing, in metres; check the CRS of the file.")
+
+
+def _check_metres(xy: FloatArray, ids: Sequence[str], crs: str) -> None:
+    """Refuse features in degrees under a projected CRS: all of them, or some far from the rest."""
+    degrees: BoolArray = np.all(np.abs(xy) <= (180, 90), axis=1)
+    if not degrees.any():
+        return
+    rest = xy[~degrees]
+    if len(rest):
+        # Metres next to the origin of a CRS are as small.
+        middle = np.median(rest, axis=0)
+        spread = np.median(np.abs(rest - middle), axis=0).max()
+        if np.hypot(*middle) <= max(_NEAR, 10 * spread):
+            return
+        n = len({name for name, one in zip(ids, degrees, strict=True) if one})
+        what = f"{n} of {counted(len(set(ids)), 'feature')} look{'s' * (n == 1)} like degrees"
+        hint = "Transform these features to the CRS of the others, or remove them."
+    else:
+        what = "the ground coordinates look like degrees"
+        hint = ("State --crs EPSG:4979 for longitude, latitude and ellipsoidal height, or --crs "
+                "local for plane coordinates without a CRS.")
+    first = int(np.argmax(degrees))
+    raise TermselError(f"{what}, but {_short(crs)} is a projected CRS: {_values(xy, ids, first)}",
+                       ids=[ids[first]], hint=hint)
 
 
 def _missing_grids(source: CRS, target: CRS) -> list[str]:
@@ -332,6 +352,8 @@ def _check_range(xy: FloatArray, ids: Sequence[str], low: tuple[float, float],
     first = int(np.argmax(bad))
     if not outside(xy[:, ::-1]).any():
         hint = f"The columns look swapped. {hint}"
+    elif not outside(xy[bad][:, ::-1]).any():
+        hint = f"Perhaps x and y are swapped there. {hint}"
     raise TermselError(f"{_values(xy, ids, first)} {what}", hint=hint, ids=[ids[first]])
 
 

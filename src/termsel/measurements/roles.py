@@ -18,6 +18,8 @@ from termsel.measurements.features import (
     no_lines,
     no_points,
 )
+from termsel.measurements.longitudes import without_jump
+from termsel.measurements.order import in_order
 from termsel.measurements.places import spatial_order
 
 ASSIGNABLE = ("control", "check", "independent")
@@ -176,6 +178,8 @@ def observe(
 ) -> Observations:
     """Give every measured feature its role.
 
+    The features come in the order of their ids, with longitudes that do not jump.
+
     Parameters
     ----------
     features : FeatureSet
@@ -194,6 +198,7 @@ def observe(
     TermselError
         If the control that is asked for is not there.
     """
+    features = without_jump(in_order(features))
     points = features.points
     if control == "points" and not len(points):
         raise TermselError("the problem needs control points and there are none",

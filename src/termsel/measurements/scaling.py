@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from termsel.measurements.crs import transformation
+from termsel.measurements.crs import is_geographic, transformation
 from termsel.measurements.features import FeatureSet, FloatArray, Lines, Points
+from termsel.measurements.longitudes import TURN, continuous
 
 
 @dataclass(frozen=True)
@@ -31,6 +33,8 @@ class Scaling:
     crs, fit_crs : str
         CRS of the ground coordinates and CRS of the fit, if these differ; else both are
         empty.
+    x_turn : float
+        360 where X is a longitude [deg], which is the same after a full turn; else 0.
     """
 
     ground_offset: tuple[float, float, float]
@@ -39,11 +43,17 @@ class Scaling:
     image_scale: float
     crs: str = ""
     fit_crs: str = ""
+    x_turn: float = 0.0
 
     def ground(self, ground: ArrayLike) -> FloatArray:
         """Return scaled ground coordinates; unknown heights become 0."""
         fitted = in_fit_crs(np.asarray(ground, dtype=np.float64), self.crs, self.fit_crs)
-        scaled = (fitted - self.ground_offset) / self.ground_scale
+        away = fitted - self.ground_offset
+        if self.x_turn:
+            # As GDAL evaluates an RPC.
+            far = np.abs(away[..., 0]) > 0.75 * self.x_turn
+            away[..., 0] -= np.where(far, np.copysign(self.x_turn, away[..., 0]), 0.0)
+        scaled = away / self.ground_scale
         # Places without coordinates in the CRS of the fit are far outside the image.
         return np.nan_to_num(scaled, nan=0.0, posinf=_FAR, neginf=-_FAR)
 
@@ -83,7 +93,8 @@ class Scaling:
             "sample_offset": self.image_offset[1], "sample_scale": self.image_scale,
             **{f"{axis}_{part}": getattr(self, f"ground_{part}")[i]
                for part in ("offset", "scale") for i, axis in enumerate("xyz")},
-            **({"crs": self.crs, "fit_crs": self.fit_crs} if self.fit_crs else {})}
+            **({"crs": self.crs, "fit_crs": self.fit_crs} if self.fit_crs else {}),
+            **({"x_turn": self.x_turn} if self.x_turn else {})}
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> Scaling:
@@ -92,10 +103,12 @@ class Scaling:
                          for part in ("offset", "scale"))
         return cls((offset[0], offset[1], offset[2]), (scale[0], scale[1], scale[2]),
                    (values["line_offset"], values["sample_offset"]), values["line_scale"],
-                   values.get("crs", ""), values.get("fit_crs", ""))
+                   values.get("crs", ""), values.get("fit_crs", ""), values.get("x_turn", 0.0))
 
 
 _FAR = 1e6
+
+_geographic = lru_cache(is_geographic)  # asked at every fit, and pyproj takes its time
 
 
 def in_fit_crs(ground: FloatArray, crs: str, fit_crs: str) -> FloatArray:
@@ -126,6 +139,9 @@ def scaling_of(features: FeatureSet) -> Scaling:
     """
     own = (features.crs, features.fit_crs) if features.fit_crs else ("", "")
     ground, image = in_fit_crs(features.ground_vertices(), *own), features.image_vertices()
+    turns = _geographic(features.fit_crs or features.crs)
+    if turns:
+        ground = np.column_stack([continuous(ground[:, 0]), ground[:, 1:]])
     known = np.where(np.isnan(ground), np.nanmin(ground[:, :2]), ground)
     if np.isnan(ground[:, 2]).any():
         known[:, 2] = 0.0
@@ -136,4 +152,4 @@ def scaling_of(features: FeatureSet) -> Scaling:
     gx, gy, gz = ((low + high) / 2).tolist()
     sx, sy, sz = np.where(half > 0, half, 1.0).tolist()
     return Scaling((gx, gy, gz), (sx, sy, sz), (float(middle[0]), float(middle[1])),
-                   scale if scale > 0 else 1.0, *own)
+                   scale if scale > 0 else 1.0, *own, TURN if turns else 0.0)

@@ -14,6 +14,7 @@ from termsel.fits.fit import Fit
 from termsel.fits.least_squares import fit
 from termsel.measurements.crs import WGS84, normalise, to_wgs84
 from termsel.measurements.features import BoolArray, FeatureSet, FloatArray, Points, select
+from termsel.measurements.longitudes import nearest
 from termsel.measurements.scaling import scaling_of
 from termsel.models.base import SensorModel
 from termsel.models.rational import RationalFunctions
@@ -124,7 +125,10 @@ def taken_over(fitted: Fit) -> Rpc | None:
         axis = slice(None) if term.axis == "both" else AXES.index(term.axis)
         (below if term.is_denominator else above)[axis, column] += value
     scaling = fitted.scaling
-    return Rpc(scaling.image_offset, (scaling.image_scale,) * 2, scaling.ground_offset,
+    lon, lat, height = scaling.ground_offset
+    # Longitudes may go on beyond 180 degrees; an RPC's offset does not.
+    return Rpc(scaling.image_offset, (scaling.image_scale,) * 2,
+               (float(nearest(np.array(lon), 0.0)), lat, height),
                scaling.ground_scale, tuple(above[0]), tuple(below[0]), tuple(above[1]),
                tuple(below[1]))
 

@@ -20,6 +20,7 @@ from termsel.measurements.features import BoolArray
 from termsel.models.poles import guard_points, pole_violation
 from termsel.problems.base import Selection
 from termsel.results.result import Outlier, Result
+from termsel.runs.data_notes import notes_on_data
 from termsel.runs.judge import judge, name_conventional, notes_on
 from termsel.runs.provenance import data_of, plugins_of, versions
 from termsel.runs.task import Task
@@ -62,7 +63,8 @@ def assess(task: Task, found: Search) -> Result:
         judgement=judge(name_conventional(task.problem.genome, observations),
                         task.criterion.name, rmse, baselines, comparison.reference, feasible,
                         task.features.noise),
-        notes=tuple(notes_on(observations, task.criterion, found, chosen)),
+        notes=(*notes_on_data(task.features, observations, task.model.uses_height),
+               *notes_on(observations, task.criterion, found, chosen)),
         objectives=dict(zip(task.problem.objectives, objectives, strict=False)),
         evaluations=found.evaluations, lookups=found.lookups, generations=found.generations,
         seconds=found.seconds, interrupted=found.interrupted,

@@ -28,6 +28,7 @@ from termsel.models.base import SensorModel
 from termsel.problems.base import Evaluation, Selection
 from termsel.problems.recipes import Recipe
 from termsel.results.result import Result
+from termsel.runs.data_notes import notes_on_data
 from termsel.runs.judge import judge_choice
 from termsel.runs.outliers import judged_independent, without_blunders
 from termsel.runs.provenance import data_of, plugins_of, versions
@@ -184,7 +185,9 @@ def choose_for(request: Request, observations: Observations, seed: int,
         feasible=True, rmse=rmse, baselines=baselines,
         judgement=judge_choice(chosen.candidate, predicted, rmse, baselines,
                                request.features.noise),
-        notes=(*_few(request), *_notes(request.model, observations, errors, said), *notes, *more),
+        notes=(*_few(request),
+               *notes_on_data(request.features, observations, heights=True),
+               *_notes(request.model, observations, errors, said), *notes, *more),
         outliers=(*outliers, *contradicting), predicted=expected,
         accuracy=accuracy_of(fitted, observations.independent),
         objectives={"press": chosen.predicted},

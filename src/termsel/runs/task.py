@@ -225,8 +225,7 @@ def observe(request: Request) -> Observations:
     require_heights(request.model, _taking_part(observations))
     _require_enough(observations, recipe, criterion)
     if of_data["fit_crs"] is not None:
-        observations = with_fit_crs(of_data["fit_crs"], request.features, observations,
-                                    request.model)
+        observations = with_fit_crs(of_data["fit_crs"], observations, request.model)
     return observations
 
 

@@ -31,7 +31,7 @@ COORDINATES = {
     "sample": ("sample", "col", "column", "x_px", "pixel"),
     "x": ("x", "lon", "longitude", "easting"),
     "y": ("y", "lat", "latitude", "northing"),
-    "z": ("z", "h", "height", "elevation", "altitude"),
+    "z": ("z", "h", "height", "elev", "elevation", "alt", "altitude"),
 }
 _POINTS = USE | COORDINATES | {
     "sigma_line": ("sigma_line", "sigma_px"), "sigma_sample": ("sigma_sample", "sigma_px")}

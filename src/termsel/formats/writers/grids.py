@@ -17,8 +17,8 @@ from termsel.formats.base import Writer
 from termsel.formats.heights import surface_of
 from termsel.formats.rasters import require_rasterio, tiff_bytes
 from termsel.formats.vrt import IMAGE, Gcp, picture_for, vrt_text
-from termsel.measurements.crs import horizontal
 from termsel.measurements.features import FloatArray
+from termsel.measurements.utm import for_warping
 from termsel.options import Option
 from termsel.results.result import Result
 
@@ -96,12 +96,11 @@ class GcpGridVrt(GridWriter):
         picture = picture_for(result, self.options["image"])
         lines, samples = (np.linspace(0.0, size - 1.0, self.options["across"] + 1)
                           for size in picture.size)
-        ground = self.ground(result, lines, samples)
+        ground, crs = for_warping(self.ground(result, lines, samples), result.fit.control.crs)
         gcps = [Gcp(f"{i}-{j}", float(line), float(sample), *ground[i, j].tolist())
                 for i, line in enumerate(lines) for j, sample in enumerate(samples)
                 if np.isfinite(ground[i, j]).all()]
-        write_text(path, vrt_text(picture, path.parent, gcps=gcps,
-                                  crs=horizontal(result.fit.control.crs)))
+        write_text(path, vrt_text(picture, path.parent, gcps=gcps, crs=crs))
 
 
 class GeolocationVrt(GridWriter):
@@ -139,8 +138,7 @@ class GeolocationVrt(GridWriter):
         # Places beyond the edges, so that the outermost half pixels are inside.
         lines, samples = (np.arange(-step, size + 2 * step, step, dtype=np.float64)
                           for size in picture.size)
-        ground = self.ground(result, lines, samples)
-        crs = horizontal(result.fit.control.crs)
+        ground, crs = for_warping(self.ground(result, lines, samples), result.fit.control.crs)
         array, other = sorted(_arrays(path), key=lambda array: _named(array, path))
         replaced = _named(other, path)
         domain = {

@@ -16,6 +16,7 @@ from termsel.formats.readers.csv_tables import line_columns, write_table
 from termsel.formats.vrt import IMAGE, Gcp, picture_for, vrt_text
 from termsel.measurements.crs import LOCAL, horizontal, normalise, to_wgs84
 from termsel.measurements.features import BoolArray, FloatArray
+from termsel.measurements.utm import for_warping
 from termsel.options import Option
 from termsel.results.result import Result
 
@@ -132,11 +133,11 @@ class GcpVrt(SelectionWriter):
         """Write a VRT with a list of GCPs."""
         _require_accepted(self, result, path, _NO_POINTS)
         points = result.features.points.take(_chosen(result))
-        gcps = [Gcp(name, *image, *ground) for name, image, ground in zip(
-            points.ids, points.image.tolist(), np.nan_to_num(points.ground).tolist(),
-            strict=True)]
+        ground, crs = for_warping(points.ground, result.features.crs)
+        gcps = [Gcp(name, *image, *place) for name, image, place in zip(
+            points.ids, points.image.tolist(), np.nan_to_num(ground).tolist(), strict=True)]
         write_text(path, vrt_text(picture_for(result, self.options["image"]), path.parent,
-                                  gcps=gcps, crs=horizontal(result.features.crs)))
+                                  gcps=gcps, crs=crs))
 
 
 class PointsTable(SelectionWriter):
