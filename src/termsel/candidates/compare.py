@@ -12,6 +12,7 @@ from termsel.fits.figures import BOTH, Baseline, baseline
 from termsel.fits.fit import Fit, Undetermined
 from termsel.measurements.roles import Observations, together
 from termsel.measurements.scaling import scaling_of
+from termsel.measurements.twins import merged
 from termsel.models.rational import RationalFunctions
 
 
@@ -46,9 +47,9 @@ def compare(observations: Observations, choice: Choice | None = None) -> Compari
     ----------
     observations : Observations
     choice : Choice, optional
-        That of `choose` for control and check; made here by default.
+        That of `choose` for control and check, twins merged; made here by default.
     """
-    both, heights = together(observations), has_heights(observations)
+    both, heights = merged(together(observations)), has_heights(observations)
     choice, scaling = choice or choose(both, heights), scaling_of(both)
     found: dict[str, tuple[Fit, float | None]] = {}
     if choice:

@@ -12,6 +12,7 @@ from termsel.criteria.base import Criterion, Fits
 from termsel.criteria.losses import LOSS, SQUARES, THRESHOLD
 from termsel.measurements.features import FloatArray, IntArray, Lines, Points, no_lines
 from termsel.measurements.places import spatial_order
+from termsel.measurements.twins import firsts, twins
 from termsel.options import Option
 
 _SOLUTIONS = 1 << 22
@@ -108,6 +109,8 @@ class KFold(_LeftOut):
     def folds(self, points: Points, lines: Lines) -> tuple[IntArray, ...]:
         """Return the features of each fold, points before lines, for all repeats.
 
+        Twins are in one fold.
+
         Parameters
         ----------
         points : Points
@@ -117,13 +120,18 @@ class KFold(_LeftOut):
         xy = np.concatenate([points.ground[:, :2],
                              lines.by_feature(lines.ground[:, :, :2].mean(axis=1))])
         rng = np.random.default_rng(self.options["fold_seed"])
+        labels = twins(points.ground)
+        labels = np.concatenate([labels, np.arange(len(xy) - len(labels)) + len(labels)])
+        first = firsts(labels)
+        xy = xy[first]
         repeats, folds = self.options["repeats"], min(self.options["folds"], len(xy))
         found: list[IntArray] = []
         for turn in np.arange(repeats) * np.pi / 2 / repeats:
             rotation = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
             order = (rng.permutation(len(xy)) if self.options["how"] == "random"
                      else spatial_order(xy @ rotation))
-            found.extend(np.sort(fold) for fold in np.array_split(order, folds))
+            found.extend(np.flatnonzero(np.isin(labels, labels[first[fold]]))
+                         for fold in np.array_split(order, folds))
         return tuple(found)
 
     def subset_folds(self, control: Points) -> tuple[IntArray, ...]:

@@ -21,6 +21,7 @@ from termsel.measurements.features import (
 from termsel.measurements.longitudes import without_jump
 from termsel.measurements.order import in_order
 from termsel.measurements.places import spatial_order
+from termsel.measurements.twins import twins
 
 ASSIGNABLE = ("control", "check", "independent")
 THIRDS = (1 / 3, 1 / 3, 1 / 3)
@@ -187,7 +188,7 @@ def observe(
         Which features are control. With "lines", control points stay out.
     how : {"file", "stratified", "random"}
         "file" keeps the roles of the file and assigns the blank ones by stratification; the
-        others disregard the file's roles, except "off".
+        others disregard the file's roles, except "off". Twins that are assigned share a role.
     fractions : sequence of 3 floats
         Shares of control, check and independent among the points that are assigned a role. With
         control from lines alone, all of them become check and independent points.
@@ -211,11 +212,18 @@ def observe(
     roles = np.array(points.roles, dtype=object)
     if how != "file":
         roles[roles != "off"] = ""
+    labels = twins(points.ground)
+    given = {label: role for label, role in zip(labels, roles, strict=True)
+             if role not in ("", "off")}
+    for i in np.flatnonzero(roles == ""):
+        roles[i] = given.get(labels[i], "")
     blank = np.flatnonzero(roles == "")
     if blank.size:
         shares = (0.0, *fractions[1:]) if control == "lines" else tuple(fractions)
         # By the ground, so that what an independent point's image coordinates are changes no role.
-        roles[blank] = _assign_blank(points.ground[blank, :2], shares, how, rng)
+        _, first, group = np.unique(labels[blank], return_index=True, return_inverse=True)
+        assigned = _assign_blank(points.ground[blank[first], :2], shares, how, rng)
+        roles[blank] = np.array(assigned, dtype=object)[group]
     if control == "lines":
         roles[roles == "control"] = "off"
     return by_roles(features.with_(points=replace(points, roles=tuple(roles)),

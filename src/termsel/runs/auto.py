@@ -24,6 +24,7 @@ from termsel.fits.extrapolation import warnings_of
 from termsel.fits.figures import figures, in_role, residuals_of
 from termsel.measurements.features import FloatArray, no_points, select
 from termsel.measurements.roles import Observations, together
+from termsel.measurements.twins import merged
 from termsel.models.base import SensorModel
 from termsel.problems.base import Evaluation, Selection
 from termsel.problems.recipes import Recipe
@@ -146,10 +147,11 @@ def choose_for(request: Request, observations: Observations, seed: int,
     """
     start = time.perf_counter()
     heights = has_heights(observations)
-    watch = _Watch(observers, len(portfolio(heights)), min(MAX_FOLDS, len(together(observations))))
+    watch = _Watch(observers, len(portfolio(heights)),
+                   min(MAX_FOLDS, len(merged(together(observations)))))
     watch.tell("blunders")
     observations, outliers, notes = without_blunders(observations, heights)
-    both = together(observations)
+    both = merged(together(observations))
     errors, interrupted = None, False
     try:
         choice = choose(both, heights, watch.candidate)

@@ -10,6 +10,7 @@ from termsel.candidates.blunders import MOST, Suspects, find_blunders, judge_oth
 from termsel.candidates.portfolio import Judged
 from termsel.measurements.features import BoolArray, Points, select
 from termsel.measurements.roles import Observations, leave_out, together
+from termsel.measurements.twins import merged, with_twins
 from termsel.results.result import Outlier
 
 FEW = 17
@@ -28,7 +29,7 @@ def without_blunders(observations: Observations,
     heights : bool
         Whether heights are known and differ.
     """
-    both = together(observations)
+    both = merged(together(observations))
     found = find_blunders(both, heights)
     if found is None:
         return observations, [], []
@@ -36,7 +37,8 @@ def without_blunders(observations: Observations,
     outliers = [Outlier(both.points.ids[i], "point", role.get(both.points.ids[i], "check"),
                         float(found.errors[i]), bool(found.blunders[i]))
                 for i in _worst_first(found, found.blunders | found.undecided)]
-    left = leave_out(observations, select(both.points.ids, found.blunders))
+    left = leave_out(observations, with_twins(together(observations).points,
+                                              select(both.points.ids, found.blunders)))
     return left, outliers, list(_notes(both.points, found))
 
 

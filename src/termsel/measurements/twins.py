@@ -1,0 +1,102 @@
+"""Points that lie closer to each other than they can tell anything apart: twins.
+
+Twins repeat one measurement. If one is control and the other independent, the second confirms
+whatever was fitted to the first; if one is held out, the other predicts it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+
+from termsel.measurements.features import FeatureSet, FloatArray, IntArray, Points
+
+NEAR = 0.01
+"""Distance of twins, by the side of the square that each point has for itself; of their heights,
+by the spread of all heights."""
+
+
+def twins(ground: FloatArray, typical: FloatArray | None = None) -> IntArray:
+    """Return which points are twins, by their place on the ground alone.
+
+    Parameters
+    ----------
+    ground : ndarray, shape (n, 3)
+        NaN for heights that are not known.
+    typical : ndarray, shape (m, 3), optional
+        Points whose spread decides what is near; all by default.
+
+    Returns
+    -------
+    ndarray of int, shape (n,)
+        A number for each group, counted from 0 in the order of their first points.
+    """
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+    from scipy.spatial import KDTree
+
+    n = len(ground)
+    typical = ground if typical is None else typical
+    if n < 2 or len(typical) < 2:
+        return np.arange(n, dtype=np.intp)
+    places, typical = np.nan_to_num(ground), np.nan_to_num(typical)
+    # Half of the points span half of an even spread, wherever a few wild ones are.
+    low, high = np.quantile(typical, [0.25, 0.75], axis=0)
+    unit = NEAR * 2 * (high - low) * np.array([len(typical) ** -0.5] * 2 + [1.0])
+    rounding = np.finfo(float).eps * np.abs(typical).max(axis=0)
+    pairs = KDTree(places / np.maximum(unit, np.maximum(rounding, np.finfo(float).tiny))
+                   ).query_pairs(1.0, output_type="ndarray")
+    edges = coo_array((np.ones(len(pairs)), pairs.T), shape=(n, n))
+    return np.asarray(connected_components(edges, directed=False)[1], dtype=np.intp)
+
+
+def firsts(labels: IntArray) -> IntArray:
+    """Return the first point of each group, shape (groups,)."""
+    return np.asarray(np.unique(labels, return_index=True)[1], dtype=np.intp)
+
+
+def merged(features: FeatureSet) -> FeatureSet:
+    """Return features in which twins count as one point, at their mean.
+
+    Parameters
+    ----------
+    features : FeatureSet
+
+    Returns
+    -------
+    FeatureSet
+        Under the id and the role of the first of each group; the same object without twins.
+    """
+    points = features.points
+    labels = twins(points.ground)
+    first = firsts(labels)
+    if len(first) == len(points):
+        return features
+    count = np.bincount(labels)[:, None]
+
+    def mean(values: FloatArray) -> FloatArray:
+        total = np.zeros((len(first), values.shape[1]))
+        np.add.at(total, labels, values)
+        return total / count
+
+    return features.with_(points=Points(
+        tuple(points.ids[i] for i in first), mean(points.image), mean(points.ground),
+        None if points.sigma is None else mean(points.sigma),
+        tuple(points.roles[i] for i in first)))
+
+
+def with_twins(points: Points, ids: Iterable[str]) -> frozenset[str]:
+    """Return ids of points together with those of their twins."""
+    labels, given = twins(points.ground), frozenset(ids)
+    wanted = {label for name, label in zip(points.ids, labels, strict=True) if name in given}
+    return frozenset(name for name, label in zip(points.ids, labels, strict=True)
+                     if label in wanted)
+
+
+def groups(ids: Sequence[str], labels: IntArray) -> list[tuple[str, ...]]:
+    """Return the ids of each group of two and more."""
+    found: dict[int, list[str]] = {}
+    for name, label in zip(ids, labels.tolist(), strict=True):
+        found.setdefault(label, []).append(name)
+    return [tuple(names) for names in found.values() if len(names) > 1]
