@@ -13,6 +13,7 @@ from termsel.criteria.losses import LOSS
 from termsel.errors import TermselError
 from termsel.measurements.features import FeatureSet, FloatArray, Points
 from termsel.models.helmert import Helmert2D
+from termsel.models.interpolating import Field, Field3D, ThinPlate
 from termsel.models.polynomial import Affine, Polynomial2D, Polynomial3D
 from termsel.models.projective import DLT2D, DLT3D, Projective2D
 from termsel.models.quotient import Blocks, RationalModel
@@ -74,6 +75,9 @@ SUITES: dict[str, tuple[Check, ...]] = {
     "dlt2d": model_checks(DLT2D),
     "dlt3d": model_checks(DLT3D),
     "helmert2d": model_checks(Helmert2D),
+    "tps": model_checks(ThinPlate, options=[{}, {"smoothing": 0.0}, {"chosen_by": "gcv"}]),
+    "field": model_checks(Field),
+    "field3d": model_checks(Field3D),
     "ga": solver_checks(GeneticAlgorithm, options=[{}, {"population": 21, "elite": 1}]),
     "ga-correlation": solver_checks(
         CorrelationSeededGA, options=[{}, {"population": 21, "preset": "case-1"}],

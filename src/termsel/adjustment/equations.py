@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from termsel.measurements.features import BoolArray, FloatArray, IntArray, Lines
+from termsel.measurements.features import BoolArray, FloatArray, IntArray, Lines, Points
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,3 +85,9 @@ def row_axes(A: FloatArray, axis: IntArray) -> IntArray:
     line = (A[:, axis != 1] != 0).any(axis=1)
     sample = (A[:, axis != 0] != 0).any(axis=1)
     return np.where(line & sample, 2, np.where(sample, 1, 0)).astype(np.intp)
+
+
+def weights_of(points: Points) -> FloatArray:
+    """Return by what the equations of points are multiplied, shape (n, 2)."""
+    return (np.ones_like(points.image) if points.sigma is None
+            else np.asarray(np.median(points.sigma) / points.sigma))

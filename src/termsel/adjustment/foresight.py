@@ -43,7 +43,8 @@ class Foresight:
     noise: float
 
 
-def foresee(found: Posterior, free: FloatArray, shrunken: FloatArray) -> Foresight:
+def foresee(found: Posterior, free: FloatArray, shrunken: FloatArray,
+            unspanned: FloatArray | None = None) -> Foresight:
     """Return what a posterior foresees.
 
     Parameters
@@ -53,7 +54,10 @@ def foresee(found: Posterior, free: FloatArray, shrunken: FloatArray) -> Foresig
         Columns that are not shrunken, at the places.
     shrunken : ndarray, shape (m, k)
         The others.
+    unspanned : ndarray, shape (g, m), optional
+        Variance for size 1 of what no column spans at the places, of each group of scales.
     """
+    more = np.zeros((len(found.scales), len(free))) if unspanned is None else unspanned
     # The expectation of the noise's variance, which is inverse gamma distributed.
     noise = found.square / (found.freedom - 2)
     image, variance = np.empty((2, len(free), 2))
@@ -61,12 +65,12 @@ def foresee(found: Posterior, free: FloatArray, shrunken: FloatArray) -> Foresig
         part = slice(start, start + AT_ONCE)
         for axis in (0, 1):
             image[part, axis], variance[part, axis] = _of_axis(
-                found, axis, noise, free[part], shrunken[part])
+                found, axis, noise, free[part], shrunken[part], more[:, part])
     return Foresight(image, variance, float(found.cells.share @ noise))
 
 
 def _of_axis(found: Posterior, axis: int, noise: FloatArray, free: FloatArray,
-             shrunken: FloatArray) -> tuple[FloatArray, FloatArray]:
+             shrunken: FloatArray, more: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return mean and variance at m places."""
     side, design, which = found.sides[axis], found.designs[axis], found.cells.which[axis]
     count = len(side.square)
@@ -76,7 +80,7 @@ def _of_axis(found: Posterior, axis: int, noise: FloatArray, free: FloatArray,
     rest = shrunken.T - design.cross.T @ lead                                 # (k, m)
     scaled = found.scales[:, :, None] * rest                                  # (g, k, m)
     along = (design.vt @ scaled) ** 2                                         # (g, p, m)
-    never = np.maximum((scaled**2).sum(axis=1) - along.sum(axis=1), 0.0)      # (g, m)
+    never = np.maximum((scaled**2).sum(axis=1) - along.sum(axis=1), 0.0) + more  # (g, m)
     keep = 1.0 / (1.0 + (SIZES[:, None] * design.values[:, None, :]) ** 2)    # (g, s, p)
     spread = SIZES[:, None] ** 2 * (keep @ along + never[:, None, :])         # (g, s, m)
     image = side.free @ lead + side.coefficients @ rest                       # (g s, m)

@@ -137,10 +137,14 @@ def _solutions(design: Design, target: FloatArray, scales: FloatArray) -> Side:
 
 @dataclass(frozen=True, eq=False)
 class Cells:
-    """The points of the grid that matter: which solutions of line and of sample, and how likely."""
+    """The points of the grid that matter: which solutions of line and of sample, and how likely.
+
+    `log` is the logarithm of the evidence of all together, up to what the measurements alone say.
+    """
 
     which: tuple[IntArray, IntArray]
     share: FloatArray
+    log: float
 
 
 def _cells(sides: list[Side], freedom: int, noise: float) -> Cells:
@@ -152,13 +156,15 @@ def _cells(sides: list[Side], freedom: int, noise: float) -> Cells:
     logarithm = (sides[0].evidence[first] + sides[1].evidence[second] - freedom / 2 * np.log(
         sides[0].square[first] + sides[1].square[second] + noise))
     kept = logarithm > logarithm.max() - NEVER
-    return Cells((first[kept], second[kept]), _shares(logarithm[kept]))
+    return Cells((first[kept], second[kept]), *_shares(logarithm[kept]))
 
 
-def _shares(logarithm: FloatArray) -> FloatArray:
-    """Return probabilities, adding up to 1 along the first axis."""
-    share = np.exp(logarithm - logarithm.max(axis=0))
-    return np.asarray(share / share.sum(axis=0))
+def _shares(logarithm: FloatArray) -> tuple[FloatArray, float]:
+    """Return probabilities, which add up to 1, and the logarithm of what they had added up to."""
+    highest = logarithm.max()
+    share = np.exp(logarithm - highest)
+    total = share.sum()
+    return share / total, float(highest + np.log(total))
 
 
 @dataclass(frozen=True, eq=False)
@@ -215,11 +221,11 @@ class Posterior:
             square - errors[0] ** 2 / left[0] - errors[1] ** 2 / left[1],
             self.noise + TINY * square)
         line, sample = self._of_cells("evidence")
-        share = _shares(line + sample - 0.5 * np.log(left[0] * left[1])
-                        - (self.freedom - 2) / 2 * np.log(rest))
+        logarithm = (line + sample - 0.5 * np.log(left[0] * left[1])
+                     - (self.freedom - 2) / 2 * np.log(rest))
         return Prediction(
             (errors[0] / left[0], errors[1] / left[1]), (1.0 / left[0], 1.0 / left[1]),
-            rest / (self.freedom - 2), self.freedom - 2, share)
+            rest / (self.freedom - 2), self.freedom - 2, *_shares(logarithm))
 
     def beyond(self, i: int, weight: float) -> Prediction:
         """Return what the points in use predict for another one.
@@ -235,7 +241,7 @@ class Posterior:
         return Prediction(
             (errors[0] / left[0] / weight, errors[1] / left[1] / weight),
             (1.0 + (1.0 - left[0]) / weight**2, 1.0 + (1.0 - left[1]) / weight**2),
-            self.square / self.freedom, self.freedom, self.cells.share)
+            self.square / self.freedom, self.freedom, self.cells.share, self.cells.log)
 
     def _of_cells(self, name: str) -> list[FloatArray]:
         return [getattr(side, name)[which]
@@ -262,6 +268,8 @@ class Prediction:
         Degrees of freedom that the variance has.
     share : ndarray, shape (c,)
         Probability of each solution.
+    log : float
+        Logarithm of the evidence of the points that predict, as in `Cells`.
     """
 
     errors: tuple[FloatArray, FloatArray]
@@ -269,6 +277,7 @@ class Prediction:
     variance: FloatArray
     freedom: int
     share: FloatArray
+    log: float
 
     @property
     def error(self) -> tuple[float, float]:

@@ -27,9 +27,9 @@ import numpy as np
 from scipy.special import fdtrc, fdtri
 from scipy.stats import chi2
 
+from termsel.adjustment.equations import weights_of
 from termsel.adjustment.monomials import monomials
 from termsel.adjustment.posterior import Posterior, posterior, scales_of
-from termsel.candidates.points import weights_of
 from termsel.candidates.portfolio import Judged, choose
 from termsel.measurements.features import BoolArray, FeatureSet, FloatArray, Points
 from termsel.measurements.scaling import scaling_of

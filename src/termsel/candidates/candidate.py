@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 
 from termsel.adjustment.solve import TOLERANCE
+from termsel.candidates.local import Interpolated
 from termsel.candidates.ridge import RidgeByOrder
 from termsel.candidates.selected import ForwardSelection
 from termsel.candidates.shrunken import Averaging
@@ -18,12 +19,13 @@ from termsel.fits.of_features import control_of, require_determined
 from termsel.measurements.features import FeatureSet
 from termsel.measurements.scaling import Scaling, scaling_of
 from termsel.models.base import SensorModel
+from termsel.models.interpolating import Field, Field3D, ThinPlate
 from termsel.models.polynomial import Affine, Polynomial2D, Polynomial3D
 from termsel.models.projective import DLT3D, Projective2D
 from termsel.models.rational import RationalFunctions
 from termsel.threads import one_blas_thread
 
-Kind = Literal["contained", "plain", "full", "ridge", "selected", "shrunken"]
+Kind = Literal["contained", "plain", "full", "ridge", "selected", "shrunken", "local"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,6 +136,10 @@ CANDIDATES = (
               Polynomial3D(degree=2), Polynomial2D(degree=2), Averaging(), "shrunken quadratic"),
     Candidate("shrunken-cubic", "a shrunken cubic polynomial", "shrunken",
               Polynomial3D(degree=3), Polynomial2D(degree=3), Averaging(), "shrunken cubic"),
+    Candidate("field", "a shrunken cubic polynomial with a random field", "local", Field3D(),
+              Field(), Interpolated(), "random field"),
+    Candidate("tps", "a thin-plate spline", "local", None, ThinPlate(), Interpolated(),
+              "thin-plate spline"),
 )
 """All candidates, in the order of the tables that compare them."""
 

@@ -69,7 +69,7 @@ def compare(observations: Observations, choice: Choice | None = None) -> Compari
                     found[one.name] = fitted, None
         if one.name in found:
             baselines.append(baseline(one.name, *found[one.name], observations))
-        elif one.kind not in ("selected", "shrunken"):
+        elif one.kind not in ("selected", "shrunken", "local"):
             baselines.append(Baseline(one.name, len(model.terms), BOTH, False, dict.fromkeys(
                 ("control", "check", "independent"))))
     return Comparison(tuple(baselines), choice.chosen.name if choice else "", choice)

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from termsel.fits.fit import Undetermined
-from termsel.measurements.features import BoolArray, FeatureSet, FloatArray, Points
+from termsel.measurements.features import BoolArray, FeatureSet, Points
 
 
 def points_alone(control: FeatureSet, used: BoolArray, what: str) -> Points:
@@ -26,9 +24,3 @@ def points_alone(control: FeatureSet, used: BoolArray, what: str) -> Points:
         raise Undetermined(f"{what} takes control points alone, and there are control lines",
                            hint="Leave the lines out, or choose another model.")
     return control.points.take(used)
-
-
-def weights_of(points: Points) -> FloatArray:
-    """Return by what the equations of points are multiplied, shape (n, 2)."""
-    return (np.ones_like(points.image) if points.sigma is None
-            else np.asarray(np.median(points.sigma) / points.sigma))

@@ -10,8 +10,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from termsel.adjustment.field import Collocation
 from termsel.adjustment.parts import independent_parts
 from termsel.candidates.candidate import CANDIDATES, Candidate
+from termsel.candidates.local import LIKELY
 from termsel.criteria import Fits
 from termsel.fits.fit import Fit, Undetermined
 from termsel.fits.leave_out import solutions_without_each
@@ -23,6 +25,9 @@ from termsel.models.poles import guard_points, pole_violation
 BETTER, CLEARLY = 1.0, 3.0
 """Standard errors by which the logarithms of squared errors must be smaller: of the shrunken cubic
 than of the quadratic, and of what neither contains."""
+
+FIELD = "field"
+"""Name of the candidate that takes the place of the shrunken polynomials where it is called for."""
 
 LEAST = "It has the smallest leave-one-out RMSE."
 """Why a candidate is chosen where there are no shrunken polynomials."""
@@ -159,9 +164,10 @@ def choose(control: FeatureSet, heights: bool, watch: Watch | None = None) -> Ch
     that needs no points to be left out. The quadratic one is taken unless the cubic one is better
     by BETTER standard errors (the rule of Breiman et al. 1984), and that one unless what it does
     not contain is better by CLEARLY standard errors, since the best of several is so partly by
-    luck: projective and rational models, and few terms of their own. Logarithms of squared errors
-    are compared, lest a few great errors make everything uncertain. With lines, for which there
-    is no shrunken polynomial, the smallest sum of squares decides.
+    luck: projective and rational models, and few terms of their own. Where the points call for a
+    random field, the shrunken polynomial with it takes the place of both. Logarithms of squared
+    errors are compared, lest a few great errors make everything uncertain. With lines, for which
+    there is no shrunken polynomial, the smallest sum of squares decides.
 
     Parameters
     ----------
@@ -175,13 +181,20 @@ def choose(control: FeatureSet, heights: bool, watch: Watch | None = None) -> Ch
         None if the features do not determine any candidate with redundancy.
     """
     scaling = scaling_of(control)
-    judged = []
+    judged: list[Judged] = []
     for candidate in portfolio(heights):
-        one = _judged(candidate, control, heights, scaling)
+        one = (_judged(candidate, control, heights, scaling) if _called_for(candidate, judged)
+               else None)
         judged += [one] if one else []
         if watch:
             watch(one)
     return best_of(judged)
+
+
+def _called_for(candidate: Candidate, judged: Iterable[Judged]) -> bool:
+    """Return whether a candidate is worth its time: a spline is where the field is called for."""
+    return (candidate.kind != "local" or candidate.name == FIELD
+            or any(one.name == FIELD for one in judged))
 
 
 def best_of(candidates: Iterable[Judged]) -> Choice | None:
@@ -195,10 +208,13 @@ def best_of(candidates: Iterable[Judged]) -> Choice | None:
     shrunk = shrunken[0]
     for one in shrunken[1:]:
         shrunk = one if _gain(one, shrunk) > BETTER else shrunk
-    others = [one for one in judged if one.candidate.kind not in ("contained", "shrunken")]
-    rivals = [shrunk, *(one for one in others if _gain(one, shrunk) > CLEARLY)]
+    field = next((one for one in judged if one.name == FIELD), None)
+    base = field or shrunk
+    others = [one for one in judged if one.candidate.kind not in ("contained", "shrunken")
+              and one is not field]
+    rivals = [base, *(one for one in others if _gain(one, base) > CLEARLY)]
     chosen = min(rivals, key=lambda one: one.predicted)
-    return Choice(chosen, judged, _reason(chosen, shrunk, shrunken, others, judged))
+    return Choice(chosen, judged, _reason(chosen, base, shrunken, others, judged))
 
 
 def _reason(chosen: Judged, shrunk: Judged, shrunken: Sequence[Judged], others: Sequence[Judged],
@@ -206,6 +222,10 @@ def _reason(chosen: Judged, shrunk: Judged, shrunken: Sequence[Judged], others: 
     """Return why a candidate is chosen where there are shrunken polynomials."""
     said = [f"{_compared(one, shrunken[0])}; it must be better by more than {BETTER:g}."
             for one in shrunken[1:]]
+    found = shrunk.fit.interpolation
+    if isinstance(found, Collocation):
+        said = [f"{shrunk.candidate.label} is called for: the probability of local deformation is "
+                f"{found.probability:.3g}; it must exceed {LIKELY:g}."]
     if others:
         nearest = chosen if chosen is not shrunk else max(
             others, key=lambda one: _gain(one, shrunk))

@@ -13,9 +13,10 @@ from math import comb
 
 import numpy as np
 
+from termsel.adjustment.equations import weights_of
 from termsel.adjustment.monomials import monomials
 from termsel.adjustment.solve import TOLERANCE
-from termsel.candidates.points import points_alone, weights_of
+from termsel.candidates.points import points_alone
 from termsel.fits.fit import Estimator, Fit, HeldOut, Undetermined
 from termsel.fits.fittable import Fittable
 from termsel.fits.least_squares import LEAST_SQUARES

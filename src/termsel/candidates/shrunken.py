@@ -30,10 +30,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from termsel.adjustment.equations import weights_of
 from termsel.adjustment.monomials import Exponents, monomials
 from termsel.adjustment.posterior import posterior, scales_of
 from termsel.adjustment.solve import Adjustment
-from termsel.candidates.points import points_alone, weights_of
+from termsel.candidates.points import points_alone
 from termsel.fits.fit import Estimator, Fit, HeldOut, Undetermined
 from termsel.fits.fittable import Fittable
 from termsel.measurements.features import BoolArray, FeatureSet, FloatArray

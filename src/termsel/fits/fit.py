@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from termsel.adjustment.equations import line_normals
+from termsel.adjustment.interpolation import Interpolation
 from termsel.adjustment.solve import Adjustment
 from termsel.errors import TermselError
 from termsel.fits.fittable import Fittable
@@ -151,6 +152,18 @@ class Fit:
         return self.scaling.features(self.control)
 
     @property
+    def _scaled_used(self) -> FeatureSet:
+        """The features that the fit was made with, scaled."""
+        made = self.made or self
+        return self.scaling.features(made.control.take(made.used))
+
+    @property
+    def interpolation(self) -> Interpolation | None:
+        """The prediction by control points, of a model that predicts by them alone."""
+        used = self._scaled_used
+        return None if len(used.lines) else self.model.interpolation(used)
+
+    @property
     def determined(self) -> bool:
         """True if the control determines the coefficients."""
         return not self.estimator.least_squares or self.adjustment.feasible
@@ -205,8 +218,7 @@ class Fit:
             If the array has another shape.
         """
         places = _places(ground)
-        used = self.scaling.features(self.control.take(self.used))
-        scaled = self.model.predict(self.adjustment.coefficients, used,
+        scaled = self.model.predict(self.adjustment.coefficients, self._scaled_used,
                                     self.scaling.ground(places))
         image = self.scaling.pixels(scaled)
         return self._known(image, places)
@@ -327,8 +339,11 @@ class Fit:
     @cached_property
     def _left_out(self) -> tuple[tuple[FloatArray, ...], bool]:
         """Errors of each feature in use by the fit without it, and whether all are determined."""
-        return (_repeated(self) if self.held_out is None
-                else (tuple(self.held_out.errors[:, None]), True))
+        if self.held_out is not None:
+            return tuple(self.held_out.errors[:, None]), True
+        found = self.interpolation if self.estimator.repeatable else None
+        return _repeated(self) if found is None else (
+            tuple(found.errors[:, None] * self.scaling.image_scale), True)
 
     def control_rmse(self) -> Rmse | None:
         """Return the RMSE of the control features in use."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any, ClassVar, Protocol, Self
 
 from termsel.adjustment.equations import Equations
+from termsel.adjustment.interpolation import Interpolation
 from termsel.measurements.features import FeatureSet, FloatArray, IntArray
 from termsel.measurements.scaling import Scaling
 
@@ -27,6 +28,9 @@ class Fittable(Protocol):
     @property
     def polynomial_degree(self) -> int | None:
         """Degree of a polynomial of the ground coordinates; None for any other model."""
+
+    def interpolation(self, control: FeatureSet) -> Interpolation | None:
+        """Return the prediction by control points alone, or None."""
 
     @property
     def corrects(self) -> bool:

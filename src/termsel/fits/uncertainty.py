@@ -5,7 +5,8 @@ posterior, given the same control points, says how likely each other course of t
 between and beyond them. The mean square error of any fit at a place is the variance of that
 posterior there, and the square of the distance of the fit from its mean. A model of a kind that
 the polynomial does not contain, and that predicts left-out control better, is judged by the
-propagation of the noise through its own adjustment, as is one of lines or of few points.
+propagation of the noise through its own adjustment, as is one of lines or of few points. A spline
+or a random field has a variance of its own.
 """
 
 from __future__ import annotations
@@ -68,14 +69,17 @@ def spread_of(model: Fittable, control: FeatureSet, terms: BoolArray, adjustment
     Spread
         NaN where the control has no redundancy.
     """
+    own = None if len(control.lines) else model.interpolation(control)
+    if own is not None:
+        return Spread(*own.spread(ground))
     believed = None if len(control.lines) else _Belief.of(model, control)
     if believed is None:
         return _propagated(model, control, terms, adjustment, ground)[0] if least_squares else \
             _unknown(len(ground))
     if least_squares and model.polynomial_degree is None:
-        own, press = _propagated(model, control, terms, adjustment, ground)
+        propagated, press = _propagated(model, control, terms, adjustment, ground)
         if press < believed.press():
-            return own
+            return propagated
     return believed.spread(ground, image)
 
 

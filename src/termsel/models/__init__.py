@@ -2,6 +2,7 @@
 
 from termsel.models.base import SensorModel
 from termsel.models.helmert import Helmert2D
+from termsel.models.interpolating import Field, Field3D, ThinPlate
 from termsel.models.polynomial import Affine, Polynomial2D, Polynomial3D
 from termsel.models.projective import DLT2D, DLT3D, Projective2D
 from termsel.models.quotient import Blocks, RationalModel
@@ -13,6 +14,8 @@ __all__ = [
     "DLT3D",
     "Affine",
     "Blocks",
+    "Field",
+    "Field3D",
     "Helmert2D",
     "Polynomial2D",
     "Polynomial3D",
@@ -21,4 +24,5 @@ __all__ = [
     "RationalModel",
     "SensorModel",
     "Term",
+    "ThinPlate",
 ]

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, ClassVar, Self
 import numpy as np
 
 from termsel.adjustment.equations import Equations
+from termsel.adjustment.interpolation import Interpolation
 from termsel.errors import TermselError
 from termsel.fits.fit import Fit
 from termsel.fits.of_features import control_of, fit_all_terms
@@ -188,6 +189,22 @@ class SensorModel(Configurable, ABC):
     @property
     def polynomial_degree(self) -> int | None:
         """Total degree, if the model is a polynomial of the ground coordinates; else None."""
+        return None
+
+    def interpolation(self, control: FeatureSet) -> Interpolation | None:
+        """Return the prediction by control points, of a model that predicts by them alone.
+
+        Parameters
+        ----------
+        control : FeatureSet
+            The control features in use, scaled.
+
+        Returns
+        -------
+        Interpolation or None
+            None for a model without one, which is the default, and where the points do not
+            suffice.
+        """
         return None
 
     @property

@@ -63,18 +63,33 @@ class Helmert2D(SensorModel):
 
     def _rows(self, ground: FloatArray) -> FloatArray:
         """Return the rows of line and sample over all terms, shape (n, 2, 4)."""
-        x, y = (ground[:, :2] * self._units()).T
+        x, y = (ground[:, :2] * plane_units(self)).T
         y = -y if self.options["mirrored"] else y
         one, none = np.ones_like(x), np.zeros_like(x)
         return np.stack([np.stack([one, none, -y, -x], axis=1),
                          np.stack([none, one, x, -y], axis=1)], axis=1)
 
-    def _units(self) -> FloatArray:
-        """Return what makes scaled X and Y one unit on the ground, the larger of them 1."""
-        if self.scaling is None:
-            return np.ones(2)
-        units = np.array(self.scaling.ground_scale[:2])
-        crs = self.scaling.fit_crs or self.crs
-        if crs and is_geographic(crs):
-            units[0] *= np.cos(np.radians(self.scaling.ground_offset[1]))
-        return np.asarray(units / units.max())
+
+
+def plane_units(model: SensorModel) -> tuple[float, float]:
+    """Return by what scaled X and Y are to be multiplied to have one unit on the ground.
+
+    Longitudes are brought to the unit of latitudes in the middle of the control.
+
+    Parameters
+    ----------
+    model : SensorModel
+        Prepared; else both are 1.
+
+    Returns
+    -------
+    tuple of 2 floats
+        The larger is 1.
+    """
+    if model.scaling is None:
+        return 1.0, 1.0
+    x, y = model.scaling.ground_scale[:2]
+    crs = model.scaling.fit_crs or model.crs
+    if crs and is_geographic(crs):
+        x *= np.cos(np.radians(model.scaling.ground_offset[1]))
+    return float(x / max(x, y)), float(y / max(x, y))

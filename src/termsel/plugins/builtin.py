@@ -23,12 +23,13 @@ if TYPE_CHECKING:
 def termsel_models() -> Iterable[type[SensorModel]]:
     """Return the built-in sensor models."""
     from termsel.models.helmert import Helmert2D
+    from termsel.models.interpolating import Field, Field3D, ThinPlate
     from termsel.models.polynomial import Affine, Polynomial2D, Polynomial3D
     from termsel.models.projective import DLT2D, DLT3D, Projective2D
     from termsel.models.rational import RationalFunctions
 
     return [RationalFunctions, Polynomial2D, Polynomial3D, Affine, Projective2D, DLT2D, DLT3D,
-            Helmert2D]
+            Helmert2D, ThinPlate, Field, Field3D]
 
 
 @hookimpl
@@ -74,9 +75,10 @@ def termsel_solvers() -> Iterable[type[Solver]]:
 @hookimpl
 def termsel_datasets() -> Iterable[DatasetSpec]:
     """Return the embedded data sets."""
+    from termsel.simulate.maps import MAP
     from termsel.simulate.scenes import DATASETS
 
-    return DATASETS
+    return [*DATASETS, MAP]
 
 
 @hookimpl

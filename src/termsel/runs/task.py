@@ -16,6 +16,7 @@ from termsel.measurements.roles import Observations, asked_roles, check_as_contr
 from termsel.measurements.roles import observe as assign_roles
 from termsel.measurements.scaling import Scaling, scaling_of
 from termsel.models.base import SensorModel, require_heights
+from termsel.models.interpolating import Interpolating
 from termsel.options import Option, resolve
 from termsel.plugins.registry import registry
 from termsel.problems.base import Inputs, Problem
@@ -180,7 +181,9 @@ def ask(
     recipe: Recipe = names.get("problems", problem)
     model_type: type[SensorModel] = names.get("models", model or recipe.model)
     criterion_type: type[Criterion] = names.get("criteria", criterion or recipe.criterion)
-    solver_type: type[Solver] = names.get("solvers", solver or recipe.solver)
+    # Where terms have no influence there is nothing to search.
+    usual = "all-terms" if issubclass(model_type, Interpolating) else recipe.solver
+    solver_type: type[Solver] = names.get("solvers", solver or usual)
     declared = {
         "problem": recipe.options, "data": DATA_OPTIONS, "model": model_type.declared_options,
         "criterion": criterion_type.declared_options, "solver": solver_type.declared_options}

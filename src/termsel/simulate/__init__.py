@@ -1,4 +1,4 @@
-"""Simulated scenes: a rigorous pushbroom scanner over analytic terrain."""
+"""Simulated scenes: a rigorous pushbroom scanner over analytic terrain, and scans of old maps."""
 
 from termsel.simulate.geometry_files import (
     geometry_from,
@@ -6,6 +6,7 @@ from termsel.simulate.geometry_files import (
     read_geometry,
     write_geometry,
 )
+from termsel.simulate.maps import simulate_map
 from termsel.simulate.orbit import pushbroom_at
 from termsel.simulate.pushbroom import Angle, Pushbroom
 from termsel.simulate.scenes import DATASETS, SCENES, SceneTruth, scene_truth, simulate_scene
@@ -23,6 +24,7 @@ __all__ = [
     "pushbroom_at",
     "read_geometry",
     "scene_truth",
+    "simulate_map",
     "simulate_scene",
     "write_geometry",
 ]

@@ -1,0 +1,315 @@
+"""A polynomial with a random field: collocation, averaged over its scales.
+
+Line and sample are each a shrunken cubic polynomial (see `termsel.adjustment.posterior`), a
+stationary Gaussian random field and noise. The field has the Matern covariance of smoothness 3/2,
+
+    (ratio size)^2 (1 + r) exp(-r),   r^2 = 3 ((dl / length_l)^2 + (ds / length_s)^2),
+
+with distances dl, ds between places in the image. The lengths may differ: strips and sheets of
+maps stretch along one axis, and scanners shake along lines. Neither lengths nor ratio, size and
+noise are known. All solutions on a grid are averaged with their posterior probabilities, those
+without a field, which are believed as likely beforehand, among them. So where the points show no
+local deformation the shrunken polynomial remains.
+
+With many points the field is spanned by the covariances with KNOTS of them.
+
+References
+----------
+Moritz 1980, Advanced Physical Geodesy, for collocation; Matheron 1969 for universal kriging;
+Stein 1999, Interpolation of Spatial Data, for the Matern covariance; Hoeting et al. 1999 for
+averaging; Quinonero-Candela and Rasmussen 2005, JMLR 6, for few knots. The prior is termsel's own.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+
+import numpy as np
+from scipy import linalg
+from scipy.spatial.distance import cdist
+from scipy.special import logsumexp
+
+from termsel.adjustment.equations import weights_of
+from termsel.adjustment.foresight import foresee
+from termsel.adjustment.monomials import Exponents, graded_exponents, monomials
+from termsel.adjustment.posterior import Posterior, posterior, scales_of
+from termsel.measurements.features import FloatArray, Points
+
+LENGTHS = ((0.15, 0.15), (0.3, 0.3), (0.6, 0.6), (1.2, 1.2), (0.15, 1.2), (1.2, 0.15))
+"""Lengths of line and sample, by the half-range of the image: from about the distance of
+neighbours among a hundred points to where a field cannot be told from a polynomial; and two that
+differ."""
+
+RATIOS = (0.01, 0.05, 0.25, 1.25)
+"""Standard deviations of the field by those of quadratic coefficients, which `posterior.SIZES`
+takes from the noise to where they are as good as free."""
+
+FALL, RELIEF = 0.1, 0.1
+"""Cubic coefficients by quadratic ones, and those of one power of Z more, next to a field."""
+
+DEGREE = 3
+
+FIELD, ALIKE = 0.5, 0.9
+"""Probability of a field before the points are looked at, and that its lengths are equal then."""
+
+KNOTS = 100
+
+NEGLIGIBLE = 1e-6
+"""Probability of a part that is left out of a prediction."""
+
+AT_ONCE = 2000
+"""Places whose covariances are held in memory."""
+
+JITTER = 1e-10
+"""Part of the field's variance that is added, so that covariances of close points can be
+decomposed."""
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """All solutions with one pair of lengths, or without a field.
+
+    Parameters
+    ----------
+    found : Posterior
+    log : float
+        Logarithm of the evidence, up to what all parts share.
+    lengths : tuple of float, or None
+        None without a field.
+    root : ndarray, shape (k, k)
+        Lower triangle of the knots' covariance; empty without a field.
+    """
+
+    found: Posterior
+    log: float
+    lengths: tuple[float, float] | None
+    root: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Collocation:
+    """What control points predict, averaged over all parts.
+
+    Parameters
+    ----------
+    points : Points
+        Scaled.
+    exponents : k exponents of X, Y, Z
+        Affine ones first.
+    turn : ndarray, shape (f, 2)
+        Affine coefficients that bring ground positions into the image.
+    knots : ndarray, shape (k, 2)
+        Places in the image.
+    parts : tuple of Part
+        The first without a field.
+    """
+
+    points: Points
+    exponents: Exponents
+    turn: FloatArray
+    knots: FloatArray
+    parts: tuple[Part, ...]
+
+    @cached_property
+    def shares(self) -> FloatArray:
+        """Probability of each part."""
+        return _normalised(np.array([part.log for part in self.parts]))
+
+    @property
+    def probability(self) -> float:
+        """Probability of a field."""
+        return float(1.0 - self.shares[0])
+
+    @property
+    def effective(self) -> float:
+        """Effective parameters of line and sample together."""
+        return float(sum(share * part.found.mean(axis)[1]
+                         for share, part in zip(self.shares, self.parts, strict=True)
+                         for axis in (0, 1)))
+
+    @cached_property
+    def errors(self) -> FloatArray:
+        """Measured minus predicted of each point by the others, shape (n, 2).
+
+        In closed form: without a point the solutions change, and so do their probabilities.
+        """
+        errors = np.empty((len(self.points), 2))
+        for i in range(len(errors)):
+            each = [part.found.without(i) for part in self.parts]
+            # The evidence of a part is that of all points by the sum over its own solutions.
+            logs = np.array([part.log - part.found.cells.log + one.log
+                             for part, one in zip(self.parts, each, strict=True)])
+            errors[i] = _normalised(logs) @ np.array([one.error for one in each])
+        return errors / weights_of(self.points)
+
+    def predict(self, ground: FloatArray) -> FloatArray:
+        """Return line and sample of places, shape (m, 2)."""
+        polynomial, *fields = self._coefficients
+        columns = monomials(ground, self.exponents)
+        image = columns @ polynomial
+        places = columns[:, :len(self.turn)] @ self.turn
+        likely = [(part.lengths, weights) for part, share, weights in zip(
+            self.parts[1:], self.shares[1:], fields, strict=True) if share > NEGLIGIBLE]
+        for start in range(0, len(ground), AT_ONCE):
+            some = slice(start, start + AT_ONCE)
+            for lengths, weights in likely:
+                image[some] += _matern(places[some], self.knots, lengths) @ weights
+        return np.asarray(image)
+
+    def spread(self, ground: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the variance of the prediction, shape (m, 2), and that of the noise, (2,)."""
+        lead = len(self.turn)
+        columns = monomials(ground, self.exponents)
+        places = columns[:, :lead] @ self.turn
+        each = []
+        for part in self.parts:
+            spanned = _with_field(columns, places, self.knots, part)
+            field = spanned[:, columns.shape[1]:]
+            # Away from the knots the field has a variance that their covariances do not span.
+            missing = None if part.lengths is None else np.square(RATIOS)[:, None] * np.maximum(
+                1.0 - (field**2).sum(axis=1), 0.0)
+            each.append(foresee(part.found, columns[:, :lead], spanned[:, lead:], missing))
+        mean = sum(share * one.image for share, one in zip(self.shares, each, strict=True))
+        variance = sum((share * (one.variance + (one.image - mean) ** 2)
+                        for share, one in zip(self.shares, each, strict=True)),
+                       np.zeros((len(ground), 2)))
+        noise = float(self.shares @ [one.noise for one in each])
+        return variance, np.full(2, noise)
+
+    @cached_property
+    def _coefficients(self) -> list[FloatArray]:
+        """Averaged coefficients of the monomials, then those of each field's knots."""
+        lead = len(self.turn)
+        columns, weights = monomials(self.points.ground, self.exponents), weights_of(self.points)
+        places = columns[:, :lead] @ self.turn
+        total, fields = np.zeros((columns.shape[1], 2)), []
+        for share, part in zip(self.shares, self.parts, strict=True):
+            shrunk = np.stack([part.found.mean(axis)[0] for axis in (0, 1)], axis=1)
+            rest = self.points.image - _with_field(columns, places, self.knots,
+                                                   part)[:, lead:] @ shrunk
+            total[lead:] += share * shrunk[:columns.shape[1] - lead]
+            for axis, w in enumerate(weights.T):
+                total[:lead, axis] += share * np.linalg.lstsq(
+                    columns[:, :lead] * w[:, None], rest[:, axis] * w)[0]
+            if part.lengths:
+                fields.append(share * linalg.solve_triangular(
+                    part.root, shrunk[columns.shape[1] - lead:], lower=True, trans="T"))
+        return [total, *fields]
+
+
+def collocate(points: Points, variables: int) -> Collocation | None:
+    """Return what control points predict by a polynomial with a random field.
+
+    Parameters
+    ----------
+    points : Points
+        Scaled.
+    variables : {2, 3}
+        2 for a polynomial in X and Y, 3 for one in X, Y and Z.
+
+    Returns
+    -------
+    Collocation or None
+        None if all points but any one do not determine an affine model with redundancy.
+    """
+    if len(points) < variables + 3:
+        return None
+    image, ground, sigma = (None if one is None else np.ascontiguousarray(one).tobytes()
+                            for one in (points.image, points.ground, points.sigma))
+    return _collocated(image, ground, sigma, variables)
+
+
+@lru_cache(maxsize=4)
+def _collocated(image: bytes, ground: bytes, sigma: bytes | None,
+                variables: int) -> Collocation | None:
+    """Return the collocation of points; a fit asks for the same one many times."""
+    places = np.frombuffer(image).reshape(-1, 2)
+    points = Points(tuple(map(str, range(len(places)))), places,
+                    np.frombuffer(ground).reshape(-1, 3),
+                    None if sigma is None else np.frombuffer(sigma).reshape(-1, 2))
+    exponents = graded_exponents(DEGREE, variables)
+    order = np.array(exponents).sum(axis=1)
+    shrunk = np.array(exponents)[order > 1]
+    columns = monomials(points.ground, exponents)
+    turn = _turn(points, exponents[:variables + 1])
+    there = columns[:, :variables + 1] @ turn
+    knots = _spread_out(there)
+    rule = FALL ** (order[order > 1] - 2.0) * RELIEF ** shrunk[:, 2]
+    mixed = np.array([[*rule, *np.full(len(knots), ratio)] for ratio in RATIOS])
+    parts = []
+    for lengths in (None, *LENGTHS):
+        root = np.empty((0, 0)) if lengths is None else np.asarray(np.linalg.cholesky(
+            _matern(knots, knots, lengths) + JITTER * np.eye(len(knots))))
+        bare = columns if lengths is None else np.concatenate(
+            [columns, linalg.solve_triangular(root, _matern(knots, there, lengths),
+                                              lower=True).T], axis=1)
+        scales = scales_of(shrunk) if lengths is None else mixed
+        orders = np.concatenate([order, np.full(bare.shape[1] - len(order), DEGREE)])
+        found = posterior(bare, points.image, orders, None if sigma is None else
+                          weights_of(points), scales, len(points))
+        if found is None:
+            return None
+        parts.append(Part(found, found.cells.log + np.log(_belief(lengths) / len(scales)),
+                          lengths, root))
+    return Collocation(points, exponents, turn, knots, tuple(parts))
+
+
+def _turn(points: Points, linear: Exponents) -> FloatArray:
+    """Return the affine transformation that brings places into the image, shape (f, 2).
+
+    Distances between places are taken in the image: there sheets shrink and scanners shake, and
+    line and sample have one unit.
+
+    Parameters
+    ----------
+    points : Points
+        Scaled.
+    linear : f exponents of X, Y, Z
+        Of an affine function.
+    """
+    return np.asarray(np.linalg.lstsq(monomials(points.ground, linear), points.image)[0])
+
+
+def _belief(lengths: tuple[float, float] | None) -> float:
+    """Return the probability of a part before the points are looked at."""
+    if lengths is None:
+        return 1.0 - FIELD
+    alike = sum(line == sample for line, sample in LENGTHS)
+    return FIELD * (ALIKE / alike if lengths[0] == lengths[1]
+                    else (1.0 - ALIKE) / (len(LENGTHS) - alike))
+
+
+def _with_field(columns: FloatArray, places: FloatArray, knots: FloatArray,
+                part: Part) -> FloatArray:
+    """Return the monomials, and the columns that span the field of a part."""
+    if part.lengths is None:
+        return columns
+    field = linalg.solve_triangular(part.root, _matern(knots, places, part.lengths), lower=True)
+    return np.concatenate([columns, field.T], axis=1)
+
+
+def _matern(a: FloatArray, b: FloatArray, lengths: tuple[float, float] | None) -> FloatArray:
+    """Return the correlations between places, shape (len(a), len(b))."""
+    assert lengths is not None
+    r = cdist(a * np.sqrt(3.0) / lengths, b * np.sqrt(3.0) / lengths)
+    found: FloatArray = np.exp(-r)
+    r += 1.0
+    found *= r
+    return found
+
+
+def _spread_out(places: FloatArray) -> FloatArray:
+    """Return the places, of many KNOTS that are far apart, whatever their order."""
+    if len(places) <= KNOTS:
+        return places
+    taken = [int(np.argmin(np.linalg.norm(places - places.mean(axis=0), axis=1)))]
+    apart = np.linalg.norm(places - places[taken[0]], axis=1)
+    while len(taken) < KNOTS:
+        taken.append(int(apart.argmax()))
+        apart = np.minimum(apart, np.linalg.norm(places - places[taken[-1]], axis=1))
+    return places[taken]
+
+
+def _normalised(logs: FloatArray) -> FloatArray:
+    return np.asarray(np.exp(logs - logsumexp(logs)))

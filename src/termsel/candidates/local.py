@@ -1,0 +1,45 @@
+"""Fits that predict from the control points themselves, for images with local deformation."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from termsel.adjustment.field import Collocation
+from termsel.candidates.points import points_alone
+from termsel.fits.fit import Estimator, Fit, HeldOut, Undetermined
+from termsel.fits.fittable import Fittable
+from termsel.fits.least_squares import LeastSquares
+from termsel.measurements.features import BoolArray, FeatureSet
+from termsel.measurements.scaling import Scaling
+
+LIKELY = 0.9
+"""Probability of a random field from which on points call for it."""
+
+
+class Interpolated(Estimator):
+    """The interpolation of a model, where the points call for it.
+
+    Its terms are those of least squares, and have no influence. A random field is called for where
+    its probability exceeds LIKELY.
+    """
+
+    def fit(self, model: Fittable, control: FeatureSet, scaling: Scaling, terms: BoolArray,
+            used: BoolArray) -> Fit:
+        """Fit a model (see `Estimator.fit`)."""
+        points_alone(control, used, "an interpolation")
+        plain = LeastSquares(iterated=False).fit(model, control, scaling, terms, used)
+        found = plain.interpolation
+        if found is None:
+            raise Undetermined(f"{used.sum()} control points are too few to interpolate by",
+                               hint="Measure more control, spread over the area.")
+        if isinstance(found, Collocation) and found.probability <= LIKELY:
+            raise Undetermined("the points do not call for a random field: its probability is "
+                               f"{found.probability:.2g}", hint="Choose a polynomial.")
+        errors = found.errors * scaling.image_scale
+        unknown = np.full(len(terms), np.nan)
+        return replace(plain, estimator=self, trace=found.effective,
+                       held_out=HeldOut(errors, (errors**2).sum(axis=1)),
+                       adjustment=replace(plain.adjustment, deviations=unknown,
+                                          correlations=None))

@@ -1,0 +1,103 @@
+"""Models that predict from the control points themselves: splines and random fields."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import ClassVar
+
+import numpy as np
+
+from termsel.adjustment.field import collocate
+from termsel.adjustment.interpolation import Interpolation
+from termsel.adjustment.monomials import Exponents, graded_exponents
+from termsel.adjustment.thin_plate import thin_plates
+from termsel.measurements.features import FeatureSet, FloatArray
+from termsel.models.helmert import plane_units
+from termsel.models.polynomial import Polynomial
+from termsel.options import Option
+
+
+class Interpolating(Polynomial):
+    """Base of models that predict from the control points, with an affine model as their terms.
+
+    Where the points suffice for the interpolation, it takes up any affine function, and the
+    terms have no influence. Lines determine the affine terms alone.
+    """
+
+    @cached_property
+    def exponents(self) -> Exponents:
+        """Exponents of an affine function."""
+        return graded_exponents(1, self.variables)
+
+    def predict(self, coefficients: FloatArray, control: FeatureSet,
+                ground: FloatArray) -> FloatArray:
+        """Return image positions by the control points (see `SensorModel.predict`)."""
+        found = self.interpolation(control)
+        if found is None:
+            return self.project(coefficients, ground)
+        image = found.predict(ground)
+        return np.broadcast_to(image, (*coefficients.shape[:-1], *image.shape)).copy()
+
+
+class ThinPlate(Interpolating):
+    """Thin-plate spline of line and sample over X and Y.
+
+    An affine function and kernels r^2 log r around the control points, as `gdalwarp -tps` and
+    QGIS have it, and smoothed. By default REML chooses the smoothing of line and of sample. With
+    smoothing 0 control points are met exactly, blunders with them. Distances are those on the
+    ground, the larger half-range of the control being 1; longitudes are brought to the unit of
+    latitudes.
+
+    The spline takes up any affine function, so that its terms make no difference.
+
+    References
+    ----------
+    Duchon 1977; Wahba 1990, Spline Models for Observational Data; Wood 2011, J. R. Stat. Soc. B
+    73(1), for REML.
+    """
+
+    name = "tps"
+    variables = 2
+    uses_height = False
+    declared_options: ClassVar[tuple[Option, ...]] = (
+        Option("smoothing", None, "What is added to the diagonal of the kernels' matrix; 0 meets "
+                                  "control points exactly. By default it is chosen.", float, 0.0),
+        Option("chosen_by", "reml", "How the smoothing is chosen: by restricted maximum likelihood "
+                                    "or generalised cross-validation.", choices=("reml", "gcv")))
+
+    def interpolation(self, control: FeatureSet) -> Interpolation | None:
+        """Return the spline (see `SensorModel.interpolation`)."""
+        return thin_plates(control.points, plane_units(self), self.options["smoothing"],
+                           self.options["chosen_by"])
+
+
+class Field(Interpolating):
+    """Plane polynomial with a random field: collocation, averaged over its scales.
+
+    A shrunken cubic polynomial of X and Y, a stationary random field with Matern covariance, for
+    what is local, and noise. The lengths, size and noise of the field are not set: solutions on
+    a grid are averaged with their probabilities, those without a field among them (see
+    `termsel.adjustment.field`). For old maps, sheets and scanners that shake.
+
+    The field takes up any affine function, so that its terms make no difference.
+
+    References
+    ----------
+    Moritz 1980, Advanced Physical Geodesy; Stein 1999, Interpolation of Spatial Data.
+    """
+
+    name = "field"
+    variables = 2
+    uses_height = False
+
+    def interpolation(self, control: FeatureSet) -> Interpolation | None:
+        """Return the collocation (see `SensorModel.interpolation`)."""
+        return collocate(control.points, self.variables)
+
+
+class Field3D(Field):
+    """Space polynomial with a random field: `field` with a polynomial of X, Y and Z."""
+
+    name = "field3d"
+    variables = 3
+    uses_height = True

@@ -1,0 +1,230 @@
+"""Splines and random fields against scipy, dense algebra, refits and simulated maps."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.interpolate import RBFInterpolator
+from scipy.stats import multivariate_normal
+
+import termsel
+from termsel.adjustment import field, posterior
+from termsel.adjustment.field import collocate
+from termsel.adjustment.monomials import monomials
+from termsel.adjustment.thin_plate import thin_plates
+from termsel.candidates.portfolio import choose
+from termsel.measurements.features import FeatureSet, FloatArray, Points
+from termsel.simulate import simulate_map
+
+UNITS = (1.0, 0.7)
+
+
+def scattered(n: int, noise: float = 0.02, seed: int = 3, *, sigma: bool = False) -> Points:
+    """Return scaled points of a bent image."""
+    rng = np.random.default_rng(seed)
+    ground = rng.uniform(-1, 1, (n, 3))
+    x, y, _ = ground.T
+    image = np.stack([0.1 - 0.9 * y + 0.1 * np.sin(3 * x), 0.8 * x + 0.1 * np.cos(4 * x * y)],
+                     axis=1)
+    deviation = rng.uniform(0.5, 2.0, (n, 2)) if sigma else None
+    image += noise * (1.0 if deviation is None else deviation) * rng.standard_normal((n, 2))
+    return Points(tuple(f"P{i}" for i in range(n)), image, ground, deviation)
+
+
+def theirs(ground: FloatArray, values: FloatArray, at: FloatArray,
+           smoothing: float | FloatArray) -> FloatArray:
+    spline = RBFInterpolator(ground[:, :2] * UNITS, values, smoothing=smoothing,
+                             kernel="thin_plate_spline")
+    return np.asarray(spline(at[:, :2] * UNITS))
+
+
+@pytest.mark.parametrize("smoothing", [0.0, 0.03, 2.0])
+def test_a_spline_is_that_of_scipy(smoothing: float) -> None:
+    points, at = scattered(30), scattered(50, seed=4).ground
+    found = thin_plates(points, UNITS, smoothing, "reml")
+    assert found is not None
+    expected = theirs(points.ground, points.image, at, smoothing)
+    np.testing.assert_allclose(found.predict(at), expected, atol=1e-9)
+    if not smoothing:
+        np.testing.assert_allclose(found.predict(points.ground), points.image, atol=1e-9)
+    # Left-out errors and effective parameters, by scipy alone
+    for i in (0, 17):
+        others = points.take(np.arange(30) != i)
+        expected = points.image[i] - theirs(others.ground, others.image, points.ground[i:i + 1],
+                                            smoothing)[0]
+        np.testing.assert_allclose(found.errors[i], expected, atol=1e-9)
+    hat = theirs(points.ground, np.eye(30), points.ground, smoothing)
+    np.testing.assert_allclose(found.effective, 2 * np.trace(hat))
+
+
+def test_generalised_cross_validation_chooses_as_the_hat_matrices_of_scipy_say() -> None:
+    points = scattered(25)
+    found = thin_plates(points, UNITS, None, "gcv")
+    assert found is not None
+    wanted = []
+    for smoothing in (10.0 ** np.arange(-6.0, 2.0, 0.1)).tolist():
+        left = np.eye(25) - theirs(points.ground, np.eye(25), points.ground, smoothing)
+        wanted.append(25 * ((left @ points.image) ** 2).sum(axis=0) / np.trace(left) ** 2)
+    best = 10.0 ** (-6.0 + 0.1 * np.argmin(wanted, axis=0))
+    np.testing.assert_allclose(found.smoothing, best, rtol=1e-6)
+
+
+def test_reml_chooses_the_likeliest_of_all_smoothings() -> None:
+    points = scattered(25)
+    found = thin_plates(points, UNITS, None, "reml")
+    assert found is not None
+    places = points.ground[:, :2] * UNITS
+    distance = np.linalg.norm(places[:, None] - places, axis=2)
+    kernel = distance**2 * np.log(np.where(distance > 0, distance, 1.0))
+    lead = np.column_stack([np.ones(25), places])
+    contrasts = np.linalg.svd(lead.T)[2][3:]
+    of_contrasts = contrasts @ points.image
+    for axis in (0, 1):
+        def likelihood(smoothing: float, target: FloatArray = of_contrasts[:, axis]) -> float:
+            shape = contrasts @ (kernel + smoothing * np.eye(25)) @ contrasts.T
+            scale = target @ np.linalg.solve(shape, target) / len(target)
+            return float(multivariate_normal.logpdf(target, np.zeros(len(target)), scale * shape))
+
+        chosen = found.smoothing[axis]
+        assert all(likelihood(chosen) >= likelihood(chosen * factor)
+                   for factor in (0.01, 0.3, 0.79, 1.26, 3.0, 100.0))
+
+
+def test_standard_deviations_smooth_each_point_by_its_own() -> None:
+    points, at = scattered(30, 0.1, sigma=True), scattered(50, seed=4).ground
+    found = thin_plates(points, UNITS, 0.05, "reml")
+    assert found is not None
+    assert points.sigma is not None
+    for axis in (0, 1):
+        own = 0.05 * (points.sigma[:, axis] / np.median(points.sigma)) ** 2
+        expected = theirs(points.ground, points.image[:, axis:axis + 1], at, own)
+        np.testing.assert_allclose(found.predict(at)[:, axis:axis + 1], expected, atol=1e-9)
+
+
+@pytest.mark.parametrize("criterion", ["reml", "gcv"])
+def test_the_smoothing_is_chosen_again_without_each_point(criterion: str) -> None:
+    points = scattered(20, 0.1)
+    found = thin_plates(points, UNITS, None, criterion)
+    assert found is not None
+    for i in range(20):
+        others = points.take(np.arange(20) != i)
+        again = thin_plates(others, UNITS, None, criterion)
+        assert again is not None
+        expected = points.image[i] - again.predict(points.ground[i:i + 1])[0]
+        np.testing.assert_allclose(found.errors[i], expected, atol=1e-8)
+
+
+def one_cell(monkeypatch: pytest.MonkeyPatch) -> tuple[float, float, tuple[float, float]]:
+    """Leave one solution with a field on the grid, and return its size, ratio and lengths."""
+    size, ratio, lengths = 10.0, 0.25, (0.4, 0.8)
+    monkeypatch.setattr(posterior, "SIZES", np.array([size]))
+    monkeypatch.setattr("termsel.adjustment.foresight.SIZES", np.array([size]))
+    for name, value in (("RATIOS", (ratio,)), ("LENGTHS", (lengths, lengths[::-1])),
+                        ("FIELD", 1 - 1e-15), ("ALIKE", 0.0)):
+        monkeypatch.setattr(field, name, value)
+    field._collocated.cache_clear()
+    return size, ratio, lengths
+
+
+def test_one_solution_is_universal_kriging(monkeypatch: pytest.MonkeyPatch) -> None:
+    size, ratio, lengths = one_cell(monkeypatch)
+    monkeypatch.setattr(field, "LENGTHS", (lengths,))
+    points, at = scattered(25), scattered(12, seed=6).ground
+    found = collocate(points, 2)
+    field._collocated.cache_clear()
+    assert found is not None
+    one, other = (monomials(g, found.exponents) for g in (points.ground, at))
+    own = size * np.array([0.1 ** (sum(e) - 2.0) for e in found.exponents[3:]])
+    turn = np.linalg.lstsq(one[:, :3], points.image)[0]
+
+    def covariance(a: FloatArray, b: FloatArray) -> FloatArray:
+        apart = (a[:, None, :3] @ turn - b[None, :, :3] @ turn) / lengths
+        r = np.sqrt(3 * (apart**2).sum(axis=2))
+        return np.asarray((ratio * size) ** 2 * (1 + r) * np.exp(-r)
+                          + (a[:, 3:] * own) @ (b[:, 3:] * own).T)
+
+    data = covariance(one, one) + np.eye(25)
+    lead, there = one[:, :3], covariance(other, one)
+    inner = np.linalg.inv(lead.T @ np.linalg.solve(data, lead))
+    trend = inner @ lead.T @ np.linalg.solve(data, points.image)
+    expected = other[:, :3] @ trend + there @ np.linalg.solve(data, points.image - lead @ trend)
+    np.testing.assert_allclose(found.predict(at), expected, atol=1e-6)
+    rest = points.image - lead @ trend
+    noise = (rest * np.linalg.solve(data, rest)).sum() / (2 * 22 - 2)
+    left = other[:, :3] - there @ np.linalg.solve(data, lead)
+    variance = noise * (np.diag(covariance(other, other))
+                        - (there * np.linalg.solve(data, there.T).T).sum(axis=1)
+                        + ((left @ inner) * left).sum(axis=1))
+    np.testing.assert_allclose(found.spread(at)[0], np.stack([variance] * 2, axis=1), rtol=1e-4)
+
+
+@pytest.mark.parametrize("sigma", [False, True])
+def test_a_field_without_each_point_is_the_field_of_the_others(sigma: bool) -> None:
+    points = scattered(25, sigma=sigma)
+    found = collocate(points, 2)
+    assert found is not None
+    for i in (0, 11):
+        again = collocate(points.take(np.arange(25) != i), 2)
+        assert again is not None
+        # The affine transformation into the image, by which distances are taken, has all points.
+        expected = points.image[i] - again.predict(points.ground[i:i + 1])[0]
+        np.testing.assert_allclose(found.errors[i], expected, atol=0.1 * np.abs(expected).max())
+
+
+def test_the_order_of_points_has_no_influence() -> None:
+    points = scattered(120)
+    order = np.random.default_rng(1).permutation(120)
+    one, other = (collocate(p, 2) for p in (points, points.take(order)))
+    assert one is not None
+    assert other is not None
+    at = scattered(9, seed=5).ground
+    assert len(one.knots) < 120
+    np.testing.assert_allclose(one.predict(at), other.predict(at), atol=1e-8)
+
+
+def unseen(features: FeatureSet, count: int) -> tuple[FeatureSet, Points]:
+    points = replace(features.points, roles=())
+    return features.with_(points=points.take(np.arange(len(points)) < count)), points.take(
+        np.arange(len(points)) >= count)
+
+
+def total(errors: FloatArray) -> float:
+    return float(np.sqrt((errors**2).sum(axis=1).mean()))
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_local_deformation_calls_for_a_field(seed: int) -> None:
+    control, others = unseen(simulate_map(seed=seed, n_points=260, sheets=(1, 1), local=10.0), 60)
+    choice = choose(control, heights=False)
+    assert choice is not None
+    assert choice.chosen.candidate.kind == "local"
+    assert "probability of local deformation" in choice.reason
+    best = min(total(one.fit.errors(others)) for one in choice.judged if one.candidate.is_plain)
+    assert total(choice.chosen.fit.errors(others)) < 0.8 * best
+    # It knows how uncertain it is between the points.
+    sigma = choice.chosen.fit.sigma(others.ground, measured=True)
+    inside = np.abs(choice.chosen.fit.errors(others)) < 1.645 * sigma
+    assert 0.83 < inside.mean() < 0.97
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_an_affine_scan_calls_for_no_field(seed: int) -> None:
+    control, others = unseen(simulate_map(seed=seed, n_points=240, sheets=(1, 1), local=0.0), 40)
+    choice = choose(control, heights=False)
+    assert choice is not None
+    assert choice.chosen.candidate.kind != "local"
+    assert not {"field", "tps"} & {one.name for one in choice.judged}
+    # Nor does it harm where it is asked for.
+    field_errors = termsel.fit(control, "field").errors(others)
+    assert total(field_errors) < 1.05 * total(choice.chosen.fit.errors(others))
+
+
+def test_models_of_points_refuse_what_they_cannot_do() -> None:
+    scene = termsel.simulate_scene("ikonos-hamedan", n_points=12)
+    with pytest.raises(termsel.TermselError, match="'smoothing'"):
+        termsel.fit(scene, "tps", smoothing=-1.0)
+    two = scene.take(np.arange(len(scene)) < 2)
+    with pytest.raises(termsel.TermselError, match="6 terms"):
+        termsel.fit(two, "field")
