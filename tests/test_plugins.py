@@ -409,7 +409,7 @@ def test_a_class_and_its_instance_are_one_thing_twice(install, registry):
 def test_an_unknown_name_lists_the_known_ones_and_who_may_have_it(install, registry):
     with pytest.raises(TermselError, match="Did you mean 'rfm'") as found:
         Registry([]).get("models", "rfn")
-    assert re.search("Known: affine, dlt2d, .*, poly2d, .*rfm\\.$", str(found.value))
+    assert re.search("Known: affine, dlt2d, .*, poly2d, .*rfm, tps\\.$", str(found.value))
     assert "plugin" not in str(found.value)
     install("a-broken-one", "import no_such_module")
     with pytest.raises(TermselError, match=r"does not work \(a-broken-one\): see termsel plugins"):
