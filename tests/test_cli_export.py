@@ -105,7 +105,7 @@ def test_grids_say_what_they_lack(folder: Path, tmp_path: Path,
     assert "Warning: GDAL interpolates" not in caplog.text
     assert _termsel("export", folder, "--to", "gcp-grid-vrt", "-o", tmp_path / "g.vrt", "--set",
                     "across=1", "--set", "height=1100")[0] == 0
-    assert "Warning: GDAL interpolates between the places of the grid" in caplog.text
+    assert "Warning: gcp-grid-vrt: at most 8.7 px" in caplog.text
 
 
 @pytest.mark.filterwarnings("ignore:Dataset has no geotransform")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from abc import abstractmethod
 from contextlib import suppress
 from pathlib import Path
 from typing import ClassVar
@@ -14,7 +15,8 @@ from termsel.errors import TermselError
 from termsel.fits.fit import Fit
 from termsel.formats.atomic import atomic_path, encoded, write_bytes, write_text
 from termsel.formats.base import Writer
-from termsel.formats.heights import surface_of
+from termsel.formats.deviation import by_splines, places_of, say_deviation
+from termsel.formats.heights import Dem, surface_of
 from termsel.formats.rasters import require_rasterio, tiff_bytes
 from termsel.formats.vrt import IMAGE, Gcp, picture_for, vrt_text
 from termsel.measurements.features import FloatArray
@@ -24,7 +26,7 @@ from termsel.results.result import Result
 
 log = logging.getLogger(__name__)
 
-_CLOSE = 1.0  # px by which interpolation may miss the model without a warning
+_COMPARED = 50  # meshes along either side at whose middles a grid is compared with the model
 
 _GROUND = (
     Option("dem", None, "Raster of heights for the ground of the grid."),
@@ -47,9 +49,14 @@ class GridWriter(Writer):
             if fitted.model.uses_height and self.options["dem"] is None:
                 log.warning("Warning: without a raster of heights (--dem) the ground is taken as "
                             "level, at the height %.6g.", height)
+                places = places_of(fitted)
+                level = places * [1, 1, 0] + [0, 0, height]
+                say_deviation(self.name, fitted, places, fitted.project(level),
+                              ", at the heights of the control")
         image = np.stack(np.meshgrid(lines, samples, indexing="ij"), axis=-1)
         with surface_of(self.options["dem"], fitted.control.crs, height) as surface:
             ground = fitted.locate(image.reshape(-1, 2), surface).reshape(*image.shape[:2], 3)
+            self.say_loss(fitted, image, ground, surface)
         unseen = int(np.isnan(ground).any(axis=-1).sum())
         if unseen > image[..., 0].size - 3:
             raise TermselError(
@@ -58,21 +65,28 @@ class GridWriter(Writer):
         if unseen:
             log.warning("Warning: %d of %d places of the grid have no ground; the image around "
                         "them stays empty.", unseen, image[..., 0].size)
-        self._say_loss(fitted, image, ground)
         return ground
 
-    def _say_loss(self, fitted: Fit, image: FloatArray, ground: FloatArray) -> None:
-        """Log how far the middles of the grid's meshes are from their places by the model."""
-        middle = (ground[1:, 1:] + ground[:-1, 1:] + ground[1:, :-1] + ground[:-1, :-1]) / 4
-        place = (image[1:, 1:] + image[:-1, :-1]) / 2
-        seen = np.isfinite(middle).all(axis=-1)
-        apart = np.linalg.norm(fitted.project(middle[seen]) - place[seen], axis=1)
-        if apart.size:
-            worst = apart.max()
-            log.log(logging.INFO if worst <= _CLOSE else logging.WARNING,
-                    "%sGDAL interpolates between the places of the grid: by at most %.2g px from "
-                    "the model (95 %% within %.2g px), apart from relief.",
-                    "" if worst <= _CLOSE else "Warning: ", worst, np.quantile(apart, 0.95))
+    @abstractmethod
+    def say_loss(self, fitted: Fit, image: FloatArray, ground: FloatArray,
+                 surface: Dem | float) -> None:
+        """Log how far what GDAL makes of the grid is from the model between its places.
+
+        Parameters
+        ----------
+        fitted : Fit
+        image : ndarray, shape (lines, samples, 2)
+        ground : ndarray, shape (lines, samples, 3)
+        surface : Dem or float
+            The ground.
+        """
+
+
+def _middles(grid: FloatArray) -> FloatArray:
+    """Return the middles of some meshes of a grid, shape (n, last axis)."""
+    middle = (grid[1:, 1:] + grid[:-1, 1:] + grid[1:, :-1] + grid[:-1, :-1]) / 4
+    steps = [max(1, size // _COMPARED) for size in middle.shape[:2]]
+    return np.asarray(middle[::steps[0], ::steps[1]].reshape(-1, grid.shape[-1]))
 
 
 class GcpGridVrt(GridWriter):
@@ -101,6 +115,17 @@ class GcpGridVrt(GridWriter):
                 for i, line in enumerate(lines) for j, sample in enumerate(samples)
                 if np.isfinite(ground[i, j]).all()]
         write_text(path, vrt_text(picture, path.parent, gcps=gcps, crs=crs))
+
+    def say_loss(self, fitted: Fit, image: FloatArray, ground: FloatArray,
+                 surface: Dem | float) -> None:
+        """Log how far GDAL's thin plate spline through the grid is from the model."""
+        known = np.isfinite(ground).all(axis=-1)
+        if known.sum() < 3:
+            return
+        spline = by_splines(ground[known][:, :2], image[known])
+        between = fitted.locate(_middles(image), surface)
+        between = between[np.isfinite(between).all(axis=1)]
+        say_deviation(self.name, fitted, between, spline(between), ", by gdalwarp -tps")
 
 
 class GeolocationVrt(GridWriter):
@@ -160,6 +185,15 @@ class GeolocationVrt(GridWriter):
         if replaced:
             with suppress(OSError):  # the new VRT is right without that
                 other.unlink()
+
+    def say_loss(self, fitted: Fit, image: FloatArray, ground: FloatArray,
+                 surface: Dem | float) -> None:
+        """Log how far GDAL's interpolation between the places of the array is from the model."""
+        between, places = _middles(ground), _middles(image)
+        seen = np.isfinite(between).all(axis=1)
+        between, places = between[seen], places[seen]
+        between[:, 2] = surface(between[:, :2]) if isinstance(surface, Dem) else surface
+        say_deviation(self.name, fitted, between, places, ", between the places of the array")
 
 
 def _arrays(path: Path) -> tuple[Path, Path]:

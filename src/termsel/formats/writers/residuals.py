@@ -11,6 +11,7 @@ import numpy as np
 from termsel.errors import TermselError
 from termsel.formats.atomic import private_folder, write_bytes
 from termsel.formats.base import Writer
+from termsel.formats.deviation import say_measured
 from termsel.measurements.crs import horizontal
 from termsel.measurements.features import FloatArray
 from termsel.options import Option
@@ -81,6 +82,7 @@ class ResidualsGeopackage(Writer):
                 raise TermselError(f"cannot make the GeoPackage: {error}", file=path,
                                    hint="Check that there is room for temporary files.") from error
             write_bytes(path, whole.read_bytes())
+        say_measured(self.name)
 
     def _ends(self, result: Result, ground: FloatArray) -> tuple[FloatArray, float]:
         """Return the ends of the vectors, and their exaggeration."""

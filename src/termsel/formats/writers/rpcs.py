@@ -12,10 +12,11 @@ import numpy as np
 from termsel.errors import TermselError
 from termsel.formats.atomic import atomic_path, encoded, private_folder, write_bytes, write_text
 from termsel.formats.base import Writer
+from termsel.formats.deviation import places_of, say_deviation
 from termsel.formats.rasters import empty_tiff, open_raster, require_rasterio
 from termsel.formats.rpc_files import read_rpc, rpb_text, rpc_items, rpc_txt_text
 from termsel.formats.vrt import IMAGE, picture_for, vrt_text
-from termsel.measurements.crs import LOCAL, normalise
+from termsel.measurements.crs import LOCAL, normalise, to_wgs84
 from termsel.models.rpc import Rpc
 from termsel.options import Option
 from termsel.results.result import Result
@@ -57,6 +58,11 @@ class RpcWriter(Writer):
             temporary.write_bytes(encoded(text))
             require_read_back(rpc, text, self.suffix)
         self.written(rpc, path)
+        places = places_of(result.fit)
+        with np.errstate(all="ignore"):
+            image = rpc.project(to_wgs84(result.fit.control.crs)(places))
+        say_deviation(self.name, result.fit, places, image,
+                      ", over the image and the heights of the control")
 
     @abstractmethod
     def text(self, rpc: Rpc, result: Result, path: Path) -> str:

@@ -12,6 +12,7 @@ import numpy as np
 from termsel.errors import TermselError
 from termsel.formats.atomic import write_text
 from termsel.formats.base import Writer
+from termsel.formats.deviation import say_measured, say_splines
 from termsel.formats.readers.csv_tables import line_columns, write_table
 from termsel.formats.vrt import IMAGE, Gcp, picture_for, vrt_text
 from termsel.measurements.crs import LOCAL, horizontal, normalise, to_wgs84
@@ -81,6 +82,8 @@ class QgisPoints(SelectionWriter):
         declared = [f"#CRS: {wkt(crs)}"] if crs else []
         write_text(path, "\n".join([
             *declared, "mapX,mapY,sourceX,sourceY,enable,dX,dY,residual", *rows, ""]))
+        used = points.take(_chosen(result))
+        say_splines(self.name, result.fit, used.ground[:, :2], used.image)
 
 
 class OrthorityGeojson(SelectionWriter):
@@ -119,6 +122,7 @@ class OrthorityGeojson(SelectionWriter):
         collection = {"type": "FeatureCollection", "features": features}
         write_text(path, json.dumps(collection, ensure_ascii=False, indent=1, allow_nan=False)
                    + "\n")
+        say_measured(self.name)
 
 
 class GcpVrt(SelectionWriter):
@@ -138,6 +142,7 @@ class GcpVrt(SelectionWriter):
             points.ids, points.image.tolist(), np.nan_to_num(ground).tolist(), strict=True)]
         write_text(path, vrt_text(picture_for(result, self.options["image"]), path.parent,
                                   gcps=gcps, crs=crs))
+        say_splines(self.name, result.fit, points.ground[:, :2], points.image)
 
 
 class PointsTable(SelectionWriter):
@@ -161,6 +166,7 @@ class PointsTable(SelectionWriter):
         texts = [[name, role, str(int(on or role != "control"))]
                  for name, role, on in zip(points.ids, points.roles, chosen, strict=True)]
         write_table(path, result.features.crs, header, texts, values)
+        say_measured(self.name)
 
 
 class LinesTable(Writer):
@@ -184,6 +190,7 @@ class LinesTable(Writer):
         write_table(path, result.features.crs,
                     ["id", "role", "enabled", *header, "residual1", "residual2"], texts,
                     np.concatenate([values, distances], axis=1))
+        say_measured(self.name)
 
 
 def wkt(crs: str) -> str:

@@ -1,0 +1,120 @@
+"""What an export says of its deviation from the model, held against what GDAL makes of the file."""
+
+from __future__ import annotations
+
+import logging
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import termsel
+from termsel.formats.deviation import places_of
+from termsel.plugins.registry import registry
+from termsel.simulate import simulate_scene
+
+MEASURED = ("orthority-geojson", "points-csv", "residuals-gpkg", "lines-csv")
+
+
+@pytest.fixture(scope="module")
+def relief() -> termsel.Result:
+    """A scene with some 700 m of relief."""
+    return termsel.run("rfm-terms", features=simulate_scene("ikonos-hamedan", n_lines=0),
+                       model="poly3d", solver="all-terms", criterion="press")
+
+
+def said(result: termsel.Result, to: str, path: Path, caplog: pytest.LogCaptureFixture,
+         **options: object) -> list[tuple[int, float, float]]:
+    """Return level, px and metres of the deviations that an export logs."""
+    caplog.clear()
+    with caplog.at_level(logging.INFO, logger="termsel"):
+        termsel.export(result, to, path, overwrite=True, **options)
+    found = []
+    for record in caplog.records:
+        match = re.search(rf"{to}: at most (\S+) px \((\S+) m on the ground\) from the model",
+                          record.getMessage())
+        if match:
+            found.append((record.levelno, *(float(one.replace(",", "")) for one in match.groups())))
+    return found
+
+
+def by_gdal(path: Path, ground: np.ndarray) -> np.ndarray:
+    """Return line and sample that GDAL's thin plate spline gives, from pixel centres."""
+    rasterio = pytest.importorskip("rasterio")
+    from rasterio.transform import GCPTransformer
+
+    with rasterio.open(path) as raster, GCPTransformer(raster.gcps[0], tps=True) as transformer:
+        rows, columns = transformer.rowcol(ground[:, 0], ground[:, 1], op=np.asarray)
+    return np.column_stack([rows, columns]) - 0.5
+
+
+def test_the_deviation_of_gcps_is_that_of_gdal(relief: termsel.Result, tmp_path: Path,
+                                               caplog: pytest.LogCaptureFixture) -> None:
+    (level, px, metres), = said(relief, "gcp-vrt", tmp_path / "s.vrt", caplog)
+    places = places_of(relief.fit)
+    apart = np.hypot(*(by_gdal(tmp_path / "s.vrt", places) - relief.project(places)).T)
+    assert px == pytest.approx(apart.max(), rel=0.05)
+    assert px > 10
+    assert level == logging.WARNING
+    assert metres == pytest.approx(px, rel=0.2)  # a pixel of 1 m
+    assert "ignores heights" in caplog.text
+    assert said(relief, "qgis-points", tmp_path / "s.points", caplog) == [(level, px, metres)]
+
+
+def test_the_deviation_of_a_grid_is_that_of_gdal(relief: termsel.Result, tmp_path: Path,
+                                                 caplog: pytest.LogCaptureFixture) -> None:
+    height = float(relief.fit.ground_box()[0][2])
+    for across, warns in ((1, True), (20, False)):
+        (level, px, _), = said(relief, "gcp-grid-vrt", tmp_path / "s.vrt", caplog, height=height,
+                               across=across)
+        lines, samples = ((np.arange(across) + 0.5) * (size - 1) / across
+                          for size in relief.features.image_size)
+        image = np.stack(np.meshgrid(lines, samples, indexing="ij"), axis=-1).reshape(-1, 2)
+        ground = relief.locate(image, height)
+        apart = np.hypot(*(by_gdal(tmp_path / "s.vrt", ground) - image).T)
+        assert px == pytest.approx(apart.max(), rel=0.05)
+        assert (level == logging.WARNING) == warns == (px > 1)
+
+
+def test_level_ground_costs_what_is_said(relief: termsel.Result, tmp_path: Path,
+                                         caplog: pytest.LogCaptureFixture) -> None:
+    first, second = said(relief, "geolocation-vrt", tmp_path / "s.vrt", caplog)
+    assert first[0] == logging.WARNING
+    places = places_of(relief.fit)
+    level = places * [1, 1, 0] + [0, 0, relief.fit.ground_box()[0][2]]
+    apart = np.hypot(*(relief.project(level) - relief.project(places)).T)
+    assert first[1] == pytest.approx(apart.max(), rel=0.05)
+    assert second[:2] == (logging.INFO, pytest.approx(0, abs=0.1))
+
+
+def test_an_rpc_that_is_far_from_the_model_warns(tmp_path: Path, caplog: pytest.LogCaptureFixture,
+                                                 ) -> None:
+    exact = termsel.run("rfm-terms", model="poly3d", solver="all-terms", criterion="press")
+    for to in ("rpb", "rpc-txt", "rpc-vrt"):
+        (level, px, metres), = said(exact, to, tmp_path / "s.RPB", caplog)
+        assert level == logging.INFO
+        assert max(px, metres) < 1e-5
+    # A polynomial of the sixth degree bends more than an RPC can.
+    bent = termsel.run("poly-terms", model="poly2d", solver="all-terms", criterion="press",
+                       options={"degree": 6, "max_share": 1.0})
+    (level, px, _), = said(bent, "rpc-txt", tmp_path / "s_RPC.TXT", caplog)
+    rpc = termsel.read_rpc(tmp_path / "s_RPC.TXT")
+    places = places_of(bent.fit)
+    apart = np.hypot(*(rpc.project(places) - bent.project(places)).T)
+    assert px == pytest.approx(apart.max(), rel=0.05)
+    assert (level == logging.WARNING) == (px > 1)
+
+
+def test_every_format_says_its_deviation_or_that_it_holds_measurements(
+        relief: termsel.Result, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    names = [entry.name for entry in registry().entries("writers")]
+    for name in names:
+        if not registry().get("writers", name)().accepts(relief):
+            assert name == "lines-csv"
+            continue
+        if name in MEASURED:
+            assert said(relief, name, tmp_path / f"{name}.x", caplog) == []
+            assert f"{name} holds the measurements and their residuals, not" in caplog.text
+        else:
+            assert said(relief, name, tmp_path / f"{name}.vrt", caplog)
