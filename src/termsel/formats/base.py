@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
 from termsel.errors import TermselError
+from termsel.formats.atomic import private_folder
+from termsel.formats.files import is_open_pipe, is_there, refuse_pipe
 from termsel.measurements.features import FeatureSet
 from termsel.options import Configurable
 
@@ -134,6 +138,7 @@ def read_text(path: Path) -> str:
     TermselError
         If the file cannot be read, is binary or is in another encoding.
     """
+    refuse_pipe(path)
     try:
         data = path.read_bytes()
     except OSError as error:
@@ -164,8 +169,9 @@ def read_head(path: Path, expected: str) -> bytes:
     TermselError
         If the file is missing, empty, a folder or not readable.
     """
-    if path.is_dir():
+    if is_there(path) and path.is_dir():
         raise TermselError("this is a folder, expected a file", file=path, hint=expected)
+    refuse_pipe(path)
     try:
         with path.open("rb") as file:
             head = file.read(_HEAD)
@@ -177,6 +183,36 @@ def read_head(path: Path, expected: str) -> bytes:
     if not head.strip():
         raise TermselError("the file is empty", file=path, hint=expected)
     return head
+
+
+@contextmanager
+def read_once(path: Path) -> Iterator[Path]:
+    """Yield a file for readers, which open it several times: the path, or a copy of a pipe.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+        Of a pipe that the shell has opened, such as ``<(...)`` or /dev/stdin, all is read. Other
+        pipes are left to readers, which refuse them: nobody may ever write to them.
+
+    Raises
+    ------
+    TermselError
+        If the pipe cannot be read. Errors in the block that name the copy name the pipe.
+    """
+    if not is_open_pipe(path):
+        yield path
+        return
+    with private_folder() as folder:
+        copy = folder / path.name
+        try:
+            copy.write_bytes(path.read_bytes())
+        except OSError as error:
+            raise _unreadable(path, error) from error
+        try:
+            yield copy
+        except TermselError as error:
+            raise located(error, Path(str(error.file).replace(str(copy), str(path)))) from error
 
 
 def _unreadable(path: Path, error: OSError) -> TermselError:

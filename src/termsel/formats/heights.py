@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from termsel.errors import TermselError
+from termsel.errors import TermselError, printable
 from termsel.formats.rasters import open_raster, positions
 from termsel.measurements.crs import LOCAL, vertical_datum
 from termsel.measurements.features import FeatureSet, FloatArray
@@ -193,8 +193,8 @@ def with_heights(features: FeatureSet, dem: Path) -> FeatureSet:
                            f"where it has no data: {named}", file=dem, ids=names,
                            hint="Give a larger raster, fill its holes, or remove these features.")
     n = len(features.points)
-    statement = (f"{unknown.sum()} of {len(ground)} heights from {dem.name}, bilinear; vertical "
-                 f"datum: {datum}")
+    statement = (f"{unknown.sum()} of {len(ground)} heights from {printable(dem.name)}, bilinear; "
+                 f"vertical datum: {datum}")
     log.info("Heights: %s.", statement)
     return replace(
         features, heights=statement,

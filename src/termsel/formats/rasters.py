@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from termsel.errors import TermselError
+from termsel.formats.files import is_there, refuse_pipe, utf8_name
 from termsel.formats.remote import HINT, NO_PROXY_EXISTS, local_alone
 from termsel.measurements.features import FloatArray
 
@@ -75,16 +76,17 @@ def open_raster(path: Path | str) -> Iterator[Any]:
     rasterio = require_rasterio()
     from rasterio._err import CPLE_BaseError
 
+    refuse_pipe(Path(path))
     try:
-        with local_alone(path) as options, rasterio.Env(**options):
+        with local_alone(path) as options, rasterio.Env(**options), utf8_name(path) as name:
             with warnings.catch_warnings():
                 # An image that is to be georeferenced has no geotransform.
                 warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
-                raster = rasterio.open(path)
+                raster = rasterio.open(name)
             with raster:
                 yield raster
     except (rasterio.errors.RasterioError, CPLE_BaseError) as error:
-        if not Path(path).exists():
+        if not is_there(Path(path)):
             raise TermselError("this file does not exist", file=path,
                                hint="Check the name and the folder.") from error
         # rasterio's own message only points to the cause.

@@ -144,8 +144,12 @@ def _number(text: str, name: str, line: int | None = None) -> float:
 
 
 def _from_xml(path: Path) -> Rpc:
+    content = path.read_bytes()
+    # Without a declaration it is GDAL's, which writes names of files with the bytes they have.
+    declared = content.lstrip().startswith(b"<?xml")
     try:
-        root = ElementTree.fromstring(path.read_bytes())
+        root = ElementTree.fromstring(
+            content if declared else content.decode("utf-8-sig", errors="replace"))
     except ElementTree.ParseError as error:
         raise TermselError(f"this XML cannot be read: {error}", file=path,
                            line=error.position[0], hint="Is the file complete?") from error

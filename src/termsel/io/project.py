@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -10,6 +11,8 @@ import numpy as np
 
 from termsel.errors import TermselError, counted
 from termsel.fits.extrapolation import FAR, outside
+from termsel.formats.base import read_once
+from termsel.formats.files import is_there
 from termsel.formats.heights import surface_of
 from termsel.formats.readers.csv_tables import COORDINATES, table_text
 from termsel.formats.readers.tables import Table, read_table
@@ -132,6 +135,9 @@ def _control(result: Result) -> FloatArray:
 
 
 def _table(path: Path, *meanings: str) -> Table:
-    if not path.is_file():
-        raise TermselError("this file does not exist", file=path)
-    return read_table(path, _ID | {meaning: COORDINATES[meaning] for meaning in meanings})
+    known = _ID | {meaning: COORDINATES[meaning] for meaning in meanings}
+    with read_once(path) as file:
+        if not is_there(file):
+            raise TermselError("this file does not exist", file=path,
+                               hint="Check the name and the folder.")
+        return replace(read_table(file, known), path=path)

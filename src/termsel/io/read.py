@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import ExitStack
 from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
 from termsel.errors import TermselError, counted, unknown_name
-from termsel.formats.base import Reader, is_utf16, located, read_head, utf16_error
+from termsel.formats.base import Reader, is_utf16, located, read_head, read_once, utf16_error
 from termsel.measurements.crs import EXAMPLES, check_ground, normalise
 from termsel.measurements.features import FeatureSet, join_lines, join_points, no_lines, no_points
 from termsel.plugins.registry import registry
@@ -49,12 +50,18 @@ def read(
     TermselError
         Naming file, line and column, for anything the user can correct.
     """
-    paths = [None if path is None else Path(path) for path in (points, lines, areas)]
-    features = read_features(
-        *paths[:2], areas=paths[2], crs=crs,
-        readers=[entry.object for entry in registry().entries("readers")],
-        formats=[format] if isinstance(format, str) else format,
-        options={key: value for key, value in options.items() if value is not None})
+    of_readers = {key: value for key, value in options.items() if value is not None}
+    with ExitStack() as stack:
+        image_lines = of_readers.get("image_lines")
+        once = {Path(path): stack.enter_context(read_once(Path(path)))
+                for path in dict.fromkeys((points, lines, areas, image_lines)) if path is not None}
+        paths = [None if path is None else once[Path(path)] for path in (points, lines, areas)]
+        if image_lines is not None:
+            of_readers["image_lines"] = str(once[Path(image_lines)])
+        features = read_features(
+            *paths[:2], areas=paths[2], crs=crs,
+            readers=[entry.object for entry in registry().entries("readers")],
+            formats=[format] if isinstance(format, str) else format, options=of_readers)
     if dem is None:
         return features
     from termsel.formats.heights import with_heights

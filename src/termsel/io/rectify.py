@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import warnings
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,6 +13,7 @@ import numpy as np
 
 from termsel.errors import TermselError
 from termsel.formats.atomic import atomic_path, private_folder, write_text
+from termsel.formats.files import utf8_folder, utf8_name
 from termsel.formats.heights import surface_of
 from termsel.formats.rasters import open_raster, require_rasterio
 from termsel.formats.rpc_files import rpc_items
@@ -111,15 +112,20 @@ def rectify(
     picture = picture_for(result, image)
     result = result.of_image(picture.size)
     level = float(result.fit.ground_box()[0][2]) if height is None else height
-    with private_folder() as folder:
+    with ExitStack() as stack:
+        folder = stack.enter_context(private_folder())
         source, options = _source(result, picture, folder / "scene.vrt", dem, level)
+        if "RPC_DEM" in options:
+            options["RPC_DEM"] = str(stack.enter_context(utf8_name(options["RPC_DEM"])))
         outline = _ground(result, dem, level, target)
         shape, transform = _map(result, outline, dem, resolution)
         with open_raster(source) as raster, atomic_path(output) as temporary:
             empty = _nodata(raster) if nodata is None else _held(nodata, raster.dtypes[0])
             _say(shape, transform, target, outline, dem)
-            _warp(raster, temporary, shape, transform, target, empty, progress,
-                  resampling=resampling, **options)
+            with utf8_folder(temporary.parent) as place, _gdal_faults(output):
+                _warp(raster, place / "map.tif", shape, transform, target, empty, progress,
+                      resampling=resampling, **options)
+                (place / "map.tif").replace(place / temporary.name)
 
 
 def _source(result: Result, picture: Picture, vrt: Path, dem: Path | str | None, height: float,
@@ -136,7 +142,7 @@ def _source(result: Result, picture: Picture, vrt: Path, dem: Path | str | None,
     if dem is None:
         return vrt, {"RPC_HEIGHT": height}
     # Heights are those of the control: the datum must not change after the fit.
-    return vrt, {"RPC_DEM": str(Path(dem).resolve()), "RPC_DEM_APPLY_VDATUM_SHIFT": "FALSE"}
+    return vrt, {"RPC_DEM": str(Path(dem).absolute()), "RPC_DEM_APPLY_VDATUM_SHIFT": "FALSE"}
 
 
 def _rpc(result: Result) -> RpcFit | None:
@@ -241,7 +247,7 @@ def _warp(raster: Any, output: Path, shape: tuple[int, int], transform: Any, crs
     from rasterio.shutil import copy
     from rasterio.warp import reproject
 
-    plain = output.with_name(f"{output.stem}-tiles.tif")
+    plain = output.with_name("tiles.tif")
     profile = {"driver": "GTiff", "height": shape[0], "width": shape[1], "count": raster.count,
                "dtype": raster.dtypes[0], "crs": crs, "transform": transform, "nodata": nodata,
                "tiled": True, "compress": "deflate", "bigtiff": "if_safer"}
@@ -249,26 +255,22 @@ def _warp(raster: Any, output: Path, shape: tuple[int, int], transform: Any, crs
     tiles = [(row, column) for row in range(0, shape[0], _TILE)
              for column in range(0, shape[1], across)]
     bands = list(range(1, raster.count + 1))
-    try:
-        with _gdal_faults(output), rasterio.open(plain, "w", **profile) as tiled:
-            tiled.colorinterp = raster.colorinterp
-            for done, (row, column) in enumerate(tiles):
-                window = rasterio.windows.Window(
-                    column, row, min(across, shape[1] - column), min(_TILE, shape[0] - row))
-                pixels = np.full((raster.count, window.height, window.width), nodata,
-                                 dtype=raster.dtypes[0])
-                # Only where RPCs are named here does rasterio let GDAL compute every pixel's place
-                # rather than interpolate along lines, which does not hold in relief.
-                reproject(rasterio.band(raster, bands), pixels, dst_crs=crs, dst_nodata=nodata,
-                          dst_transform=tiled.window_transform(window), rpcs=raster.rpcs,
-                          resampling=Resampling[resampling], **options)
-                tiled.write(pixels, window=window)
-                if progress is not None:
-                    progress((done + 1) / len(tiles))
-        with _gdal_faults(output):
-            copy(plain, output, driver="COG", compress="deflate", bigtiff="if_safer")
-    finally:
-        plain.unlink(missing_ok=True)
+    with rasterio.open(plain, "w", **profile) as tiled:
+        tiled.colorinterp = raster.colorinterp
+        for done, (row, column) in enumerate(tiles):
+            window = rasterio.windows.Window(
+                column, row, min(across, shape[1] - column), min(_TILE, shape[0] - row))
+            pixels = np.full((raster.count, window.height, window.width), nodata,
+                             dtype=raster.dtypes[0])
+            # Only where RPCs are named here does rasterio let GDAL compute every pixel's place
+            # rather than interpolate along lines, which does not hold in relief.
+            reproject(rasterio.band(raster, bands), pixels, dst_crs=crs, dst_nodata=nodata,
+                      dst_transform=tiled.window_transform(window), rpcs=raster.rpcs,
+                      resampling=Resampling[resampling], **options)
+            tiled.write(pixels, window=window)
+            if progress is not None:
+                progress((done + 1) / len(tiles))
+    copy(plain, output, driver="COG", compress="deflate", bigtiff="if_safer")
 
 
 @contextmanager

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from termsel.errors import TermselError
+from termsel.formats.files import is_there
 from termsel.formats.rasters import open_raster
 from termsel.io.result_folder import files_of_result
 
@@ -33,7 +35,7 @@ def require_replaceable(files: Iterable[Path], *, reads: Iterable[object] = (),
     TermselError
         Naming the file; or if it cannot be told whether there is one.
     """
-    there = [file for file in files if _there(file)]
+    there = [file for file in files if is_there(file)]
     if not there:
         return
     read = list(_sources(reads))
@@ -48,24 +50,13 @@ def require_replaceable(files: Iterable[Path], *, reads: Iterable[object] = (),
                            hint="Choose another name, or add --overwrite.")
 
 
-def _there(path: Path) -> bool:
-    try:
-        return path.exists()
-    except OSError as error:  # a name that is too long, a folder without permission
-        raise TermselError(f"cannot write this file: {error.strerror or error}", file=path,
-                           hint="Choose another name or folder.") from error
-
-
 def _sources(reads: Iterable[object]) -> Iterator[Path]:
     """Yield the files that are there, with those of results and the sources of VRTs."""
     waiting = [Path(read) for read in reads if isinstance(read, str | Path)]
     seen: set[Path] = set()
     while waiting:
         path = waiting.pop()
-        try:
-            if path in seen or not path.exists():
-                continue
-        except OSError:  # what cannot be found is not read
+        if path in seen or not os.path.exists(path):
             continue
         seen.add(path)
         yield path

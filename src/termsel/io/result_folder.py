@@ -24,6 +24,7 @@ from termsel.fits.least_squares import fit
 from termsel.fits.rmse import Rmse
 from termsel.formats.atomic import encoded, private_folder, put_in_place, sync, write_bytes
 from termsel.formats.base import located, read_text
+from termsel.formats.files import is_there
 from termsel.formats.readers.csv_tables import (
     LinesCsv,
     PointsCsv,
@@ -84,7 +85,7 @@ def claim_folder(folder: Path, *, overwrite: bool = False) -> None:
     if not os.access(folder, os.W_OK | os.X_OK):
         raise TermselError(f"cannot write to the folder {folder}", hint="Choose another --out.")
     for name in (POINTS, LINES, RESIDUALS, SUMMARY):
-        if (folder / name).exists() and not _place(folder, RECORD).exists():
+        if is_there(folder / name) and not is_there(_place(folder, RECORD)):
             raise TermselError("the result would replace this file, which is not part of a result",
                                file=folder / name, hint="Choose another --out.")
     if not overwrite and _place(folder, RECORD).exists():
@@ -157,7 +158,7 @@ def _cannot_write(folder: Path, error: OSError) -> TermselError:
 def _place(folder: Path, name: str) -> Path:
     """Return where a file of the result is: pending, if that is not yet put in place."""
     pending = folder / _PENDING / name
-    return pending if pending.exists() else folder / name
+    return pending if is_there(pending) else folder / name
 
 
 def read_result(folder: Path | str) -> Result:
@@ -180,7 +181,7 @@ def read_result(folder: Path | str) -> Result:
         its model is of a plugin that is not installed.
     """
     path = _place(Path(folder), RECORD)
-    if not path.is_file():
+    if not is_there(path):
         raise TermselError("there is no result here", file=path,
                            hint="Give the folder of a run, as in termsel run --out DIR.")
     try:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from termsel.criteria import Criterion
-from termsel.errors import TermselError, counted, unknown_name
+from termsel.errors import TermselError, counted, printable, unknown_name
 from termsel.fits.diagnosis import orientation_spread
 from termsel.measurements.features import FeatureSet, Points
 from termsel.measurements.roles import Observations, asked_roles, check_as_control, with_roles
@@ -205,8 +205,8 @@ def ask(
         source = f"{spec.name} (simulated)" if spec.simulated else spec.name
     features = with_roles(features, named)
     return Request(recipe, model_type(**{**own, **chosen["model"]}), the_criterion,
-                   solver_type(**chosen["solver"]), features, source or "given in Python",
-                   {"problem": of_problem, "data": of_data})
+                   solver_type(**chosen["solver"]), features,
+                   printable(source or "given in Python"), {"problem": of_problem, "data": of_data})
 
 
 def observe(request: Request) -> Observations:

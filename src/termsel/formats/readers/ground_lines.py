@@ -13,6 +13,7 @@ import numpy as np
 
 from termsel.errors import TermselError
 from termsel.formats.base import Reader, located, read_head
+from termsel.formats.files import utf8_name
 from termsel.formats.readers.csv_tables import LINES
 from termsel.formats.readers.geojson import (
     Feature,
@@ -107,15 +108,19 @@ def _read_layer(path: Path, layer: str | None) -> tuple[list[Feature], str]:
         raise TermselError("this requires pyogrio and shapely, which are not installed", file=path,
                            hint='Install them: pip install "termsel[gis]".') from None
     try:
-        with local_alone(path) as options, _configured(options), catch_warnings():
+        with (local_alone(path) as options, _configured(options), catch_warnings(),
+              utf8_name(path) as name):
             simplefilter("ignore")  # what GDAL says of a file that it reads all the same
-            meta, _, geometries, columns = read(path, layer=layer)
-        shapes = from_wkb(geometries)
+            meta, _, geometries, columns = read(name, layer=layer)
+        shapes = None if geometries is None else from_wkb(geometries)
     except (DataSourceError, DataLayerError, GEOSException, ValueError) as error:
         raise TermselError(f"GDAL cannot read this file: {error}", file=path,
                            hint="Is it complete? A Shapefile needs its .shx and .dbf next to it."
                            ) from error
     names = list(meta["fields"])
+    if shapes is None:
+        raise TermselError("the layer has no geometry", file=path,
+                           hint="Give a layer of lines; --set layer=NAME chooses it.")
     if not len(shapes):
         raise TermselError("the layer has no features", file=path)
     features = []

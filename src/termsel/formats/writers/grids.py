@@ -16,6 +16,7 @@ from termsel.fits.fit import Fit
 from termsel.formats.atomic import atomic_path, encoded, write_bytes, write_text
 from termsel.formats.base import Writer
 from termsel.formats.deviation import by_splines, places_of, say_deviation
+from termsel.formats.files import is_there
 from termsel.formats.heights import Dem, surface_of
 from termsel.formats.rasters import require_rasterio, tiff_bytes
 from termsel.formats.vrt import IMAGE, Gcp, picture_for, vrt_text
@@ -142,7 +143,7 @@ class GeolocationVrt(GridWriter):
     def files(self, path: Path) -> tuple[Path, ...]:
         """Return the VRT and the array next to it, under the name or names in use."""
         arrays = _arrays(path)
-        return path, *([array for array in arrays if array.exists()] or arrays[:1])
+        return path, *([array for array in arrays if is_there(array)] or arrays[:1])
 
     def write(self, result: Result, path: Path) -> None:
         """Write a VRT and, next to it, FILE_xy.tif with longitudes or eastings and so on.

@@ -13,6 +13,7 @@ from termsel.errors import TermselError
 from termsel.formats.atomic import atomic_path, encoded, private_folder, write_bytes, write_text
 from termsel.formats.base import Writer
 from termsel.formats.deviation import places_of, say_deviation
+from termsel.formats.files import is_there
 from termsel.formats.rasters import empty_tiff, open_raster, require_rasterio
 from termsel.formats.rpc_files import read_rpc, rpb_text, rpc_items, rpc_txt_text
 from termsel.formats.vrt import IMAGE, picture_for, vrt_text
@@ -73,7 +74,7 @@ class RpcWriter(Writer):
         image = self.options["image"]
         vendors = [vendor for ending in (".RPB", ".rpb") if self.suffix == "_RPC.TXT"
                    for vendor in [path.with_name(_stem(path, self.suffix) + ending)]
-                   if vendor.exists()]
+                   if is_there(vendor)]
         if vendors:
             log.warning("Warning: GDAL uses the RPC of %s and not that of %s. Move the former "
                         "away, or write a VRT with --to rpc-vrt.", vendors[0].name, path.name)

@@ -9,7 +9,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from termsel.errors import TermselError
+from termsel.errors import TermselError, printable
 from termsel.formats.atomic import write_text
 from termsel.formats.base import Writer
 from termsel.formats.deviation import say_measured, say_splines
@@ -115,7 +115,7 @@ class OrthorityGeojson(SelectionWriter):
             features.append({
                 "type": "Feature",
                 "properties": {
-                    "filename": Path(image).name if image is not None else "",
+                    "filename": printable(Path(image).name) if image is not None else "",
                     "id": name, "ji": [sample, line], "info": "", "role": points.roles[i],
                     "residual": errors[i, ::-1].tolist()},
                 "geometry": {"type": "Point", "coordinates": ground[i].tolist()}})

@@ -1,0 +1,96 @@
+"""Names of files: what is there, what can be read, and what other libraries take."""
+
+from __future__ import annotations
+
+import glob
+import os
+import stat
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from termsel.errors import TermselError
+from termsel.formats.atomic import private_folder
+
+
+def is_there(path: Path) -> bool:
+    """Return whether there is such a file or folder.
+
+    Raises
+    ------
+    TermselError
+        If it cannot be told: the name is too long, its folder may not be searched, or symbolic
+        links lead in a circle.
+    """
+    try:
+        path.stat()
+    except (FileNotFoundError, NotADirectoryError):
+        return False
+    except OSError as error:
+        raise TermselError(f"cannot look for this file: {error.strerror or error}", file=path,
+                           hint="Check the name, and the permissions of its folder.") from error
+    return True
+
+
+def is_open_pipe(path: Path) -> bool:
+    """Return whether this is a pipe that the shell has opened: ``<(...)`` or /dev/stdin."""
+    return str(path).startswith(("/dev/", "/proc/")) and _kind(path) == stat.S_IFIFO
+
+
+def refuse_pipe(path: Path) -> None:
+    """Refuse a pipe or a device, which cannot be read twice or never ends.
+
+    Raises
+    ------
+    TermselError
+    """
+    if _kind(path) not in (None, stat.S_IFREG, stat.S_IFDIR):
+        raise TermselError("this is a pipe or a device, expected a file", file=path,
+                           hint="Save what it carries to a file, and give that.")
+
+
+def _kind(path: Path) -> int | None:
+    try:
+        return stat.S_IFMT(path.stat().st_mode)
+    except OSError:  # whoever opens it says why
+        return None
+
+
+@contextmanager
+def utf8_name(path: Path | str) -> Iterator[Path | str]:
+    """Yield a name for libraries that take only UTF-8: the path, or that of a link to it.
+
+    Files with the same stem are linked too, as GDAL looks for them next to an image.
+    """
+    if _is_utf8(Path(path)):
+        yield path
+        return
+    path = Path(path)
+    with private_folder() as folder:
+        for file in (path, *path.parent.glob(f"{glob.escape(path.stem)}*")):
+            with suppress(FileExistsError):
+                (folder / _in_utf8(file.name)).symlink_to(file.absolute())
+        yield folder / _in_utf8(path.name)
+
+
+@contextmanager
+def utf8_folder(folder: Path) -> Iterator[Path]:
+    """Yield a name of a folder to write to, likewise."""
+    if _is_utf8(folder):
+        yield folder
+        return
+    with private_folder() as own:
+        (own / "folder").symlink_to(folder.absolute(), target_is_directory=True)
+        yield own / "folder"
+
+
+def _is_utf8(path: Path) -> bool:
+    try:
+        str(path.absolute()).encode()
+    except UnicodeEncodeError:
+        return False
+    return True
+
+
+def _in_utf8(name: str) -> str:
+    return os.fsencode(name).decode("utf-8", errors="replace")
