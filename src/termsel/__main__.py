@@ -6,9 +6,9 @@ import io
 import os
 import sys
 from types import TracebackType
+from typing import NoReturn
 
-from termsel.cli.main import cli
-from termsel.errors import cut, printable
+from termsel.interrupts import answered, watch
 from termsel.version import __version__
 
 FAULT = """\
@@ -27,6 +27,8 @@ def report_fault(
     kind, error, trace
         As for `sys.excepthook`.
     """
+    from termsel.errors import cut, printable
+
     if os.environ.get("TERMSEL_DEBUG") == "1":
         sys.__excepthook__(kind, error, trace)
     what = " ".join(f"{kind.__name__}: {error}".split()).rstrip(".: ")
@@ -54,9 +56,26 @@ def open_streams() -> None:
 
 def main() -> None:
     """Run the command line."""
+    watch()
     sys.excepthook = report_fault
-    open_streams()
-    cli.main(prog_name="termsel")
+    try:
+        from termsel.cli.main import cli
+
+        open_streams()
+        cli.main(prog_name="termsel")
+    except KeyboardInterrupt:  # before the command line answers
+        _interrupted()
+    except (Exception, SystemExit) as error:
+        # A library may have made another error of it, such as "cannot be imported".
+        if answered() and getattr(error, "code", 1) != 0:
+            _interrupted()
+        raise
+
+
+def _interrupted() -> NoReturn:
+    answered()
+    print("Interrupted.", file=sys.stderr)
+    sys.exit(130)
 
 
 if __name__ == "__main__":

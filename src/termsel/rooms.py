@@ -26,6 +26,7 @@ ROOMS = {
     "measurements": "features, roles, areas, coordinates, scaling, data sets",
     "options": "typed, documented options",
     "threads": "threads of linear algebra",
+    "interrupts": "Ctrl-C that is not lost",
     "errors": "what the user can correct",
     "version": "the version of termsel",
     "rooms": "this list",

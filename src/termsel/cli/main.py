@@ -19,6 +19,7 @@ import click
 
 from termsel.cli.messages import echo
 from termsel.errors import TermselError, unknown_name
+from termsel.interrupts import answered
 from termsel.plugins.commands import COMMANDS
 from termsel.version import __version__
 
@@ -133,6 +134,7 @@ class Commands(click.Group):
             echo(page.getvalue(), err=True, nl=False)
             sys.exit(CORRECTABLE)
         except (click.Abort, KeyboardInterrupt):
+            answered()
             echo("Interrupted.", err=True)
             sys.exit(INTERRUPTED)
         sys.exit(value if isinstance(value, int) else 0)

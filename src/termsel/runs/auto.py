@@ -22,6 +22,7 @@ from termsel.fits.accuracy import accuracy_of, predicted_rmse
 from termsel.fits.diagnosis import diagnose
 from termsel.fits.extrapolation import warnings_of
 from termsel.fits.figures import figures, in_role, residuals_of
+from termsel.interrupts import answered
 from termsel.measurements.features import FloatArray, no_points, select
 from termsel.measurements.roles import Observations, together
 from termsel.measurements.twins import merged
@@ -160,6 +161,7 @@ def choose_for(request: Request, observations: Observations, seed: int,
         choice, interrupted = best_of(watch.judged), True
         if choice is None:
             raise
+        answered()
     if choice is None:
         raise TermselError(
             f"{len(both)} control and check points are too few for any model with redundancy, or "

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from termsel.errors import TermselError
+from termsel.interrupts import answered
 from termsel.measurements.features import BoolArray, FloatArray
 from termsel.problems.base import Problem
 from termsel.solvers.base import Generation, Solver
@@ -161,6 +162,7 @@ def search(
     except KeyboardInterrupt:
         if ledger.best_genes is None:
             raise
+        answered()
         done, lookups, interrupted = ledger.count, ledger.lookups, True
     if ledger.best_genes is None:
         raise TermselError(f"solver {solver.name!r} evaluated nothing", hint="Increase the budget.")
