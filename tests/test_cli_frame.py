@@ -163,6 +163,16 @@ def test_everything_with_a_name_can_be_described(call, built_in):
                 assert option.doc in done.stdout
 
 
+def test_describe_says_what_a_writer_needs(call, built_in):
+    for entry in built_in.entries("writers"):
+        shown = call("describe", entry.name).stdout
+        assert (f"Needs: {entry.object.needs}\n" in shown) == bool(entry.object.needs)
+    assert entry.object.needs == "pyogrio and shapely (termsel[gis])"
+    for name in ("rpc-vrt", "gcp-grid-vrt", "geolocation-vrt", "gcp-vrt"):
+        assert "--image for a VRT that has pixels" in built_in.get("writers", name).needs
+    assert "control points" in built_in.get("writers", "points-csv").needs
+
+
 def test_describe_shows_the_options_of_the_data_with_every_problem(call, built_in):
     for entry in built_in.entries("problems"):
         done = call("describe", entry.name)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -104,6 +105,33 @@ def test_an_rpc_that_is_far_from_the_model_warns(tmp_path: Path, caplog: pytest.
     apart = np.hypot(*(rpc.project(places) - bent.project(places)).T)
     assert px == pytest.approx(apart.max(), rel=0.05)
     assert (level == logging.WARNING) == (px > 1)
+
+
+def test_a_vrt_without_an_image_holds_all_features(tmp_path: Path,
+                                                   caplog: pytest.LogCaptureFixture) -> None:
+    features = replace(simulate_scene("ikonos-hamedan", n_lines=0), image_size=None)
+    result = termsel.run("rfm-terms", features=features, model="affine", solver="all-terms",
+                         criterion="press")
+    lines, samples = (int(value) + 1 for value in features.points.image.max(axis=0))
+    with caplog.at_level(logging.WARNING, logger="termsel"):
+        termsel.export(result, "rpc-vrt", tmp_path / "s.vrt")
+    assert ("Warning: the size of the image is not known; "
+            f"{lines} lines and {samples} samples hold all features. Give --image FILE."
+            ) in caplog.text
+    assert f'rasterXSize="{samples}" rasterYSize="{lines}"' in (tmp_path / "s.vrt").read_text()
+
+
+def test_a_format_that_cannot_hold_a_result_says_what_it_needs(relief: termsel.Result,
+                                                               tmp_path: Path) -> None:
+    with pytest.raises(termsel.TermselError, match=r"needs control lines\. Formats that do: rpb"):
+        termsel.export(relief, "lines-csv", tmp_path / "s.csv")
+
+
+def test_an_rpc_is_not_a_file_of_features(relief: termsel.Result, tmp_path: Path) -> None:
+    for to in ("rpb", "rpc-txt"):
+        termsel.export(relief, to, tmp_path / "s.x", overwrite=True)
+        with pytest.raises(termsel.TermselError, match="holds an RPC and no control features"):
+            termsel.read(tmp_path / "s.x")
 
 
 def test_every_format_says_its_deviation_or_that_it_holds_measurements(

@@ -171,6 +171,9 @@ def test_dimap_version_3_counts_from_its_first_column(tmp_path: Path) -> None:
     path.write_text(DIMAP_3.format(wrong=values(7.0), right=values(1.0)))
     assert np.allclose(read_rpc(path).project([[7.0, 43.0, 600.0], [7.1, 43.1, 0.0]]),
                        [[6000.0, 5000.0], [12000.0, 10000.0]])
+    path.write_text(path.read_text().replace("<FIRST_COL>0.5</FIRST_COL>", ""))
+    with pytest.raises(TermselError, match="does not state the first column of its image"):
+        read_rpc(path)
 
 
 def _simple(**other: object) -> Rpc:

@@ -101,6 +101,8 @@ def _describe_dataset(entry: Entry) -> None:
 def _describe_format(entry: Entry) -> None:
     echo(f"\n{entry.summary}")
     _document(entry)
+    if needs := getattr(entry.object, "needs", ""):
+        _pairs({"needs": needs})
     _options(getattr(entry.object, "declared_options", ()))
 
 

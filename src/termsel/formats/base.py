@@ -84,12 +84,15 @@ class Writer(Configurable, ABC):
         As in ``termsel export --to``.
     summary : str
         One line that says what is written and who reads it.
+    needs : str
+        What of a result, an installation or an image it requires, for ``termsel describe``.
     suffix : str
         Ending of the file names that ``termsel run --export`` chooses.
     """
 
     name: ClassVar[str]
     summary: ClassVar[str]
+    needs: ClassVar[str] = ""
     suffix: ClassVar[str] = ""
 
     @abstractmethod

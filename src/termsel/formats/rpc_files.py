@@ -185,6 +185,10 @@ def _from_dimap(root: ElementTree.Element) -> Rpc:
     if values is None:
         raise TermselError("this DIMAP file has no model from ground to image",
                            hint="Expected Inverse_Model or GroundtoImage_Values in Global_RFM.")
+    if not first:
+        raise TermselError("this DIMAP file does not state the first column of its image",
+                           hint="Expected FIRST_COL in ImagetoGround_Validity_Domain, as in the "
+                                "RPC_*.XML that came with the image.")
     items = dict(_texts(domain)) | dict(_texts(values))
     origin = _number(first, "FIRST_COL")
     for name in ("LINE_OFF", "SAMP_OFF"):

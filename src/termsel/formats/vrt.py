@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import logging
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from xml.sax.saxutils import escape, quoteattr
 
+import numpy as np
+
 from termsel.errors import TermselError
 from termsel.formats.rasters import open_raster
 from termsel.options import Option
 from termsel.results.result import Result
+
+log = logging.getLogger(__name__)
 
 IMAGE = Option("image", None, "The image; if not given, the VRT has a size but no pixels.")
 """Option of every writer of a VRT."""
@@ -84,8 +89,13 @@ def picture_for(result: Result, image: Path | str | None) -> Picture:
     """
     known = result.features.image_size
     if image is None:
-        bottom, right = result.fit.image_box()[1]
-        return Picture(known or (max(1, int(bottom) + 1), max(1, int(right) + 1)))
+        bottom, right = np.maximum(result.fit.image_box()[1],
+                                   result.features.image_vertices().max(axis=0))
+        size = known or (max(1, int(bottom) + 1), max(1, int(right) + 1))
+        if known is None:
+            log.warning("Warning: the size of the image is not known; %d lines and %d samples hold "
+                        "all features. Give --image FILE.", *size)
+        return Picture(size)
     picture = picture_of(Path(image))
     bottom, right = result.features.image_vertices().max(axis=0)
     if known is None and (bottom > picture.size[0] or right > picture.size[1]):

@@ -78,9 +78,9 @@ def export(result: Result, to: str, path: Path | str, *, overwrite: bool = False
     if not writer.accepts(result):
         others = ", ".join(entry.name for entry in registry().entries("writers")
                            if entry.object().accepts(result))
+        needs = f"It needs {writer.needs}. " if writer.needs else ""
         raise TermselError(f"the format {to} cannot hold this result",
-                           hint=f"termsel describe {to} says what it needs. Formats that do: "
-                                f"{others}.")
+                           hint=f"{needs}Formats that do: {others}.")
     require_replaceable(writer.files(path), reads=writer.options.values(),
                         overwrite=overwrite)
     writer.write(result, path)

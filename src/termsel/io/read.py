@@ -117,6 +117,10 @@ def find_reader(path: Path, readers: Iterable[type[Reader]], format: str | None 
             return reader
     if is_utf16(head):
         raise utf16_error(path)
+    if any(name in head for name in (b"LINE_NUM_COEFF", b"lineNumCoef", b"Global_RFM")):
+        raise TermselError("this file holds an RPC and no control features", file=path,
+                           hint="--problem rpc-gcps --set rpc=FILE refines it by points, with the "
+                                "package termsel-rpc.")
     kind = "binary file" if b"\0" in head else "file"
     raise TermselError(f"this {kind} is in no format that termsel knows", file=path, hint=expected)
 

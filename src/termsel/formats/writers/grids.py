@@ -95,6 +95,8 @@ class GcpGridVrt(GridWriter):
 
     name = "gcp-grid-vrt"
     summary = "any model as a grid of computed GCPs in a VRT of the image, for gdalwarp -tps"
+    needs = ("any model; with heights a raster of them (--dem), else the ground is level; --image "
+             "for a VRT that has pixels")
     suffix = "_grid.vrt"
     declared_options: ClassVar[tuple[Option, ...]] = (
         IMAGE, *_GROUND, Option("across", 20, "Meshes along each side of the image.", int, 1, 60))
@@ -134,6 +136,7 @@ class GeolocationVrt(GridWriter):
 
     name = "geolocation-vrt"
     summary = "any model as a geolocation array (GeoTIFF) with a VRT of the image, for gdalwarp"
+    needs = GcpGridVrt.needs + "; rasterio (termsel[gis])"
     suffix = "_geolocation.vrt"
     declared_options: ClassVar[tuple[Option, ...]] = (
         IMAGE, *_GROUND,

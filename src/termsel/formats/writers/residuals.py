@@ -29,6 +29,7 @@ class ResidualsGeopackage(Writer):
 
     name = "residuals-gpkg"
     summary = "residuals as GeoPackage: layers of points and of vectors, for a map in a GIS"
+    needs = "pyogrio and shapely (termsel[gis])"
     suffix = "_residuals.gpkg"
     declared_options: ClassVar[tuple[Option, ...]] = (
         Option("exaggeration", None, "Exaggeration of the vectors; by default the median one has 3 "

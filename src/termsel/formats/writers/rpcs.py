@@ -37,6 +37,9 @@ _SIDECAR = Option("image", None, "The image for which the file is written; terms
 class RpcWriter(Writer):
     """Base of the writers of RPC files."""
 
+    needs = ("a model of ground coordinates in a CRS, which an RPC can follow; pyproj "
+             "(termsel[gis]) unless the CRS is EPSG:4979 or EPSG:4326")
+
     def accepts(self, result: Result) -> bool:
         """Return True if the ground coordinates are in a CRS."""
         return normalise(result.fit.control.crs) != LOCAL
@@ -120,6 +123,7 @@ class RpcVrt(RpcWriter):
 
     name = "rpc-vrt"
     summary = "RPC in a VRT of the image, whatever vendor files are next to it"
+    needs = RpcWriter.needs + "; --image for a VRT that has pixels"
     suffix = "_rpc.vrt"
     declared_options: ClassVar[tuple[Option, ...]] = (IMAGE,)
 

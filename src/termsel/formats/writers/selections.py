@@ -25,6 +25,8 @@ from termsel.results.result import Result
 class SelectionWriter(Writer):
     """Base of the writers of control points."""
 
+    needs = "control points"
+
     def accepts(self, result: Result) -> bool:
         """Return True if the control has points."""
         return bool(len(result.fit.control.points))
@@ -91,6 +93,8 @@ class OrthorityGeojson(SelectionWriter):
 
     name = "orthority-geojson"
     summary = "selected control points as GeoJSON, which Orthority and GIS programs read"
+    needs = ("control points with heights, in a CRS; pyproj (termsel[gis]) if that is not WGS84; "
+             "--image for the name of the image")
     suffix = "_gcps.geojson"
     declared_options: ClassVar[tuple[Option, ...]] = (
         Option("image", None, "The image; its name is written with each point."),)
@@ -130,6 +134,7 @@ class GcpVrt(SelectionWriter):
 
     name = "gcp-vrt"
     summary = "selected control points as GCPs in a VRT of the image, for gdalwarp -tps or -order"
+    needs = "control points; --image for a VRT that has pixels"
     suffix = "_gcps.vrt"
     declared_options: ClassVar[tuple[Option, ...]] = (IMAGE,)
 
@@ -174,6 +179,7 @@ class LinesTable(Writer):
 
     name = "lines-csv"
     summary = "all control lines as CSV with the residuals of both vertices; termsel reads it"
+    needs = "control lines"
     suffix = "_lines.csv"
 
     def accepts(self, result: Result) -> bool:
