@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+import termsel
 from termsel.errors import TermselError
 from termsel.options import Option
 
@@ -35,3 +36,19 @@ def test_what_is_no_whole_number(value: object) -> None:
 def test_what_is_no_number(value: object) -> None:
     with pytest.raises(TermselError, match="does not accept"):
         Option("ridge", 0.5, "A number.", float).parse(value)
+
+
+def test_an_option_of_two_parts_is_addressed_by_one() -> None:
+    asked = {"solver": "lasso", "criterion": "kfold"}
+    with pytest.raises(TermselError, match="option 'folds' is one of the criterion and of the "
+                                           "solver") as refused:
+        termsel.prepare("poly-terms", **asked, options={"folds": 3})
+    assert refused.value.hint == "Write criterion.folds or solver.folds."
+    task = termsel.prepare("poly-terms", **asked, options={"solver.folds": 3})
+    assert task.solver.options["folds"] == 3
+    assert task.criterion.options["folds"] != 3
+    for wrong, message in (({"model.folds": 3}, r"unknown option 'model\.folds'"),
+                           ({"solver.loss": "huber"}, r"unknown option 'solver\.loss'"),
+                           ({"loss": "huber", "criterion.loss": "squares"}, "given twice")):
+        with pytest.raises(TermselError, match=message):
+            termsel.prepare("poly-terms", **asked, options=wrong)

@@ -109,6 +109,47 @@ class Option:
             return int(number)
 
 
+def by_part(given: Mapping[str, Any],
+            declared: Mapping[str, Iterable[Option]]) -> dict[str, dict[str, Any]]:
+    """Return which part of a run each given option is for.
+
+    Parameters
+    ----------
+    given : mapping
+        Values by name, or by ``part.name`` where several parts have an option of that name.
+    declared : mapping
+        The options of each part.
+
+    Returns
+    -------
+    dict
+        Given options by part, all parts among them.
+
+    Raises
+    ------
+    TermselError
+        For an option that no part has, that several have, or that is given twice.
+    """
+    parts_of: dict[str, list[str]] = {}
+    for part, options in declared.items():
+        for option in options:
+            parts_of.setdefault(option.name, []).append(part)
+    chosen: dict[str, dict[str, Any]] = {part: {} for part in declared}
+    for key, value in given.items():
+        asked, _, name = key.rpartition(".")
+        parts = [part for part in parts_of.get(name, ()) if asked in ("", part)]
+        if not parts:
+            raise unknown_name("option", key, parts_of)
+        if len(parts) > 1:
+            raise TermselError(f"option {name!r} is one of the {' and of the '.join(parts)}",
+                               hint=f"Write {' or '.join(f'{one}.{name}' for one in parts)}.")
+        if name in chosen[parts[0]]:
+            raise TermselError(f"option {name!r} of the {parts[0]} is given twice",
+                               hint="Give it once.")
+        chosen[parts[0]][name] = value
+    return chosen
+
+
 def resolve(declared: Iterable[Option], given: Mapping[str, Any]) -> dict[str, Any]:
     """Return the value of every declared option.
 

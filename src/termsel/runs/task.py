@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from termsel.criteria import Criterion
-from termsel.errors import TermselError, counted, printable, unknown_name
+from termsel.errors import TermselError, counted, printable
 from termsel.fits.diagnosis import orientation_spread
 from termsel.measurements.features import FeatureSet, Points
 from termsel.measurements.roles import Observations, asked_roles, check_as_control, with_roles
@@ -17,7 +17,7 @@ from termsel.measurements.roles import observe as assign_roles
 from termsel.measurements.scaling import Scaling, scaling_of
 from termsel.models.base import SensorModel, require_heights
 from termsel.models.interpolating import Interpolating
-from termsel.options import Option, resolve
+from termsel.options import Option, by_part, resolve
 from termsel.plugins.registry import registry
 from termsel.problems.base import Inputs, Problem
 from termsel.problems.constraints import MAX_SHARE
@@ -177,7 +177,7 @@ def ask(
     problem, features, dataset, source, model, solver, criterion, options
         As for `prepare`.
     """
-    names, given = registry(), dict(options or {})
+    names = registry()
     recipe: Recipe = names.get("problems", problem)
     model_type: type[SensorModel] = names.get("models", model or recipe.model)
     criterion_type: type[Criterion] = names.get("criteria", criterion or recipe.criterion)
@@ -187,9 +187,7 @@ def ask(
     declared = {
         "problem": recipe.options, "data": DATA_OPTIONS, "model": model_type.declared_options,
         "criterion": criterion_type.declared_options, "solver": solver_type.declared_options}
-    _refuse_unknown(given, declared)
-    chosen = {part: {o.name: given[o.name] for o in known if o.name in given}
-              for part, known in declared.items()}
+    chosen = by_part(options or {}, declared)
     own = recipe.model_options if model in (None, recipe.model) else {}
     the_criterion = criterion_type(**chosen["criterion"])
     of_problem = _of_problem(recipe, chosen["problem"], the_criterion, solver_type,
@@ -319,13 +317,6 @@ def _count(observations: Observations) -> int:
 
 def _are(count: int) -> str:
     return f"{count} is" if count == 1 else f"{count} are"
-
-
-def _refuse_unknown(given: Mapping[str, Any], declared: Mapping[str, Iterable[Option]]) -> None:
-    known = {option.name for part in declared.values() for option in part}
-    for key in given:
-        if key not in known:
-            raise unknown_name("option", key, known)
 
 
 def _taking_part(observations: Observations) -> FeatureSet:
