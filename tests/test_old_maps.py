@@ -150,3 +150,15 @@ def test_the_simulated_map_has_the_parts_it_is_made_of() -> None:
     assert not np.array_equal(simulate_map(seed=1).points.image, simulate_map().points.image)
     with pytest.raises(termsel.TermselError, match="noise = -1"):
         simulate_map(noise=-1.0)
+
+
+def test_a_blunder_smaller_than_the_error_of_any_polynomial_is_found() -> None:
+    mine, _ = scattered(1, 100)
+    polynomial = termsel.fit(FeatureSet(mine), "shrunken-cubic").leave_one_out_rmse()
+    assert polynomial is not None
+    middle = int(np.argmin(np.linalg.norm(mine.image - [3000, 4000], axis=1)))
+    image = mine.image.copy()
+    image[middle] += 3 * polynomial.line
+    found = find_blunders(FeatureSet(replace(mine, image=image)), heights=False)
+    assert found is not None
+    assert found.blunders.tolist() == [i == middle for i in range(100)]

@@ -33,7 +33,7 @@ from scipy.special import logsumexp
 from termsel.adjustment.equations import weights_of
 from termsel.adjustment.foresight import foresee
 from termsel.adjustment.monomials import Exponents, graded_exponents, monomials
-from termsel.adjustment.posterior import Posterior, posterior, scales_of
+from termsel.adjustment.posterior import Posterior, Prediction, posterior, scales_of
 from termsel.measurements.features import FloatArray, Points
 
 LENGTHS = ((0.15, 0.15), (0.3, 0.3), (0.6, 0.6), (1.2, 1.2), (0.15, 1.2), (1.2, 0.15))
@@ -134,14 +134,22 @@ class Collocation:
 
         In closed form: without a point the solutions change, and so do their probabilities.
         """
-        errors = np.empty((len(self.points), 2))
-        for i in range(len(errors)):
-            each = [part.found.without(i) for part in self.parts]
-            # The evidence of a part is that of all points by the sum over its own solutions.
-            logs = np.array([part.log - part.found.cells.log + one.log
-                             for part, one in zip(self.parts, each, strict=True)])
-            errors[i] = _normalised(logs) @ np.array([one.error for one in each])
+        errors = np.array([self.without(i).error for i in range(len(self.points))])
         return errors / weights_of(self.points)
+
+    def without(self, i: int) -> Prediction:
+        """Return what all points but one predict for it, under the solutions of all parts."""
+        each = [part.found.without(i) for part in self.parts]
+        # What is known of a part beforehand is its logarithm without that of its points.
+        logs = np.array([part.log - part.found.cells.log + one.log
+                         for part, one in zip(self.parts, each, strict=True)])
+        errors, spread = (tuple(np.concatenate([getattr(one, name)[axis] for one in each])
+                                for axis in (0, 1)) for name in ("errors", "spread"))
+        return Prediction(
+            (errors[0], errors[1]), (spread[0], spread[1]),
+            np.concatenate([one.variance for one in each]), each[0].freedom,
+            np.concatenate([share * one.share for share, one in zip(
+                _normalised(logs), each, strict=True)]), float(logsumexp(logs)))
 
     def predict(self, ground: FloatArray) -> FloatArray:
         """Return line and sample of places, shape (m, 2)."""

@@ -28,9 +28,11 @@ from scipy.special import fdtrc, fdtri
 from scipy.stats import chi2
 
 from termsel.adjustment.equations import weights_of
+from termsel.adjustment.field import collocate
 from termsel.adjustment.monomials import monomials
-from termsel.adjustment.posterior import Posterior, posterior, scales_of
-from termsel.candidates.portfolio import Judged, choose
+from termsel.adjustment.posterior import Prediction, posterior, scales_of
+from termsel.candidates.local import LIKELY
+from termsel.candidates.portfolio import FIELD, Judged, choose
 from termsel.measurements.features import BoolArray, FeatureSet, FloatArray, Points
 from termsel.measurements.scaling import scaling_of
 from termsel.models.polynomial import Polynomial2D, Polynomial3D
@@ -91,7 +93,7 @@ class _Test:
     `chance`, `strain` and `spread`, shape (n,), are the chance of an error as large, the error in
     standard deviations, and the standard deviation of the prediction by that of the noise, which
     is `noise` [px] with `freedom` degrees of freedom. `squares` are those of the errors of points
-    in use.
+    in use; `local` is true where a random field predicts.
     """
 
     errors: FloatArray
@@ -101,6 +103,7 @@ class _Test:
     noise: float
     freedom: int
     squares: FloatArray
+    local: bool = False
 
     def far(self, n: int) -> BoolArray:
         """Return the points whose error is beyond chance."""
@@ -140,8 +143,10 @@ def find_blunders(control: FeatureSet, heights: bool) -> Suspects | None:
     whole = None if len(control.lines) else _test(points, everything, heights)
     if whole is None:
         return None
-    used, test = _forward(points, _core(points, whole, heights), whole, heights)
-    while not used.all() and (choice := choose(FeatureSet(points.take(used)), heights)):
+    used, test = _settled(points, *_forward(points, _core(points, whole, heights), whole, heights),
+                          heights)
+    while not (used.all() or test.local) and (
+            choice := choose(FeatureSet(points.take(used)), heights)):
         more = used | _predicted_by(choice.chosen, points)
         if (more == used).all():
             break
@@ -153,7 +158,8 @@ def _predicted_by(chosen: Judged, points: Points) -> BoolArray:
     """Return the points that a candidate predicts as it predicts those it was fitted to."""
     # The median of the sum of two squared normal variables is 2 ln 2.
     bound = STRAIN * np.sqrt(np.median(chosen.squares) / (2 * np.log(2)))
-    if chosen.candidate.kind != "shrunken":  # the test was of another model than the chosen one
+    if chosen.name != FIELD and chosen.candidate.kind != "shrunken":
+        # The test was of another model than the chosen one.
         bound = max(bound, CLEAR * np.sqrt(chosen.squares.max()))
     return np.asarray(np.abs(chosen.fit.errors(points)).max(axis=1) <= bound)
 
@@ -179,7 +185,7 @@ def judge_others(chosen: Judged, heights: bool, others: Points) -> Suspects | No
     every = Points(points.ids + others.ids, np.concatenate([points.image, others.image]),
                    np.concatenate([points.ground, others.ground]))
     used = np.arange(len(every)) < len(points)
-    test = _test(every, used, heights)
+    test = _local_test(every, used, heights) or _test(every, used, heights)
     if test is None:
         return None
     far = test.far(len(others)) & ~_predicted_by(chosen, every)
@@ -232,6 +238,50 @@ def _forward(points: Points, used: BoolArray, whole: _Test,
     return used, test
 
 
+def _settled(points: Points, used: BoolArray, test: _Test,
+             heights: bool) -> tuple[BoolArray, _Test]:
+    """Judge again by a random field, where the points in use call for one.
+
+    Local deformation is no blunder, and what is small next to the error of a polynomial may be
+    one.
+    """
+    n, seen = len(points), set[bytes]()
+    while used.tobytes() not in seen and (~used).sum() <= MOST * n:
+        seen.add(used.tobytes())
+        nearer = _local_test(points, used, heights)
+        if nearer is None:
+            break
+        test = nearer
+        far = test.far(n) & test.decided()
+        out = used & far & (test.strain >= np.max(test.strain, where=used & far, initial=0.0) / 2)
+        used = (used & ~out) | (~used & ~far)
+    return used, test
+
+
+def _local_test(points: Points, used: BoolArray, heights: bool) -> _Test | None:
+    """Return what the points in use predict by a random field; None if they call for none."""
+    control = points.take(used)
+    scaling = scaling_of(FeatureSet(control))
+    found = collocate(scaling.points(control), 3 if heights else 2)
+    if found is None or found.probability <= LIKELY:
+        return None
+    scaled = scaling.points(points)
+    variance, unit = found.spread(scaled.ground)
+    noise = unit / weights_of(points) ** 2
+    errors = scaled.image - found.predict(scaled.ground)
+    statistic = (errors**2 / (variance + noise)).sum(axis=1) / 2
+    freedom = found.parts[0].found.freedom
+    rows = np.stack([*np.abs(errors.T), fdtrc(2, freedom, statistic), np.sqrt(statistic),
+                     np.sqrt((1 + variance / noise).max(axis=1))], axis=1)
+    # Of points in use that holds, whatever their own errors, without them.
+    rows[used] = [_row(found.without(i)) for i in range(len(control))]
+    rows[used, :2] /= weights_of(control)
+    pixels = rows[:, :2] * scaling.image_scale
+    return _Test(np.abs(pixels).max(axis=1), rows[:, 2], rows[:, 3], rows[:, 4],
+                 float(np.sqrt(unit[0])) * scaling.image_scale, freedom,
+                 (pixels[used] ** 2).sum(axis=1), local=True)
+
+
 def _test(points: Points, used: BoolArray, heights: bool) -> _Test | None:
     """Return what the points in use predict, by the shrunken quadratic or, if better, cubic."""
     quadratic, cubic = (_test_of_degree(points, used, heights, degree) for degree in (2, 3))
@@ -253,16 +303,16 @@ def _test_of_degree(points: Points, used: BoolArray, heights: bool, degree: int)
                       scales_of(np.array(exponents)[order > 1]), int(used.sum()))
     if found is None:
         return None
-    rows = np.array([_row(found, i, bool(used[i])) for i in range(len(points))])
+    rows = np.array([_row(found.without(i) if used[i] else found.beyond(i, UNUSED))
+                     for i in range(len(points))])
     pixels = rows[:, :2] / weights_of(points) * scaling.image_scale
     noise = float(np.sqrt(found.cells.share @ found.square / found.freedom)) * scaling.image_scale
     return _Test(np.abs(pixels).max(axis=1), rows[:, 2], rows[:, 3], rows[:, 4], noise,
                  found.freedom, (pixels[used] ** 2).sum(axis=1))
 
 
-def _row(found: Posterior, i: int, used: bool) -> tuple[float, float, float, float, float]:
+def _row(one: Prediction) -> tuple[float, float, float, float, float]:
     """Return the error of a point in line and sample, its chance, strain and spread."""
-    one = found.without(i) if used else found.beyond(i, UNUSED)
     statistic = (one.errors[0] ** 2 / one.spread[0]
                  + one.errors[1] ** 2 / one.spread[1]) / 2 / one.variance
     return (*one.error, float(one.share @ fdtrc(2, one.freedom, statistic)),
