@@ -9,6 +9,12 @@ from typing import Any, ClassVar
 
 from termsel.errors import TermselError, unknown_name
 
+COUNT = 1_000_000
+"""Most of what is counted, where an option has no limit of its own: more is a mistake of typing."""
+
+SEED = 2**63 - 1
+"""Greatest seed."""
+
 _TRUE = {"true", "yes", "on", "1"}
 _FALSE = {"false", "no", "off", "0"}
 

@@ -18,7 +18,7 @@ from typing import Any
 import click
 
 from termsel.cli.messages import echo
-from termsel.errors import TermselError, unknown_name
+from termsel.errors import TermselError, cut, unknown_name
 from termsel.interrupts import answered
 from termsel.plugins.commands import COMMANDS
 from termsel.version import __version__
@@ -131,7 +131,7 @@ class Commands(click.Group):
         except click.ClickException as error:
             page = io.StringIO()
             error.show(page)
-            echo(page.getvalue(), err=True, nl=False)
+            echo(cut(page.getvalue(), 2000), err=True, nl=False)
             sys.exit(CORRECTABLE)
         except (click.Abort, KeyboardInterrupt):
             answered()

@@ -14,6 +14,7 @@ from termsel.cli.completion import complete
 from termsel.cli.messages import echo, say_written, show_messages
 from termsel.cli.remote import allow_remote
 from termsel.errors import TermselError
+from termsel.options import SEED
 
 if TYPE_CHECKING:
     from termsel.measurements.features import FeatureSet
@@ -69,13 +70,13 @@ INTERRUPTED = 130
 @click.option("--set", "settings", metavar="KEY=VALUE", multiple=True,
               help="An option of the problem, model, solver, criterion, data or file format; "
                    "may be repeated. `termsel describe NAME` lists them.")
-@click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True,
+@click.option("--seed", type=click.IntRange(0, SEED), default=1, show_default=True,
               help="Seed of the search; the same seed gives the same selection.")
-@click.option("--generations", type=click.IntRange(min=1),
+@click.option("--generations", type=click.IntRange(1, 10**12),
               help="Stop after N generations beyond the first population.")
-@click.option("--evaluations", type=click.IntRange(min=1),
+@click.option("--evaluations", type=click.IntRange(1, 10**12),
               help="Stop the solver after N evaluations; the local refinement has its own.")
-@click.option("--seconds", type=click.FloatRange(min=0, min_open=True),
+@click.option("--seconds", type=click.FloatRange(0, 1e9, min_open=True),
               help="Stop after S seconds.")
 @click.option("--out", metavar="DIR", type=click.Path(path_type=Path),
               help="Folder for result.json, residuals.csv, summary.txt and the features.")

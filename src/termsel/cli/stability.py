@@ -14,6 +14,7 @@ from termsel.cli.remote import allow_remote
 from termsel.cli.run import parse_settings, read_files, require_files
 from termsel.cli.tables import json_text, print_json, print_table
 from termsel.errors import TermselError
+from termsel.options import SEED
 
 
 @click.command()
@@ -42,14 +43,14 @@ from termsel.errors import TermselError
               help="What is minimised.")
 @click.option("--set", "settings", metavar="KEY=VALUE", multiple=True,
               help="An option of the problem, model, solver, criterion, data or file format.")
-@click.option("--repeats", type=click.IntRange(min=2), default=20, show_default=True,
+@click.option("--repeats", type=click.IntRange(2, 10_000), default=20, show_default=True,
               help="How many times control and check points are drawn.")
 @click.option("--threshold", type=click.FloatRange(0, 1, min_open=True), default=0.6,
               show_default=True, help="Frequency from which on a term is stable.")
-@click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True)
-@click.option("--generations", type=click.IntRange(min=1), help="Budget of each search.")
-@click.option("--evaluations", type=click.IntRange(min=1), help="Likewise.")
-@click.option("--seconds", type=click.FloatRange(min=0, min_open=True), help="Likewise.")
+@click.option("--seed", type=click.IntRange(0, SEED), default=1, show_default=True)
+@click.option("--generations", type=click.IntRange(1, 10**12), help="Budget of each search.")
+@click.option("--evaluations", type=click.IntRange(1, 10**12), help="Likewise.")
+@click.option("--seconds", type=click.FloatRange(0, 1e9, min_open=True), help="Likewise.")
 @click.option("--out", metavar="DIR", type=click.Path(path_type=Path),
               help="Folder for stability.json.")
 @click.option("--overwrite", is_flag=True, help="Replace an existing file.")

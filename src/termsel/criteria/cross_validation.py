@@ -13,7 +13,7 @@ from termsel.criteria.losses import LOSS, SQUARES, THRESHOLD
 from termsel.measurements.features import FloatArray, IntArray, Lines, Points, no_lines
 from termsel.measurements.places import spatial_order
 from termsel.measurements.twins import firsts, twins
-from termsel.options import Option
+from termsel.options import COUNT, SEED, Option
 
 _SOLUTIONS = 1 << 22
 """Coefficients of leave-one-out solutions held at once: 32 MB."""
@@ -85,12 +85,12 @@ class KFold(_LeftOut):
     subset_score = "kfold"
     declared_options = (
         Option("folds", 5, "Folds of control features; with more folds than features each is held "
-                           "out alone.", int, 2),
+                           "out alone.", int, 2, COUNT),
         Option("repeats", 1, "How many times features are assigned to folds: again at random, or "
-                             "in blocks along axes turned by parts of 90 degrees.", int, 1),
+                             "in blocks along axes turned by parts of 90 degrees.", int, 1, 1000),
         Option("how", "spatial", "Folds as blocks of neighbours on the ground, or at random.",
                choices=("spatial", "random")),
-        Option("fold_seed", 0, "Seed of random folds.", int, 0),
+        Option("fold_seed", 0, "Seed of random folds.", int, 0, SEED),
         LOSS, THRESHOLD,
     )
 

@@ -11,7 +11,7 @@ from termsel.adjustment.parts import Part
 from termsel.criteria.base import Criterion, Fits
 from termsel.errors import TermselError
 from termsel.measurements.features import FloatArray, IntArray
-from termsel.options import Option
+from termsel.options import COUNT, Option
 
 if TYPE_CHECKING:
     from termsel.adjustment.subset_system import SubsetSystem
@@ -52,7 +52,7 @@ class Ebic(Criterion):
                1),
         Option("min_redundancy", None, "Least number of equations minus terms, for line and for "
                                        "sample; by default a third of the equations, and at least "
-                                       "1.", int, 1),
+                                       "1.", int, 1, COUNT),
     )
 
     def score(self, fits: Fits) -> FloatArray:

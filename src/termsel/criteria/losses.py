@@ -13,7 +13,8 @@ LOSS = Option("loss", SQUARES, "Figure of the errors of features: squares, their
                                "median, which are robust against blunders.",
               choices=(SQUARES, HUBER, MEDIAN))
 THRESHOLD = Option("threshold", 2.0, "With Huber's loss, the distance, relative to the median "
-                                     "distance, beyond which errors count linearly.", float, 0.1)
+                                     "distance, beyond which errors count linearly.", float, 0.1,
+                   1e6)
 
 NORMAL = float(1.0 / np.sqrt(np.log(2.0)))
 """Ratio of the RMSE of points to the median of their distances, for normal errors: sqrt(2) over

@@ -50,7 +50,7 @@ class RationalFunctions(RationalModel):
         Option("ridge", None, "Weight of pseudo-observations that the coefficients of denominators "
                f"are zero, in scaled coordinates; 0 for none. By default {RIDGE} with control "
                "lines, but none for a DLT (order 1, shared) or for points alone.",
-               float, 0.0),
+               float, 0.0, 1e6),
     )
 
     @cached_property

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from termsel.options import Option
+from termsel.options import COUNT, Option
 from termsel.problems.base import Inputs, Problem
 from termsel.problems.constraints import FORCE_OPTIONS, TERM_OPTIONS
 from termsel.problems.selection import SelectionProblem
@@ -59,9 +59,9 @@ MIXED = Option("mixed", False, "Use control points and control lines together in
                bool)
 COUNTS = (
     Option("min_features", None, "Fewest control features of a selection; by default not limited.",
-           int, 1),
+           int, 1, COUNT),
     Option("max_features", None, "Most control features of a selection; by default not limited. "
-           "The same number for both selects m of n features.", int, 1),
+           "The same number for both selects m of n features.", int, 1, COUNT),
     Option("max_uncovered", None, "Largest share of the image outside the hull of the selected "
            "features, 0 to 1; by default not limited.", float, 0.0, 1.0),
 )

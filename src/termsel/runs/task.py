@@ -17,7 +17,7 @@ from termsel.measurements.roles import observe as assign_roles
 from termsel.measurements.scaling import Scaling, scaling_of
 from termsel.models.base import SensorModel, require_heights
 from termsel.models.interpolating import Interpolating
-from termsel.options import Option, by_part, resolve
+from termsel.options import SEED, Option, by_part, resolve
 from termsel.plugins.registry import registry
 from termsel.problems.base import Inputs, Problem
 from termsel.problems.constraints import MAX_SHARE
@@ -38,7 +38,7 @@ DATA_OPTIONS = (
            "between them (--role)."),
     Option("fractions", ALIKE, "Shares of control, check and independent points among those "
            "that are assigned a role."),
-    Option("split", 0, "Seed by which roles are assigned.", int, 0),
+    Option("split", 0, "Seed by which roles are assigned.", int, 0, SEED),
     Option("check_as", None, "What check points are: judges of each selection, or further control. "
            "By default judges; where points are the control and the criterion needs no check "
            "points, control.", choices=("judge", "control")),

@@ -15,7 +15,7 @@ from termsel.adjustment import subsets
 from termsel.adjustment.subsets import SubsetResult
 from termsel.errors import TermselError
 from termsel.measurements.features import BoolArray
-from termsel.options import Option
+from termsel.options import COUNT, Option
 from termsel.problems.base import EnumerablePart, Evaluation, Problem
 from termsel.solvers.base import Generation, Solver
 from termsel.solvers.swap import neighbours
@@ -235,9 +235,9 @@ class Exact(Solver):
     declared_options = (
         Option("max_terms", None, "Most terms of an axis; by default all, or as many as give at "
                                   "most 2^28 selections. The proof holds for selections up to this "
-                                  "size.", int, 1),
+                                  "size.", int, 1, COUNT),
         Option("workers", None, "Threads; by default all cores. The result does not depend on "
-               "it.", int, 1),
+               "it.", int, 1, 256),
     )
 
     def generations(self, problem: Problem, rng: np.random.Generator) -> Iterator[Generation]:

@@ -9,7 +9,7 @@ import numpy as np
 from deap import base
 
 from termsel.measurements.features import BoolArray, IntArray
-from termsel.options import Option
+from termsel.options import COUNT, Option
 from termsel.problems.base import Evaluation, Problem
 from termsel.solvers.base import POLISH, Generation, Solver
 
@@ -68,12 +68,12 @@ class GeneticAlgorithm(Solver):
     as_published = True
     default_generations = 80
     declared_options: ClassVar[tuple[Option, ...]] = (
-        Option("population", 200, "Number of chromosomes.", int, 2, 1_000_000),
-        Option("tournament", 3, "Chromosomes drawn for each tournament.", int, 1),
+        Option("population", 200, "Number of chromosomes.", int, 2, 100_000),
+        Option("tournament", 3, "Chromosomes drawn for each tournament.", int, 1, 1000),
         Option("crossover", 0.9, "Chance that a pair of parents mates.", float, 0.0, 1.0),
         Option("mutation", None, "Chance that a gene flips; by default 1 over the number of "
                "genes. Akhoundi Khezrabad et al. 2020 use 0.001.", float, 0.0, 1.0),
-        Option("elite", 2, "Best chromosomes that survive unchanged.", int, 0),
+        Option("elite", 2, "Best chromosomes that survive unchanged.", int, 0, COUNT),
         POLISH,
     )
 

@@ -121,7 +121,7 @@ class CorrelationSeededGA(GeneticAlgorithm):
         Option("preset", "case-3", "Scale and offset: own, or a case of Akhoundi Khezrabad et al. "
                                    "2020, table 3 (1.19 and 0.15, 1.69 and 0, 1 and 0).",
                choices=(*PRESETS, "own")),
-        Option("scale", None, "S of eq. 4, with preset=own.", float, 0.0),
+        Option("scale", None, "S of eq. 4, with preset=own.", float, 0.0, 1e6),
         Option("offset", None, "O of eq. 4, the least probability, with preset=own.", float,
                0.0, 1.0),
     )

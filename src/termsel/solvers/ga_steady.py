@@ -178,12 +178,12 @@ class SteadyStateGA(GeneticAlgorithm):
     default_generations = 200
     declared_options: ClassVar[tuple[Option, ...]] = (
         Option("population", 100, "Number of chromosomes; 10 in Konugurthi et al. 2016.", int, 2,
-               1_000_000),
+               100_000),
         Option("overlap", 0.5, "Share of the population that survives, the best; about 0.5 in "
                                "Konugurthi et al. 2016.", float, 0.0, 1.0),
         Option("immigrants", 0.2, "Share of the new chromosomes that are drawn at random.",
                float, 0.0, 1.0),
-        Option("tournament", 2, "Chromosomes drawn for each tournament.", int, 1),
+        Option("tournament", 2, "Chromosomes drawn for each tournament.", int, 1, 1000),
         Option("crossover", 0.9, "Chance that a pair of parents mates.", float, 0.0, 1.0),
         Option("mutation", 0.5, "Chance that a child has one feature replaced.", float, 0.0, 1.0),
         POLISH,

@@ -276,7 +276,7 @@ class ImperialistCompetition(Solver):
     as_published = True
     default_generations = 100
     declared_options = (
-        Option("population", 100, "Number of countries, N_pop.", int, 4, 1_000_000),
+        Option("population", 100, "Number of countries, N_pop.", int, 4, 100_000),
         Option("imperialists", 0.1, "Share of imperialists among the countries, PR.", float,
                0.0, 0.5),
         Option("assimilation", 0.5, "Chance that a gene of a colony is replaced by that of its "

@@ -31,7 +31,7 @@ class NestedRegression(TermRegression):
     name = "nested-regression"
     declared_options = (
         Option("thumb", 0.5, "RMS of an axis, and its change, below which no term is added [px]; "
-                             "0.5 in the authors' code.", float, 0.0),
+                             "0.5 in the authors' code.", float, 0.0, 1e6),
     )
 
     def choose(self, part: Regression) -> BoolArray:

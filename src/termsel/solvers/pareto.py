@@ -58,7 +58,8 @@ class PymooSolver(Solver):
     max_objectives: ClassVar[int] = 8
     default_generations = 100
     declared_options = (
-        Option("population", 100, "Number of selections.", int, 4, 1_000_000),
+        # pymoo compares all pairs of twice as many.
+        Option("population", 100, "Number of selections.", int, 4, 5000),
         Option("mutation", None, "Chance that a gene flips; by default 1 over the number of "
                "genes.", float, 0.0, 1.0),
         POLISH,

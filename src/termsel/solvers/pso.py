@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from termsel.measurements.features import BoolArray, FloatArray, IntArray
-from termsel.options import Option
+from termsel.options import COUNT, Option
 from termsel.problems.base import Evaluation, Problem
 from termsel.solvers.base import POLISH, Generation, Solver
 
@@ -76,20 +76,20 @@ class BinarySwarm(Solver):
     as_published = True
     default_generations = 200
     declared_options = (
-        Option("population", 50, "Number of particles.", int, 2, 1_000_000),
+        Option("population", 50, "Number of particles.", int, 2, 100_000),
         Option("inertia", 1.0, "Share of its velocity that a particle keeps at first, w.", float,
                0.0, 1.0),
         Option("inertia_last", 1.0, "Share of its velocity that a particle keeps at the end, "
                                     "w.", float,
                0.0, 1.0),
         Option("iterations", 200, "Generations over which the inertia changes from first to last.",
-               int, 1),
+               int, 1, COUNT),
         Option("cognition", 2.0, "Pull of a particle's own best selection, c1.", float, 0.0, 10.0),
         Option("society", 2.0, "Pull of the leader's best selection, c2.", float, 0.0, 10.0),
         Option("velocity", 4.0, "Limit of velocities, v_max; at 4 a settled gene still flips once "
                "in 56 times.", float, 0.0, 20.0),
         Option("neighbours", 3, "Neighbours on each side in the ring among which a leader is "
-                                "sought; 0 for the whole swarm.", int, 0),
+                                "sought; 0 for the whole swarm.", int, 0, COUNT),
         POLISH,
     )
 

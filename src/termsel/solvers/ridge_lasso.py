@@ -12,7 +12,7 @@ from scipy import linalg
 from termsel.adjustment.ridge import Spectrum, choose_penalty
 from termsel.adjustment.solve import TOLERANCE
 from termsel.measurements.features import BoolArray, FloatArray, IntArray
-from termsel.options import Option
+from termsel.options import COUNT, Option
 from termsel.problems.base import Problem
 from termsel.solvers.base import Generation, Solver
 from termsel.solvers.stepwise import (
@@ -176,7 +176,7 @@ class Lasso(TermRegression):
     name = "lasso"
     declared_options = (
         Option("folds", 10, "Folds of the cross-validation; at most as many as control rows.",
-               int, 2),
+               int, 2, COUNT),
     )
 
     def choose(self, part: Regression) -> BoolArray:

@@ -16,7 +16,7 @@ from termsel.adjustment.solve import TOLERANCE
 from termsel.adjustment.subset_system import SubsetSystem
 from termsel.errors import TermselError
 from termsel.measurements.features import BoolArray, FloatArray, IntArray
-from termsel.options import Option
+from termsel.options import COUNT, Option
 from termsel.problems.base import EnumerablePart, Problem
 from termsel.solvers.base import Generation, Solver
 
@@ -371,7 +371,7 @@ class TTest(TermRegression):
         Option("alpha", 0.05, "Significance level of the two-sided test.",
                float, 0.0, 1.0),
         Option("redundancy", None, "Fewest degrees of freedom of an axis at the start; by default "
-                                   "a quarter of its equations.", int, 1),
+                                   "a quarter of its equations.", int, 1, COUNT),
     )
 
     def choose(self, part: Regression) -> BoolArray:

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from termsel.measurements.features import BoolArray, IntArray
-from termsel.options import Option
+from termsel.options import COUNT, Option
 from termsel.problems.base import Evaluation, Genome, Problem
 from termsel.solvers.base import Generation, Solver
 
@@ -168,7 +168,7 @@ class Swap(Solver):
 
     name = "swap"
     default_generations = None
-    declared_options = (Option("starts", 20, "Selections to start from.", int, 1),)
+    declared_options = (Option("starts", 20, "Selections to start from.", int, 1, COUNT),)
 
     def generations(self, problem: Problem, rng: np.random.Generator) -> Iterator[Generation]:
         """Yield one generation per step of each descent (see `Solver.generations`)."""

@@ -17,7 +17,7 @@ class RandomSearch(Solver):
     name = "random"
     default_generations = 80
     declared_options = (
-        Option("population", 200, "Selections drawn at a time.", int, 1, 1_000_000),)
+        Option("population", 200, "Selections drawn at a time.", int, 1, 100_000),)
 
     def generations(self, problem: Problem, rng: np.random.Generator) -> Iterator[Generation]:
         """Yield fresh random populations without end."""

@@ -48,7 +48,7 @@ class Pointwise(Polynomial2D):
         Option("neighbours", "nearest", "Control points around a point: the nearest, or the "
                "nearest in each of the four quadrants.", choices=("nearest", "quadrants")),
         Option("count", None, "Number of neighbours, in all or in each quadrant; by default 8 or "
-                              "2.", int, 1),
+                              "2.", int, 1, 1000),
         Option("weight", "inverse-square", "Weight by the distance, relative to that of the "
                                            "farthest neighbour; with inverse distance the model "
                                            "fits control points exactly.",

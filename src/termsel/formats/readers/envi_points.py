@@ -17,7 +17,7 @@ from termsel.errors import TermselError
 from termsel.formats.base import Reader, read_text
 from termsel.formats.readers.tables import Table
 from termsel.measurements.features import FeatureSet
-from termsel.options import Option
+from termsel.options import COUNT, Option
 
 _COLUMNS = {
     4: ("x", "y", "sample", "line"),
@@ -46,7 +46,8 @@ class EnviPoints(Reader):
     name = "envi-pts"
     summary = "ENVI .pts: comments that begin with ; ENVI, then map and image coordinates"
     declared_options = (
-        Option("image_number", None, "Number of the image, for files with several images.", int, 0),
+        Option("image_number", None, "Number of the image, for files with several images.", int, 0,
+               COUNT),
     )
 
     def sniff(self, path: Path, head: bytes) -> bool:

@@ -22,7 +22,7 @@ from termsel.formats.rasters import require_rasterio, tiff_bytes
 from termsel.formats.vrt import IMAGE, Gcp, picture_for, vrt_text
 from termsel.measurements.features import FloatArray
 from termsel.measurements.utm import for_warping
-from termsel.options import Option
+from termsel.options import COUNT, Option
 from termsel.results.result import Result
 
 log = logging.getLogger(__name__)
@@ -32,7 +32,7 @@ _COMPARED = 50  # meshes along either side at whose middles a grid is compared w
 _GROUND = (
     Option("dem", None, "Raster of heights for the ground of the grid."),
     Option("height", None, "Height of the ground if no raster is given; by default that of the "
-                           "middle of the control.", float))
+                           "middle of the control.", float, -1e6, 1e6))
 
 
 class GridWriter(Writer):
@@ -141,7 +141,7 @@ class GeolocationVrt(GridWriter):
     declared_options: ClassVar[tuple[Option, ...]] = (
         IMAGE, *_GROUND,
         Option("step", None, "Spacing of the array [px]; by default about 500 places along the "
-                             "longer side.", int, 1))
+                             "longer side.", int, 1, COUNT))
 
     def files(self, path: Path) -> tuple[Path, ...]:
         """Return the VRT and the array next to it, under the name or names in use."""

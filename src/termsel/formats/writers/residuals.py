@@ -33,7 +33,7 @@ class ResidualsGeopackage(Writer):
     suffix = "_residuals.gpkg"
     declared_options: ClassVar[tuple[Option, ...]] = (
         Option("exaggeration", None, "Exaggeration of the vectors; by default the median one has 3 "
-                                     "% of the extent.", float, 0),)
+                                     "% of the extent.", float, 0, 1e9),)
 
     def accepts(self, result: Result) -> bool:
         """Return True: every result has residuals."""
