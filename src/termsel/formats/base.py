@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import json
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from termsel.errors import TermselError
 from termsel.formats.atomic import private_folder
@@ -156,6 +157,32 @@ def read_text(path: Path) -> str:
         line = error.object[:error.start].count(b"\n") + 1
         raise TermselError("the text of this file is not UTF-8", file=path, line=line,
                            hint="Save it with the encoding UTF-8.") from error
+
+
+def parse_json(text: str, hint: str) -> Any:
+    """Return what a text in JSON holds.
+
+    Parameters
+    ----------
+    text : str
+    hint : str
+        What to do if this is not possible.
+
+    Raises
+    ------
+    TermselError
+        With the line, if the text is not JSON; if it is nested too deeply or has whole numbers of
+        thousands of digits.
+    """
+    try:
+        return json.loads(text)
+    except json.JSONDecodeError as error:
+        raise TermselError(f"this is not JSON: {error.msg}", line=error.lineno, hint=hint
+                           ) from error
+    except RecursionError:
+        raise TermselError("this JSON is nested too deeply", hint=hint) from None
+    except ValueError as error:
+        raise TermselError("this JSON has a number of too many digits", hint=hint) from error
 
 
 def read_head(path: Path, expected: str) -> bytes:

@@ -22,6 +22,7 @@ log = logging.getLogger(__name__)
 _TILE = 1024  # pixels read at once along either side
 _METRES = frozenset({"", "m", "metre", "metres", "meter", "meters"})
 _NAMED = 10  # features named in a message
+_PLACED = "Give a raster in a geographic or projected CRS of the Earth."
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,6 +116,7 @@ def open_dem(path: Path, crs: str) -> Iterator[Dem]:
     with open_raster(path) as raster:
         try:
             from pyproj import CRS, Transformer
+            from pyproj.exceptions import CRSError, ProjError
         except ImportError:
             raise TermselError("heights require the package pyproj, which is not installed",
                                hint='Install it: pip install "termsel[gis]".') from None
@@ -126,7 +128,16 @@ def open_dem(path: Path, crs: str) -> Iterator[Dem]:
             what = f"has {raster.count} bands" if raster.count != 1 else f"is in {unit}"
             raise TermselError(f"this raster {what}, expected one band of heights in metres",
                                file=path, hint="Convert it, for example with gdal_translate.")
-        own = CRS.from_user_input(raster.crs.to_wkt())
+        try:
+            own = CRS.from_user_input(raster.crs.to_wkt())
+            to_raster = Transformer.from_crs(CRS.from_user_input(crs).to_2d(), own.to_2d(),
+                                             always_xy=True)
+        except (CRSError, ProjError) as error:  # of a building, or of the Moon
+            raise TermselError(f"the CRS of this raster cannot be used: {error}", file=path,
+                               hint=_PLACED) from error
+        if not (own.is_geographic or own.is_projected):
+            raise TermselError(f"the CRS of this raster, {own.name}, has no horizontal coordinates",
+                               file=path, hint=_PLACED)
         datum, stated = vertical_datum(own), vertical_datum(CRS.from_user_input(crs))
         if datum and stated and datum != stated:
             raise TermselError(
@@ -134,8 +145,6 @@ def open_dem(path: Path, crs: str) -> Iterator[Dem]:
                 file=path, hint="termsel does not convert heights. Give a raster with the same "
                                 "heights, or run the selection with a CRS of the control without "
                                 "a vertical datum, such as EPSG:4326.")
-        to_raster = Transformer.from_crs(CRS.from_user_input(crs).to_2d(), own.to_2d(),
-                                         always_xy=True)
         yield Dem(path, raster, to_raster, datum or "not declared by the raster",
                   own.is_geographic)
 

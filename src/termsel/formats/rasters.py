@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import logging
+import sys
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from types import TracebackType
 from typing import Any
 
 import numpy as np
@@ -56,6 +58,30 @@ def tiff_bytes(pixels: Any, **profile: Any) -> bytes:
 
 
 @contextmanager
+def _quiet_about_encodings() -> Iterator[None]:
+    """Keep Python from printing that rasterio cannot log a message that is not UTF-8.
+
+    It prints that twice, through either hook, before the error comes as an exception.
+    """
+    unraisable, uncaught = sys.unraisablehook, sys.excepthook
+
+    def not_raised(what: sys.UnraisableHookArgs) -> None:
+        if not isinstance(what.exc_value, UnicodeDecodeError):
+            unraisable(what)
+
+    def not_caught(kind: type[BaseException], error: BaseException,
+                   trace: TracebackType | None) -> None:
+        if not isinstance(error, UnicodeDecodeError):
+            uncaught(kind, error, trace)
+
+    sys.unraisablehook, sys.excepthook = not_raised, not_caught
+    try:
+        yield
+    finally:
+        sys.unraisablehook, sys.excepthook = unraisable, uncaught
+
+
+@contextmanager
 def open_raster(path: Path | str) -> Iterator[Any]:
     """Open a raster for reading.
 
@@ -78,7 +104,8 @@ def open_raster(path: Path | str) -> Iterator[Any]:
 
     refuse_pipe(Path(path))
     try:
-        with local_alone(path) as options, rasterio.Env(**options), utf8_name(path) as name:
+        with (local_alone(path) as options, rasterio.Env(**options), utf8_name(path) as name,
+              _quiet_about_encodings()):
             with warnings.catch_warnings():
                 # An image that is to be georeferenced has no geotransform.
                 warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
@@ -113,7 +140,15 @@ def positions(raster: Any, x: FloatArray, y: FloatArray) -> FloatArray:
     -------
     ndarray, shape (n, 2)
         The centre of the upper-left pixel is (0, 0).
+
+    Raises
+    ------
+    TermselError
+        If the pixels have no size.
     """
+    if raster.transform.is_degenerate:
+        raise TermselError("the pixels of this raster have no size", file=raster.name,
+                           hint="Correct its geotransform.")
     to_pixel = ~raster.transform
     return np.stack([to_pixel.d * x + to_pixel.e * y + to_pixel.f,
                      to_pixel.a * x + to_pixel.b * y + to_pixel.c], axis=1) - 0.5

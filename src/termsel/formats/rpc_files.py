@@ -27,6 +27,7 @@ KNOWN = ("RPB, _RPC.TXT, DIMAP XML, DigitalGlobe XML, VRT or .aux.xml with an RP
          "image that has an RPC")
 
 _NAME = re.compile(r"^[ \t]*(\w+)[ \t]*[:=][ \t]*", re.MULTILINE)
+_ENCODING = re.compile(rb"""encoding\s*=\s*["']([\w.:-]+)""")
 _VALUE = re.compile(r"[^;\r\n]*")
 _NUMBERS = re.compile(r"[^\s,();]+")
 
@@ -148,8 +149,11 @@ def _from_xml(path: Path) -> Rpc:
     # Without a declaration it is GDAL's, which writes names of files with the bytes they have.
     declared = content.lstrip().startswith(b"<?xml")
     try:
-        root = ElementTree.fromstring(
-            content if declared else content.decode("utf-8-sig", errors="replace"))
+        root = (_parsed(content) if declared else
+                ElementTree.fromstring(content.decode("utf-8-sig", errors="replace")))
+    except (LookupError, UnicodeError) as error:
+        raise TermselError(f"the encoding of this XML cannot be read: {error}", file=path, line=1,
+                           hint="Save it with the encoding UTF-8.") from error
     except ElementTree.ParseError as error:
         raise TermselError(f"this XML cannot be read: {error}", file=path,
                            line=error.position[0], hint="Is the file complete?") from error
@@ -164,6 +168,19 @@ def _from_xml(path: Path) -> Rpc:
         raise TermselError(f"this XML <{root.tag}> has no RPC", file=path,
                            hint=f"Expected {KNOWN}.")
     return from_items(items)
+
+
+def _parsed(content: bytes) -> ElementTree.Element:
+    """Return the root of XML in any encoding that Python knows."""
+    try:
+        return ElementTree.fromstring(content)
+    except ElementTree.ParseError:
+        raise
+    except ValueError:  # of several bytes, such as GB2312, which the parser itself has not
+        found = _ENCODING.search(content[:200])
+        if found is None:
+            raise
+        return ElementTree.fromstring(content.decode(found[1].decode("ascii")))
 
 
 def _from_dimap(root: ElementTree.Element) -> Rpc:

@@ -202,6 +202,7 @@ def _ground(result: Result, dem: Path | str | None, height: float, target: str,
             ) -> FloatArray:
     """Return where on the map a grid of image places is, shape (_OUTLINE, _OUTLINE, 2)."""
     from pyproj import Transformer
+    from pyproj.exceptions import ProjError
 
     (top, left), (bottom, right) = result.fit.image_box()
     # From the outer edges of the outermost pixels.
@@ -211,7 +212,11 @@ def _ground(result: Result, dem: Path | str | None, height: float, target: str,
     own = result.features.crs
     with surface_of(dem, own, height) as surface:
         ground = result.fit.locate(image, surface)
-    turn = Transformer.from_crs(horizontal(own), target, always_xy=True)
+    try:
+        turn = Transformer.from_crs(horizontal(own), target, always_xy=True)
+    except ProjError as error:
+        raise TermselError(f"coordinates in {own} cannot be transformed to the map's CRS: {error}",
+                           hint="Give another --crs.") from error
     x, y = turn.transform(ground[:, 0], ground[:, 1])
     places = np.stack([x, y], axis=-1)
     known = np.isfinite(places).all(axis=1)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import io
-import json
 import os
 import shutil
 from collections.abc import Mapping
@@ -23,7 +22,7 @@ from termsel.fits.fit import Fit
 from termsel.fits.least_squares import fit
 from termsel.fits.rmse import Rmse
 from termsel.formats.atomic import encoded, private_folder, put_in_place, sync, write_bytes
-from termsel.formats.base import located, read_text
+from termsel.formats.base import located, parse_json, read_text
 from termsel.formats.files import is_there
 from termsel.formats.readers.csv_tables import (
     LinesCsv,
@@ -185,13 +184,9 @@ def read_result(folder: Path | str) -> Result:
         raise TermselError("there is no result here", file=path,
                            hint="Give the folder of a run, as in termsel run --out DIR.")
     try:
-        record = json.loads(read_text(path))
-    except json.JSONDecodeError as error:
-        raise TermselError(f"this is not JSON: {error.msg}", file=path, line=error.lineno,
-                           hint="Run the search again.") from error
-    except (RecursionError, ValueError) as error:  # lists too deep, numbers too long
-        raise TermselError(f"this is not a result: {error}", file=path,
-                           hint="Run the search again.") from error
+        record = parse_json(read_text(path), "Run the search again.")
+    except TermselError as error:
+        raise located(error, path) from error
     if not isinstance(record, dict) or record.get("schema") != SCHEMA:
         raise TermselError(f"this is not a result with the schema {SCHEMA}", file=path,
                            hint="Run the search again with this version of termsel.")

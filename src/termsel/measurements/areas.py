@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from termsel.errors import TermselError
-from termsel.measurements.features import FloatArray, Lines, Points
+from termsel.measurements.features import FARTHEST, FloatArray, Lines, Points
 
 FORMS = ("boundary", "centroid")
 
@@ -74,6 +74,13 @@ class Area:
             image, ground = image[:-1], ground[:-1]
         object.__setattr__(self, "image", image)
         object.__setattr__(self, "ground", ground)
+        for values, what in ((image, "image"), (ground[:, :2], "ground")):
+            far = ~(np.abs(values) < FARTHEST).all(axis=1)  # NaN too
+            if far.any():
+                corner = int(np.argmax(far))
+                raise CornerError(f"corner {corner + 1} of area {self.id!r} has {what} coordinates "
+                                  f"that are not finite, or of {FARTHEST:g} or more", corner, what,
+                                  "Correct the values or remove the area.")
         _refuse_bad(self.id, image, "image")
         _refuse_bad(self.id, ground[:, :2], "ground")
 

@@ -19,6 +19,7 @@ from termsel.measurements.roles import Observations
 from termsel.problems.base import Genome
 from termsel.solvers.search import Search
 
+_ROUNDING = 1e-9  # px: smaller errors are those of arithmetic
 ALIKE = 1.05
 """Two RMSE whose ratio is below this are called alike: with a few dozen independent points
 an RMSE is itself uncertain by more."""
@@ -129,7 +130,8 @@ def _independent(baseline: Baseline) -> float:
 
 
 def _ratio(one: float, other: float) -> float:
-    return one / other if other > 0 else 1.0 if one == 0 else float("inf")
+    """Return how many times one error is the other; below `_ROUNDING` all are alike."""
+    return max(one, _ROUNDING) / max(other, _ROUNDING)
 
 
 def _px(value: float) -> str:

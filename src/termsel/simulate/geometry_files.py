@@ -9,7 +9,7 @@ from typing import Any
 
 from termsel.errors import TermselError
 from termsel.formats.atomic import write_text
-from termsel.formats.base import located, read_head, read_text
+from termsel.formats.base import located, parse_json, read_head, read_text
 from termsel.simulate.pushbroom import Angle, Pushbroom
 
 SCHEMA = "termsel-pushbroom-1"
@@ -39,11 +39,7 @@ def geometry_from(text: str) -> Pushbroom:
     TermselError
         If the text is not a geometry, or a field is missing or invalid.
     """
-    try:
-        content = json.loads(text)
-    except json.JSONDecodeError as error:
-        raise TermselError(f"this is not JSON: {error.msg}", line=error.lineno,
-                           hint=_EXPECTED) from error
+    content = parse_json(text, _EXPECTED)
     if not isinstance(content, dict) or content.get("schema") != SCHEMA:
         raise TermselError("this is not the geometry of a pushbroom scanner", hint=_EXPECTED)
     names = [field.name for field in fields(Pushbroom)]

@@ -150,7 +150,7 @@ def _from_record(text: str) -> tuple[Rpc, str]:
                                   for name, value in json.loads(text).items()}
         file = str(values.pop("file"))
         return Rpc(**values), file
-    except (KeyError, TypeError, ValueError) as error:
+    except (AttributeError, KeyError, RecursionError, TypeError, ValueError) as error:
         raise TermselError(f"option 'rpc' is not the RPC of a result: {error}",
                            hint="Give the file of an RPC with --set rpc=FILE.") from error
 

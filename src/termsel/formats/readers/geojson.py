@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
@@ -12,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from termsel.errors import TermselError
-from termsel.formats.base import located, read_text
+from termsel.formats.base import located, parse_json, read_text
 from termsel.measurements.crs import normalise
 
 
@@ -52,8 +51,8 @@ class Feature:
         """Return a property that holds lists of numbers, which GDAL returns as JSON text."""
         value = self.properties.get(name)
         if isinstance(value, str):
-            with suppress(ValueError, RecursionError):
-                value = json.loads(value)
+            with suppress(TermselError):
+                value = parse_json(value, "")
         return value
 
 
@@ -86,12 +85,9 @@ def read_geojson(path: Path, kinds: Mapping[str, int]) -> tuple[list[Feature], s
         If this is not such a collection, or a feature has another geometry.
     """
     try:
-        found = json.loads(read_text(path))
-    except json.JSONDecodeError as error:
-        raise TermselError(f"this is not JSON: {error.msg}", file=path, line=error.lineno,
-                           hint="Is the file complete?") from error
-    except (RecursionError, ValueError) as error:  # lists too deep, numbers too long
-        raise TermselError(f"this is not GeoJSON: {error}", file=path) from error
+        found = parse_json(read_text(path), "Is the file complete?")
+    except TermselError as error:
+        raise located(error, path) from error
     if not isinstance(found, dict) or not isinstance(found.get("features"), list):
         raise TermselError("this is not a GeoJSON FeatureCollection", file=path,
                            hint='It must have the members "type" and "features".')
@@ -154,4 +150,6 @@ def _crs(path: Path, member: Any) -> str:
 def vertices(feature: Feature) -> Iterator[list[tuple[float, float, float]]]:
     """Yield the lines of a feature as vertices x, y, z; NaN for a missing z."""
     for part in feature.parts:
-        yield [(v[0], v[1], v[2] if len(v) > 2 else float("nan")) for v in part]
+        # Whole numbers beyond 64 bits are no numbers of numpy's.
+        yield [(float(v[0]), float(v[1]), float(v[2]) if len(v) > 2 else float("nan"))
+               for v in part]
