@@ -61,7 +61,8 @@ class ThinPlate(Interpolating):
     uses_height = False
     declared_options: ClassVar[tuple[Option, ...]] = (
         Option("smoothing", None, "What is added to the diagonal of the kernels' matrix; 0 meets "
-                                  "control points exactly. By default it is chosen.", float, 0.0, 1e9),
+                                  "control points exactly. By default it is chosen.", float, 0.0,
+               1e9),
         Option("chosen_by", "reml", "How the smoothing is chosen: by restricted maximum likelihood "
                                     "or generalised cross-validation.", choices=("reml", "gcv")))
 
