@@ -77,8 +77,10 @@ class Dem:
         row, column = (int(i) for i in start)
         window = Window(column, row, min(_TILE + 1, self.raster.width - column),
                         min(_TILE + 1, self.raster.height - row))
-        values = self.raster.read(1, window=window, masked=True).astype(np.float64).filled(np.nan)
-        return np.asarray(values * self.raster.scales[0] + self.raster.offsets[0])
+        with np.errstate(all="ignore"):  # of bytes that are no numbers, and numbers near the limit
+            values = self.raster.read(1, window=window, masked=True).astype(np.float64)
+            return np.asarray(values.filled(np.nan) * self.raster.scales[0]
+                              + self.raster.offsets[0])
 
 
 def _bilinear(pixels: FloatArray, first: Any, share: FloatArray) -> FloatArray:
