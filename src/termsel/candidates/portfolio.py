@@ -112,13 +112,13 @@ def _judged(candidate: Candidate, control: FeatureSet, heights: bool,
         return None
     if fitted.held_out is not None:
         return Judged(candidate, fitted, fitted.held_out.squares)
-    if fitted.adjustment.redundancy < 1 or _pole(fitted):
+    if fitted.adjustment.redundancy < 1 or has_pole(fitted):
         return None
     squares = left_out_squares(fitted)
     return Judged(candidate, fitted, squares) if np.isfinite(squares).all() else None
 
 
-def _pole(fitted: Fit) -> bool:
+def has_pole(fitted: Fit) -> bool:
     """Return whether a denominator falls short of the margin in a box wider than the points'."""
     guard = guard_points(fitted.scaled_control, no_points())
     middle = (guard.max(axis=0) + guard.min(axis=0)) / 2

@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from termsel.cli.completion import complete
+from termsel.cli.final import final_option
 from termsel.cli.messages import refuse_stdout, say_written, show_messages
 from termsel.cli.remote import allow_remote
 from termsel.cli.run import parse_settings
@@ -22,20 +23,23 @@ from termsel.cli.run import parse_settings
 @click.option("--dem", metavar="FILE", help="Raster of heights, for grids on the ground.")
 @click.option("--set", "settings", metavar="KEY=VALUE", multiple=True,
               help="An option of the format; `termsel describe FORMAT` lists them.")
+@final_option
 @click.option("--overwrite", is_flag=True, help="Replace an existing file.")
 @allow_remote
 def export(folder: Path, to: str, output: Path, image: str | None, dem: str | None,
-           settings: tuple[str, ...], overwrite: bool) -> None:
+           settings: tuple[str, ...], final: bool | None, overwrite: bool) -> None:
     """Write a result for GDAL, QGIS, OTB, Orthority and others.
 
     DIR is the folder that a run wrote with --out. RPCs are read back through GDAL and compared
-    with the fitted model before they are put in place.
+    with the fitted model before they are put in place. Where auto chose the model, the fit to all
+    points is written, independent ones included; all figures of the result are those of the fit
+    without them, which --no-final writes.
 
     \b
     Examples:
       termsel export result --to rpc-txt --output scene_RPC.TXT --image scene.tif
       termsel export result --to rpc-vrt --output scene.vrt --image scene.tif
-      termsel export result --to qgis-points --output scene.tif.points
+      termsel export result --to qgis-points --output scene.tif.points --no-final
       termsel export result --to geolocation-vrt --output scene.vrt --image scene.tif \\
           --dem heights.tif
     """
@@ -51,4 +55,5 @@ def export(folder: Path, to: str, output: Path, image: str | None, dem: str | No
     # Report a mistake in these before the folder is read.
     files = writer_of(to, **options).files(output)
     require_replaceable(files, reads=[folder, *options.values()], overwrite=overwrite)
-    say_written(write(read_result(folder), to, output, overwrite=overwrite, **options))
+    say_written(write(read_result(folder), to, output, overwrite=overwrite, final=final,
+                      **options))

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import click
 
+from termsel.cli.final import final_option
 from termsel.cli.messages import echo, echo_table, say_written, show_messages
 from termsel.cli.remote import allow_remote
 
@@ -21,10 +22,11 @@ from termsel.cli.remote import allow_remote
 @click.option("--height", type=float, help="With --inverse: height of the ground.")
 @click.option("--output", "-o", metavar="FILE", type=click.Path(path_type=Path),
               help="Table to write; stdout by default, and for -.")
+@final_option
 @click.option("--overwrite", is_flag=True, help="Replace an existing file.")
 @allow_remote
 def project(folder: Path, points: Path, inverse: bool, dem: Path | None, height: float | None,
-            output: Path | None, overwrite: bool) -> None:
+            output: Path | None, final: bool | None, overwrite: bool) -> None:
     """Compute image positions of ground points, or ground positions of image points.
 
     DIR is the folder that a run wrote with --out. The output has the columns
@@ -41,6 +43,7 @@ def project(folder: Path, points: Path, inverse: bool, dem: Path | None, height:
     show_messages()
 
     from termsel.formats.atomic import write_text
+    from termsel.io.export import as_exported
     from termsel.io.project import project_table
     from termsel.io.replacing import require_replaceable
     from termsel.io.result_folder import read_result
@@ -48,8 +51,8 @@ def project(folder: Path, points: Path, inverse: bool, dem: Path | None, height:
     output = None if output == Path("-") else output
     if output is not None:
         require_replaceable([output], reads=[folder, points, dem], overwrite=overwrite)
-    text, warnings = project_table(read_result(folder), points, inverse=inverse, dem=dem,
-                                 height=height)
+    text, warnings = project_table(as_exported(read_result(folder), final), points,
+                                   inverse=inverse, dem=dem, height=height)
     if output is None:
         echo_table(text)
     else:

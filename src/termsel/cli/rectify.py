@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from termsel.cli.bars import share_bar
+from termsel.cli.final import final_option
 from termsel.cli.messages import refuse_stdout, say_written, show_messages
 from termsel.cli.remote import allow_remote
 from termsel.errors import TermselError
@@ -27,12 +28,13 @@ from termsel.errors import TermselError
               help="nearest, bilinear, cubic, cubic_spline, lanczos or average.")
 @click.option("--nodata", type=float, help="Value where the image has no data; by default that of "
                                            "the image, else 0.")
+@final_option
 @click.option("--overwrite", is_flag=True, help="Replace an existing file.")
 @click.option("--quiet", is_flag=True, help="Show no progress bar.")
 @allow_remote
 def rectify(folder: Path, image: Path, output: Path, dem: Path | None, height: float | None,
             crs: str | None, resolution: float | None, resampling: str, nodata: float | None,
-            overwrite: bool, quiet: bool) -> None:
+            final: bool | None, overwrite: bool, quiet: bool) -> None:
     """Resample an image to a map, by GDAL's warper through the fitted model.
 
     DIR is the folder that a run wrote with --out.
@@ -58,5 +60,6 @@ def rectify(folder: Path, image: Path, output: Path, dem: Path | None, height: f
                            hint="Give --dem FILE or --height H.")
     with share_bar("rectify", quiet) as progress:
         warp(result, image, output, dem=dem, height=height, crs=crs, resolution=resolution,
-             resampling=resampling, nodata=nodata, overwrite=overwrite, progress=progress)
+             resampling=resampling, nodata=nodata, overwrite=overwrite, final=final,
+             progress=progress)
     say_written([output])

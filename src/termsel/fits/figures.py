@@ -107,7 +107,7 @@ def figures(fitted: Fit, observations: Observations) -> dict[str, Rmse | None]:
 
 
 def residuals_of(chosen: Fit, observations: Observations, *,
-                 check_used: bool = False) -> Residuals:
+                 check_used: bool = False, independent_used: bool = False) -> Residuals:
     """Return the residuals of all features that have a role.
 
     Parameters
@@ -117,10 +117,13 @@ def residuals_of(chosen: Fit, observations: Observations, *,
     observations : Observations
     check_used : bool
         Whether the check points took part in the adjustment too.
+    independent_used : bool
+        Whether the independent points did.
     """
     check, independent = observations.check, observations.independent
     return Residuals((
         *control_residuals(observations.control, chosen.used,
                            chosen.errors(observations.control.points), chosen.line_errors()),
         *point_residuals(check, chosen.errors(check), "check", check_used),
-        *point_residuals(independent, chosen.errors(independent), "independent", False)))
+        *point_residuals(independent, chosen.errors(independent), "independent",
+                         independent_used)))

@@ -44,8 +44,18 @@ def _of_others(writer: type[Writer]) -> set[str]:
     return of_all - {option.name for option in writer.declared_options}
 
 
+def as_exported(result: Result, final: bool | None) -> Result:
+    """Return the result with the fit that is exported (see `Result.as_exported`), and say so."""
+    if result.final is not None and final is False:
+        log.info("Fit: to control and check points, without independent ones.")
+    elif result.final is not None:
+        log.info("Fit: to all %d points, independent ones included. --no-final takes the fit "
+                 "without them, whose accuracy is known.", len(result.final.control))
+    return result.as_exported(final)
+
+
 def export(result: Result, to: str, path: Path | str, *, overwrite: bool = False,
-           **options: Any) -> tuple[Path, ...]:
+           final: bool | None = None, **options: Any) -> tuple[Path, ...]:
     """Write a result in a format known by name.
 
     Parameters
@@ -56,6 +66,9 @@ def export(result: Result, to: str, path: Path | str, *, overwrite: bool = False
     path : path-like
     overwrite : bool
         Whether an existing file may be replaced, such as a vendor's RPC.
+    final : bool, optional
+        Whether to export the fit to all points, independent ones included (`Result.final`); by
+        default if there is one.
     **options
         Options of the writer, such as `image`. Those that only other formats have are ignored
         with a note, so that one call suits several formats.
@@ -71,7 +84,7 @@ def export(result: Result, to: str, path: Path | str, *, overwrite: bool = False
         If there is no such format or option, the format cannot hold this result, the file
         exists and may not be replaced, is read itself, or cannot be written.
     """
-    path = Path(path)
+    path, result = Path(path), as_exported(result, final)
     writer = writer_of(to, **options)
     for key in sorted(options.keys() & _of_others(type(writer))):
         log.info("Note: the format %s has no option %s, which is ignored.", to, key)

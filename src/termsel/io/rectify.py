@@ -19,6 +19,7 @@ from termsel.formats.rasters import open_raster, require_rasterio
 from termsel.formats.rpc_files import rpc_items
 from termsel.formats.vrt import Picture, picture_for, vrt_text
 from termsel.formats.writers.grids import GeolocationVrt
+from termsel.io.export import as_exported
 from termsel.io.replacing import require_replaceable
 from termsel.measurements.crs import LOCAL, horizontal, is_geocentric, is_geographic, normalise
 from termsel.measurements.features import FloatArray
@@ -50,6 +51,7 @@ def rectify(
     resampling: str = "bilinear",
     nodata: float | None = None,
     overwrite: bool = False,
+    final: bool | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> None:
     """Resample an image to a map.
@@ -80,6 +82,8 @@ def rectify(
         with a fraction.
     overwrite : bool
         Whether a file that is there may be replaced.
+    final : bool, optional
+        As for `termsel.export`.
     progress : callable, optional
         Called with the fraction that is done, 0 to 1.
 
@@ -109,6 +113,7 @@ def rectify(
         raise TermselError(f"a map cannot be in the geocentric CRS {target}, which has no plane",
                            hint="Give --crs with a projected or geographic CRS, such as "
                                 "EPSG:32631.")
+    result = as_exported(result, final)
     picture = picture_for(result, image)
     result = result.of_image(picture.size)
     level = float(result.fit.ground_box()[0][2]) if height is None else height

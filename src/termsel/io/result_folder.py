@@ -18,7 +18,7 @@ from termsel.errors import TermselError
 from termsel.fits.accuracy import Predicted, accuracy_from
 from termsel.fits.diagnosis import Diagnosis, Doubts, Significance
 from termsel.fits.figures import Baseline, figures, residuals_of
-from termsel.fits.fit import Fit
+from termsel.fits.fit import GIVEN, Fit
 from termsel.fits.least_squares import fit
 from termsel.fits.rmse import Rmse
 from termsel.formats.atomic import encoded, private_folder, put_in_place, sync, write_bytes
@@ -267,6 +267,7 @@ def result_from(record: Mapping[str, Any], features: FeatureSet) -> Result:
     """
     fitted, chosen = _fit(record, features), record["selection"]
     _refuse_other_model(record, fitted, by_roles(features))
+    final = record.get("final")
     residuals = residuals_of(fitted, by_roles(features), check_used=record["strategy"] is not None)
     return Result(
         **{name: record[name] for name in (
@@ -283,7 +284,8 @@ def result_from(record: Mapping[str, Any], features: FeatureSet) -> Result:
         outliers=tuple(Outlier(**one) for one in record.get("outliers", ())),
         predicted=Predicted(**found) if (found := record.get("predicted")) else None,
         accuracy=accuracy_from(given) if (given := record.get("accuracy")) else None,
-        front=tuple(record["front"]))
+        front=tuple(record["front"]),
+        final=_final(record, final, fitted, features) if final else None)
 
 
 def _fit(record: Mapping[str, Any], features: FeatureSet) -> Fit:
@@ -336,6 +338,18 @@ def _refuse_other_model(record: Mapping[str, Any], fitted: Fit,
         f"the {other[0]} RMSE is {now[other[0]]:.4g} px by the installed model and "
         f"{said[other[0]]:.4g} px in the record: the model is not the one of the run",
         hint=f"The run used {made_by}. Install that version, or run the search again.")
+
+
+def _final(record: Mapping[str, Any], final: Mapping[str, Any], fitted: Fit,
+           features: FeatureSet) -> Fit:
+    points, names = features.points, set(final["features"])
+    control = features.with_(points=points.take([name in names for name in points.ids]))
+    scaling, model = Scaling.from_dict(final["scaling"]), fitted.model
+    coefficients = np.array([final["coefficients"].get(name, 0.0) for name in model.terms])
+    found = fit(model, control, scaling, fitted.terms)
+    chosen = named(record["strategy"]["chosen"])
+    return found if np.allclose(found.adjustment.coefficients, coefficients) else \
+        found.with_coefficients(coefficients, chosen.estimator if chosen else GIVEN)
 
 
 def _diagnosis(record: Mapping[str, Any]) -> Diagnosis:

@@ -10,13 +10,22 @@ from typing import TYPE_CHECKING, Any
 
 from numpy.typing import ArrayLike
 
+from termsel.errors import TermselError
 from termsel.fits.accuracy import Accuracy, Predicted, plain_accuracy
 from termsel.fits.diagnosis import Diagnosis
-from termsel.fits.figures import Baseline, Rmses, finite_or_none, plain_rmse
+from termsel.fits.figures import (
+    Baseline,
+    Rmses,
+    finite_or_none,
+    in_role,
+    plain_rmse,
+    residuals_of,
+)
 from termsel.fits.fit import Fit
 from termsel.fits.locate import Surface
 from termsel.fits.residuals import Residuals
 from termsel.measurements.features import FeatureSet, FloatArray
+from termsel.measurements.roles import by_roles
 from termsel.problems.base import Selection
 from termsel.results.checksums import sealed
 from termsel.results.text import summary
@@ -103,6 +112,9 @@ class Result:
         RMSE that a choice by the strategy "auto" predicts, with its interval.
     accuracy : Accuracy, optional
         Of the independent points, in px and on the ground, and by standards.
+    final : Fit, optional
+        Of a choice by the strategy "auto": the same structure fitted to all points, independent
+        ones included, which is exported. All figures are those of `fit`.
     strategy : mapping, optional
         Of a choice by the strategy "auto": what was chosen, the accuracy it predicts, and all
         candidates with theirs.
@@ -140,6 +152,7 @@ class Result:
     predicted: Predicted | None = None
     accuracy: Accuracy | None = None
     plugins: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
+    final: Fit | None = None
 
     @property
     def hit_rate(self) -> float:
@@ -174,6 +187,10 @@ class Result:
             "outliers": [asdict(one) for one in self.outliers],
             "predicted": self.predicted and asdict(self.predicted),
             "accuracy": self.accuracy and plain_accuracy(self.accuracy),
+            "final": None if self.final is None else {
+                "features": list(self.final.control.ids), "scaling": self.final.scaling.to_dict(),
+                "coefficients": self.final.coefficients},
+            "exported": "final" if self.final else "selection",
             "front": list(self.front), "certificate": self.certificate, "strategy": self.strategy,
             "evaluations": self.evaluations, "lookups": self.lookups,
             "hit_rate": self.hit_rate,
@@ -208,6 +225,32 @@ class Result:
         control = replace(self.fit.control, image_size=size)
         return replace(self, features=replace(self.features, image_size=size),
                        fit=replace(self.fit, control=control))
+
+    def as_exported(self, final: bool | None = None) -> Result:
+        """Return the result with the fit that is exported as its fit.
+
+        Parameters
+        ----------
+        final : bool, optional
+            Whether to take the final fit; by default if there is one.
+
+        Raises
+        ------
+        TermselError
+            If the final fit is asked for and there is none.
+        """
+        if self.final is None:
+            if final:
+                raise TermselError("this result has no final fit",
+                                   hint="The strategy auto makes one where there are independent "
+                                        "points. Leave --final out.")
+            return self
+        if final is False:
+            return self
+        observations = by_roles(self.features)
+        return replace(self, fit=self.final, final=None, residuals=residuals_of(
+            in_role(self.final, observations), observations, check_used=True,
+            independent_used=True))
 
     def project(self, ground: ArrayLike) -> FloatArray:
         """Return where the fitted model sees ground points (see `termsel.Fit.project`)."""

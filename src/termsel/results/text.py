@@ -196,6 +196,9 @@ def _accuracy(record: Record) -> Iterator[str]:
         yield (f"Predicted RMSE {of}: {predicted['rmse']:.3g} px; "
                f"{100 * predicted['level']:.0f} % interval {predicted['low']:.3g} to "
                f"{predicted['high']:.3g} px")
+    if record.get("final"):
+        yield (f"Exported: the same structure fitted to all {len(record['final']['features'])} "
+               "points; --no-final exports this fit")
     if accuracy or predicted:
         yield ""
 

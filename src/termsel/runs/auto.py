@@ -31,6 +31,7 @@ from termsel.problems.base import Evaluation, Selection
 from termsel.problems.recipes import Recipe
 from termsel.results.result import Result
 from termsel.runs.data_notes import notes_on_data
+from termsel.runs.final import final_fit
 from termsel.runs.judge import judge_choice
 from termsel.runs.outliers import judged_independent, without_blunders
 from termsel.runs.provenance import data_of, plugins_of, versions
@@ -174,6 +175,8 @@ def choose_for(request: Request, observations: Observations, seed: int,
     model = fitted.model
     rmse = figures(fitted, observations)
     contradicting, more = judged_independent(observations.independent, heights, chosen)
+    final = final_fit(chosen, observations.features.points, heights,
+                      [one.id for one in contradicting])
     # The chosen one is the selection, and is not shown twice unless it is plain.
     baselines = tuple(b for b in comparison.baselines
                       if b.name != chosen.name or chosen.candidate.is_plain)
@@ -193,7 +196,7 @@ def choose_for(request: Request, observations: Observations, seed: int,
                *notes_on_data(request.features, observations, heights=True),
                *_notes(request.model, observations, errors, said), *notes, *more),
         outliers=(*outliers, *contradicting), predicted=expected,
-        accuracy=accuracy_of(fitted, observations.independent),
+        accuracy=accuracy_of(fitted, observations.independent), final=final,
         objectives={"press": chosen.predicted},
         evaluations=watch.count, lookups=0, generations=0,
         seconds=time.perf_counter() - start, interrupted=interrupted, polish=None, fit=fitted,
