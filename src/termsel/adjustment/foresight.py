@@ -1,13 +1,13 @@
 """What a posterior foresees at any place: line and sample, and how uncertain they are.
 
-Under one solution on the grid, with q the free columns at a place reduced by their triangle and
-w its shrunken columns less what those have in common with the free ones, the prediction has the
-variance
+A prediction is linear in q, the free columns at a place reduced by their triangle, and in w, its
+shrunken columns less what those have in common with the free ones. Under one solution on the grid
+its variance is
 
-    sigma^2 (q'q + size^2 (|D w|^2 - sum_i (v_i' D w)^2 s_i^2 size^2 / (1 + s_i^2 size^2))),
+    sigma^2 (q'q + size^2 w'D (I - sum_i v_i v_i' s_i^2 size^2 / (1 + s_i^2 size^2)) D w),
 
-D the scales, s_i and v_i singular values and vectors. The variance over all solutions is the mean
-of theirs and the variance of their predictions.
+D the scales, s_i and v_i singular values and vectors. Over all solutions it is the mean of these
+and the variance of the predictions: a quadratic form in q and w again.
 """
 
 from __future__ import annotations
@@ -20,9 +20,6 @@ from scipy import linalg
 from termsel.adjustment.posterior import SIZES, Posterior
 from termsel.measurements.features import FloatArray
 
-AT_ONCE = 2000
-"""Places of which the variances under all solutions are held in memory."""
-
 
 @dataclass(frozen=True, eq=False)
 class Foresight:
@@ -34,12 +31,16 @@ class Foresight:
         Mean of line and sample.
     variance : ndarray, shape (m, 2)
         Of their errors, without the noise of a measurement there.
+    factors : ndarray, shape (m, 2, d)
+        Their products are the covariances of the errors as far as columns span them: those of a
+        line and of a sample are independent.
     noise : float
         Variance of a measurement of unit weight.
     """
 
     image: FloatArray
     variance: FloatArray
+    factors: FloatArray
     noise: float
 
 
@@ -57,33 +58,48 @@ def foresee(found: Posterior, free: FloatArray, shrunken: FloatArray,
     unspanned : ndarray, shape (g, m), optional
         Variance for size 1 of what no column spans at the places, of each group of scales.
     """
-    more = np.zeros((len(found.scales), len(free))) if unspanned is None else unspanned
     # The expectation of the noise's variance, which is inverse gamma distributed.
-    noise = found.square / (found.freedom - 2)
-    image, variance = np.empty((2, len(free), 2))
-    for start in range(0, len(free), AT_ONCE):
-        part = slice(start, start + AT_ONCE)
-        for axis in (0, 1):
-            image[part, axis], variance[part, axis] = _of_axis(
-                found, axis, noise, free[part], shrunken[part], more[:, part])
-    return Foresight(image, variance, float(found.cells.share @ noise))
+    noises = found.square / (found.freedom - 2)
+    noise = float(found.cells.share @ noises)
+    count = free.shape[1] + shrunken.shape[1]
+    image, variance = np.zeros((2, len(free), 2))
+    factors = np.zeros((len(free), 2, 2 * count))
+    for axis in (0, 1):
+        side, design = found.sides[axis], found.designs[axis]
+        lead = linalg.solve_triangular(design.lead, free.T, trans="T").T
+        rest = shrunken - lead @ design.cross
+        weight = _weights(found, axis, noises)
+        mean, root = _shrunken(found, axis, weight)
+        image[:, axis] = lead @ side.free + rest @ mean
+        factors[:, axis, axis * count:(axis + 1) * count] = np.concatenate(
+            [lead * np.sqrt(noise), rest @ root], axis=1)
+        if unspanned is not None:
+            variance[:, axis] = weight @ SIZES**2 @ unspanned
+    return Foresight(image, variance + (factors**2).sum(axis=2), factors, noise)
 
 
-def _of_axis(found: Posterior, axis: int, noise: FloatArray, free: FloatArray,
-             shrunken: FloatArray, more: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return mean and variance at m places."""
+def _weights(found: Posterior, axis: int, noises: FloatArray) -> FloatArray:
+    """Return the noise of each solution of an axis by its probability, shape (g, s)."""
+    which, count = found.cells.which[axis], len(found.sides[axis].square)
+    return np.asarray(np.bincount(which, found.cells.share * noises, count), dtype=np.float64
+                      ).reshape(len(found.scales), -1)
+
+
+def _shrunken(found: Posterior, axis: int, weight: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return mean and root of the covariance of the shrunken coefficients, (k,) and (k, k)."""
     side, design, which = found.sides[axis], found.designs[axis], found.cells.which[axis]
-    count = len(side.square)
-    share = np.bincount(which, found.cells.share, count)
-    weight = np.bincount(which, found.cells.share * noise, count)
-    lead = linalg.solve_triangular(design.lead, free.T, trans="T")            # (f, m)
-    rest = shrunken.T - design.cross.T @ lead                                 # (k, m)
-    scaled = found.scales[:, :, None] * rest                                  # (g, k, m)
-    along = (design.vt @ scaled) ** 2                                         # (g, p, m)
-    never = np.maximum((scaled**2).sum(axis=1) - along.sum(axis=1), 0.0) + more  # (g, m)
-    keep = 1.0 / (1.0 + (SIZES[:, None] * design.values[:, None, :]) ** 2)    # (g, s, p)
-    spread = SIZES[:, None] ** 2 * (keep @ along + never[:, None, :])         # (g, s, m)
-    image = side.free @ lead + side.coefficients @ rest                       # (g s, m)
-    mean = share @ image
-    return mean, (weight @ (spread.reshape(count, -1) + (lead**2).sum(axis=0))
-                  + share @ (image - mean) ** 2)
+    k = found.scales.shape[1]
+    share = np.bincount(which, found.cells.share, len(side.square))
+    mean = share @ side.coefficients
+    apart = side.coefficients - mean
+    covariance = (apart * share[:, None]).T @ apart
+    keep = SIZES[:, None] ** 2 / (1.0 + (SIZES[:, None] * design.values[:, None, :]) ** 2)
+    own = np.einsum("gs,gsp->gp", weight, keep)
+    never = weight @ SIZES**2
+    for g in np.flatnonzero(weight.any(axis=1)):
+        scaled = design.vt[g] * found.scales[g]
+        covariance += (scaled * own[g][:, None]).T @ scaled
+        if len(scaled) < k:  # what no point reaches
+            covariance += never[g] * (np.diag(found.scales[g] ** 2) - scaled.T @ scaled)
+    values, vectors = np.linalg.eigh(covariance)
+    return mean, vectors * np.sqrt(np.maximum(values, 0.0))

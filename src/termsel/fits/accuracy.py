@@ -28,8 +28,8 @@ QUANTILE = 1.645
 
 LENT = 0.4
 """How uncertain what a fit adds to the errors is, by effective parameters over redundancy: the
-points that find the coefficients also judge them. Chosen on simulated scenes;
-`benchmarks/coverage.py` shows what it covers on others."""
+points that find the coefficients also judge them. Chosen on simulated and real sets;
+`benchmarks/coverage.py` shows what it covers on other splits."""
 
 NSSDA_POINTS, ASPRS_POINTS = 20, 30
 """Fewest check points of the standards."""

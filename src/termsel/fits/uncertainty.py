@@ -39,10 +39,14 @@ class Spread:
         Of line and sample, without the noise of a measurement at the place.
     noise : ndarray, shape (2,)
         Variance of that noise, for measurements of unit weight.
+    factors : ndarray, shape (m, 2, d), optional
+        Their products are the covariances of what is not known, at all places and of both axes: a
+        measurement lessens it elsewhere too.
     """
 
     variance: FloatArray
     noise: FloatArray
+    factors: FloatArray | None = None
 
 
 def spread_of(model: Fittable, control: FeatureSet, terms: BoolArray, adjustment: Adjustment,
@@ -83,6 +87,19 @@ def spread_of(model: Fittable, control: FeatureSet, terms: BoolArray, adjustment
     return believed.spread(ground, image)
 
 
+def believed_spread(model: Fittable, control: FeatureSet, ground: FloatArray,
+                    image: FloatArray) -> Spread | None:
+    """Return the mean square errors as the polynomial sees them, whatever the fit; or None.
+
+    Parameters
+    ----------
+    model, control, ground, image
+        As for `spread_of`.
+    """
+    believed = None if len(control.lines) else _Belief.of(model, control)
+    return None if believed is None else believed.spread(ground, image)
+
+
 @dataclass(frozen=True, eq=False)
 class _Belief:
     """A shrunken polynomial of the control points, and where it can be looked up."""
@@ -108,7 +125,8 @@ class _Belief:
         columns = _columns(ground, self.degree, self.variables)
         there = foresee(self.found, columns[:, :self.variables + 1],
                         columns[:, self.variables + 1:])
-        return Spread(there.variance + (image - there.image) ** 2, np.full(2, there.noise))
+        return Spread(there.variance + (image - there.image) ** 2,
+                      np.full(2, there.noise), there.factors)
 
     def press(self) -> float:
         """Return the sum of squared errors of the points, each by the others."""
@@ -146,5 +164,6 @@ def _propagated(model: Fittable, control: FeatureSet, terms: BoolArray, adjustme
     slopes = (model.project(moved, ground) - model.project(back, ground)) \
         / (2 * steps[:, None, None])                                           # (k, m, 2)
     along = np.linalg.solve(r.T, slopes.reshape(len(steps), -1))
-    variance = adjustment.sigma0**2 * (along**2).sum(axis=0).reshape(-1, 2)
-    return Spread(variance, np.full(2, adjustment.sigma0**2)), float(((errors / left) ** 2).sum())
+    factors = adjustment.sigma0 * along.T.reshape(len(ground), 2, -1)
+    return Spread((factors**2).sum(axis=2), np.full(2, adjustment.sigma0**2), factors), \
+        float(((errors / left) ** 2).sum())

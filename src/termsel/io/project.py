@@ -18,7 +18,6 @@ from termsel.formats.readers.csv_tables import COORDINATES, table_text
 from termsel.formats.readers.tables import Table, read_table
 from termsel.measurements.crs import normalise
 from termsel.measurements.features import BoolArray, FloatArray, select
-from termsel.measurements.roles import by_roles, together
 
 if TYPE_CHECKING:
     from termsel.results.result import Result
@@ -68,7 +67,7 @@ def project_table(
     model, crs = result.fit.model, result.fit.control.crs
     if inverse:
         table = _table(path, "line", "sample")
-        image = table.stack("line", "sample")
+        ids, image = table.ids(), table.stack("line", "sample")
         if dem is not None and height is not None:
             raise TermselError("--dem and --height exclude each other", hint="Give one of them.")
         if height is not None and not np.isfinite(height):
@@ -85,17 +84,7 @@ def project_table(
         if dem is not None or height is not None:
             raise TermselError("--dem and --height require --inverse",
                                hint="Add --inverse, or remove them.")
-        names = ("x", "y", "z") if model.uses_height else ("x", "y")
-        table = _table(path, *names)
-        if table.crs and table.crs != normalise(crs):
-            raise TermselError(f"the file declares the CRS {table.crs}, but the control is in "
-                               f"{crs}",
-                               file=path, hint="Transform the points to the CRS of the control.")
-        ground = np.full((len(table.lines), 3), np.nan)
-        ground[:, :len(names)] = table.stack(*names)
-        blank = np.flatnonzero(np.isnan(ground[:, len(names) - 1]))
-        if blank.size:
-            raise table.error("the height is blank, but the model requires it", int(blank[0]), "z")
+        ids, ground = read_ground(result, path)
         with np.errstate(all="ignore"):
             image = result.project(ground)
         image[~np.isfinite(image)] = np.nan
@@ -106,7 +95,6 @@ def project_table(
     values = np.column_stack([image, ground, sigma, apart])
     # Heights may be unknown; line, sample, x and y of what was found are not.
     missed: BoolArray = np.asarray(np.isnan(values[:, :4]).any(axis=1))
-    ids = table.ids()
     header = ["id", "line", "sample", "x", "y", "z", "uncertainty_line",
               "uncertainty_sample", "outside"]
     text = table_text(crs, header, [[name] for name in ids], values)
@@ -128,10 +116,24 @@ def _listed(ids: Sequence[str]) -> str:
 
 def _control(result: Result) -> FloatArray:
     """Return the ground coordinates of what a result was fitted to."""
-    control = result.fit.control.take(result.fit.used)
-    if result.strategy is None:
-        return control.ground_vertices()
-    return together(by_roles(result.features)).ground_vertices()
+    made = result.fit.made or result.fit
+    return made.control.take(made.used).ground_vertices()
+
+
+def read_ground(result: Result, path: Path) -> tuple[list[str], FloatArray]:
+    """Return ids and ground positions, shape (n, 3), of a table, as `project_table` reads it."""
+    model, crs = result.fit.model, result.fit.control.crs
+    names = ("x", "y", "z") if model.uses_height else ("x", "y")
+    table = _table(path, *names)
+    if table.crs and table.crs != normalise(crs):
+        raise TermselError(f"the file declares the CRS {table.crs}, but the control is in {crs}",
+                           file=path, hint="Transform the points to the CRS of the control.")
+    ground = np.full((len(table.lines), 3), np.nan)
+    ground[:, :len(names)] = table.stack(*names)
+    blank = np.flatnonzero(np.isnan(ground[:, len(names) - 1]))
+    if blank.size:
+        raise table.error("the height is blank, but the model requires it", int(blank[0]), "z")
+    return table.ids(), ground
 
 
 def _table(path: Path, *meanings: str) -> Table:

@@ -14,6 +14,7 @@ COMMANDS = {
                 "Compute image positions of ground points, or ground positions of image points."),
     "rectify": ("termsel.cli.rectify:rectify",
                 "Resample an image to a map, by GDAL's warper through the fitted model."),
+    "plan": ("termsel.cli.plan:plan", "Rank the places where further control points help most."),
     "list": ("termsel.cli.list:list_", "List what can be asked for by name."),
     "describe": ("termsel.cli.describe:describe",
                  "Describe a problem, model, solver or anything else that has a name."),

@@ -1,0 +1,60 @@
+"""The command `termsel plan`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from termsel.cli.final import final_option
+from termsel.cli.messages import echo, say_written, show_messages
+from termsel.cli.tables import print_table
+
+
+@click.command()
+@click.argument("folder", metavar="DIR", type=click.Path(path_type=Path))
+@click.option("--candidates", metavar="FILE", type=click.Path(path_type=Path),
+              help="Table id,x,y,z of places to choose from, in the CRS of the control; by default "
+                   "a grid over the image.")
+@click.option("-n", "--number", "count", type=click.IntRange(min=1), default=5, show_default=True,
+              help="How many places.")
+@click.option("--output", "-o", metavar="FILE", type=click.Path(path_type=Path),
+              help="Also write the places to this CSV file.")
+@final_option
+@click.option("--overwrite", is_flag=True, help="Replace an existing file.")
+def plan(folder: Path, candidates: Path | None, count: int, output: Path | None,
+         final: bool | None, overwrite: bool) -> None:
+    """Rank the places where further control points help most.
+
+    DIR is the folder that a run wrote with --out. The first place is the one after which the mean
+    uncertainty over the image is least, the second the best together with the first, and so on.
+    `uncertainty` is that mean once the place, and those above it, are measured [px].
+
+    \b
+    Examples:
+      termsel plan result
+      termsel plan result -n 10 -o next.csv
+      termsel plan result --candidates crossroads.csv -n 3
+    """
+    show_messages()
+
+    from termsel.formats.atomic import write_text
+    from termsel.io.export import as_exported
+    from termsel.io.plan import COLUMNS
+    from termsel.io.plan import plan as ranked
+    from termsel.io.replacing import require_replaceable
+    from termsel.io.result_folder import read_result
+
+    if output is not None:
+        require_replaceable([output], reads=[folder, candidates], overwrite=overwrite)
+    found = ranked(as_exported(read_result(folder), final), count, candidates)
+    rows = [(name, f"{line:.1f}", f"{sample:.1f}", f"{x:.8g}", f"{y:.8g}",
+             "" if z != z else f"{z:.1f}", f"{sigma:.3g}")
+            for name, (line, sample, x, y, z, sigma) in zip(
+                found.ids, found.values.tolist(), strict=True)]
+    print_table(COLUMNS, rows)
+    echo(f"Mean uncertainty over the image: {found.now:.3g} px now, {rows[-1][-1]} px with "
+         f"{'this place' if len(rows) == 1 else f'these {len(rows)} places'}", err=True)
+    if output is not None:
+        write_text(output, found.to_csv())
+        say_written([output])

@@ -1,0 +1,103 @@
+"""Where to measure next: the places that take most of the doubt about a fit from the scene.
+
+A measurement at a place lessens the variance of what is predicted elsewhere by the square of
+their covariance, over the variance of the measurement. The place comes first after which the mean
+variance over the scene is least; the next is the best together with it, and so on.
+
+References
+----------
+Krause, Singh and Guestrin 2008, J. Machine Learning Research 9, for the greedy choice of places.
+The mean variance is that of V-optimal designs (Atkinson, Donev and Tobias 2007). The measurements
+themselves are not known before, so that what they will say of the model's form is left out.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from termsel.errors import TermselError
+from termsel.fits.fit import Fit
+from termsel.fits.uncertainty import Spread, believed_spread
+from termsel.measurements.features import FloatArray, IntArray
+
+
+@dataclass(frozen=True, eq=False)
+class Ranking:
+    """Places in the order in which they should be measured.
+
+    Parameters
+    ----------
+    order : ndarray of int, shape (n,)
+        Numbers of candidates.
+    sigma : ndarray, shape (n,)
+        Root mean square uncertainty of a position over the scene after each of them [px].
+    now : float
+        The same before.
+    """
+
+    order: IntArray
+    sigma: FloatArray
+    now: float
+
+
+def rank_places(fitted: Fit, candidates: FloatArray, scene: FloatArray, count: int) -> Ranking:
+    """Return the best places to measure next.
+
+    Parameters
+    ----------
+    fitted : Fit
+        A spline or a field is taken for the shrunken cubic polynomial of its control.
+    candidates : ndarray, shape (c, 3)
+        Ground positions where a point could be measured.
+    scene : ndarray, shape (m, 3)
+        Ground positions, spread over the scene, where the model is to be good.
+    count : int
+        How many places; at most as many as there are candidates.
+
+    Raises
+    ------
+    TermselError
+        If the uncertainty of the fit is not known.
+    """
+    made = fitted.made or fitted
+    places = made.scaling.ground(np.concatenate([candidates, scene]))
+    both: Spread | None = made.estimator.spread(made, places)
+    if both is not None and both.factors is None:  # a local model, which tells no covariances
+        both = believed_spread(made.model, made.scaled_control.take(made.used), places,
+                               np.zeros((len(places), 2)))
+    if both is None or both.factors is None or not np.isfinite(both.factors).all():
+        raise TermselError("the uncertainty of this model is not known",
+                           hint="Plan with a model that control points determine with redundancy, "
+                                "as the strategy auto chooses.")
+    at, there = both.factors[:len(candidates)], both.factors[len(candidates):]
+    left = np.eye(at.shape[2])  # what measurements leave of the directions of doubt
+    over = np.einsum("mad,mae->de", there, there) / len(there)
+    chosen: list[int] = []
+    after: list[float] = []
+    for _ in range(min(count, len(candidates))):
+        gains = _gains(at, left, over, both.noise)
+        gains[chosen] = -np.inf
+        best = int(np.argmax(gains))
+        for axis in (0, 1):
+            left = _measured(left, at[best, axis], both.noise[axis])
+        chosen.append(best)
+        after.append(float(np.trace(left @ over)))
+    scale = made.scaling.image_scale
+    return Ranking(np.array(chosen, dtype=np.intp), np.sqrt(after) * scale,
+                   float(np.sqrt(np.trace(over))) * scale)
+
+
+def _gains(at: FloatArray, left: FloatArray, over: FloatArray, noise: FloatArray) -> FloatArray:
+    """Return by how much a measurement at each candidate lessens the mean variance, shape (c,)."""
+    toward = at @ left                                                       # (c, 2, d)
+    own = np.einsum("cad,cbd->cab", toward, at) + np.diag(noise)             # (c, 2, 2)
+    seen = np.einsum("cad,de,cbe->cab", toward, over, toward)
+    return np.asarray(np.einsum("cab,cba->c", np.linalg.inv(own), seen))
+
+
+def _measured(left: FloatArray, at: FloatArray, noise: float) -> FloatArray:
+    """Return what a further measurement leaves."""
+    toward = left @ at
+    return np.asarray(left - np.outer(toward, toward) / (noise + at @ toward))

@@ -1,0 +1,105 @@
+"""Where to measure next, for a result and places from a table or on a grid."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from termsel.errors import TermselError
+from termsel.fits.next_places import rank_places
+from termsel.formats.readers.csv_tables import table_text
+from termsel.io.project import read_ground
+from termsel.measurements.features import FloatArray
+
+if TYPE_CHECKING:
+    from termsel.results.result import Result
+
+COLUMNS = ("id", "line", "sample", "x", "y", "z", "uncertainty")
+GRID = 20
+"""Places along either side of the image on which the uncertainty is averaged."""
+INSET = 0.02
+"""Part of the image's sides that the grid leaves out, where nothing can be measured."""
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """Places in the order in which they should be measured.
+
+    Parameters
+    ----------
+    ids : tuple of str
+    values : ndarray, shape (n, 6)
+        Line and sample [px], x, y and z, and the root mean square uncertainty of a position over
+        the scene once the place is measured, and those before it [px].
+    now : float
+        That uncertainty before [px].
+    crs : str
+        Of x, y and z.
+    """
+
+    ids: tuple[str, ...]
+    values: FloatArray
+    now: float
+    crs: str
+
+    def to_csv(self) -> str:
+        """Return the plan as CSV headed by COLUMNS."""
+        return table_text(self.crs, list(COLUMNS), [[name] for name in self.ids], self.values)
+
+
+def plan(result: Result, count: int, candidates: Path | None = None) -> Plan:
+    """Return the places where further points lessen the uncertainty over the scene most.
+
+    Parameters
+    ----------
+    result : Result
+    count : int
+        How many.
+    candidates : pathlib.Path, optional
+        Table of places id,x,y,z to choose from; by default a grid over the image, with the height
+        of the nearest control.
+
+    Raises
+    ------
+    TermselError
+        If the table cannot be read or has no place in the image, or the uncertainty of the model is
+        not known.
+    """
+    fitted = result.fit
+    scene = _grid(result)
+    if candidates is None:
+        ids, places = tuple(f"N{i + 1:03d}" for i in range(len(scene))), scene
+    else:
+        named, places = read_ground(result, candidates)
+        ids = tuple(named)
+    known = np.isfinite(fitted.project(places)).all(axis=1)
+    if not known.any() or not len(scene):
+        raise TermselError("the model sees none of the places", file=candidates,
+                           hint="Give places in the CRS of the control, inside the scene.")
+    numbers = np.flatnonzero(known)
+    found = rank_places(fitted, places[numbers], scene, count)
+    chosen = places[numbers[found.order]]
+    return Plan(tuple(ids[i] for i in numbers[found.order]), np.column_stack(
+        [fitted.project(chosen), chosen, found.sigma]), found.now, fitted.control.crs)
+
+
+def _grid(result: Result) -> FloatArray:
+    """Return ground positions on a grid over the image, at the heights of the nearest control."""
+    from scipy.spatial import cKDTree
+
+    fitted = result.fit
+    (top, left), (bottom, right) = fitted.image_box()
+    lines, samples = (np.linspace(low + INSET * (high - low), high - INSET * (high - low), GRID)
+                      for low, high in ((top, bottom), (left, right)))
+    image = np.stack(np.meshgrid(lines, samples, indexing="ij"), axis=-1).reshape(-1, 2)
+    control = fitted.control
+    ground = control.ground_vertices()
+    nearest = cKDTree(fitted.project(ground)).query(image)[1]
+    heights = ground[nearest, 2]
+    if not fitted.model.uses_height:
+        heights = np.nan_to_num(heights)
+    places = fitted.locate(image, heights)
+    return places[np.isfinite(places).all(axis=1)]
