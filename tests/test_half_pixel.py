@@ -88,3 +88,14 @@ def test_bright_pixel(writer: type[termsel.Writer], name: str, resampling: str, 
     else:
         assert abs(line - BRIGHT[0]) < 0.05
         assert abs(sample - BRIGHT[1]) < 0.05
+
+
+@pytest.mark.parametrize("step", [2, 5])
+def test_bright_pixel_by_an_array_with_larger_steps(step: int, image: Path, north_up: Result,
+                                                    tmp_path: Path) -> None:
+    # GDAL takes the places of an array for corners or for middles of its cells.
+    GeolocationVrt(image=str(image), step=step).write(north_up, tmp_path / "scene.vrt")
+    line, sample = _centre(_warped(tmp_path / "scene.vrt",
+                                   resampling=rasterio.enums.Resampling.bilinear))
+    assert abs(line - BRIGHT[0]) < 0.05
+    assert abs(sample - BRIGHT[1]) < 0.05

@@ -175,9 +175,12 @@ class GeolocationVrt(GridWriter):
             "X_DATASET_RELATIVE_TO_SOURCE": "YES",
             "Y_DATASET": array.name, "Y_BAND": "2",
             "Y_DATASET_RELATIVE_TO_SOURCE": "YES",
-            # Counted from the centre of the upper-left pixel, in px of the image.
-            "PIXEL_OFFSET": str(-step), "LINE_OFFSET": str(-step), "PIXEL_STEP": str(step),
-            "LINE_STEP": str(step), "GEOREFERENCING_CONVENTION": "PIXEL_CENTER",
+            # GDAL counts from the corner of the upper-left pixel. By this convention, that of older
+            # versions, the places are those of the array; by PIXEL_CENTER they would be half a
+            # step further on.
+            "PIXEL_OFFSET": str(0.5 - step), "LINE_OFFSET": str(0.5 - step),
+            "PIXEL_STEP": str(step), "LINE_STEP": str(step),
+            "GEOREFERENCING_CONVENTION": "TOP_LEFT_CORNER",
             "SRS": rasterio.CRS.from_user_input(crs).to_wkt() if crs else ""}
         values = np.nan_to_num(ground[..., :2], nan=_NODATA)
         content = tiff_bytes(np.moveaxis(values, -1, 0), nodata=_NODATA, compress="deflate",
