@@ -96,7 +96,7 @@ def main() -> None:
         warnings.simplefilter("ignore", NotGeoreferencedWarning)
         folder = Path(name)
         make_scene(folder)
-        result = termsel.run("rfm-terms", features=termsel.read(folder / "gcps.csv"))
+        result = termsel.run("rfm-terms", features=termsel.read(folder / "gcps.csv")).as_exported()
         rectified = folder / "map.tif"
         termsel.rectify(result, folder / "scene.tif", rectified, dem=folder / "dem.tif",
                         crs=MAP_CRS, resolution=GSD)
