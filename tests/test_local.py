@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import tracemalloc
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -9,8 +11,10 @@ from hypothesis import strategies as st
 
 import termsel
 from termsel.problems.base import Genome, Segment
+from termsel.solvers import search as searching
 from termsel.solvers import swap as local
 from termsel.solvers.exact import prove
+from termsel.solvers.ledger import Progress
 from termsel.testing.problems import kept
 
 
@@ -39,6 +43,35 @@ def test_neighbours_of_many_genes_come_in_batches() -> None:
     sizes = [len(b) for b in local.neighbours(np.arange(200) % 2 == 0, genome)]
     assert sum(sizes) == 200 + 100 * 100
     assert max(sizes) == local.BATCH
+
+
+def test_neighbours_of_very_many_genes_take_no_memory_before_their_turn() -> None:
+    genome = Genome([Segment("features", tuple(map(str, range(20_000))))])
+    tracemalloc.start()
+    batches = local.neighbours(np.arange(20_000) % 2 == 0, genome)
+    assert len(next(batches)) == local.BATCH
+    most = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert most < 3 * local.BATCH * 20_000  # 100 million pairs alone would take 1.6 GB
+
+
+def test_the_local_refinement_keeps_to_its_budget_and_tells(monkeypatch: pytest.MonkeyPatch,
+                                                            ) -> None:
+    task = termsel.prepare("owdis-points")
+    told: list[Progress] = []
+    free = termsel.search(task.problem, task.solver, evaluations=10, observers=[told.append])
+    assert free.polish
+    assert free.polish.evaluations > 100
+    shares = [one.share for one in told if one.what == "local refinement"]
+    assert len(shares) >= 2
+    assert shares == sorted(shares)
+    assert shares[-1] == 1.0
+    assert [one.evaluations for one in told] == sorted(one.evaluations for one in told)
+    monkeypatch.setattr(searching, "DESCENT", 50 * task.problem.genome.size)
+    kept = termsel.search(task.problem, task.solver, evaluations=10)
+    assert kept.polish is not None
+    assert kept.polish.evaluations == 50
+    assert kept.polish.polished <= kept.polish.found
 
 
 @pytest.mark.parametrize("mask", ["per-axis", "shared"])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,7 +16,7 @@ from termsel.solvers.base import Generation
 
 @dataclass(frozen=True, eq=False)
 class Progress:
-    """State of a search, as observers get it after each generation.
+    """State of a search, as observers get it after each generation and in the local refinement.
 
     Parameters
     ----------
@@ -31,7 +32,8 @@ class Progress:
     genes : ndarray of bool, shape (size,)
         The best individual so far.
     what : str
-        What is being done, of the strategy "auto": there each candidate of each fold counts as an
+        What is being done, where it is no generation of the solver: the local refinement, or a step
+        of the strategy "auto". There each candidate of each fold counts as an
         evaluation and as a generation, none of which has genes.
     """
 
@@ -67,6 +69,7 @@ class Ledger(Problem):
         self.objectives = problem.objectives
         self.limit = evaluations
         self.deadline = deadline
+        self.after_evaluation: Callable[[], None] = lambda: None
         self.count = 0
         self.lookups = 0
         self.best: tuple[float, float] = (np.inf, np.inf)
@@ -83,6 +86,7 @@ class Ledger(Problem):
         self._require_bits(genes)
         allowed = len(genes) if self.limit is None else self.limit - self.count
         evaluation = self._look_up(genes[:allowed])
+        self.after_evaluation()
         if allowed < len(genes):
             raise BudgetSpent
         return evaluation
@@ -99,10 +103,10 @@ class Ledger(Problem):
         """Return the problem's own design matrix."""
         return self.problem.design()
 
-    def progress(self, generation: Generation, share: float | None) -> Progress:
+    def progress(self, generation: Generation, share: float | None, what: str = "") -> Progress:
         """Return the state for observers."""
         genes = generation.genes[0] if self.best_genes is None else self.best_genes
-        return Progress(generation, self.count, share, self.best[1], self.best[0], genes)
+        return Progress(generation, self.count, share, self.best[1], self.best[0], genes, what)
 
     def front(self) -> list[BoolArray]:
         """Return the feasible non-dominated individuals, by first objective."""

@@ -12,7 +12,7 @@ import numpy as np
 from termsel.errors import TermselError
 from termsel.interrupts import answered
 from termsel.measurements.features import BoolArray, FloatArray
-from termsel.problems.base import Problem
+from termsel.problems.base import Evaluation, Problem
 from termsel.solvers.base import Generation, Solver
 from termsel.solvers.budget import Budget
 from termsel.solvers.ledger import BudgetSpent, Ledger, Progress
@@ -23,6 +23,10 @@ POLISH_SHARE = 3
 """Most evaluations of the local refinement, relative to those of the search: enough for most
 seeds to reach the proven optimum of the embedded problem with 21 terms per axis.
 See docs/evidence/solver-table.md."""
+
+DESCENT = 100_000_000
+"""Most genes that the first descent of the local refinement evaluates, in all its individuals: of
+thousands of points, one look at all neighbours of a selection would take hours."""
 
 Observer = Callable[[Progress], None]
 
@@ -120,7 +124,7 @@ def search(
     seconds : float, optional
         Budget of time; the current evaluation is finished.
     observers : iterable of callable
-        Called with `Progress` after each generation.
+        Called with `Progress` after each generation, and in the local refinement.
 
     Returns
     -------
@@ -158,7 +162,7 @@ def search(
                 break
         done, lookups = ledger.count, ledger.lookups
         if solver.options.get("polish"):
-            polish = _polish(ledger, rng)
+            polish = _polish(ledger, rng, generation, observers)
     except KeyboardInterrupt:
         if ledger.best_genes is None:
             raise
@@ -217,17 +221,29 @@ def _until_spent(running: Iterator[Generation]) -> Iterator[Generation]:
         return
 
 
-def _polish(ledger: Ledger, rng: np.random.Generator) -> Polish | None:
+def _polish(ledger: Ledger, rng: np.random.Generator, generation: Generation | None,
+            observers: Iterable[Observer]) -> Polish | None:
     """Climb from the best individual, or search around all members of a front.
 
     The evaluations are additional to the solver's, up to POLISH_SHARE times as many; a budget of
-    time applies to both. The first descent is always finished.
+    time applies to both. The first descent may take more, up to DESCENT.
     """
     if ledger.best_genes is None:
         return None
+    # A budget may be spent within the first generation.
+    reached = generation or Generation(0, ledger.best_genes[None], Evaluation(
+        ledger.best_objectives[None], np.array([ledger.best[0]])))
     found, count, lookups = ledger.best[1], ledger.count, ledger.lookups
-    ledger.limit = None
     most = (1 + POLISH_SHARE) * count
+    ledger.limit = max(most, count + DESCENT // ledger.genome.size)
+
+    def tell() -> None:
+        share = min((ledger.count - count) / (most - count), 1.0)
+        progress = ledger.progress(reached, share, "local refinement")
+        for observe in observers:
+            observe(progress)
+
+    ledger.after_evaluation = tell
     try:
         if len(ledger.objectives) == 1:
             start = ledger.best_genes[None]
@@ -237,7 +253,7 @@ def _polish(ledger: Ledger, rng: np.random.Generator) -> Polish | None:
                     break
         else:
             _widen(ledger, 2 * count)
-    except BudgetSpent:  # the limit above, or the deadline
+    except BudgetSpent:  # the limits above, or the deadline
         pass
     return Polish(found, ledger.best[1], ledger.count - count, ledger.lookups - lookups)
 

@@ -34,7 +34,9 @@ def neighbours(genes: BoolArray, genome: Genome) -> Iterator[BoolArray]:
     ndarray of bool, shape (n, size)
     """
     flips: list[IntArray] = []
-    swaps: list[IntArray] = []
+    # Pairs of one gene of the first and one of the second, of which there may be very many: they
+    # are numbered, and made when their batch is. A flip is a pair of the gene with itself.
+    pairs: list[tuple[IntArray, IntArray]] = []
     for segment, where in zip(genome.segments, genome.slices().values(), strict=True):
         most = len(segment.labels) if segment.maximum is None else segment.maximum
         count = int(genes[where].sum())
@@ -42,12 +44,18 @@ def neighbours(genes: BoolArray, genome: Genome) -> Iterator[BoolArray]:
         on, off = free[genes[free]], free[~genes[free]]
         flips += [off] if count < most else []
         flips += [on] if count > segment.minimum else []
-        swaps.append(np.stack(np.meshgrid(on, off, indexing="ij"), axis=-1).reshape(-1, 2))
+        pairs.append((on, off))
     single = np.concatenate([*flips, np.empty(0, dtype=np.intp)])
-    # A flip switches a single gene: its partner is itself.
-    moves = np.concatenate([np.column_stack([single, single]), *swaps])
-    for start in range(0, len(moves), BATCH):
-        first, second = moves[start:start + BATCH].T
+    ends = np.cumsum([len(single), *(len(on) * len(off) for on, off in pairs)])
+    for start in range(0, int(ends[-1]), BATCH):
+        number = np.arange(start, min(start + BATCH, int(ends[-1])))
+        first = np.empty(len(number), dtype=np.intp)
+        second = np.empty_like(first)
+        first[number < ends[0]] = second[number < ends[0]] = single[number[number < ends[0]]]
+        for (on, off), begin, end in zip(pairs, ends[:-1], ends[1:], strict=True):
+            here = (number >= begin) & (number < end)
+            first[here] = on[(number[here] - begin) // max(len(off), 1)]
+            second[here] = off[(number[here] - begin) % max(len(off), 1)]
         around = np.repeat(genes[None], len(first), axis=0)
         around[np.arange(len(first)), first] ^= True
         around[np.arange(len(first)), second] = ~genes[second]
