@@ -1,7 +1,7 @@
 """How much blunders cost the strategy auto, and how many it finds.
 
 ``python -m benchmarks.blunders`` prints the tables, ``--write`` makes docs/evidence/blunders.md of
-them. The sets and splits are those of `benchmarks.honest`. One point in 15, or one in 5, is moved
+them. The sets and splits are those of `benchmarks.accuracy`. One point in 15, or one in 5, is moved
 by 10 to 100 standard deviations in a random direction; sizes are uniform in logarithms. Robust
 peers are quadratic polynomials by scikit-learn and statsmodels (``pip install scikit-learn
 statsmodels``).
@@ -15,18 +15,16 @@ import warnings
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
-from benchmarks.honest import MEASURED, NOISE, heights_of, names, rmse_of, split
+from benchmarks.accuracy import MEASURED, NOISE, heights_of, names, put, rmse_of, split
 from termsel.adjustment.monomials import graded_exponents, monomials
 from termsel.candidates.blunders import find_blunders
 from termsel.candidates.portfolio import choose
 from termsel.measurements.features import BoolArray, FeatureSet, FloatArray, Points
 from termsel.measurements.scaling import scaling_of
 
-ROOT = Path(__file__).parents[1]
 COUNTS = (24, 40, 74)
 SHARES = {"1 in 15": 1 / 15, "1 in 5": 1 / 5}
 UNKNOWN_NOISE = ("kastoria_1925", "maplat_fushimijo")
@@ -240,10 +238,7 @@ other points looks like a bend. The report names such points as undecided.
 
 {table(five)}
 """
-    if asked.write:
-        (ROOT / "docs" / "evidence" / "blunders.md").write_text(text, encoding="utf-8")
-    else:
-        sys.stdout.write(text)
+    put("blunders", text, write=asked.write)
 
 
 if __name__ == "__main__":
