@@ -60,7 +60,8 @@ def put(page: str, text: str, *, write: bool) -> None:
     """Print a page of docs/evidence, and renew it if asked to."""
     sys.stdout.write(text)
     if write:
-        (ROOT / "docs" / "evidence" / f"{page}.md").write_text(text.rstrip() + "\n", encoding="utf-8")
+        (ROOT / "docs" / "evidence" / f"{page}.md").write_text(text.rstrip() + "\n",
+                                                               encoding="utf-8")
 
 
 def names() -> list[str]:
