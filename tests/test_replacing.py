@@ -73,6 +73,7 @@ READ_AND_WRITTEN = {
     "table to project": ("project r --points t.csv -o t.csv --overwrite", "t.csv"),
     "heights to project": ("project r --points i.csv --inverse --dem dem.tif -o dem.tif "
                            "--overwrite", "dem.tif"),
+    "candidates of a plan": ("plan r -n 1 --candidates t.csv -o t.csv --overwrite", "t.csv"),
     "result to project": ("project r --points t.csv -o r/summary.txt --overwrite",
                           "r/summary.txt"),
 }
