@@ -80,6 +80,7 @@ def test_a_result_is_read_back_and_exported(call: Call, tmp_path: Path) -> None:
     first, second = (row.split(",") for row in done.stdout.splitlines() if row[:2] in ("a,", "b,"))
     assert [float(cell) for cell in first[1:3]] == pytest.approx(
         [float(cell) for cell in second[1:3]], abs=1e-6)
+    assert float(first[-1]) == float(second[-1]) == 0.0  # neither is outside the control
     done = call("export", tmp_path / "r", "--to", "rpb", "-o", tmp_path / "r.rpb")
     assert done.exit_code == 0, done.stderr
     offset = next(row for row in (tmp_path / "r.rpb").read_text().splitlines()

@@ -316,8 +316,12 @@ def test_check_points_are_not_needed() -> None:
 def test_too_few_points_are_said_to_be() -> None:
     points = simulate_scene("ikonos-hamedan").points.take(np.arange(6))
     roles = ("control",) * 4 + ("independent",) * 2
-    with pytest.raises(termsel.TermselError, match="4 control and check points are too few"):
-        termsel.run("rfm-terms", features=FeatureSet(replace(points, roles=roles)))
+    lying = points.ground.copy()
+    lying[:4, :2] = lying[0, :2] + np.arange(4)[:, None] * [0.01, 0.005]
+    with pytest.raises(termsel.TermselError, match="on one straight line"):
+        termsel.run("rfm-terms", features=FeatureSet(replace(points, roles=roles, ground=lying)))
+    result = termsel.run("rfm-terms", features=FeatureSet(replace(points, roles=roles)))
+    assert any("nothing tells what a height does" in note for note in result.notes)
 
 
 def test_the_result_is_whole_in_its_folder(tmp_path) -> None:

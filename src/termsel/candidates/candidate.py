@@ -19,13 +19,15 @@ from termsel.fits.of_features import control_of, require_determined
 from termsel.measurements.features import FeatureSet
 from termsel.measurements.scaling import Scaling, scaling_of
 from termsel.models.base import SensorModel
+from termsel.models.helmert import Helmert2D
 from termsel.models.interpolating import Field, Field3D, ThinPlate
 from termsel.models.polynomial import Affine, Polynomial2D, Polynomial3D
 from termsel.models.projective import DLT3D, Projective2D
 from termsel.models.rational import RationalFunctions
 from termsel.threads import one_blas_thread
 
-Kind = Literal["contained", "plain", "full", "ridge", "selected", "shrunken", "local"]
+Kind = Literal["contained", "plain", "full", "ridge", "selected", "shrunken", "local",
+               "few"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +42,8 @@ class Candidate:
     kind : str
         "contained" for a limit of the shrunken polynomials, which find it where the points call
         for it, "plain" for another structure that takes neither selection nor shrinkage, "full"
-        for the full RFM; else how its terms or coefficients are found.
+        for the full RFM, "few" for what serves where points are too few to shrink; else how its
+        terms or coefficients are found.
     with_heights, without : SensorModel or None
         The model for features with heights that differ, and for others; None if there is none.
     estimator : Estimator
@@ -59,7 +62,7 @@ class Candidate:
     @property
     def is_plain(self) -> bool:
         """True if it takes neither selection nor shrinkage, and is plainer than the full RFM."""
-        return self.kind in ("contained", "plain")
+        return self.kind in ("contained", "plain", "few")
 
     @property
     def label(self) -> str:
@@ -117,6 +120,11 @@ class Candidate:
 
 
 CANDIDATES = (
+    Candidate("similarity", "a plane similarity", "few", Helmert2D(), Helmert2D()),
+    Candidate("mirrored-similarity", "a mirrored plane similarity", "few",
+              Helmert2D(mirrored=True), Helmert2D(mirrored=True), short="mirrored similarity"),
+    Candidate("plane-affine", "an affine polynomial without heights", "few",
+              Polynomial2D(degree=1), None, short="plane affine"),
     Candidate("affine", "an affine polynomial", "contained", Affine(), Polynomial2D(degree=1)),
     Candidate("dlt", "a DLT", "plain", DLT3D(), None, short="DLT"),
     Candidate("projective", "a projective transformation", "plain", None, Projective2D()),

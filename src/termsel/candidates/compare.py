@@ -6,9 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from termsel.candidates.candidate import CANDIDATES, heights_differ
+from termsel.candidates.candidate import CANDIDATES
 from termsel.candidates.portfolio import Choice, choose
-from termsel.fits.figures import BOTH, Baseline, baseline
+from termsel.candidates.relief import heights_hold
+from termsel.fits.figures import BOTH, Baseline, baseline, finite_or_none
 from termsel.fits.fit import Fit, Undetermined
 from termsel.measurements.roles import Observations, together
 from termsel.measurements.scaling import scaling_of
@@ -53,7 +54,7 @@ def compare(observations: Observations, choice: Choice | None = None) -> Compari
     choice, scaling = choice or choose(both, heights), scaling_of(both)
     found: dict[str, tuple[Fit, float | None]] = {}
     if choice:
-        found = {one.name: (one.fit, one.predicted) for one in choice.judged}
+        found = {one.name: (one.fit, finite_or_none(one.predicted)) for one in choice.judged}
     baselines = []
     for one in CANDIDATES:
         model = one.model(heights)
@@ -69,16 +70,16 @@ def compare(observations: Observations, choice: Choice | None = None) -> Compari
                     found[one.name] = fitted, None
         if one.name in found:
             baselines.append(baseline(one.name, *found[one.name], observations))
-        elif one.kind not in ("selected", "shrunken", "local"):
+        elif one.kind not in ("selected", "shrunken", "local", "few"):
             baselines.append(Baseline(one.name, len(model.terms), BOTH, False, dict.fromkeys(
                 ("control", "check", "independent"))))
     return Comparison(tuple(baselines), choice.chosen.name if choice else "", choice)
 
 
 def has_heights(observations: Observations) -> bool:
-    """Return whether all features have heights, and they are not those of a plane.
+    """Return whether all features have heights that hold (see `heights_hold`).
 
     Of independent points only whether they have heights is looked at.
     """
     return not np.isnan(observations.independent.ground[:, 2]).any() \
-        and heights_differ(together(observations))
+        and heights_hold(together(observations))

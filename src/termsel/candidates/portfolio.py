@@ -12,8 +12,9 @@ import numpy as np
 
 from termsel.adjustment.field import Collocation
 from termsel.adjustment.parts import independent_parts
-from termsel.candidates.candidate import CANDIDATES, Candidate
+from termsel.candidates.candidate import CANDIDATES, Candidate, named
 from termsel.candidates.local import LIKELY
+from termsel.candidates.relief import heights_hold
 from termsel.criteria import Fits
 from termsel.fits.fit import Fit, Undetermined
 from termsel.fits.leave_out import solutions_without_each
@@ -34,6 +35,9 @@ LEAST = "It has the smallest leave-one-out RMSE."
 
 MAX_FOLDS = 20
 """Folds in which the whole choice is repeated; with fewer points each is left out alone."""
+
+EXACT = 3
+"""Number of points up to which a model fits them exactly, and none is chosen."""
 
 WIDER = 1.5
 """A denominator must be positive in a box this much wider than that of the points."""
@@ -99,8 +103,8 @@ def portfolio(heights: bool) -> tuple[Candidate, ...]:
         model = one.model(heights)
         return len(model.terms) if model and (one.is_plain or one.kind == "full") else np.inf
 
-    return tuple(sorted((one for one in CANDIDATES if one.model(heights) and one.kind != "ridge"),
-                        key=size))
+    return tuple(sorted((one for one in CANDIDATES if one.model(heights)
+                         and one.kind not in ("ridge", "few")), key=size))
 
 
 def _judged(candidate: Candidate, control: FeatureSet, heights: bool,
@@ -162,12 +166,14 @@ def choose(control: FeatureSet, heights: bool, watch: Watch | None = None) -> Ch
 
     A shrunken polynomial is averaged over all that lies between the plain ones, by a measure
     that needs no points to be left out. The quadratic one is taken unless the cubic one is better
-    by BETTER standard errors (the rule of Breiman et al. 1984), and that one unless what it does
-    not contain is better by CLEARLY standard errors, since the best of several is so partly by
-    luck: projective and rational models, and few terms of their own. Where the points call for a
-    random field, the shrunken polynomial with it takes the place of both. Logarithms of squared
-    errors are compared, lest a few great errors make everything uncertain. With lines, for which
-    there is no shrunken polynomial, the smallest sum of squares decides.
+    by BETTER standard errors (the rule of Breiman et al. 1984) with a smaller RMSE, and that one
+    unless what it does not contain is better by CLEARLY standard errors, since the best of several
+    is so partly by luck: projective and rational models, and few terms of their own. Where the
+    points call for a random field, the shrunken polynomial with it takes the place of both.
+    Logarithms of squared errors are compared, lest a few great errors make everything uncertain.
+    With lines, for which there is no shrunken polynomial, the smallest sum of squares decides. So
+    it does where points are too few for one: similarities and a plane affine polynomial are then
+    candidates too.
 
     Parameters
     ----------
@@ -188,7 +194,37 @@ def choose(control: FeatureSet, heights: bool, watch: Watch | None = None) -> Ch
         judged += [one] if one else []
         if watch:
             watch(one)
+    if not len(control.lines) and not any(one.candidate.kind == "shrunken" for one in judged):
+        judged = [*_few(control, heights, scaling), *judged]
     return best_of(judged)
+
+
+def _few(control: FeatureSet, heights: bool, scaling: Scaling) -> list[Judged]:
+    """Return the candidates for few points that have redundancy."""
+    found = (_judged(one, control, heights, scaling) for one in CANDIDATES
+             if one.kind == "few" and one.model(heights))
+    return [one for one in found if one]
+
+
+def exact(control: FeatureSet) -> Choice:
+    """Return what two or three points determine: a similarity, or an affine polynomial.
+
+    Parameters
+    ----------
+    control : FeatureSet
+        Two or three points.
+
+    Raises
+    ------
+    Undetermined
+        If three points lie on a line.
+    """
+    scaling, n = scaling_of(control), len(control)
+    candidate = named("similarity" if n == 2 else "affine")
+    assert candidate is not None
+    chosen = Judged(candidate, candidate.fit_control(control, False, scaling), np.full(n, np.nan))
+    return Choice(chosen, (*_few(control, False, scaling), chosen),
+                  f"{n} points determine it exactly.")
 
 
 def _called_for(candidate: Candidate, judged: Iterable[Judged]) -> bool:
@@ -207,7 +243,8 @@ def best_of(candidates: Iterable[Judged]) -> Choice | None:
         return Choice(min(judged, key=lambda one: one.predicted), judged, LEAST)
     shrunk = shrunken[0]
     for one in shrunken[1:]:
-        shrunk = one if _gain(one, shrunk) > BETTER else shrunk
+        if _gain(one, shrunk) > BETTER and one.predicted < shrunk.predicted:
+            shrunk = one
     field = next((one for one in judged if one.name == FIELD), None)
     base = field or shrunk
     others = [one for one in judged if one.candidate.kind not in ("contained", "shrunken")
@@ -220,7 +257,9 @@ def best_of(candidates: Iterable[Judged]) -> Choice | None:
 def _reason(chosen: Judged, shrunk: Judged, shrunken: Sequence[Judged], others: Sequence[Judged],
             judged: Iterable[Judged]) -> str:
     """Return why a candidate is chosen where there are shrunken polynomials."""
-    said = [f"{_compared(one, shrunken[0])}; it must be better by more than {BETTER:g}."
+    said = [f"{_compared(one, shrunken[0])}; it must be better by more than {BETTER:g}"
+            + " and have a smaller RMSE" * (_gain(one, shrunken[0]) > BETTER
+                                            and one.predicted >= shrunken[0].predicted) + "."
             for one in shrunken[1:]]
     found = shrunk.fit.interpolation
     if isinstance(found, Collocation):
@@ -283,8 +322,15 @@ def repeated(control: FeatureSet, heights: bool,
     for fold in range(folds):
         out = np.zeros(len(points), dtype=bool)
         out[order[fold::folds]] = True
-        choice = choose(control.with_(points=points.take(~out)), heights, watch)
+        rest = control.with_(points=points.take(~out))
+        if len(rest) <= EXACT:
+            # Three points choose nothing: the model that all points chose is fitted to them.
+            choice = choose(control, heights)
+        else:
+            choice = choose(rest, heights and heights_hold(rest, most=1), watch)
         if choice is None:
             return None
-        errors[out] = choice.chosen.fit.errors(points.take(out))
+        fitted = choice.chosen.fit if len(rest) > EXACT else \
+            choice.chosen.candidate.fit_control(rest, False, scaling_of(rest))
+        errors[out] = fitted.errors(points.take(out))
     return errors

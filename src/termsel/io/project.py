@@ -16,8 +16,9 @@ from termsel.formats.files import is_there
 from termsel.formats.heights import surface_of
 from termsel.formats.readers.csv_tables import COORDINATES, table_text
 from termsel.formats.readers.tables import Table, read_table
-from termsel.measurements.crs import normalise
+from termsel.measurements.crs import is_geographic, normalise
 from termsel.measurements.features import BoolArray, FloatArray, select
+from termsel.measurements.longitudes import nearest
 
 if TYPE_CHECKING:
     from termsel.results.result import Result
@@ -91,7 +92,11 @@ def project_table(
     with np.errstate(all="ignore"):
         sigma = result.sigma(ground)
     sigma[~np.isfinite(sigma)] = np.nan
-    apart = outside(_control(result), ground)
+    control, near = _control(result), ground.copy()
+    if is_geographic(crs):
+        lon = control[:, 0]
+        near[:, 0] = nearest(ground[:, 0], float(lon.min() + lon.max()) / 2)
+    apart = outside(control, near)
     values = np.column_stack([image, ground, sigma, apart])
     # Heights may be unknown; line, sample, x and y of what was found are not.
     missed: BoolArray = np.asarray(np.isnan(values[:, :4]).any(axis=1))

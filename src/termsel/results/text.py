@@ -7,6 +7,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 from termsel.candidates.candidate import named
+from termsel.candidates.portfolio import EXACT
 from termsel.errors import counted, printable
 from termsel.fits.diagnosis import BEYOND, CORRELATED
 from termsel.fits.figures import LEAVE_ONE_OUT, ROLES
@@ -91,12 +92,17 @@ def _strategy(strategy: Mapping[str, Any], seconds: float) -> Iterator[str]:
     for one in strategy["candidates"]:
         mark = " <-" if one["name"] == chosen else ""
         yield (f"{_title(one['name']):<24}{one['n_terms']:>6}"
-               f"{one['effective']:>16.1f}{one['predicted']:>16.3f}{mark}")
+               f"{one['effective']:>16.1f}{_loo(one['predicted']):>16}{mark}")
     if "reason" in strategy:  # records of version 0.1 do not say it
         yield from textwrap.wrap(f"<- {strategy['reason']}", _WIDTH, subsequent_indent="   ")
     if predicted is not None:
         yield (f"The predicted RMSE is that of the whole choice, repeated in {strategy['folds']} "
-               "folds.")
+               "folds." if strategy["folds"] > EXACT + 1 else
+               "The predicted RMSE is that of this candidate without each point.")
+
+
+def _loo(predicted: float | None) -> str:
+    return "-" if predicted is None else f"{predicted:.3f}"
 
 
 def _title(name: str) -> str:

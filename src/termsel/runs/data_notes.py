@@ -4,10 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from termsel.candidates.candidate import heights_differ
+from termsel.candidates.relief import carriers
 from termsel.measurements.features import FeatureSet, Points, join_points
 from termsel.measurements.longitudes import jumps
 from termsel.measurements.roles import Observations, together
 from termsel.measurements.twins import groups, twins
+
+SOME = 5
+"""Number of points from which on heights may be told from errors."""
 
 NAMED = 5
 """Groups of points that a note names."""
@@ -31,9 +36,26 @@ def notes_on_data(read: FeatureSet, observations: Observations, heights: bool) -
     both, independent = together(observations), observations.independent
     yield from _on_twins(both.points, independent)
     z = both.ground_vertices()[:, 2]
-    if heights and len(z) > 1 and (z == z[0]).all():
+    if not heights:
+        return
+    yield from _on_carriers(both)
+    if len(z) > 1 and (z == z[0]).all():
         yield (f"All heights are {z[0]:g}, so they were not used. If they are not known, leave "
                "them blank or take them from a raster (--dem FILE).")
+
+
+def _on_carriers(both: FeatureSet) -> Iterator[str]:
+    """Yield which features heights rest on, where they are one or two."""
+    if not heights_differ(both):
+        return
+    carrying = carriers(both)
+    if len(carrying) == 1 and len(both) < SOME:
+        yield (f"With {len(both)} points nothing tells what a height does from an error, so the "
+               "model is plane.")
+    elif carrying:
+        yield (f"All heights but that of {' and that of '.join(carrying)} lie on a plane. What a "
+               "height does cannot be told from an error there, so the model is plane. If such a "
+               "point is left out as a blunder, its height may be the reason.")
 
 
 def _on_twins(both: Points, independent: Points) -> Iterator[str]:

@@ -14,7 +14,7 @@ from termsel.measurements.features import FeatureSet
 from termsel.plugins.registry import registry
 from termsel.results.result import Result
 from termsel.runs.assess import assess
-from termsel.runs.auto import choose_for, wanted
+from termsel.runs.auto import LEAST, choose_for, wanted
 from termsel.runs.recommend import recommended
 from termsel.runs.steps import search_in_steps
 from termsel.runs.task import DATA_OPTIONS, Task, ask, observe, prepare
@@ -145,7 +145,7 @@ def _chosen(problem: str, asked: Mapping[str, Any], seed: int, observers: Iterab
     options = {"check_as": "judge", **asked.get("options", {})}
     request = ask(problem, **{**asked, "criterion": "press", "solver": "all-terms",
                               "options": options})
-    observations = observe(request)
+    observations = observe(request, LEAST)
     _begin(out, overwrite)
     return _finished(choose_for(request, observations, seed, observers), out)
 

@@ -207,12 +207,14 @@ def ask(
                    printable(source or "given in Python"), {"problem": of_problem, "data": of_data})
 
 
-def observe(request: Request) -> Observations:
+def observe(request: Request, least: int = MIN_CONTROL) -> Observations:
     """Return the features, each in its role, with the CRS that the model is fitted in.
 
     Parameters
     ----------
     request : Request
+    least : int
+        Fewest control features.
     """
     recipe, criterion, of_data = request.recipe, request.criterion, request.options["data"]
     observations = assign_roles(
@@ -224,7 +226,7 @@ def observe(request: Request) -> Observations:
     if _check_as(request, observations) == "control":
         observations = check_as_control(observations)
     require_heights(request.model, _taking_part(observations))
-    _require_enough(observations, recipe, criterion)
+    _require_enough(observations, recipe, criterion, least)
     if of_data["fit_crs"] is not None:
         observations = with_fit_crs(of_data["fit_crs"], observations, request.model)
     return observations
@@ -343,12 +345,13 @@ def _fractions(text: str, needs_check: bool) -> tuple[float, ...]:
     return shares
 
 
-def _require_enough(observations: Observations, recipe: Recipe, criterion: Criterion) -> None:
+def _require_enough(observations: Observations, recipe: Recipe, criterion: Criterion,
+                    least: int) -> None:
     control, check = observations.control, observations.check
-    if len(control) < MIN_CONTROL:
+    if len(control) < least:
         raise TermselError(
             f"Of your {counted(_count(observations), 'feature')} {_are(len(control))} control; "
-            f"{recipe.name} needs at least {MIN_CONTROL}",
+            f"{recipe.name} needs at least {least}",
             hint="Measure more, or give more of them the role control.")
     if criterion.needs_check and len(check) < MIN_CHECK:
         raise TermselError(
@@ -363,7 +366,7 @@ def _require_enough(observations: Observations, recipe: Recipe, criterion: Crite
     flat = np.ptp(control.ground_vertices()[:, :2], axis=0)
     spread = np.linalg.svd(control.ground_vertices()[:, :2]
                            - control.ground_vertices()[:, :2].mean(axis=0), compute_uv=False)
-    if not flat.any() or spread[1] < 1e-6 * spread[0]:
+    if not flat.any() or (len(control) > 2 and spread[1] < 1e-6 * spread[0]):
         raise TermselError("all control features lie on one straight line on the ground",
                            hint="Add control away from that line: a model needs an area.")
     if not len(control.points) and orientation_spread(control.lines) < ALL_PARALLEL:

@@ -1,0 +1,161 @@
+"""Few points, and heights that rest on one or two of them, are answered."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import termsel
+from termsel.candidates.portfolio import choose, repeated
+from termsel.candidates.relief import carriers, heights_hold
+from termsel.formats.readers.csv_tables import write_points_csv
+from termsel.measurements.features import FeatureSet, FloatArray, Points
+
+Call = Callable[..., SimpleNamespace]
+
+
+def some(n: int, heights: bool = True) -> FeatureSet:
+    """The first points of a scene, without roles."""
+    given = termsel.simulate_scene("ikonos-hamedan", n_points=30)
+    points = given.points.take(range(n))
+    ground = points.ground.copy()
+    if not heights:
+        ground[:, 2] = np.nan
+    return FeatureSet(Points(points.ids, points.image, ground), crs=given.crs)
+
+
+def plane(n: int, mirrored: bool) -> FeatureSet:
+    """Points of a similarity, with noise of 0.3 px."""
+    turn = 0.3
+    rng = np.random.default_rng(n)
+    ground = np.column_stack([rng.uniform(0, 1000, (n, 2)), np.full(n, np.nan)])
+    x, y = ground[:, 0], ground[:, 1] * (-1 if mirrored else 1)
+    image = np.column_stack([500 - np.sin(turn) * x - np.cos(turn) * y,
+                             200 + np.cos(turn) * x - np.sin(turn) * y])
+    return FeatureSet(Points(tuple(f"P{i}" for i in range(n)),
+                             image + rng.normal(0, 0.3, (n, 2)), ground), crs="local")
+
+
+@pytest.mark.parametrize("heights", [True, False])
+@pytest.mark.parametrize("n", range(2, 13))
+def test_two_and_more_points_are_answered(n: int, heights: bool, call: Call,
+                                          tmp_path: Path) -> None:
+    features = some(n, heights)
+    write_points_csv(features.points, tmp_path / "p.csv", crs=features.crs)
+    done = call("run", "--points", tmp_path / "p.csv", "--out", tmp_path / "r", "--quiet")
+    assert done.exit_code == 0, done.stderr
+    result = termsel.read_result(tmp_path / "r")
+    assert result.summary() == done.stdout
+    assert result.strategy is not None
+    told = any("determine the model exactly" in note for note in result.notes)
+    if n <= 3:
+        assert result.fit.model.name == ("helmert2d" if n == 2 else "poly2d")
+        assert result.fit.adjustment.redundancy == 0
+        assert result.strategy["predicted"] is None
+        assert result.predicted is None
+        assert told
+    else:
+        assert not told
+        assert result.predicted is not None
+        assert 0 < result.predicted.low < result.predicted.rmse < result.predicted.high
+    if n < 12:
+        assert result.data["counts"]["control"] == n
+
+
+@pytest.mark.parametrize(("mirrored", "chosen"), [(False, "similarity"),
+                                                  (True, "mirrored-similarity")])
+def test_a_similarity_is_chosen_where_it_predicts_best(mirrored: bool, chosen: str) -> None:
+    result = termsel.run("poly-terms", features=plane(4, mirrored))
+    assert result.strategy is not None
+    of = {one["name"]: one["predicted"] for one in result.strategy["candidates"]}
+    assert result.strategy["chosen"] == chosen == min(of, key=of.__getitem__)
+    assert set(of) == {"similarity", "mirrored-similarity", "affine"}
+    assert result.strategy["predicted"] == pytest.approx(of[chosen], rel=1e-6)
+    assert of[chosen] < 3.0
+
+
+def test_four_points_are_held_out_one_by_one() -> None:
+    features = some(4)
+    choice = choose(features, False)
+    errors = repeated(features, False)
+    assert choice is not None
+    assert errors is not None
+    expected: FloatArray = np.array(choice.chosen.squares)
+    np.testing.assert_allclose((errors**2).sum(axis=1), expected, rtol=1e-6)
+
+
+@pytest.mark.parametrize(("rows", "words"), [
+    (["a,10,10,0,0,5"], "Of your 1 feature 1 is control; rfm-terms needs at least 2"),
+    (["a,10,10,0,0,5", "b,20,20,10,10,6", "c,30,30,20,20,5"], "on one straight line"),
+    (["a,10,10,0,0,5", "b,10,10,10,10,6"], "the same place in the image"),
+    (["a,10,10,0,0,5", "b,20,20,0,0,5"], "have the same ground coordinates"),
+    (["a,10,10,0,0,5", "b,20,20,0,0,6"], "on one straight line")])
+def test_points_that_determine_nothing(rows: list[str], words: str, call: Call,
+                                       tmp_path: Path) -> None:
+    (tmp_path / "p.csv").write_text("\n".join(["id,line,sample,x,y,z", *rows]) + "\n")
+    done = call("run", "--points", tmp_path / "p.csv", "--crs", "local", "--quiet")
+    assert done.exit_code == 2
+    assert words in done.stderr
+
+
+def coast(hills: tuple[int, ...], n: int = 24) -> FeatureSet:
+    """Points at sea level but for some hills, which are displaced by their heights."""
+    rng = np.random.default_rng(4)
+    ground = np.column_stack([rng.uniform(0, 10_000, (n, 2)), np.zeros(n)])
+    ground[list(hills), 2] = 300.0
+    image = np.column_stack([9000 - ground[:, 1] + 0.2 * ground[:, 2],
+                             ground[:, 0] - 0.1 * ground[:, 2]]) + rng.normal(0, 0.4, (n, 2))
+    return FeatureSet(Points(tuple(f"P{i}" for i in range(n)), image, ground), crs="local")
+
+
+@pytest.mark.parametrize("hills", [(5,), (5, 17)])
+def test_heights_that_rest_on_one_point_or_two(hills: tuple[int, ...]) -> None:
+    features = coast(hills)
+    names = tuple(features.points.ids[i] for i in hills)
+    assert sorted(carriers(features)) == sorted(names)
+    result = termsel.run("rfm-terms", features=features.with_(
+        points=replace(features.points, roles=("control",) * 24)))
+    note, = (note for note in result.notes if "lie on a plane" in note)
+    for name in names:
+        assert f"that of {name}" in note
+    assert not result.fit.model.uses_height
+    assert result.predicted is not None
+    assert result.predicted.rmse < 1.0
+    assert {one.id for one in result.outliers if one.excluded} == set(names)
+
+
+def test_heights_that_rest_on_more_are_used() -> None:
+    features = coast((2, 5, 9, 13, 17, 20))
+    assert carriers(features) == ()
+    assert heights_hold(features)
+    result = termsel.run("rfm-terms", features=features.with_(
+        points=replace(features.points, roles=("control",) * 24)))
+    assert result.fit.model.uses_height
+    assert not any("lie on a plane" in note for note in result.notes)
+    assert result.predicted is not None
+    assert result.predicted.rmse < 1.0
+
+
+@pytest.mark.parametrize("hills", [(5, 17), (2, 5, 9)])
+def test_the_choice_is_repeated_where_a_fold_takes_the_hills(hills: tuple[int, ...]) -> None:
+    errors = repeated(coast(hills), True)
+    assert errors is not None
+    assert np.isfinite(errors).all()
+
+
+@pytest.mark.parametrize(("height", "said"), [(0.0, "All heights are 0, so"),
+                                              (250.0, "All heights are 250, so")])
+def test_heights_that_are_all_equal_are_told(height: float, said: str) -> None:
+    features = coast(())
+    ground = features.points.ground.copy()
+    ground[:, 2] = height
+    level = features.with_(points=replace(features.points, ground=ground))
+    auto = termsel.run("rfm-terms", features=level)
+    assert any(note.startswith(said) for note in auto.notes)
+    asked = termsel.run("rfm-terms", features=level, solver="all-terms", model="poly2d")
+    assert not any(note.startswith(said) for note in asked.notes)
