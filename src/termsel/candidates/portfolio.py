@@ -166,14 +166,13 @@ def choose(control: FeatureSet, heights: bool, watch: Watch | None = None) -> Ch
 
     A shrunken polynomial is averaged over all that lies between the plain ones, by a measure
     that needs no points to be left out. The quadratic one is taken unless the cubic one is better
-    by BETTER standard errors (the rule of Breiman et al. 1984) with a smaller RMSE, and that one
-    unless what it does not contain is better by CLEARLY standard errors, since the best of several
-    is so partly by luck: projective and rational models, and few terms of their own. Where the
-    points call for a random field, the shrunken polynomial with it takes the place of both.
-    Logarithms of squared errors are compared, lest a few great errors make everything uncertain.
-    With lines, for which there is no shrunken polynomial, the smallest sum of squares decides. So
-    it does where points are too few for one: similarities and a plane affine polynomial are then
-    candidates too.
+    by BETTER standard errors (the rule of Breiman et al. 1984), and that one unless what it does
+    not contain is better by CLEARLY standard errors, since the best of several is so partly by
+    luck: projective and rational models, and few terms of their own. Where the points call for a
+    random field, the shrunken polynomial with it takes the place of both. Logarithms of squared
+    errors are compared, lest a few great errors make everything uncertain. With lines, for which
+    there is no shrunken polynomial, the smallest sum of squares decides. So it does where points
+    are too few for one: similarities and a plane affine polynomial are then candidates too.
 
     Parameters
     ----------
@@ -243,8 +242,7 @@ def best_of(candidates: Iterable[Judged]) -> Choice | None:
         return Choice(min(judged, key=lambda one: one.predicted), judged, LEAST)
     shrunk = shrunken[0]
     for one in shrunken[1:]:
-        if _gain(one, shrunk) > BETTER and one.predicted < shrunk.predicted:
-            shrunk = one
+        shrunk = one if _gain(one, shrunk) > BETTER else shrunk
     field = next((one for one in judged if one.name == FIELD), None)
     base = field or shrunk
     others = [one for one in judged if one.candidate.kind not in ("contained", "shrunken")
@@ -257,9 +255,7 @@ def best_of(candidates: Iterable[Judged]) -> Choice | None:
 def _reason(chosen: Judged, shrunk: Judged, shrunken: Sequence[Judged], others: Sequence[Judged],
             judged: Iterable[Judged]) -> str:
     """Return why a candidate is chosen where there are shrunken polynomials."""
-    said = [f"{_compared(one, shrunken[0])}; it must be better by more than {BETTER:g}"
-            + " and have a smaller RMSE" * (_gain(one, shrunken[0]) > BETTER
-                                            and one.predicted >= shrunken[0].predicted) + "."
+    said = [f"{_compared(one, shrunken[0])}; it must be better by more than {BETTER:g}."
             for one in shrunken[1:]]
     found = shrunk.fit.interpolation
     if isinstance(found, Collocation):
