@@ -12,6 +12,7 @@ from termsel.fits.least_squares import LEAST_SQUARES
 from termsel.measurements.features import Points
 from termsel.measurements.roles import ASSIGNABLE
 from termsel.measurements.scaling import scaling_of
+from termsel.measurements.twins import merged
 
 
 def final_fit(chosen: Judged, points: Points, heights: bool,
@@ -38,9 +39,9 @@ def final_fit(chosen: Judged, points: Points, heights: bool,
     control = chosen.fit.control
     more = points.take([role in ASSIGNABLE and name not in blunders
                         for name, role in zip(points.ids, points.roles, strict=True)])
-    if len(more) == len(control.points):
+    every = merged(control.with_(points=more))
+    if len(every) == len(control):
         return None
-    every = control.with_(points=more)
     scaling = scaling_of(every)
     try:
         if chosen.candidate.kind == "selected":
