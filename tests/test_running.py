@@ -74,7 +74,7 @@ def but_independent(result: termsel.Result) -> dict:
     record = result.to_dict()
     for figures in (record, *record["baselines"], *record["front"]):
         assert figures["rmse"].pop("independent")["n"] > 0
-    for varying in ("judgement", "seconds", "accuracy"):
+    for varying in ("judgement", "seconds", "accuracy", "final"):
         record.pop(varying)
     record["data"].pop("sha256")
     record["notes"] = [note for note in record["notes"] if "independent RMSE" not in note
