@@ -10,16 +10,17 @@ from ast import literal_eval
 from collections import Counter
 from pathlib import Path
 
-from tests.fuzz.cases import SECONDS, Outcome, run_case, unseen
+from tests.fuzz.cases import SECONDS, Outcome, prepare, run_case, unseen
 
 _CHUNK = 500  # cases of a process, which a crash of a library would end
-_START = 60.0  # s to import and to make the files
+_START = 120.0  # s to import and to make the files
 
 
 def _work(first: int, count: int) -> int:
     """Run cases in this process, with a line for each on stdout."""
     stdout = sys.stdout
     unseen()
+    prepare()
     for seed in range(first, first + count):
         print("start", seed, file=stdout, flush=True)
         outcome = run_case(seed)
@@ -37,7 +38,7 @@ def _chunk(first: int, count: int) -> list[Outcome]:
         with subprocess.Popen(words, stdout=subprocess.PIPE, text=True,
                               cwd=Path(__file__).parents[2]) as process:
             try:
-                out, _ = process.communicate(timeout=_START + SECONDS * 4 + count * 0.5)
+                out, _ = process.communicate(timeout=_START + SECONDS * 4 + count)
             except subprocess.TimeoutExpired:
                 process.kill()
                 out, _ = process.communicate()

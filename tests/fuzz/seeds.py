@@ -197,6 +197,7 @@ def seeds() -> tuple[Seed, ...]:
              "geometry"),
         *(Seed(name, content, "result", tuple(item for item in result if item[0] != name))
           for name, content in result if name in ("result.json", "points.csv")),
-        Seed("ground.csv", _table("id,x,y,z", [[i, *row[2:]] for i, row in enumerate(both)]),
+        Seed("ground.csv", _table("id,line,sample,x,y,z",
+                                  [[i, *row] for i, row in enumerate(both)]),
              "project", result))
 

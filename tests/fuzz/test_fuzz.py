@@ -27,6 +27,12 @@ ROOT = Path(__file__).parents[2]
 CHUNK = 50
 
 
+@pytest.fixture(scope="module", autouse=True)
+def prepared() -> None:
+    """Every seed is a valid file: what is not mutated is read."""
+    cases.prepare()
+
+
 @pytest.mark.parametrize("first", range(0, 950, CHUNK))
 def test_mutated_files_and_hostile_options(first: int) -> None:
     found = [cases.run_case(seed) for seed in range(first, first + CHUNK)]

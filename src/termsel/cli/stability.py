@@ -131,6 +131,7 @@ def stability(
 def _command(problem: str, data: Mapping[str, object], model: str | None,
              given: Mapping[str, str], off: Sequence[str]) -> str:
     """Return the command that fits the terms not in `off` to the same data, for the shell."""
+    from termsel.formats.remote import remote_allowed
     from termsel.plugins.registry import registry
     from termsel.runs.task import DATA_OPTIONS
 
@@ -152,4 +153,4 @@ def _command(problem: str, data: Mapping[str, object], model: str | None,
     words += ["--solver", "all-terms", "--criterion", "press"]
     for key, value in settings.items():
         words += ["--set", f"{key}={value}"]
-    return shlex.join(words)
+    return shlex.join([*words, "--allow-remote"] if remote_allowed() else words)

@@ -48,6 +48,11 @@ def allow_remote() -> Iterator[None]:
         _allowed.reset(token)
 
 
+def remote_allowed() -> bool:
+    """Return True where sources on servers are allowed."""
+    return _allowed.get()
+
+
 @contextmanager
 def local_alone(path: Path | str) -> Iterator[dict[str, str]]:
     """Refuse a file with remote sources, and yield options under which GDAL makes no request.
@@ -68,7 +73,7 @@ def local_alone(path: Path | str) -> Iterator[dict[str, str]]:
         If the name is that of a remote source; if the file, its ``.aux.xml``, or a file of the
         same kinds that they name, names one.
     """
-    if _allowed.get():
+    if remote_allowed():
         yield {}
         return
     name = next(_remote_names(Path(path)), None)

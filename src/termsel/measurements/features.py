@@ -57,10 +57,12 @@ def _check_heights(z: FloatArray, ids: Sequence[str], kind: str) -> None:
 
 
 def _check_deviations(sigma: FloatArray, ids: Sequence[str], kind: str) -> None:
-    bad = ~(np.isfinite(sigma) & (sigma > 0)).reshape(len(ids), -1).all(axis=1)
+    # Their squares, and those of weights, must not overflow.
+    bad = ~((sigma > 1 / FARTHEST) & (sigma < FARTHEST)).reshape(len(ids), -1).all(axis=1)
     if bad.any():
         name = ids[int(np.argmax(bad))]
-        raise TermselError(f"{kind} {name!r} has a standard deviation that is not positive",
+        raise TermselError(f"{kind} {name!r} has a standard deviation that is not positive, "
+                           "or beyond what can be computed with",
                            ids=[name])
 
 

@@ -79,10 +79,12 @@ class QgisPoints(Reader):
 
 def _refuse_layer(table: Table, source: FloatArray) -> None:
     """Refuse sources that are not pixels, such as those of a georeferenced raster."""
-    extent = np.ptp(source, axis=0)
+    with np.errstate(over="ignore"):  # Points refuses numbers that are so large
+        extent = np.ptp(source, axis=0)
+        far = np.abs(source).min(axis=0) > _FAR * np.maximum(extent, _SMALL)
     upwards = (source[:, 1] > 0).mean() > 0.5
     if (upwards or (len(source) > 1 and (extent < _SMALL).all())
-            or (np.abs(source).min(axis=0) > _FAR * np.maximum(extent, _SMALL)).all()):
+            or far.all()):
         raise table.error(
             "these look like map coordinates of a raster that was already georeferenced, not like "
             "pixels", 0, "source_x", "Give the image with --raster FILE.")
