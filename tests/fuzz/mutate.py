@@ -167,7 +167,11 @@ def _json(content: bytes, random: Random) -> bytes:
         inside[random.choice(TEXTS)] = inside.pop(key)
     else:
         inside[key] = random.choice((*VALUES, random.choice(TEXTS)))
-    return json.dumps(whole, ensure_ascii=random.random() < 0.5).encode("utf-8", "surrogatepass")
+    try:
+        text = json.dumps(whole, ensure_ascii=random.random() < 0.5)
+    except RecursionError:  # nested several times
+        return content
+    return _encoded(text)
 
 
 def _xml(content: bytes, random: Random) -> bytes:

@@ -150,5 +150,6 @@ def positions(raster: Any, x: FloatArray, y: FloatArray) -> FloatArray:
         raise TermselError("the pixels of this raster have no size", file=raster.name,
                            hint="Correct its geotransform.")
     to_pixel = ~raster.transform
-    return np.stack([to_pixel.d * x + to_pixel.e * y + to_pixel.f,
-                     to_pixel.a * x + to_pixel.b * y + to_pixel.c], axis=1) - 0.5
+    with np.errstate(invalid="ignore", over="ignore"):  # what cannot be transformed is infinite
+        return np.stack([to_pixel.d * x + to_pixel.e * y + to_pixel.f,
+                         to_pixel.a * x + to_pixel.b * y + to_pixel.c], axis=1) - 0.5
