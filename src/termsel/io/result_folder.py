@@ -201,7 +201,8 @@ def read_result(folder: Path | str) -> Result:
         return result_from(record, features)
     except TermselError as error:
         raise (error if error.file is not None else located(error, path)) from error
-    except (AttributeError, LookupError, RecursionError, TypeError, ValueError) as error:  # edited by hand
+    except (AttributeError, LookupError, RecursionError, TypeError,
+            ValueError) as error:  # edited by hand
         raise TermselError(f"this result is damaged: {type(error).__name__}: {error}", file=path,
                            hint="Run the search again.") from error
 
