@@ -75,7 +75,7 @@ def test_results_are_read_back_with_every_id_that_is_accepted(tmp_path: Path) ->
         cells = [row["id"] for row in csv.DictReader(text.splitlines())]
         assert {"'=1+1", "'@SUM(A1)", "'-x", "'+x", "-12", "+3.5"} <= set(cells), name
     termsel.export(result, "points-csv", tmp_path / "p.csv")
-    assert termsel.read(tmp_path / "p.csv").ids == features.ids
+    assert sorted(termsel.read(tmp_path / "p.csv").ids) == sorted(KEPT)
 
 
 @settings(max_examples=300)

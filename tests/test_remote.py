@@ -169,7 +169,7 @@ def test_names_of_remote_sources_are_refused(name: str, server) -> None:
         "<url>http://example.org</url></x></Metadata>"),
     vrt("plain.tif", 1).replace("<VRTDataset", '<VRTDataset xmlns:xsi="http://www.w3.org/2001/'
                                 'XMLSchema-instance" xsi:schemaLocation="https://a/b"'),
-    vrt("../vsicurlews/plain.tif", 1), vrt("self.vrt", 1)])
+    vrt("../vsicurlews/plain.tif", 1), vrt("self.vrt", 1), vrt("../vsicurl.tif", 1)])
 def test_addresses_that_no_file_is_read_from_do_no_harm(text: str, folder) -> None:
     (folder / "self.vrt").write_text(text)
     (folder.parent / "vsicurlews").mkdir(exist_ok=True)

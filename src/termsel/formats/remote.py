@@ -27,7 +27,7 @@ REFUSING = {"GDAL_HTTP_PROXY": NO_PROXY_EXISTS, "GDAL_HTTPS_PROXY": NO_PROXY_EXI
 """Options of GDAL under which it makes no request."""
 
 _EXCEPTIONS = ("no_proxy", "NO_PROXY")  # hosts for which curl takes no proxy
-_REMOTE = re.compile(r"/vsi(curl|s3|gs|az|adls|oss|swift|hdfs|webhdfs)(_streaming)?(?![a-z0-9])"
+_REMOTE = re.compile(r"/vsi(curl|s3|gs|az|adls|oss|swift|hdfs|webhdfs)(_streaming)?[/?]"
                      r"|\b(https?|ftp)s?:/", re.IGNORECASE)
 _FILES = re.compile(r"(DATASET|FILE|FILENAME|DEM|SOURCE|URL)$", re.IGNORECASE)
 """Keys of metadata that name files; others may mention any address."""
