@@ -31,6 +31,8 @@ from termsel.io.read import read
 from termsel.measurements.features import FeatureSet, FloatArray, Points
 from termsel.runs.run import run
 from termsel.simulate import simulate_scene
+from termsel.simulate.maps import NAME as OLD_MAP
+from termsel.simulate.maps import simulate_map
 from termsel.simulate.scenes import SCENES
 
 ROOT = Path(__file__).parents[1]
@@ -66,7 +68,7 @@ def put(page: str, text: str, *, write: bool) -> None:
 
 def names() -> list[str]:
     """Return the available sets."""
-    return [*SCENES, *(name for name in (*DERIVED, *MEASURED) if (DATA / name).is_dir())]
+    return [*SCENES, OLD_MAP, *(name for name in (*DERIVED, *MEASURED) if (DATA / name).is_dir())]
 
 
 @lru_cache(maxsize=4)
@@ -79,6 +81,8 @@ def split(name: str, count: int, seed: int) -> tuple[Points, Points]:
     rng = np.random.default_rng([count, seed])
     if name in SCENES:
         points = simulate_scene(name, seed=seed, n_points=count + 150).points
+    elif name == OLD_MAP:
+        points = simulate_map(seed=seed, n_points=count + 150).points
     else:
         points = _read(name)
     image = points.image + (NOISE * rng.standard_normal(points.image.shape)

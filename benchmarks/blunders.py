@@ -18,7 +18,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from benchmarks.accuracy import MEASURED, NOISE, heights_of, names, put, rmse_of, split
+from benchmarks.accuracy import (
+    MEASURED,
+    NOISE,
+    OLD_MAP,
+    heights_of,
+    names,
+    put,
+    rmse_of,
+    split,
+)
 from termsel.adjustment.monomials import graded_exponents, monomials
 from termsel.candidates.blunders import find_blunders
 from termsel.candidates.portfolio import choose
@@ -27,7 +36,7 @@ from termsel.measurements.scaling import scaling_of
 
 COUNTS = (24, 40, 74)
 SHARES = {"1 in 15": 1 / 15, "1 in 5": 1 / 5}
-UNKNOWN_NOISE = ("kastoria_1925", "maplat_fushimijo")
+UNKNOWN_NOISE = (OLD_MAP, "kastoria_1925", "maplat_fushimijo")
 """Measured sets whose noise is taken from what auto predicts."""
 
 Peer = Callable[[FloatArray, FloatArray], FloatArray]
@@ -214,7 +223,7 @@ def main() -> None:
 Made by `python -m benchmarks.blunders --write`: {asked.splits} splits of {len(wanted)} sets, of
 which {derived} are simulated or derived from sensor models. Some points are moved by 10 to
 100 standard deviations in a random direction, sizes uniform in logarithms. The standard deviation
-is {NOISE} px; for the two old maps it is what auto predicts on clean data. All ratios are
+is {NOISE} px; for the old maps it is what auto predicts on clean data. All ratios are
 independent RMSE divided by that of auto on the clean data of the same split; medians over splits,
 and the worst.
 *All points* is auto without the search for blunders. The four peers fit a quadratic polynomial.
@@ -226,9 +235,10 @@ are wrong: what the best search could reach.
 
 {verdict(one, five, clean)}
 
-On `s1_grd_iw` no candidate comes nearer than 5 px, so blunders of 5 px are none there: they cannot
-be named, and cost little. With 24 points in a scene that calls for a cubic, a blunder far from the
-other points looks like a bend. The report names such points as undecided.
+Blunders smaller than the error that the points leave to the model cannot be named, and cost
+little: with 24 points on `s1_grd_iw` that is 5 px. With 24 points in a scene that calls for a
+cubic, a blunder far from the other points looks like a bend. The report names such points as
+undecided.
 
 ## One point in 15
 

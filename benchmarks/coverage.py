@@ -19,6 +19,7 @@ from benchmarks.accuracy import heights_of, names, put, rmse_of, split
 from termsel.candidates.portfolio import choose, repeated
 from termsel.fits.accuracy import LEVEL, Predicted, predicted_rmse
 from termsel.measurements.features import FeatureSet, FloatArray
+from termsel.simulate.maps import NAME as OLD_MAP
 from termsel.simulate.scenes import SCENES
 from termsel.threads import one_blas_thread
 
@@ -82,8 +83,8 @@ def table(cases: list[Case], wanted: list[str], counts: list[int]) -> str:
     rows = ["| set | " + " | ".join(f"{count} points" for count in counts) + " |",
             "|---|" + "---:|" * len(counts)]
     rows += [line(name, [c for c in cases if c.name == name]) for name in wanted]
-    rows.append(line("simulated", [c for c in cases if c.name in SCENES]))
-    rows.append(line("others", [c for c in cases if c.name not in SCENES]))
+    rows.append(line("simulated", [c for c in cases if c.name in (*SCENES, OLD_MAP)]))
+    rows.append(line("others", [c for c in cases if c.name not in (*SCENES, OLD_MAP)]))
     for title, held in (("**all**", lambda c: c.held),
                         (f"all, {FEW} independent points", lambda c: c.held_few)):
         shares = [np.mean([held(c) for c in cases if c.count == count] or [np.nan])

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 import termsel
-from benchmarks.honest import DATA, PLAIN, heights_of, rmse_of, split
+from benchmarks.accuracy import DATA, PLAIN, heights_of, rmse_of, split
 from termsel.adjustment import field
 from termsel.candidates import local
 from termsel.candidates.portfolio import best_of, choose

@@ -14,8 +14,9 @@ from termsel.fits.least_squares import LeastSquares
 from termsel.measurements.features import BoolArray, FeatureSet
 from termsel.measurements.scaling import Scaling
 
-LIKELY = 0.9
-"""Probability of a random field from which on points call for it."""
+LIKELY = 0.75
+"""Probability of a random field beyond which points call for it: odds of three to one, from which
+on Kass and Raftery 1995, J. Am. Stat. Assoc. 90, speak of positive evidence."""
 
 
 class Interpolated(Estimator):
