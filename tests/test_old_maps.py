@@ -64,11 +64,12 @@ def test_the_field_leaves_as_grids_and_refuses_what_cannot_hold_it(folder: Path,
         run("export", str(folder), "--to", to, "-o", str(tmp_path / to))
     with rasterio.open(tmp_path / "gcp-grid-vrt") as grid:
         gcps, _ = grid.gcps
-    result = termsel.read_result(folder)
+    exported = termsel.read_result(folder).as_exported().fit
+    assert len(exported.control) == 90  # the field of all points, independent ones included
     ground = np.array([[one.x, one.y, np.nan] for one in gcps])
     # GDAL counts from the corner of a pixel.
     image = np.array([[one.row, one.col] for one in gcps]) - 0.5
-    np.testing.assert_allclose(result.fit.project(ground), image, atol=1e-3)
+    np.testing.assert_allclose(exported.project(ground), image, atol=1e-3)
     refused = CliRunner().invoke(cli, ["export", str(folder), "--to", "orthority-geojson", "-o",
                                        str(tmp_path / "x.json")])
     assert refused.exit_code == 2
