@@ -28,12 +28,11 @@ from functools import cached_property, lru_cache
 import numpy as np
 from scipy import linalg
 from scipy.spatial.distance import cdist
-from scipy.special import logsumexp
 
 from termsel.adjustment.equations import weights_of
 from termsel.adjustment.foresight import foresee
 from termsel.adjustment.monomials import Exponents, graded_exponents, monomials
-from termsel.adjustment.posterior import Posterior, Prediction, posterior, scales_of
+from termsel.adjustment.posterior import NEVER, Posterior, Prediction, posterior, scales_of
 from termsel.measurements.features import FloatArray, Points
 
 LENGTHS = ((0.15, 0.15), (0.3, 0.3), (0.6, 0.6), (1.2, 1.2), (0.15, 1.2), (1.2, 0.15))
@@ -139,17 +138,19 @@ class Collocation:
 
     def without(self, i: int) -> Prediction:
         """Return what all points but one predict for it, under the solutions of all parts."""
-        each = [part.found.without(i) for part in self.parts]
+        highest = max(part.log for part in self.parts)
+        parts = [part for part in self.parts if part.log > highest - NEVER]
+        each = [part.found.without(i) for part in parts]
         # What is known of a part beforehand is its logarithm without that of its points.
         logs = np.array([part.log - part.found.cells.log + one.log
-                         for part, one in zip(self.parts, each, strict=True)])
+                         for part, one in zip(parts, each, strict=True)])
         errors, spread = (tuple(np.concatenate([getattr(one, name)[axis] for one in each])
                                 for axis in (0, 1)) for name in ("errors", "spread"))
         return Prediction(
             (errors[0], errors[1]), (spread[0], spread[1]),
             np.concatenate([one.variance for one in each]), each[0].freedom,
             np.concatenate([share * one.share for share, one in zip(
-                _normalised(logs), each, strict=True)]), float(logsumexp(logs)))
+                _normalised(logs), each, strict=True)]), float(np.logaddexp.reduce(logs)))
 
     def predict(self, ground: FloatArray) -> FloatArray:
         """Return line and sample of places, shape (m, 2)."""
@@ -170,20 +171,22 @@ class Collocation:
         lead = len(self.turn)
         columns = monomials(ground, self.exponents)
         places = columns[:, :lead] @ self.turn
+        likely = [(share, part) for share, part in zip(self.shares, self.parts, strict=True)
+                  if share > NEGLIGIBLE]
         each = []
-        for part in self.parts:
+        for _, part in likely:
             spanned = _with_field(columns, places, self.knots, part)
             field = spanned[:, columns.shape[1]:]
             # Away from the knots the field has a variance that their covariances do not span.
             missing = None if part.lengths is None else np.square(RATIOS)[:, None] * np.maximum(
                 1.0 - (field**2).sum(axis=1), 0.0)
             each.append(foresee(part.found, columns[:, :lead], spanned[:, lead:], missing))
-        mean = sum(share * one.image for share, one in zip(self.shares, each, strict=True))
+        shares = [share for share, _ in likely]
+        mean = sum(share * one.image for share, one in zip(shares, each, strict=True))
         variance = sum((share * (one.variance + (one.image - mean) ** 2)
-                        for share, one in zip(self.shares, each, strict=True)),
+                        for share, one in zip(shares, each, strict=True)),
                        np.zeros((len(ground), 2)))
-        noise = float(self.shares @ [one.noise for one in each])
-        return variance, np.full(2, noise)
+        return variance, np.full(2, float(np.dot(shares, [one.noise for one in each])))
 
     @cached_property
     def _coefficients(self) -> list[FloatArray]:
@@ -320,4 +323,4 @@ def _spread_out(places: FloatArray) -> FloatArray:
 
 
 def _normalised(logs: FloatArray) -> FloatArray:
-    return np.asarray(np.exp(logs - logsumexp(logs)))
+    return np.asarray(np.exp(logs - np.logaddexp.reduce(logs)))
