@@ -12,15 +12,15 @@ import argparse
 import sys
 import time
 from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
-from pathlib import Path
 from statistics import median
 from typing import Any
 
 import numpy as np
 
 import termsel
-from benchmarks.accuracy import DATA, PLAIN, heights_of, rmse_of, split
+from benchmarks.accuracy import DATA, PLAIN, heights_of, put, rmse_of, split
 from termsel.adjustment import field
 from termsel.candidates import local
 from termsel.candidates.portfolio import best_of, choose
@@ -28,7 +28,6 @@ from termsel.measurements.features import FeatureSet, Points
 from termsel.simulate import simulate_map
 from termsel.simulate.scenes import SCENES
 
-ROOT = Path(__file__).parents[1]
 COUNTS = (20, 40, 74)
 MAPS: dict[str, dict[str, Any]] = {
     "old-map": {},
@@ -125,13 +124,15 @@ class Row:
                 f"{median(one.seconds for one in self.splits):.2f} |")
 
 
-def rows(names: list[str], splits: int) -> Iterator[Row]:
+def rows(names: list[str], splits: int, processes: int) -> Iterator[Row]:
     """Yield set after set."""
-    for name in names:
-        for count in (*COUNTS, 120) if name == "s1_grd_iw" else COUNTS:
-            done = [one for seed in range(splits) if (one := measure(name, count, seed))]
-            if done:
-                yield Row(name, count, tuple(done))
+    with ProcessPoolExecutor(processes) as pool:
+        for name in names:
+            for count in (*COUNTS, 120) if name == "s1_grd_iw" else COUNTS:
+                done = [one for one in pool.map(measure, *zip(
+                    *((name, count, seed) for seed in range(splits)), strict=True)) if one]
+                if done:
+                    yield Row(name, count, tuple(done))
 
 
 def verdict(found: list[Row]) -> str:
@@ -205,12 +206,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("names", nargs="*", help="sets; by default all")
     parser.add_argument("--splits", type=int, default=20)
+    parser.add_argument("--processes", type=int, default=1)
     parser.add_argument("--write", action="store_true", help="write docs/evidence/old-maps.md")
     asked = parser.parse_args()
     wanted = asked.names or [name for name in (*MAPS, *REAL, *SATELLITES)
                              if name in MAPS or name in SCENES or (DATA / name).is_dir()]
     found = []
-    for row in rows(wanted, asked.splits):
+    for row in rows(wanted, asked.splits, asked.processes):
         found.append(row)
         sys.stderr.write(row.line() + "\n")
     text = f"""# Old maps
@@ -242,10 +244,7 @@ and 74 points. Of probabilities the odds are halved and doubled.
 | set | points | best | px | auto px | ratio | without | called for | covered | seconds |
 |---|---:|---|---:|---:|---:|---:|---:|---:|---:|
 """ + "\n".join(row.line() for row in found) + "\n"
-    if asked.write:
-        (ROOT / "docs" / "evidence" / "old-maps.md").write_text(text, encoding="utf-8")
-    else:
-        sys.stdout.write(text)
+    put("old-maps", text, write=asked.write)
 
 
 if __name__ == "__main__":
