@@ -15,8 +15,8 @@ from termsel.measurements.features import BoolArray, FeatureSet
 from termsel.measurements.scaling import Scaling
 
 LIKELY = 0.75
-"""Probability of a random field beyond which points call for it: odds of three to one, from which
-on Kass and Raftery 1995, J. Am. Stat. Assoc. 90, speak of positive evidence."""
+"""Probability of a random field beyond which points call for it: odds of three to one, beyond
+which the evidence is positive (Kass and Raftery 1995, J. Am. Stat. Assoc. 90)."""
 
 
 class Interpolated(Estimator):
