@@ -16,7 +16,7 @@ from termsel.adjustment.posterior import posterior, scales_of
 from termsel.candidates.blunders import find_blunders, judge_others
 from termsel.candidates.portfolio import choose
 from termsel.candidates.shrunken import average
-from termsel.measurements.features import no_lines
+from termsel.measurements.features import no_lines, no_points
 
 
 def scene(n: int, seed: int = 1, name: str = "ikonos-hamedan") -> FeatureSet:
@@ -212,12 +212,10 @@ def test_a_search_names_its_blunders_too() -> None:
     assert {one.kind for one in result.outliers} == {"line"}
 
 
-def test_lines_are_not_judged() -> None:
-    features = termsel.simulate_scene("ikonos-hamedan")
-    assert find_blunders(features, True) is None
-    choice = choose(features, True)
+def test_no_others_are_not_judged() -> None:
+    choice = choose(termsel.simulate_scene("ikonos-hamedan", n_lines=0), True)
     assert choice is not None
-    assert judge_others(choice.chosen, True, features.points) is None
+    assert judge_others(choice.chosen, True, no_points()) is None
 
 
 def test_a_prediction_without_a_point_is_that_of_the_others() -> None:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import termsel
-from termsel.candidates.blunders import Suspects
+from termsel.candidates.contradictions import Suspects
 from termsel.criteria import CheckRmse, Criterion, Press
 from termsel.fits.diagnosis import PARALLEL, orientation_spread
 from termsel.fits.extrapolation import warnings_of
@@ -338,8 +338,8 @@ def suspected(n: int, blunders: Iterable[int] = (), undecided: Iterable[int] = (
     points = at(np.random.default_rng(0).uniform(0, 10, (n, 3)))
     at_blunders, at_undecided = (np.isin(np.arange(n), list(which))
                                  for which in (blunders, undecided))
-    return list(outliers._notes(points, Suspects(at_blunders, at_undecided, 10.0 + np.arange(n),
-                                                 scale * (1.0 + np.arange(n)))))
+    found = Suspects(at_blunders, at_undecided, 10.0 + np.arange(n), scale * (1.0 + np.arange(n)))
+    return list(outliers._notes(FeatureSet(points), found))
 
 
 LEFT_OUT = ("Left out as blunders: {}. In brackets: how far the other points predict them from "

@@ -110,7 +110,7 @@ def test_the_page_states_the_reason_of_the_choice(result: termsel.Result) -> Non
 
 
 def test_without_shrunken_polynomials_the_least_error_is_the_reason() -> None:
-    features = simulate_scene("ikonos-hamedan", n_points=0, n_lines=60)
+    features = simulate_scene("ikonos-hamedan", n_points=0, n_lines=5, wrong_lines=0)
     found = choose(features, True)
     assert found is not None
     assert found.chosen.predicted == min(one.predicted for one in found.judged)
@@ -138,7 +138,8 @@ def test_options_of_the_data_leave_the_strategy(result: termsel.Result) -> None:
     ("rfm-terms", {"solver": "ga"}, "chooses the method itself, and solver is asked for"),
     ("rfm-terms", {"options": {"order": 2}}, "the option order is asked for"),
     ("rfm-terms", {"seconds": 3}, "a budget is asked for"),
-    ("owdis-lines", {}, "not for the problem owdis-lines")])
+    ("hybrid-2", {}, "not for the problem hybrid-2"),
+    ("owdis-lines", {"options": {"max_features": 20}}, "the option max_features is asked for")])
 def test_auto_and_a_method_exclude_each_other(problem: str, more: dict, message: str) -> None:
     with pytest.raises(termsel.TermselError, match=message):
         termsel.run(problem, strategy="auto", **more)

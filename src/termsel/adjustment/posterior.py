@@ -59,14 +59,14 @@ class Side:
     free: FloatArray
 
 
-def scales_of(exponents: FloatArray) -> FloatArray:
+def scales_of(exponents: FloatArray, draws: int = DRAWS) -> FloatArray:
     """Return standard deviations of the shrunken coefficients for size 1, shape (g, k)."""
     order, height = exponents.sum(axis=1), exponents[:, 2]
     reliefs, falls = RELIEFS if height.any() else (1.0,), FALLS if order.max() > 2 else (1.0,)
     rule = np.array([fall ** (order - 2.0) * relief ** height
                      for fall in falls for relief in reliefs])
     rng = np.random.default_rng(0)
-    own = np.exp(SPREAD * rng.standard_normal((DRAWS // len(rule), *rule.shape)))
+    own = np.exp(SPREAD * rng.standard_normal((draws // len(rule), *rule.shape)))
     return np.concatenate([rule, (rule * own).reshape(-1, rule.shape[1])])
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from termsel.adjustment.solve import TOLERANCE
 from termsel.candidates.local import Interpolated
 from termsel.candidates.ridge import RidgeByOrder
+from termsel.candidates.robust import Reweighted
 from termsel.candidates.selected import ForwardSelection
 from termsel.candidates.shrunken import Averaging
 from termsel.errors import TermselError
@@ -26,8 +27,8 @@ from termsel.models.projective import DLT3D, Projective2D
 from termsel.models.rational import RationalFunctions
 from termsel.threads import one_blas_thread
 
-Kind = Literal["contained", "plain", "full", "ridge", "selected", "shrunken", "local",
-               "few"]
+Kind = Literal["contained", "plain", "full", "ridge", "selected", "shrunken", "local", "few",
+               "robust"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +44,8 @@ class Candidate:
         "contained" for a limit of the shrunken polynomials, which find it where the points call
         for it, "plain" for another structure that takes neither selection nor shrinkage, "full"
         for the full RFM, "few" for what serves where points are too few to shrink; else how its
-        terms or coefficients are found.
+        terms or coefficients are found. "robust" ones give features that fit badly less weight, and
+        are no candidates for the choice.
     with_heights, without : SensorModel or None
         The model for features with heights that differ, and for others; None if there is none.
     estimator : Estimator
@@ -148,6 +150,12 @@ CANDIDATES = (
               Field(), Interpolated(), "random field"),
     Candidate("tps", "a thin-plate spline", "local", None, ThinPlate(), Interpolated(),
               "thin-plate spline"),
+    Candidate("huber", "a quadratic polynomial by Huber's estimator", "robust",
+              Polynomial3D(degree=2), Polynomial2D(degree=2), Reweighted(biweight=False),
+              "quadratic, Huber"),
+    Candidate("tukey", "a quadratic polynomial by Tukey's biweight", "robust",
+              Polynomial3D(degree=2), Polynomial2D(degree=2), Reweighted(biweight=True),
+              "quadratic, Tukey"),
 )
 """All candidates, in the order of the tables that compare them."""
 

@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from termsel.candidates.candidate import CANDIDATES
+from termsel.candidates.blunders import find_blunders, suspicious
+from termsel.candidates.candidate import CANDIDATES, Candidate
 from termsel.candidates.portfolio import Choice, choose
 from termsel.candidates.relief import heights_hold
 from termsel.fits.figures import BOTH, Baseline, baseline, finite_or_none
 from termsel.fits.fit import Fit, Undetermined
+from termsel.measurements.features import select
 from termsel.measurements.roles import Observations, together
 from termsel.measurements.scaling import scaling_of
 from termsel.measurements.twins import merged
 from termsel.models.rational import RationalFunctions
+
+WITHOUT_BLUNDERS = "without-blunders"
+"""Name of the baseline that is chosen once blunders are left out."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,11 +35,19 @@ class Comparison:
         the independent points; empty if none is determined.
     choice : Choice or None
         That choice.
+    blunders : tuple of str
+        Ids of features that it does without.
     """
 
     baselines: tuple[Baseline, ...]
     reference: str
     choice: Choice | None
+    blunders: tuple[str, ...] = ()
+
+    @property
+    def candidate(self) -> Candidate | None:
+        """The candidate that is chosen."""
+        return self.choice.chosen.candidate if self.choice else None
 
 
 def compare(observations: Observations, choice: Choice | None = None) -> Comparison:
@@ -48,17 +61,20 @@ def compare(observations: Observations, choice: Choice | None = None) -> Compari
     ----------
     observations : Observations
     choice : Choice, optional
-        That of `choose` for control and check, twins merged; made here by default.
+        That of `choose` for control and check, twins merged, or of `choose_features`: all are then
+        fitted to the features that it chooses. By default that of `choose`.
     """
     both, heights = merged(together(observations)), has_heights(observations)
-    choice, scaling = choice or choose(both, heights), scaling_of(both)
+    choice = choice or choose(both, heights)
+    both = choice.chosen.fit.control if choice else both
+    scaling = scaling_of(both)
     found: dict[str, tuple[Fit, float | None]] = {}
     if choice:
         found = {one.name: (one.fit, finite_or_none(one.predicted)) for one in choice.judged}
     baselines = []
     for one in CANDIDATES:
         model = one.model(heights)
-        if model is None:
+        if model is None or one.kind == "robust":
             continue
         if one.name not in found and isinstance(model, RationalFunctions):
             try:
@@ -74,6 +90,40 @@ def compare(observations: Observations, choice: Choice | None = None) -> Compari
             baselines.append(Baseline(one.name, len(model.terms), BOTH, False, dict.fromkeys(
                 ("control", "check", "independent"))))
     return Comparison(tuple(baselines), choice.chosen.name if choice else "", choice)
+
+
+def compare_robustly(observations: Observations) -> Comparison:
+    """Return the candidates of `compare`, and fits that blunders do not spoil.
+
+    These are M-estimators, and the candidate that is chosen once blunders are left out. Where there
+    are blunders, it is the reference.
+
+    Parameters
+    ----------
+    observations : Observations
+    """
+    comparison = compare(observations)
+    both, heights = merged(together(observations)), has_heights(observations)
+    robust = []
+    for one in CANDIDATES:
+        if one.kind == "robust" and one.model(heights):
+            try:
+                fitted = one.fit_control(both, heights, scaling_of(both))
+            except Undetermined:
+                continue
+            if fitted.adjustment.redundancy > 0:
+                robust.append(baseline(one.name, fitted, None, observations))
+    comparison = replace(comparison, baselines=(*comparison.baselines, *robust))
+    found = find_blunders(both, heights) if suspicious(both, heights) else None
+    if found is None or not found.blunders.any():
+        return comparison
+    choice = choose(both.take(~found.blunders), heights)
+    if choice is None:
+        return comparison
+    chosen = choice.chosen
+    return Comparison((*comparison.baselines, baseline(
+        WITHOUT_BLUNDERS, chosen.fit, chosen.predicted, observations)), WITHOUT_BLUNDERS, choice,
+        select(both.ids, found.blunders))
 
 
 def has_heights(observations: Observations) -> bool:

@@ -6,11 +6,12 @@ Nothing here knows of roles: what it is given are features it may use.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from termsel.adjustment.field import Collocation
+from termsel.adjustment.lines import row_weights
 from termsel.adjustment.parts import independent_parts
 from termsel.candidates.candidate import CANDIDATES, Candidate, named
 from termsel.candidates.local import LIKELY
@@ -18,8 +19,8 @@ from termsel.candidates.relief import heights_hold
 from termsel.criteria import Fits
 from termsel.fits.fit import Fit, Undetermined
 from termsel.fits.leave_out import solutions_without_each
-from termsel.measurements.features import FeatureSet, FloatArray, no_points
-from termsel.measurements.places import spatial_order
+from termsel.measurements.features import FeatureSet, FloatArray, no_lines, no_points
+from termsel.measurements.places import ground_centres, spatial_order
 from termsel.measurements.scaling import Scaling, scaling_of
 from termsel.models.poles import guard_points, pole_violation
 
@@ -33,8 +34,9 @@ FIELD = "field"
 LEAST = "It has the smallest leave-one-out RMSE."
 """Why a candidate is chosen where there are no shrunken polynomials."""
 
-MAX_FOLDS = 20
-"""Folds in which the whole choice is repeated; with fewer points each is left out alone."""
+MAX_FOLDS, FOLDS_WITH_LINES = 20, 10
+"""Folds in which the whole choice is repeated; with fewer features each is left out alone. Lines
+are many, and take longer."""
 
 EXACT = 3
 """Number of points up to which a model fits them exactly, and none is chosen."""
@@ -104,7 +106,7 @@ def portfolio(heights: bool) -> tuple[Candidate, ...]:
         return len(model.terms) if model and (one.is_plain or one.kind == "full") else np.inf
 
     return tuple(sorted((one for one in CANDIDATES if one.model(heights)
-                         and one.kind not in ("ridge", "few")), key=size))
+                         and one.kind not in ("ridge", "few", "robust")), key=size))
 
 
 def _judged(candidate: Candidate, control: FeatureSet, heights: bool,
@@ -252,6 +254,40 @@ def best_of(candidates: Iterable[Judged]) -> Choice | None:
     return Choice(chosen, judged, _reason(chosen, base, shrunken, others, judged))
 
 
+def choose_features(control: FeatureSet, heights: bool,
+                    watch: Watch | None = None) -> Choice | None:
+    """Choose as `choose`, and whether from points with lines, or from the points alone.
+
+    Lines that add more error than redundancy are left out whole: where the points alone predict the
+    points, each by the others, better by BETTER standard errors.
+
+    Parameters
+    ----------
+    control : FeatureSet
+    heights : bool
+    watch : callable, optional
+        As for `choose`, of which only the choice from all features tells.
+
+    Returns
+    -------
+    Choice or None
+        As `choose`. The control of the chosen fit has no lines where points alone are better.
+    """
+    choice, count = choose(control, heights, watch), len(control.points)
+    if choice is None or not count or not len(control.lines):
+        return choice
+    alone = choose(control.with_(lines=no_lines()), heights)
+    if alone is None:
+        return choice
+    gain = _gain_of(alone.chosen.squares, choice.chosen.squares[:count])
+    said = (f"Points alone predict the points {'better' if gain > 0 else 'worse'} than points with "
+            f"lines do, by {abs(gain):.2g} standard errors")
+    if gain > BETTER:
+        return replace(alone, reason=f"{alone.reason} {said}, so the lines are not used.")
+    return replace(choice, reason=f"{choice.reason} {said}; to be used alone they must be better "
+                                  f"by more than {BETTER:g}.")
+
+
 def _reason(chosen: Judged, shrunk: Judged, shrunken: Sequence[Judged], others: Sequence[Judged],
             judged: Iterable[Judged]) -> str:
     """Return why a candidate is chosen where there are shrunken polynomials."""
@@ -286,14 +322,23 @@ def _compared(one: Judged, other: Judged) -> str:
 
 def _gain(one: Judged, other: Judged) -> float:
     """Return by how many standard errors one's squared errors are smaller, in logarithms."""
+    return _gain_of(one.squares, other.squares)
+
+
+def _gain_of(one: FloatArray, other: FloatArray) -> float:
     tiny = np.finfo(float).tiny
-    gain = np.log(np.maximum(other.squares, tiny) / np.maximum(one.squares, tiny))
+    gain = np.log(np.maximum(other, tiny) / np.maximum(one, tiny))
     return float(gain.mean() / max(gain.std(ddof=1) / np.sqrt(len(gain)), tiny))
+
+
+def folds_of(control: FeatureSet) -> int:
+    """Return in how many folds the whole choice is repeated."""
+    return min(FOLDS_WITH_LINES if len(control.lines) else MAX_FOLDS, len(control))
 
 
 def repeated(control: FeatureSet, heights: bool,
              watch: Watch | None = None) -> FloatArray | None:
-    """Return the errors of points under choices made without them.
+    """Return the errors of features under choices made without them.
 
     In each fold the whole portfolio is fitted and the choice made again, so that the errors are
     those of the choice and not of a model that was chosen by them.
@@ -301,32 +346,38 @@ def repeated(control: FeatureSet, heights: bool,
     Parameters
     ----------
     control : FeatureSet
-        Points. Folds are spread over the scene.
+        Folds are spread over the scene.
     heights : bool
     watch : callable, optional
         As for `choose`.
 
     Returns
     -------
-    ndarray, shape (n, 2), or None
-        Measured minus predicted [px]; None if some fold leaves too little to choose by.
+    ndarray, shape (n_points + n_lines, 2), or None
+        Measured minus predicted [px]: of a point its line and sample; of a line the distances of
+        its two vertices, weighted by how well the image line is known there, so that they compare
+        with two coordinates of a point. None if some fold leaves too little to choose by.
     """
-    points = control.points
-    order = spatial_order(points.ground[:, :2])
-    folds = min(MAX_FOLDS, len(points))
-    errors = np.empty((len(points), 2))
+    order, folds = spatial_order(ground_centres(control)), folds_of(control)
+    count, owner = len(control.points), control.feature
+    errors = np.empty((len(owner), 2))
     for fold in range(folds):
-        out = np.zeros(len(points), dtype=bool)
+        out = np.zeros(len(control), dtype=bool)
         out[order[fold::folds]] = True
-        rest = control.with_(points=points.take(~out))
+        rest, held = control.take(~out), control.take(out)
         if len(rest) <= EXACT:
             # Three points choose nothing: the model that all points chose is fitted to them.
             choice = choose(control, heights)
         else:
-            choice = choose(rest, heights and heights_hold(rest, most=1), watch)
+            choice = choose_features(rest, heights and heights_hold(rest, most=1), watch)
         if choice is None:
             return None
         fitted = choice.chosen.fit if len(rest) > EXACT else \
             choice.chosen.candidate.fit_control(rest, False, scaling_of(rest))
-        errors[out] = fitted.errors(points.take(out))
+        errors[:count][out[:count]] = fitted.errors(held.points)
+        errors[count:][out[owner[count:]]] = np.linalg.norm(fitted.line_errors(held.lines), axis=2)
+    if count < len(owner):
+        scaling = scaling_of(control)
+        errors[count:] *= row_weights(scaling.features(control), heights=heights)[
+            2 * count:].reshape(-1, 2)
     return errors

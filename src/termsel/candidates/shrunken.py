@@ -15,7 +15,8 @@ Noise is taken to be the same in line and sample; its variance is integrated out
 
 Every solution on the grid is linear in the measurements. Leaving a point out changes it, and
 its probability, in closed form, so that the leave-one-out errors are those of the whole
-procedure repeated without each point.
+procedure repeated without each point. Lines couple line and sample: `termsel.adjustment.coupled`
+has the same for them.
 
 References
 ----------
@@ -30,11 +31,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from termsel.adjustment.equations import weights_of
+from termsel.adjustment.coupled import coupled
+from termsel.adjustment.equations import line_normals, weights_of
+from termsel.adjustment.lines import row_weights
 from termsel.adjustment.monomials import Exponents, monomials
-from termsel.adjustment.posterior import posterior, scales_of
+from termsel.adjustment.posterior import DRAWS, posterior, scales_of
 from termsel.adjustment.solve import Adjustment
-from termsel.candidates.points import points_alone
+from termsel.errors import counted
 from termsel.fits.fit import Estimator, Fit, HeldOut, Undetermined
 from termsel.fits.fittable import Fittable
 from termsel.measurements.features import BoolArray, FeatureSet, FloatArray
@@ -51,7 +54,8 @@ class Average:
     coefficients : ndarray, shape (k, 2)
         Of line and sample.
     errors : ndarray, shape (n, 2)
-        Measured minus predicted by the same procedure without that point.
+        Measured minus predicted by the same procedure without that point, or without the line of
+        a vertex.
     effective : float
         Effective parameters of line and sample together: the trace of the matrix that turns
         measurements into their fitted values.
@@ -63,22 +67,23 @@ class Average:
 
 
 class Averaging(Estimator):
-    """The average of a polynomial's shrunken solutions, from control points alone."""
+    """The average of a polynomial's shrunken solutions."""
 
     def fit(self, model: Fittable, control: FeatureSet, scaling: Scaling, terms: BoolArray,
             used: BoolArray) -> Fit:
         """Fit a polynomial (see `Estimator.fit`) with all its terms."""
         assert isinstance(model, Polynomial)
-        points = scaling.points(points_alone(control, used, "a shrunken polynomial"))
-        found = average(points.ground, points.image, model.exponents,
-                        None if points.sigma is None else weights_of(points))
+        scaled, mine = scaling.features(control), scaling.features(control.take(used))
+        found = average_with_lines(mine, model) if len(mine.lines) else average(
+            mine.points.ground, mine.points.image, model.exponents,
+            None if mine.points.sigma is None else weights_of(mine.points))
         if found is None:
+            what = "control feature" if len(mine.lines) else "control point"
             raise Undetermined(
-                f"{len(points)} control points without any one of them do not determine an affine "
-                "model",
-                hint="Measure more control, spread over the area.")
+                f"{counted(len(mine), what)} without any one of them do not determine an affine "
+                "model", hint="Measure more control, spread over the area.")
         coefficients = found.coefficients.T.ravel()
-        equations = model.equations(scaling.features(control))
+        equations = model.equations(scaled)
         k = len(coefficients)
         residuals = equations.b - equations.A @ coefficients
         in_use = residuals[used[equations.feature]]
@@ -87,8 +92,10 @@ class Averaging(Estimator):
         adjustment = Adjustment(coefficients, residuals, np.full(k, np.nan),
                                 round(found.effective), len(in_use), round(found.effective),
                                 float("nan"), sigma0)
-        held_out = HeldOut(found.errors * scaling.image_scale,
-                           (found.errors**2).sum(axis=1) * scaling.image_scale**2)
+        errors = found.errors * scaling.image_scale
+        squares = np.zeros(len(mine))
+        np.add.at(squares, mine.vertex_feature, (errors**2).sum(axis=1))
+        held_out = HeldOut(errors, squares)
         return Fit(model, scaling, control, np.ones(k, dtype=bool), used, adjustment, self,
                    found.effective, held_out)
 
@@ -130,3 +137,37 @@ def average(ground: FloatArray, image: FloatArray, exponents: Exponents,
         effective += own
     errors = np.array([found.without(i).error for i in range(len(ground))]) / weights
     return Average(coefficients, errors, effective)
+
+
+def average_with_lines(features: FeatureSet, model: Polynomial) -> Average | None:
+    """Fit an averaged polynomial to points and lines, or to lines.
+
+    Parameters
+    ----------
+    features : FeatureSet
+        Scaled to [-1, 1].
+    model : Polynomial
+
+    Returns
+    -------
+    Average or None
+        None if all features but any one do not determine the affine terms. The errors are of the
+        points, then of both vertices of each line, along its normal.
+    """
+    equations = model.equations(features)
+    found = coupled(equations, model.exponents, DRAWS, len(equations.b))
+    if found is None:
+        return None
+    k = len(model.exponents)
+    shrunk, effective = found.mean()
+    free = np.tile(np.array(model.exponents).sum(axis=1) < 2, 2)
+    coefficients = np.empty(2 * k)
+    coefficients[~free] = shrunk
+    coefficients[free] = np.linalg.lstsq(equations.A[:, free],
+                                         equations.b - equations.A[:, ~free] @ shrunk)[0]
+    errors = found.predictions().errors / row_weights(features, heights=model.uses_height)
+    count = 2 * len(features.points)
+    normals = np.repeat(line_normals(features.lines)[0], 2, axis=0)
+    return Average(coefficients.reshape(2, k).T,
+                   np.concatenate([errors[:count].reshape(-1, 2),
+                                   errors[count:, None] * normals]), effective)

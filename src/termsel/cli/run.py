@@ -148,9 +148,8 @@ def run(
     if files:
         features = read_files(points, lines, options, areas=areas, crs=crs, format=formats,
                               dem=dem, raster=raster, image_lines=image_lines)
-    problem = problem or running.problem_for(features)
     source = ", ".join(str(path) for path in (*files, image_lines) if path is not None)
-    with search_bar(problem, quiet) as observe:
+    with search_bar(problem or running.problem_for(features), quiet) as observe:
         result = running.run(
             problem, strategy=strategy, features=features, dataset=dataset, source=source or None,
             model=model, solver=solver, criterion=criterion, options=options, seed=seed,

@@ -139,9 +139,8 @@ class Fits:
     @cached_property
     def _vertices(self) -> tuple[IntArray, FloatArray]:
         """Points and ground vertices of lines: their features and their positions."""
-        n = len(self.control)
-        return (np.concatenate([np.arange(n), n + np.repeat(self.lines.feature, 2)]),
-                np.concatenate([self.control.ground, self.lines.ground.reshape(-1, 3)]))
+        features = FeatureSet(self.control, self.lines)
+        return features.vertex_feature, features.ground_vertices()
 
     @cached_property
     def _image_lines(self) -> tuple[FloatArray, FloatArray]:

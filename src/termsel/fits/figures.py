@@ -88,12 +88,16 @@ def baseline(name: str, fitted: Fit, predicted: float | None, observations: Obse
 def in_role(fitted: Fit, observations: Observations) -> Fit:
     """Return a fit whose control figures are of the control alone, whatever it was fitted to.
 
-    It cannot be repeated without a feature, as it does not know all that it was fitted to.
+    It cannot be repeated without a feature, as it does not know all that it was fitted to. Lines
+    that it was not fitted to are on offer, and not used.
     """
     control = observations.control
     if fitted.control is control:
         return fitted
-    return replace(fitted, control=control, used=np.ones(len(control), dtype=bool),
+    lines = frozenset(fitted.control.lines.features)
+    used = np.array([True] * len(control.points)
+                    + [name in lines for name in control.lines.features], dtype=bool)
+    return replace(fitted, control=control, used=used,
                    estimator=GIVEN, held_out=None, made=fitted)
 
 

@@ -20,7 +20,7 @@ from termsel.fits.locate import Surface, locate
 from termsel.fits.residuals import Residuals, control_residuals
 from termsel.fits.rmse import Rmse, rmse_of
 from termsel.fits.uncertainty import Spread, spread_of
-from termsel.measurements.features import BoolArray, FeatureSet, FloatArray, Points
+from termsel.measurements.features import BoolArray, FeatureSet, FloatArray, Lines, Points
 from termsel.measurements.scaling import Scaling, scaling_of
 from termsel.threads import one_blas_thread
 
@@ -96,9 +96,10 @@ GIVEN = Given()
 
 @dataclass(frozen=True, eq=False)
 class HeldOut:
-    """Errors of control points under the same procedure without them.
+    """Errors of control features in use under the same procedure without them.
 
-    `errors` are measured minus predicted [px], shape (n, 2), `squares` dl^2 + ds^2, shape (n,).
+    `errors` are measured minus predicted [px] of the points, then of both vertices of each line,
+    shape (n_points + 2 n_lines, 2), `squares` the sums of their squares by feature, shape (n,).
     """
 
     errors: FloatArray
@@ -284,12 +285,13 @@ class Fit:
         """Return measured minus computed line and sample [px], shape (n, 2)."""
         return points.image - self.project(points.ground)
 
-    def line_errors(self) -> FloatArray:
-        """Return the vectors from projected ground vertices of control lines to their image lines.
+    def line_errors(self, lines: Lines | None = None) -> FloatArray:
+        """Return the vectors from projected ground vertices of lines to their image lines.
 
-        They are along the normal [px], shape (n, 2, 2): line and vertex; line and sample.
+        They are along the normal [px], shape (n, 2, 2): line and vertex; line and sample. By
+        default those of the control lines.
         """
-        lines = self.control.lines
+        lines = self.control.lines if lines is None else lines
         normal, rho = line_normals(lines)
         image = self.project(lines.ground.reshape(-1, 3)).reshape(-1, 2, 2)
         distance = rho[:, None] - np.einsum("ia,iva->iv", normal, image)
@@ -340,7 +342,8 @@ class Fit:
     def _left_out(self) -> tuple[tuple[FloatArray, ...], bool]:
         """Errors of each feature in use by the fit without it, and whether all are determined."""
         if self.held_out is not None:
-            return tuple(self.held_out.errors[:, None]), True
+            owner = self.control.take(self.used).vertex_feature
+            return tuple(self.held_out.errors[owner == i] for i in range(owner.max() + 1)), True
         found = self.interpolation if self.estimator.repeatable else None
         return _repeated(self) if found is None else (
             tuple(found.errors[:, None] * self.scaling.image_scale), True)

@@ -319,8 +319,9 @@ def _fit(record: Mapping[str, Any], features: FeatureSet) -> Fit:
     if not chosen:
         return fitted
     both = together(by_roles(features))
+    used = ~np.isin(both.ids, list(set(control.ids) - set(record["selection"]["features"])))
     return replace(fitted, made=replace(fitted, control=both, estimator=chosen.estimator,
-                                        used=np.ones(len(both), dtype=bool)))
+                                        used=used))
 
 
 def _refuse_other_model(record: Mapping[str, Any], fitted: Fit,

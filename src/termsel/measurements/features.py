@@ -352,6 +352,12 @@ class FeatureSet:
         n = len(self.points)
         return np.concatenate([np.arange(n), n + self.lines.feature])
 
+    @property
+    def vertex_feature(self) -> IntArray:
+        """The feature each point, then each vertex of the lines, belongs to."""
+        n = len(self.points)
+        return np.concatenate([np.arange(n), n + np.repeat(self.lines.feature, 2)])
+
     def with_(self, *, points: Points | None = None, lines: Lines | None = None) -> FeatureSet:
         """Return a copy with other points or lines."""
         return replace(self, points=self.points if points is None else points,

@@ -42,6 +42,13 @@ def centres(control: FeatureSet) -> FloatArray:
     return np.concatenate([control.points.image, lines.by_feature(lines.image.mean(axis=1))])
 
 
+def ground_centres(control: FeatureSet) -> FloatArray:
+    """Return the plane ground position of each feature, the middle for lines, shape (f, 2)."""
+    lines = control.lines
+    return np.concatenate([control.points.ground[:, :2],
+                           lines.by_feature(lines.ground[..., :2].mean(axis=1))])
+
+
 def beyond(control: FloatArray, places: FloatArray) -> FloatArray:
     """Return how far places are outside the convex hull of the control.
 

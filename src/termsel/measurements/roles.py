@@ -13,6 +13,7 @@ from termsel.measurements.features import (
     ROLES,
     FeatureSet,
     FloatArray,
+    Lines,
     Points,
     join_points,
     no_lines,
@@ -251,13 +252,13 @@ def together(observations: Observations) -> FeatureSet:
 
 
 def leave_out(observations: Observations, ids: Iterable[str]) -> Observations:
-    """Return the observations with some points in the role off.
+    """Return the observations with some points in the role off, and without some lines.
 
     Parameters
     ----------
     observations : Observations
     ids : iterable of str
-        Of control and check points.
+        Of control and check points, and of lines.
     """
     out = frozenset(ids)
     if not out:
@@ -267,10 +268,17 @@ def leave_out(observations: Observations, ids: Iterable[str]) -> Observations:
                   for name, role in zip(points.ids, points.roles, strict=True))
     kept, checked = ([name not in out for name in part.ids]
                      for part in (control.points, observations.check))
+    lines = control.lines.take([name not in out for name in control.lines.ids])
     return Observations(
-        observations.features.with_(points=replace(points, roles=roles)),
-        control.with_(points=control.points.take(kept)), observations.check.take(checked),
-        observations.independent)
+        observations.features.with_(points=replace(points, roles=roles), lines=lines),
+        control.with_(points=control.points.take(kept), lines=lines),
+        observations.check.take(checked), observations.independent)
+
+
+def with_lines(observations: Observations, lines: Lines) -> Observations:
+    """Return the observations with other control lines."""
+    return replace(observations, features=observations.features.with_(lines=lines),
+                   control=observations.control.with_(lines=lines))
 
 
 def check_as_control(observations: Observations) -> Observations:

@@ -33,7 +33,9 @@ class Recipe:
         The second objective of a solver for several objectives.
     portfolio : bool
         Whether the strategy "auto" may answer the problem: it asks for the best model of the
-        points, with any terms.
+        features, with any terms.
+    search_first : bool
+        Whether the problem's own solver runs all the same, unless the strategy "auto" is asked for.
     source : str
         The paper the problem comes from.
     """
@@ -50,6 +52,7 @@ class Recipe:
     options: tuple[Option, ...] = ()
     second: str = "n_terms"
     portfolio: bool = False
+    search_first: bool = False
     source: str = ""
 
 
@@ -85,10 +88,15 @@ RECOMMEND_TERMS = replace(RECOMMEND, doc=RECOMMEND.doc.replace(
     "the best criterion; or,", "the best criterion; the least EBIC; or,"),
     choices=(*RECOMMEND.choices, "ebic"))
 
+BLUNDERS = Option(
+    "blunders", "leave-out", "What becomes of probable blunders that the result uses: leave-out "
+    "repeats the search without them, until it uses none; keep is the search as published.",
+    choices=("leave-out", "keep"))
+
 _BOTH = (MASK, MIXED, *TERM_OPTIONS, OBJECTIVES)
 OF_TERMS = (*_BOTH, RECOMMEND_TERMS)
-OF_FEATURES = (TERMS, MIXED, *COUNTS, *FORCE_OPTIONS, OBJECTIVES, RECOMMEND)
-OF_BOTH = (*_BOTH, RECOMMEND, *COUNTS, STEPS)
+OF_FEATURES = (TERMS, MIXED, *COUNTS, *FORCE_OPTIONS, OBJECTIVES, RECOMMEND, BLUNDERS)
+OF_BOTH = (*_BOTH, RECOMMEND, *COUNTS, STEPS, BLUNDERS)
 
 
 def feature_options(**defaults: Any) -> tuple[Option, ...]:
@@ -129,14 +137,18 @@ RECIPES = (
            source="Valadan Zoej et al. 2002; Zakaryaie Nejad et al. 2015"),
     Recipe("owdis-points", "Which control points to use.", _features,
            model="poly3d", dataset="ikonos-hamedan", options=OF_FEATURES, second="n_features",
+           portfolio=True, search_first=True,
            source=YAVARI),
     Recipe("owdis-lines", "Which control lines to use.", _features,
            model="poly3d", dataset="ikonos-hamedan", control="lines",
-           options=OF_FEATURES, second="n_features", source=YAVARI),
+           options=OF_FEATURES, second="n_features", portfolio=True, search_first=True,
+           source=YAVARI),
     Recipe("owdis-points-terms", "Which control points and which model terms to use.", _both,
            model="rfm", model_options={"order": 2, "ridge": 0.0}, dataset="ikonos-hamedan",
-           options=OF_BOTH, source=YAVARI),
+           options=OF_BOTH, portfolio=True, search_first=True,
+           source=YAVARI),
     Recipe("owdis-lines-terms", "Which control lines and which model terms to use.", _both,
            model="rfm", model_options={"order": 2, "ridge": 0.0}, dataset="ikonos-hamedan",
-           control="lines", options=OF_BOTH, source=YAVARI),
+           control="lines", options=OF_BOTH, portfolio=True, search_first=True,
+           source=YAVARI),
 )

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 from termsel.candidates.candidate import named
+from termsel.candidates.compare import WITHOUT_BLUNDERS
 from termsel.candidates.portfolio import EXACT
 from termsel.errors import counted, printable
 from termsel.fits.diagnosis import BEYOND, CORRELATED
@@ -109,7 +110,8 @@ def _title(name: str) -> str:
     """Return the title of a baseline in tables."""
     candidate = named(name)
     if candidate is None:
-        return "conventional (all)" if name == "all-terms" else name
+        return {"all-terms": "conventional (all)", WITHOUT_BLUNDERS: "without blunders"}.get(
+            name, name)
     return candidate.label
 
 
@@ -230,7 +232,7 @@ def _foot(record: Record) -> Iterator[str]:
     yield from _coefficients(record)
     terms, features = _offered(record)
     selection = record["selection"]
-    if selection["n_features"] < features:
+    if selection["n_features"] < features and not record["strategy"]:
         yield from _names("Features", selection["features"])
     if selection["n_terms"] < terms:
         yield from _names("Terms", selection["terms"])

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from termsel.candidates.compare import compare
+from termsel.candidates.compare import compare_robustly
 from termsel.candidates.ridge import RidgeByOrder
 from termsel.errors import TermselError, unknown_name
 from termsel.fits.accuracy import accuracy_of
@@ -49,7 +49,7 @@ def assess(task: Task, found: Search) -> Result:
     objectives = found.objectives.tolist() if judged else []
     rmse, diagnosis = figures(chosen, observations), diagnose(chosen)
     everything = fit(task.model, observations.control, task.scaling)
-    comparison = compare(observations)
+    comparison = compare_robustly(observations)
     baselines = (baseline("all-terms", everything, None, observations, ("control",)),
                  *comparison.baselines)
     return Result(
@@ -62,7 +62,8 @@ def assess(task: Task, found: Search) -> Result:
         baselines=baselines,
         judgement=judge(name_conventional(task.problem.genome, observations),
                         task.criterion.name, rmse, baselines, comparison.reference, feasible,
-                        task.features.noise),
+                        task.features.noise, candidate=comparison.candidate,
+                        blunders=len(comparison.blunders)),
         notes=(*notes_on_data(task.features, observations, task.model.uses_height),
                *notes_on(observations, task.criterion, found, chosen)),
         objectives=dict(zip(task.problem.objectives, objectives, strict=False)),

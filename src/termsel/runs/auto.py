@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,22 +12,23 @@ import numpy as np
 from termsel.candidates.compare import compare, has_heights
 from termsel.candidates.portfolio import (
     EXACT,
-    MAX_FOLDS,
     Judged,
     best_of,
-    choose,
+    choose_features,
     exact,
+    folds_of,
     portfolio,
     repeated,
 )
-from termsel.errors import TermselError
+from termsel.errors import TermselError, counted
 from termsel.fits.accuracy import accuracy_of, predicted_rmse
 from termsel.fits.diagnosis import diagnose
 from termsel.fits.extrapolation import warnings_of
 from termsel.fits.figures import figures, finite_or_none, in_role, residuals_of
+from termsel.fits.fit import Fit
 from termsel.interrupts import answered
 from termsel.measurements.features import FloatArray, no_points, select
-from termsel.measurements.roles import Observations, together
+from termsel.measurements.roles import Observations, together, with_lines
 from termsel.measurements.twins import merged
 from termsel.models.base import SensorModel
 from termsel.problems.base import Evaluation, Selection
@@ -51,18 +53,21 @@ LEAST = 2
 """Control points without which there is no answer."""
 
 
-def wanted(strategy: str | None, recipe: Recipe, asked: Mapping[str, Any]) -> bool:
+def wanted(strategy: str | None, recipe: Recipe, asked: Mapping[str, Any], *,
+           unnamed: bool = False) -> bool:
     """Return whether a run is to choose its method by itself.
 
     Parameters
     ----------
     strategy : {"auto", "as-asked"} or None
-        None means "auto" for problems that a portfolio can answer and where nothing of a method
-        is asked for.
+        None means "auto" for problems that a portfolio can answer, but for those whose search comes
+        first, where nothing of a method is asked for.
     recipe : Recipe
     asked : mapping
         What the user has named of a method, by what it is called; None or empty counts as not
         named.
+    unnamed : bool
+        Whether nobody named the problem: then "auto" comes before its own search.
 
     Raises
     ------
@@ -74,10 +79,12 @@ def wanted(strategy: str | None, recipe: Recipe, asked: Mapping[str, Any]) -> bo
                            hint=f"Choose {' or '.join(NAMES)}.")
     named = [name for name, value in asked.items() if value]
     if strategy != "auto":
-        return strategy is None and recipe.portfolio and not named
+        return (strategy is None and recipe.portfolio and (unnamed or not recipe.search_first)
+                and not named)
     if not recipe.portfolio:
         raise TermselError(f"the strategy auto is not for the problem {recipe.name}",
-                           hint="It chooses among models of points: rfm-terms, poly-terms.")
+                           hint="It chooses among models of points and lines: rfm-terms, "
+                                "poly-terms, owdis-lines.")
     if named:
         raise TermselError(
             f"the strategy auto chooses the method itself, and {named[0]} is asked for",
@@ -154,16 +161,16 @@ def choose_for(request: Request, observations: Observations, seed: int,
     """
     start = time.perf_counter()
     heights = has_heights(observations)
-    watch = _Watch(observers, len(portfolio(heights)),
-                   min(MAX_FOLDS, len(merged(together(observations)))))
+    watch = _Watch(observers, len(portfolio(heights)), folds_of(merged(together(observations))))
     watch.tell("blunders")
     of_data = tuple(notes_on_data(request.features, observations, heights=True))
-    observations, outliers, notes = without_blunders(observations, heights)
-    both = merged(together(observations))
+    clean, outliers, notes = without_blunders(observations, heights)
+    both = merged(together(clean))
     errors, interrupted = None, False
-    heights = has_heights(observations)
+    heights = has_heights(clean)
     try:
-        choice = exact(both) if len(both) <= EXACT else choose(both, heights, watch.candidate)
+        choice = exact(both) if len(both) <= EXACT else choose_features(
+            both, heights, watch.candidate)
         errors = repeated(both, heights, watch.candidate) if choice and len(both) > EXACT else None
     except KeyboardInterrupt:
         choice, interrupted = best_of(watch.judged), True
@@ -171,13 +178,15 @@ def choose_for(request: Request, observations: Observations, seed: int,
             raise
         answered()
     if choice is None:
+        what = "features" if len(both.lines) else "points"
         raise TermselError(
-            f"the {len(both)} control and check points lie so that no model can be held against "
+            f"the {len(both)} control and check {what} lie so that no model can be held against "
             "them", hint="Measure more, spread over the scene.")
-    chosen, comparison = choice.chosen, compare(observations, choice)
+    chosen, comparison = choice.chosen, compare(clean, choice)
     expected = None if errors is None else predicted_rmse(
         errors, chosen.fit.effective, len(observations.independent))
     predicted = None if expected is None else expected.rmse
+    observations = with_lines(clean, observations.control.lines)
     fitted = in_role(chosen.fit, observations)
     model = fitted.model
     rmse = figures(fitted, observations)
@@ -187,7 +196,7 @@ def choose_for(request: Request, observations: Observations, seed: int,
     # The chosen one is the selection, and is not shown twice unless it is plain.
     baselines = tuple(b for b in comparison.baselines
                       if b.name != chosen.name or chosen.candidate.is_plain)
-    folds = min(MAX_FOLDS, len(both))
+    folds = folds_of(both)
     said = INTERRUPTED.format(min(watch.count, watch.candidates), watch.candidates) \
         if interrupted else ""
     return Result(
@@ -195,21 +204,23 @@ def choose_for(request: Request, observations: Observations, seed: int,
         options={"problem": {}, "data": request.options["data"], "model": model.options,
                  "solver": {}, "criterion": {}},
         data=data_of(request.features, request.source, observations),
-        selection=Selection(select(model.terms, fitted.terms), observations.control.ids),
+        selection=Selection(select(model.terms, fitted.terms),
+                            select(observations.control.ids, fitted.used)),
         feasible=True, rmse=rmse, baselines=baselines,
         judgement=judge_choice(chosen.candidate, predicted, rmse, baselines,
                                request.features.noise),
         notes=(*_few(request),
                *of_data,
-               *_notes(request.model, observations, errors, said,
-                       plane=not model.uses_height), *notes, *more),
+               *_notes(request.model, clean, errors, said,
+                       plane=not model.uses_height), *notes, *_lines(fitted), *more),
         outliers=(*outliers, *contradicting), predicted=expected,
         accuracy=accuracy_of(fitted, observations.independent), final=final,
         objectives={"press": chosen.predicted} if np.isfinite(chosen.predicted) else {},
         evaluations=watch.count or len(choice.judged), lookups=0, generations=0,
         seconds=time.perf_counter() - start, interrupted=interrupted, polish=None, fit=fitted,
         residuals=residuals_of(fitted, observations, check_used=True),
-        diagnosis=diagnose(fitted),
+        # Blunders are those that were left out, by a test of their own.
+        diagnosis=replace(diagnose(fitted), doubts=None),
         features=observations.features, versions=versions(),
         plugins=plugins_of(request),
         strategy={
@@ -220,6 +231,13 @@ def choose_for(request: Request, observations: Observations, seed: int,
                 {"name": one.name, "model": one.fit.model.name,
                  "n_terms": int(one.fit.terms.sum()), "effective": one.fit.effective,
                  "predicted": finite_or_none(one.predicted)} for one in choice.judged]})
+
+
+def _lines(fitted: Fit) -> list[str]:
+    lines = len(fitted.control.lines.features)
+    if not lines or fitted.used[len(fitted.control.points):].any():
+        return []
+    return [f"None of the {counted(lines, 'line')} is used: the points alone predict better."]
 
 
 def _few(request: Request) -> list[str]:

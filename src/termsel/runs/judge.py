@@ -27,7 +27,7 @@ an RMSE is itself uncertain by more."""
 
 def judge(conventional: str, criterion: str, rmse: Mapping[str, Rmse | None],
           baselines: tuple[Baseline, ...], reference: str, feasible: bool,
-          noise: float | None) -> str:
+          noise: float | None, *, candidate: Candidate | None = None, blunders: int = 0) -> str:
     """Return one or two sentences that compare the selection with what needs no search.
 
     Parameters
@@ -45,6 +45,10 @@ def judge(conventional: str, criterion: str, rmse: Mapping[str, Rmse | None],
     feasible : bool
     noise : float or None
         Standard deviation of the measurements [px], where it is known.
+    candidate : Candidate, optional
+        What the reference is; by default the candidate of its name.
+    blunders : int
+        Number of features that it leaves out as blunders.
     """
     if not feasible:
         return ("This selection does not satisfy all conditions, and no better one was found. It "
@@ -57,13 +61,14 @@ def judge(conventional: str, criterion: str, rmse: Mapping[str, Rmse | None],
     sentences = [_compare("The selection is", mine.total, baselines[0], conventional)
                  + f" on {counted(mine.n, 'independent point')}."]
     best = next((b for b in baselines if b.name == reference), None)
-    candidate = named(reference)
+    candidate = candidate or named(reference)
     if best is not None and candidate is not None:
-        title = (f"{candidate.title} over control and check together, which the rule of auto "
-                 "chooses")
+        without = f" without {counted(blunders, 'blunder')}" if blunders else ""
+        title = (f"{candidate.title} over control and check together{without}, which the rule of "
+                 "auto chooses")
         ratio = _ratio(mine.total, _independent(best))
         if ratio > ALIKE:
-            advice = ("Use --strategy auto instead" if not candidate.is_plain else
+            advice = ("Use --strategy auto instead" if blunders or not candidate.is_plain else
                       "Use something plainer")
             sentences.append(f"{advice}: {title}, is {_times(ratio)} better "
                              f"({_px(_independent(best))}).")

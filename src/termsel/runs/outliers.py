@@ -1,4 +1,4 @@
-"""Blunders among the points of the strategy "auto": named, left out, and told in notes."""
+"""Blunders among the features of the strategy "auto": named, left out, and told in notes."""
 
 from __future__ import annotations
 
@@ -6,9 +6,10 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from termsel.candidates.blunders import MOST, Suspects, find_blunders, judge_others
+from termsel.candidates.blunders import MOST, find_blunders, judge_others
+from termsel.candidates.contradictions import Suspects
 from termsel.candidates.portfolio import Judged
-from termsel.measurements.features import BoolArray, Points, select
+from termsel.measurements.features import BoolArray, FeatureSet, Points, select
 from termsel.measurements.roles import Observations, leave_out, together
 from termsel.measurements.twins import merged, with_twins
 from termsel.results.result import Outlier
@@ -21,7 +22,7 @@ def without_blunders(observations: Observations,
                      heights: bool) -> tuple[Observations, list[Outlier], list[str]]:
     """Return the observations without blunders, the outliers and what is to be said of them.
 
-    Control and check points are judged; independent points take no part.
+    Control and check points and lines are judged; independent points take no part.
 
     Parameters
     ----------
@@ -33,13 +34,16 @@ def without_blunders(observations: Observations,
     found = find_blunders(both, heights)
     if found is None:
         return observations, [], []
-    role = dict.fromkeys(observations.control.points.ids, "control")
-    outliers = [Outlier(both.points.ids[i], "point", role.get(both.points.ids[i], "check"),
-                        float(found.errors[i]), bool(found.blunders[i]))
+    role = dict.fromkeys(observations.check.ids, "check")
+    outliers = [Outlier(both.ids[i], "point" if i < len(both.points) else "line",
+                        role.get(both.ids[i], "control"), float(found.errors[i]),
+                        bool(found.blunders[i]))
                 for i in _worst_first(found, found.blunders | found.undecided)]
-    left = leave_out(observations, with_twins(together(observations).points,
-                                              select(both.points.ids, found.blunders)))
-    return left, outliers, list(_notes(both.points, found))
+    points = found.blunders[:len(both.points)]
+    left = leave_out(observations, [
+        *with_twins(together(observations).points, select(both.points.ids, points)),
+        *select(both.lines.features, found.blunders[len(both.points):])])
+    return left, outliers, list(_notes(both, found))
 
 
 def judged_independent(points: Points, heights: bool,
@@ -68,7 +72,7 @@ def judged_independent(points: Points, heights: bool,
     others = chosen.fit.rmse(points.take(~found.blunders))
     assert others is not None  # they are at least as many
     return outliers, ["Independent points that contradict all others: "
-                      f"{_named(points, found, found.blunders)}; without them the independent "
+                      f"{_named(points.ids, found, found.blunders)}; without them the independent "
                       f"RMSE is {others.total:.3g} px."]
 
 
@@ -76,25 +80,26 @@ def _worst_first(found: Suspects, which: BoolArray) -> list[int]:
     return [int(i) for i in np.argsort(-found.errors, kind="stable") if which[i]]
 
 
-def _named(points: Points, found: Suspects, which: BoolArray) -> str:
-    return ", ".join(f"{points.ids[i]} ({found.errors[i]:.3g} px)"
+def _named(ids: tuple[str, ...], found: Suspects, which: BoolArray) -> str:
+    return ", ".join(f"{ids[i]} ({found.errors[i]:.3g} px)"
                      for i in _worst_first(found, which))
 
 
-def _notes(points: Points, found: Suspects) -> Iterator[str]:
+def _notes(control: FeatureSet, found: Suspects) -> Iterator[str]:
+    what = "features" if len(control.lines) else "points"
     if found.blunders.any():
-        yield (f"Left out as blunders: {_named(points, found, found.blunders)}. In brackets: how "
-               "far the other points predict them from where they were measured.")
+        yield (f"Left out as blunders: {_named(control.ids, found, found.blunders)}. In brackets: "
+               f"how far the other {what} predict them from where they were measured.")
     if found.undecided.any():
-        yield (f"Perhaps blunders, still in use: {_named(points, found, found.undecided)}. The "
-               "other points are too few or too far to tell.")
-    if len(points) < FEW:
+        yield (f"Perhaps blunders, still in use: {_named(control.ids, found, found.undecided)}. "
+               f"The other {what} are too few or too far to tell.")
+    if len(control) < FEW:
         worst, half = int(np.argmax(found.limits)), float(np.median(found.limits))
-        if half > np.ptp(points.image, axis=0).max():
-            yield f"With {len(points)} points no blunder can be found: any of them may be one."
+        if half > np.ptp(control.image_vertices(), axis=0).max():
+            yield f"With {len(control)} {what} no blunder can be found: any of them may be one."
             return
-        yield (f"With {len(points)} points an error must exceed {_size(half)} px to be found at "
-               f"half of them, and {_size(found.limits[worst])} px at {points.ids[worst]}.")
+        yield (f"With {len(control)} {what} an error must exceed {_size(half)} px to be found at "
+               f"half of them, and {_size(found.limits[worst])} px at {control.ids[worst]}.")
 
 
 def _size(error: float) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,8 +16,7 @@ from termsel.plugins.registry import registry
 from termsel.results.result import Result
 from termsel.runs.assess import assess
 from termsel.runs.auto import LEAST, choose_for, wanted
-from termsel.runs.recommend import recommended
-from termsel.runs.steps import search_in_steps
+from termsel.runs.blunders_out import search_without_blunders
 from termsel.runs.task import DATA_OPTIONS, Task, ask, observe, prepare
 from termsel.solvers.search import Observer
 from termsel.threads import one_blas_thread
@@ -56,7 +56,8 @@ def run(
         "auto" chooses the model itself, among plain and shrunken ones, by what it predicts for
         points that took no part; "as-asked" runs the problem's solver. By default "auto" where
         the problem allows it and neither model, solver, criterion, budget nor any option but
-        those of the data is given. A prepared task is always run as asked.
+        those of the data is given; for problems that select features only where none is named. A
+        prepared task is always run as asked.
     seed : int
         Seed of the search.
     generations, evaluations : int, optional
@@ -90,6 +91,7 @@ def run(
         "features": features, "dataset": dataset, "source": source, "model": model,
         "solver": solver, "criterion": criterion, "options": options}
     asked = {name: value for name, value in given.items() if value is not None}
+    unnamed = problem is None
     if problem is None:
         problem = problem_for(features)
     if isinstance(problem, Task):
@@ -98,14 +100,14 @@ def run(
                                hint="Give them to termsel.prepare.")
         task = problem
     elif wanted(strategy, registry().get("problems", problem), _method(
-            asked, generations, evaluations, seconds)):
+            asked, generations, evaluations, seconds), unnamed=unnamed):
         return _chosen(problem, asked, seed, observers, out, overwrite)
     else:
         task = prepare(problem, **asked)
     _begin(out, overwrite)
-    found = search_in_steps(task, seed=seed, generations=generations, evaluations=evaluations,
-                            seconds=seconds, observers=observers)
-    return _finished(assess(task, recommended(task, found)), out)
+    found = search_without_blunders(task, seed=seed, generations=generations,
+                                    evaluations=evaluations, seconds=seconds, observers=observers)
+    return _finished(assess(task, found), out)
 
 
 def problem_for(features: FeatureSet | None) -> str:
@@ -141,10 +143,15 @@ def _method(asked: Mapping[str, Any], generations: int | None, evaluations: int 
 def _chosen(problem: str, asked: Mapping[str, Any], seed: int, observers: Iterable[Observer],
             out: Path | str | None, overwrite: bool) -> Result:
     """Return the result of the strategy "auto", which builds no problem."""
-    # It fits to check points as to control, and yet shows their figures.
+    # It fits to check points as to control, and yet shows their figures; points go with lines.
     options = {"check_as": "judge", **asked.get("options", {})}
+    if registry().get("problems", problem).control == "lines":
+        options["mixed"] = True
     request = ask(problem, **{**asked, "criterion": "press", "solver": "all-terms",
                               "options": options})
+    if request.recipe.search_first and request.features.without_height():
+        # The model of the search is not asked for, so that it asks for no heights.
+        request = replace(request, model=registry().get("models", "poly2d")())
     observations = observe(request, LEAST)
     _begin(out, overwrite)
     return _finished(choose_for(request, observations, seed, observers), out)

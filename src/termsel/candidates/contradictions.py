@@ -1,0 +1,187 @@
+"""Features held against what the features in use predict for them.
+
+`termsel.candidates.blunders` decides by it which are blunders.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.special import fdtrc, fdtri
+
+from termsel.adjustment.coupled import coupled
+from termsel.adjustment.equations import weights_of
+from termsel.adjustment.field import collocate
+from termsel.adjustment.lines import row_weights
+from termsel.adjustment.monomials import monomials
+from termsel.adjustment.posterior import Prediction, posterior, scales_of
+from termsel.candidates.local import LIKELY
+from termsel.measurements.features import BoolArray, FeatureSet, FloatArray
+from termsel.measurements.scaling import scaling_of
+from termsel.models.polynomial import Polynomial, Polynomial2D, Polynomial3D
+
+LEVEL = 1e-3
+"""Chance of naming any point where there is no blunder, under normal errors."""
+
+STRAIN = 4.0
+"""Standard deviations of a prediction that an error must exceed: real errors are not normal, and no
+model is exact."""
+
+ALLOWANCE = 1.5
+"""Standard deviations it must exceed for each standard deviation of the noise that the prediction
+has, on account of the form of the model."""
+
+ROUNDING = 1e-6
+"""Errors that are none [px]."""
+
+UNUSED = 1e-3
+"""Weight at which a point has no influence and is predicted all the same."""
+
+
+@dataclass(frozen=True, eq=False)
+class Suspects:
+    """Features against the predictions of the others, points before lines.
+
+    Parameters
+    ----------
+    blunders : ndarray of bool, shape (n,)
+    undecided : ndarray of bool, shape (n,)
+        Those with such an error that the others do not determine the model at their place.
+    errors : ndarray, shape (n,)
+        Largest error in line or sample, or of a vertex off its line, as the features in use predict
+        it [px].
+    limits : ndarray, shape (n,)
+        Error that would be named at each feature [px].
+    """
+
+    blunders: BoolArray
+    undecided: BoolArray
+    errors: FloatArray
+    limits: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Test:
+    """What features in use predict for all features.
+
+    `chance`, `strain` and `spread`, shape (n,), are the chance of an error as large, the error in
+    standard deviations, and the standard deviation of the prediction by that of the noise, which
+    is `noise` [px] with `freedom` degrees of freedom. `squares` are those of the errors of features
+    in use; `local` is true where a random field predicts.
+    """
+
+    errors: FloatArray
+    chance: FloatArray
+    strain: FloatArray
+    spread: FloatArray
+    noise: float
+    freedom: int
+    squares: FloatArray
+    local: bool = False
+
+    def far(self, n: int) -> BoolArray:
+        """Return the features whose error is beyond chance."""
+        return (self.chance < LEVEL / n) & (self.strain > STRAIN) & (self.errors > ROUNDING)
+
+    def decided(self) -> BoolArray:
+        """Return the features whose error exceeds what their place allows."""
+        return self.strain > ALLOWANCE * self.spread
+
+    def suspects(self, blunders: BoolArray, undecided: BoolArray, which: BoolArray) -> Suspects:
+        """Return what is found of some of the features."""
+        least = np.sqrt(fdtri(2, self.freedom, 1 - LEVEL / which.sum()))
+        strain = np.maximum(max(STRAIN, float(least)), ALLOWANCE * self.spread)
+        return Suspects(blunders[which], undecided[which], self.errors[which],
+                        np.maximum(strain * self.spread * self.noise, ROUNDING)[which])
+
+
+def local_test(every: FeatureSet, used: BoolArray, heights: bool) -> Test | None:
+    """Return what points in use predict by a random field; None if they call for none, or lines."""
+    if len(every.lines):
+        return None
+    points, control = every.points, every.points.take(used)
+    scaling = scaling_of(FeatureSet(control))
+    found = collocate(scaling.points(control), 3 if heights else 2)
+    if found is None or found.probability <= LIKELY:
+        return None
+    scaled = scaling.points(points)
+    variance, unit = found.spread(scaled.ground)
+    noise = unit / weights_of(points) ** 2
+    errors = scaled.image - found.predict(scaled.ground)
+    statistic = (errors**2 / (variance + noise)).sum(axis=1) / 2
+    freedom = found.parts[0].found.freedom
+    rows = np.stack([*np.abs(errors.T), fdtrc(2, freedom, statistic), np.sqrt(statistic),
+                     np.sqrt((1 + variance / noise).max(axis=1))], axis=1)
+    # Of points in use that holds, whatever their own errors, without them.
+    rows[used] = [_row(found.without(i)) for i in range(len(control))]
+    rows[used, :2] /= weights_of(control)
+    pixels = rows[:, :2] * scaling.image_scale
+    return Test(np.abs(pixels).max(axis=1), rows[:, 2], rows[:, 3], rows[:, 4],
+                 float(np.sqrt(unit[0])) * scaling.image_scale, freedom,
+                 (pixels[used] ** 2).sum(axis=1), local=True)
+
+
+def test_of(control: FeatureSet, used: BoolArray, heights: bool) -> Test | None:
+    """Return what the features in use predict, by the shrunken quadratic or, if better, cubic."""
+    of_degree = _test_of_lines if len(control.lines) else _test_of_points
+    quadratic, cubic = (of_degree(control, used, heights, degree) for degree in (2, 3))
+    if quadratic is None or cubic is None:
+        return cubic or quadratic
+    tiny = np.finfo(float).tiny
+    gain = np.log(np.maximum(quadratic.squares, tiny) / np.maximum(cubic.squares, tiny))
+    error = max(gain.std(ddof=1) / np.sqrt(len(gain)), tiny)
+    return cubic if gain.mean() > error else quadratic
+
+
+def polynomial_of(heights: bool, degree: int) -> Polynomial:
+    return (Polynomial3D if heights else Polynomial2D)(degree=degree)
+
+
+def _test_of_points(control: FeatureSet, used: BoolArray, heights: bool,
+                    degree: int) -> Test | None:
+    points = control.points
+    scaling = scaling_of(FeatureSet(points.take(used)))
+    scaled = scaling.points(points)
+    exponents = polynomial_of(heights, degree).exponents
+    order = np.array(exponents).sum(axis=1)
+    weights = weights_of(points) * np.where(used, 1.0, UNUSED)[:, None]
+    found = posterior(monomials(scaled.ground, exponents), scaled.image, order, weights,
+                      scales_of(np.array(exponents)[order > 1]), int(used.sum()))
+    if found is None:
+        return None
+    rows = np.array([_row(found.without(i) if used[i] else found.beyond(i, UNUSED))
+                     for i in range(len(points))])
+    pixels = rows[:, :2] / weights_of(points) * scaling.image_scale
+    noise = float(np.sqrt(found.cells.share @ found.square / found.freedom)) * scaling.image_scale
+    return Test(np.abs(pixels).max(axis=1), rows[:, 2], rows[:, 3], rows[:, 4], noise,
+                 found.freedom, (pixels[used] ** 2).sum(axis=1))
+
+
+def _test_of_lines(control: FeatureSet, used: BoolArray, heights: bool,
+                   degree: int) -> Test | None:
+    """Test points and lines, without factors of single terms: many tests are made."""
+    scaling = scaling_of(control.take(used))
+    scaled, model = scaling.features(control), polynomial_of(heights, degree)
+    equations = model.equations(scaled)
+    weights = np.where(used, 1.0, UNUSED)[equations.feature]
+    found = coupled(replace(equations, A=equations.A * weights[:, None], b=equations.b * weights),
+                    model.exponents, 0, int((weights == 1.0).sum()))
+    if found is None:
+        return None
+    one = found.predictions(np.where(used, 1.0, UNUSED))
+    pixels = one.errors / row_weights(scaled, heights=heights) * scaling.image_scale
+    largest, squares = np.zeros((2, len(control)))
+    np.maximum.at(largest, equations.feature, np.abs(pixels))
+    np.add.at(squares, equations.feature, pixels**2)
+    return Test(largest, one.chance, one.strain, one.spread, found.noise * scaling.image_scale,
+                 found.freedom, squares[used])
+
+
+def _row(one: Prediction) -> tuple[float, float, float, float, float]:
+    """Return the error of a point in line and sample, its chance, strain and spread."""
+    statistic = (one.errors[0] ** 2 / one.spread[0]
+                 + one.errors[1] ** 2 / one.spread[1]) / 2 / one.variance
+    return (*one.error, float(one.share @ fdtrc(2, one.freedom, statistic)),
+            float(np.sqrt(one.share @ statistic)),
+            float(np.sqrt(max(one.share @ spread for spread in one.spread))))

@@ -1,0 +1,91 @@
+"""Features that a selection uses and its own model contradicts: left out, and the search repeated.
+
+Yavari et al. 2018 remark that OWDIS leaves blunders out. It does not leave out all of them: one
+that lies where it hardly moves the check points may stay. That a search is repeated without what
+its result names is termsel's own. A fit without them, of features selected with them, is worse.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from termsel.errors import counted
+from termsel.fits.diagnosis import doubts
+from termsel.measurements.features import BoolArray
+from termsel.problems.base import Segment
+from termsel.problems.selection import SelectionProblem
+from termsel.runs.assess import fit_of
+from termsel.runs.recommend import recommended
+from termsel.runs.steps import search_in_steps
+from termsel.runs.task import Task
+from termsel.solvers.search import Search
+
+FEATURES = "features"
+
+
+def search_without_blunders(task: Task, **how: Any) -> Search:
+    """Search a task's problem, and again without the probable blunders that its result uses.
+
+    The search is repeated until the selection uses no feature that its own model names as a
+    probable blunder (see `termsel.fits.diagnosis.doubts`). Features that the user forces on stay.
+    Each search has the whole budget.
+
+    Parameters
+    ----------
+    task : Task
+    **how
+        Arguments of `termsel.search`.
+
+    Returns
+    -------
+    Search
+        The last one, its recommended member selected; evaluations, generations and seconds are
+        those of all.
+    """
+    found = recommended(task, search_in_steps(task, **how))
+    problem, names = task.problem, task.observations.control.ids
+    if not isinstance(problem, SelectionProblem) \
+            or task.options["problem"].get("blunders") != "leave-out":
+        return found
+    where, segment = problem.genome.slices()[FEATURES], problem.genome.segments[-1]
+    forced = problem.genome.on[where]
+    out = np.zeros(len(names), dtype=bool)
+    while not (found.violation or found.interrupted):
+        named = doubts(fit_of(task, problem.decode(found.genes)))
+        if named is None or not _among(names, named.in_use)[~forced].any():
+            break
+        more = out | (_among(names, named.wrong) & ~forced)
+        again = _without(task, problem, more, segment, where, **how)
+        if again is None or again.violation:
+            return replace(found, notes=(*found.notes, (
+                f"Probable blunders are in use: {', '.join(named.in_use)}. Without them no "
+                "selection satisfies all conditions.")))
+        out = more
+        found = replace(again, evaluations=found.evaluations + again.evaluations,
+                        generations=found.generations + again.generations,
+                        lookups=found.lookups + again.lookups,
+                        seconds=found.seconds + again.seconds)
+    if out.any():
+        left = ", ".join(name for name, gone in zip(names, out, strict=True) if gone)
+        found = replace(found, notes=(*found.notes, (
+            f"The search was repeated without {counted(int(out.sum()), 'feature')} that its result "
+            f"named as probable blunders: {left}. --set blunders=keep prevents this.")))
+    return found
+
+
+def _among(names: tuple[str, ...], wanted: Any) -> BoolArray:
+    return np.array([name in wanted for name in names], dtype=bool)
+
+
+def _without(task: Task, problem: SelectionProblem, out: BoolArray, segment: Segment, where: slice,
+             **how: Any) -> Search | None:
+    """Return a search without some features; None if too few are left to select."""
+    if (~out & ~problem.genome.off[where]).sum() < segment.minimum:
+        return None
+    which = np.zeros(problem.genome.size, dtype=bool)
+    which[where] = out
+    less = replace(task, problem=problem.frozen(np.zeros_like(which), which))
+    return recommended(less, search_in_steps(less, **how))
