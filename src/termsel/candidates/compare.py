@@ -111,7 +111,7 @@ def compare_robustly(observations: Observations) -> Comparison:
                 fitted = one.fit_control(both, heights, scaling_of(both))
             except Undetermined:
                 continue
-            if fitted.adjustment.redundancy > 0:
+            if fitted.adjustment.redundancy >= 1:
                 robust.append(baseline(one.name, fitted, None, observations))
     comparison = replace(comparison, baselines=(*comparison.baselines, *robust))
     found = find_blunders(both, heights) if suspicious(both, heights) else None

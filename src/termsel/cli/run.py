@@ -24,9 +24,9 @@ INTERRUPTED = 130
 
 @click.command()
 @click.option("--problem", metavar="NAME", shell_complete=complete("problems"),
-              help="The problem to solve; see `termsel list problems`. By default lines are "
-                   "selected where there are lines (owdis-lines), else terms from points "
-                   "(rfm-terms, or poly-terms where heights are not known).")
+              help="The problem to solve; see `termsel list problems`. By default the "
+                   "strategy auto answers: owdis-lines where there are lines, else rfm-terms, or "
+                   "poly-terms where heights are not known.")
 @click.option("--dataset", metavar="NAME", shell_complete=complete("datasets"),
               help="A data set known by name; the problem's own by default.")
 @click.option("--points", metavar="FILE", type=click.Path(path_type=Path),
@@ -64,9 +64,10 @@ INTERRUPTED = 130
 @click.option("--criterion", metavar="NAME", shell_complete=complete("criteria"),
               help="What is minimised; see `termsel list criteria`.")
 @click.option("--strategy", type=click.Choice(["auto", "as-asked"]),
-              help="`auto` chooses among plain and shrunken models of points by predicted RMSE; "
-                   "`as-asked` runs the problem's solver. auto is the default for rfm-terms "
-                   "and poly-terms, unless you ask for a method or a budget.")
+              help="`auto` chooses among plain and shrunken models of points and lines by predicted "
+                   "RMSE; `as-asked` runs the problem's solver. auto is the default for rfm-terms, "
+                   "poly-terms, and where no problem is named, unless you ask for a method or a "
+                   "budget.")
 @click.option("--set", "settings", metavar="KEY=VALUE", multiple=True,
               help="An option of the problem, model, solver, criterion, data or file format; "
                    "may be repeated. `termsel describe NAME` lists them.")

@@ -23,8 +23,8 @@ def fit(features: FeatureSet, model: str | type[SensorModel] | SensorModel = "rf
         independent or off are left out.
     model : str, class or SensorModel
         Name of a model, or of a candidate that needs no search: affine, dlt, projective,
-        quadratic, cubic, rfm-2, rfm-3, ridge, selected, shrunken-quadratic, shrunken-cubic. Of a
-        name that both have, the model is taken.
+        quadratic, cubic, rfm-2, rfm-3, ridge, selected, shrunken-quadratic, shrunken-cubic,
+        huber, tukey. Of a name that both have, the model is taken.
     **options
         Options of the model; a candidate has none.
 
