@@ -64,9 +64,9 @@ INTERRUPTED = 130
 @click.option("--criterion", metavar="NAME", shell_complete=complete("criteria"),
               help="What is minimised; see `termsel list criteria`.")
 @click.option("--strategy", type=click.Choice(["auto", "as-asked"]),
-              help="`auto` chooses among plain and shrunken models of points and lines by predicted "
-                   "RMSE; `as-asked` runs the problem's solver. auto is the default for rfm-terms, "
-                   "poly-terms, and where no problem is named, unless you ask for a method or a "
+              help="`auto` chooses among plain and shrunken models of points and lines by "
+                   "predicted RMSE; `as-asked` runs the problem's solver. auto is the default for "
+                   "rfm-terms, poly-terms, and where no problem is named, unless you ask for a method or a "
                    "budget.")
 @click.option("--set", "settings", metavar="KEY=VALUE", multiple=True,
               help="An option of the problem, model, solver, criterion, data or file format; "
