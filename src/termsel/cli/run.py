@@ -66,8 +66,8 @@ INTERRUPTED = 130
 @click.option("--strategy", type=click.Choice(["auto", "as-asked"]),
               help="`auto` chooses among plain and shrunken models of points and lines by "
                    "predicted RMSE; `as-asked` runs the problem's solver. auto is the default for "
-                   "rfm-terms, poly-terms, and where no problem is named, unless you ask for a method or a "
-                   "budget.")
+                   "rfm-terms, poly-terms, and where no problem is named, unless you ask for a "
+                   "method or a budget.")
 @click.option("--set", "settings", metavar="KEY=VALUE", multiple=True,
               help="An option of the problem, model, solver, criterion, data or file format; "
                    "may be repeated. `termsel describe NAME` lists them.")
