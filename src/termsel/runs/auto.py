@@ -11,9 +11,11 @@ import numpy as np
 
 from termsel.candidates.compare import compare, has_heights
 from termsel.candidates.portfolio import (
+    EXACT,
     Judged,
     best_of,
     choose_features,
+    exact,
     folds_of,
     portfolio,
     repeated,
@@ -22,7 +24,7 @@ from termsel.errors import TermselError, counted
 from termsel.fits.accuracy import accuracy_of, predicted_rmse
 from termsel.fits.diagnosis import diagnose
 from termsel.fits.extrapolation import warnings_of
-from termsel.fits.figures import figures, in_role, residuals_of
+from termsel.fits.figures import figures, finite_or_none, in_role, residuals_of
 from termsel.fits.fit import Fit
 from termsel.interrupts import answered
 from termsel.measurements.features import FloatArray, no_points, select
@@ -46,6 +48,9 @@ INTERRUPTED = ("The run was interrupted when {0} of {1} candidates were judged. 
                "repeated without some of the points, so it predicts no accuracy.")
 
 NAMES = ("auto", "as-asked")
+
+LEAST = 2
+"""Control points without which there is no answer."""
 
 
 def wanted(strategy: str | None, recipe: Recipe, asked: Mapping[str, Any], *,
@@ -152,18 +157,21 @@ def choose_for(request: Request, observations: Observations, seed: int,
     Raises
     ------
     TermselError
-        If control and check points together determine no candidate with redundancy.
+        If control and check points together determine no candidate.
     """
     start = time.perf_counter()
     heights = has_heights(observations)
     watch = _Watch(observers, len(portfolio(heights)), folds_of(merged(together(observations))))
     watch.tell("blunders")
+    of_data = tuple(notes_on_data(request.features, observations, heights=True))
     clean, outliers, notes = without_blunders(observations, heights)
     both = merged(together(clean))
     errors, interrupted = None, False
+    heights = has_heights(clean)
     try:
-        choice = choose_features(both, heights, watch.candidate)
-        errors = repeated(both, heights, watch.candidate) if choice else None
+        choice = exact(both) if len(both) <= EXACT else choose_features(
+            both, heights, watch.candidate)
+        errors = repeated(both, heights, watch.candidate) if choice and len(both) > EXACT else None
     except KeyboardInterrupt:
         choice, interrupted = best_of(watch.judged), True
         if choice is None:
@@ -172,8 +180,8 @@ def choose_for(request: Request, observations: Observations, seed: int,
     if choice is None:
         what = "features" if len(both.lines) else "points"
         raise TermselError(
-            f"{len(both)} control and check {what} are too few for any model with redundancy, or "
-            "lie badly", hint="Measure more, spread over the scene: an affine model needs 5.")
+            f"the {len(both)} control and check {what} lie so that no model can be held against "
+            "them", hint="Measure more, spread over the scene.")
     chosen, comparison = choice.chosen, compare(clean, choice)
     expected = None if errors is None else predicted_rmse(
         errors, chosen.fit.effective, len(observations.independent))
@@ -201,12 +209,14 @@ def choose_for(request: Request, observations: Observations, seed: int,
         feasible=True, rmse=rmse, baselines=baselines,
         judgement=judge_choice(chosen.candidate, predicted, rmse, baselines,
                                request.features.noise),
-        notes=(*_few(request), *notes_on_data(request.features, observations, heights=True),
-               *_notes(request.model, clean, errors, said), *notes, *_lines(fitted), *more),
+        notes=(*_few(request),
+               *of_data,
+               *_notes(request.model, clean, errors, said,
+                       plane=not model.uses_height), *notes, *_lines(fitted), *more),
         outliers=(*outliers, *contradicting), predicted=expected,
         accuracy=accuracy_of(fitted, observations.independent), final=final,
-        objectives={"press": chosen.predicted},
-        evaluations=watch.count, lookups=0, generations=0,
+        objectives={"press": chosen.predicted} if np.isfinite(chosen.predicted) else {},
+        evaluations=watch.count or len(choice.judged), lookups=0, generations=0,
         seconds=time.perf_counter() - start, interrupted=interrupted, polish=None, fit=fitted,
         residuals=residuals_of(fitted, observations, check_used=True),
         # Blunders are those that were left out, by a test of their own.
@@ -220,7 +230,7 @@ def choose_for(request: Request, observations: Observations, seed: int,
             "candidates": [
                 {"name": one.name, "model": one.fit.model.name,
                  "n_terms": int(one.fit.terms.sum()), "effective": one.fit.effective,
-                 "predicted": one.predicted} for one in choice.judged]})
+                 "predicted": finite_or_none(one.predicted)} for one in choice.judged]})
 
 
 def _lines(fitted: Fit) -> list[str]:
@@ -237,16 +247,20 @@ def _few(request: Request) -> list[str]:
             "fractions=2:1:1 assigns roles all the same."]
 
 
-def _notes(model: SensorModel, observations: Observations,
-           errors: FloatArray | None, interrupted: str = "") -> list[str]:
+def _notes(model: SensorModel, observations: Observations, errors: FloatArray | None,
+           interrupted: str = "", *, plane: bool = False) -> list[str]:
     both = together(observations)
     notes = [*warnings_of(both, np.ones(len(both), dtype=bool), no_points())]
     if interrupted:
         notes.append(interrupted)
+    elif len(both) <= EXACT:
+        notes.append(f"{len(both)} points determine the model exactly, so nothing tells its "
+                     "accuracy." + " They do not tell either whether the image is mirrored."
+                     * (len(both) == 2))
     elif errors is None:
         notes.append("The points are too few to repeat the choice without some of them, so it "
                      "predicts no accuracy.")
-    if has_heights(observations) and not model.uses_height:
+    if not plane and has_heights(observations) and not model.uses_height:
         notes.append(f"Heights are known and were used. --model {model.name} keeps to a plane "
                      "model.")
     return notes
