@@ -69,5 +69,6 @@ def beyond(control: FloatArray, places: FloatArray) -> FloatArray:
         sides = ConvexHull(control).equations
     except (QhullError, ValueError):  # fewer than three, or on one line
         return np.full(len(places), np.inf)
-    outside = (places @ sides[:, :2].T + sides[:, 2]).max(axis=1)
-    return np.asarray(np.maximum(outside, 0.0) / np.ptp(control, axis=0).max())
+    with np.errstate(over="ignore"):  # places near the largest number are infinitely far
+        outside = (places @ sides[:, :2].T + sides[:, 2]).max(axis=1)
+        return np.asarray(np.maximum(outside, 0.0) / np.ptp(control, axis=0).max())
