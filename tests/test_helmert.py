@@ -20,7 +20,7 @@ def seen(ground: FloatArray, scale: float, angle: float, *, mirrored: bool = Fal
 
 
 def scene(n: int, noise: float = 0.0, angle: float = 2.0, *, mirrored: bool = False,
-          crs: str = "") -> FeatureSet:
+          crs: str = "local") -> FeatureSet:
     rng = np.random.default_rng(5)
     # Wider than high: one scale of the scaled coordinates would not be one on the ground.
     ground = np.column_stack([rng.uniform((0, 0), (9000, 2000), (n, 2)), np.full(n, np.nan)])
