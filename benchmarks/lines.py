@@ -204,8 +204,9 @@ def table(found: list[tuple[str, list[Outcome]]]) -> str:
     for name, done in found:
         medians = {key: f"{np.median([getattr(one, key) for one in done]):.2f}" for key in columns}
         best = [one.name for one in done]
+        most = max(dict.fromkeys(best), key=best.count)
         lines.append("| " + " | ".join([
-            name, f"{np.median([one.best for one in done]):.2f}", max(set(best), key=best.count),
+            name, f"{np.median([one.best for one in done]):.2f}", most,
             medians["auto"], f"{max(one.auto for one in done):.2f}",
             *(medians[key] for key in columns[1:]), f"{np.mean([one.named for one in done]):.0%}",
             f"{np.mean([one.lost for one in done]):.1%}",
