@@ -128,8 +128,8 @@ def test_image_the_points_were_not_measured_in(folder: Path, tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize(("arguments", "message"), [
-    (["--to", "rpb"], "the format rpb cannot hold this result. termsel describe rpb says what "
-                      "it needs. Formats that do: gcp-grid-vrt"),
+    (["--to", "rpb"], "the format rpb cannot hold this result. It needs a model of ground "
+                      "coordinates in a CRS"),
     (["--to", "rbp"], "unknown writer 'rbp'. Did you mean 'rpb'?"),
     (["--to", "qgis-points", "--set", "dam=x.tif"], "unknown option 'dam'"),
     (["--to", "gcp-grid-vrt", "--set", "across=many"], "option 'across' does not accept 'many'"),

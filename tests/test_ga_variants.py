@@ -274,7 +274,7 @@ def test_what_is_not_m_of_n_is_refused() -> None:
 @pytest.mark.parametrize(("options", "message"), [
     ({"min_features": 25}, "'min_features' is 25; there are 24 control features"),
     ({"max_features": 25}, "Give a number from 1 to 24"),
-    ({"max_features": 0}, "whole number of at least 1"),
+    ({"max_features": 0}, "whole number from 1 to 1,000,000"),
     ({"min_features": 14, "max_features": 13}, "is 14, more than 'max_features', 13"),
     ({"max_features": 9}, "gives 9 equations with at most 9 features. Raise max_features"),
 ])

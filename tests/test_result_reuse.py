@@ -201,7 +201,7 @@ def test_folders_that_lack_something_are_refused(tmp_path: Path) -> None:
     with pytest.raises(TermselError, match=r"result\.json, line \d+: this is not JSON"):
         read_result(tmp_path)
     (tmp_path / "result.json").write_text("[" * 100_000)
-    with pytest.raises(TermselError, match="this is not a result"):
+    with pytest.raises(TermselError, match="this JSON is nested too deeply"):
         read_result(tmp_path)
     (tmp_path / "result.json").write_text(whole)
     (tmp_path / "points.csv").unlink()

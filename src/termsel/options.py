@@ -54,11 +54,11 @@ class Option:
             return " | ".join(self.choices)
         kind = {int: "whole number", float: "number", bool: "true | false", str: "text"}[self.type]
         if self.minimum is not None and self.maximum is not None:
-            return f"{kind} from {self.minimum:g} to {self.maximum:g}"
+            return f"{kind} from {_plain(self.minimum)} to {_plain(self.maximum)}"
         if self.minimum is not None:
-            return f"{kind} of at least {self.minimum:g}"
+            return f"{kind} of at least {_plain(self.minimum)}"
         if self.maximum is not None:
-            return f"{kind} of at most {self.maximum:g}"
+            return f"{kind} of at most {_plain(self.maximum)}"
         return kind
 
     def parse(self, value: Any) -> Any:
@@ -113,6 +113,11 @@ class Option:
             if number != int(number):
                 raise ValueError from None
             return int(number)
+
+
+def _plain(bound: float) -> str:
+    """Return a bound as people write it: 1,000,000 and not 1e+06."""
+    return f"{bound:,.0f}" if 1e5 <= abs(bound) < 1e13 and bound == int(bound) else f"{bound:g}"
 
 
 def by_part(given: Mapping[str, Any],

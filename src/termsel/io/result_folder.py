@@ -344,8 +344,8 @@ def _refuse_other_model(record: Mapping[str, Any], fitted: Fit,
 
 def _final(record: Mapping[str, Any], final: Mapping[str, Any], fitted: Fit,
            features: FeatureSet) -> Fit:
-    points, names = features.points, set(final["features"])
-    control = features.with_(points=points.take([name in names for name in points.ids]))
+    names = set(final["features"])
+    control = features.take(np.array([name in names for name in features.ids]))
     scaling, model = Scaling.from_dict(final["scaling"]), fitted.model
     coefficients = np.array([final["coefficients"].get(name, 0.0) for name in model.terms])
     found = fit(model, control, scaling, fitted.terms)
