@@ -72,7 +72,7 @@ def test_an_error_that_a_library_makes_of_an_interrupt_is_an_interrupt() -> None
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("after", [0.15, 0.4, 0.8, 1.2, 1.6, 2.0, 2.5, 3.0])
+@pytest.mark.parametrize("after", [0.15, 0.8, 1.4, 2.5])
 def test_ctrl_c_ends_a_run_whenever_it_comes(after: float, tmp_path: Path) -> None:
     process = subprocess.Popen(
         [sys.executable, "-m", "termsel", "run", "--problem", "poly-terms", "--solver", "random",
@@ -83,6 +83,7 @@ def test_ctrl_c_ends_a_run_whenever_it_comes(after: float, tmp_path: Path) -> No
     _, err = process.communicate(timeout=60)
     # Python may end by the signal itself, which a shell calls 130 too.
     assert process.returncode in (130, -signal.SIGINT)
-    # Before it has begun with termsel, it ends as any program does.
-    assert "Interrupted." in err or after < 1
+    # Before it has begun with termsel, it ends as any program does; once a selection is known, the
+    # message says that this is the best so far.
+    assert "Interrupted" in err or after < 1
     assert "Traceback" not in err or after < 1
