@@ -412,7 +412,8 @@ def test_members_of_geojson(tmp_path: Path) -> None:
 @pytest.mark.parametrize(("text", "words"), [
     ('{"type": "FeatureCollection", "features": [\n\n', "not JSON"),
     ('{"type": "FeatureCollection", "features": []}', "no features"),
-    ('{"type": "Feature"}', "this is not a GeoJSON FeatureCollection"), ("[" * 200_000, "nested too deeply"),
+    ('{"type": "Feature"}', "this is not a GeoJSON FeatureCollection"),
+    ("[" * 200_000, "nested too deeply"),
     (ORTHORITY.replace("821.3", "8" * 5000), "a number of too many digits"),
     (ORTHORITY.replace('"Point"', '"Polygon"'), "geometry is Polygon, expected Point")])
 def test_what_is_no_geojson_of_points(tmp_path: Path, text: str, words: str) -> None:

@@ -221,8 +221,8 @@ def test_plain_fits_are_judged_next_to_the_selection() -> None:
                      "selected", "shrunken-quadratic", "shrunken-cubic", "huber", "tukey"]
     assert not result.baselines[0].determined  # 39 terms an axis, 24 control points
     assert "does not even determine" in result.judgement
-    reference = next(b for b in result.baselines if b.name == "shrunken-cubic").rmse["independent"].total
-    assert f"{reference:.2f} px" in result.judgement
+    reference = next(b.rmse for b in result.baselines if b.name == "shrunken-cubic")
+    assert f"{reference['independent'].total:.2f} px" in result.judgement
 
 
 @pytest.mark.parametrize(("problem", "more", "message"), [
