@@ -12,8 +12,9 @@ import pytest
 
 import termsel
 from termsel.formats.deviation import places_of
+from termsel.measurements.features import FeatureSet
 from termsel.plugins.registry import registry
-from termsel.simulate import simulate_scene
+from termsel.simulate import scene_truth, simulate_scene
 
 MEASURED = ("orthority-geojson", "points-csv", "residuals-gpkg", "lines-csv")
 
@@ -146,3 +147,18 @@ def test_every_format_says_its_deviation_or_that_it_holds_measurements(
             assert f"{name} holds the measurements and their residuals, not" in caplog.text
         else:
             assert said(relief, name, tmp_path / f"{name}.vrt", caplog)
+
+
+def test_points_above_each_other_have_no_spline(tmp_path: Path,
+                                                caplog: pytest.LogCaptureFixture) -> None:
+    scene = simulate_scene("ikonos-hamedan", n_points=12).points
+    ground, image = scene.ground.copy(), scene.image.copy()
+    ground[1] = ground[0] + [0, 0, 30]
+    image[1] = scene_truth("ikonos-hamedan").sensor.project(ground[1:2])[0]
+    features = FeatureSet(replace(scene, ground=ground, image=image, roles=("control",) * 12),
+                          crs="EPSG:4979")
+    result = termsel.run(features=features)
+    for to in ("qgis-points", "gcp-vrt"):
+        termsel.export(result, to, tmp_path / to)
+        assert (tmp_path / to).exists()
+        assert f"{to}: no thin plate spline goes through these GCPs" in caplog.text

@@ -80,6 +80,9 @@ def test_an_independent_blunder_stays_out_of_the_final_fit() -> None:
     assert found.final is not None
     assert features.points.ids[wrong] not in found.final.control.ids
     assert len(found.final.control) == len(features.points) - 1
+    # Exports write points in use as control for other programs.
+    unused = {one.id for one in found.as_exported().residuals if not one.used}
+    assert unused == {features.points.ids[wrong]}
 
 
 def test_read_back_it_is_the_same(result: Result, folder: Path) -> None:

@@ -136,6 +136,18 @@ def test_plan_on_a_grid_over_the_image(folder: Path, tmp_path: Path) -> None:
     np.testing.assert_allclose(result.project(values[:, 2:5]), values[:, :2], atol=1e-3)
 
 
+def test_unknown_heights_stay_unknown(tmp_path: Path) -> None:
+    points = simulate_scene("irs1c-mashad", n_points=30).points
+    ground = points.ground.copy()
+    ground[:, 2] = np.nan
+    termsel.run(features=FeatureSet(replace(points, ground=ground), crs="EPSG:4979"),
+                out=tmp_path / "r")
+    code, _, _ = _termsel("plan", tmp_path / "r", "-n", 2, "-o", tmp_path / "next.csv")
+    assert code == 0
+    rows = (tmp_path / "next.csv").read_text().splitlines()[2:]
+    assert [row.split(",")[5] for row in rows] == ["", ""]
+
+
 def test_plan_among_given_places(folder: Path, tmp_path: Path) -> None:
     places = simulate_scene("irs1c-mashad", seed=5, n_points=12).points
     table = tmp_path / "places.csv"

@@ -277,6 +277,27 @@ def test_auto_for_lines_is_read_back(of_lines: termsel.Result, tmp_path: Path) -
     assert list(again.residuals) == list(found.residuals)
     ground = found.features.points.ground
     np.testing.assert_allclose(again.project(ground), of_lines.project(ground))
+    assert found.final is not None
+    assert again.final is not None
+    assert again.final.control.ids == found.final.control.ids
+    assert not {one.id for one in found.outliers} & set(again.final.control.ids)
+    assert list(again.as_exported().residuals) == list(found.as_exported().residuals)
+    assert f"all {len(found.final.control)} features; --no-final" in found.summary()
+    termsel.export(again, "lines-csv", tmp_path / "all.csv")
+    rows = [row.split(",") for row in (tmp_path / "all.csv").read_text().splitlines()[2:]]
+    assert {row[0] for row in rows if row[2] == "0"} == {one.id for one in found.outliers}
+
+
+@pytest.mark.parametrize(("points", "lines"), [(0, 2), (0, 3), (0, 4), (2, 2), (1, 3), (0, 5)])
+def test_few_lines_are_answered(points: int, lines: int) -> None:
+    scene = simulate_scene("ikonos-hamedan", n_lines=30, wrong_lines=0)
+    control = replace(scene.points.take(np.arange(points)), roles=("control",) * points)
+    features = FeatureSet(control, scene.lines.take(5 * np.arange(lines)), crs=scene.crs)
+    result = termsel.run(features=features)
+    assert len(result.fit.control) == points + lines
+    assert "points determine" not in result.summary()
+    if points + lines == 4:
+        assert result.predicted is not None
 
 
 def test_independent_points_take_no_part_with_lines() -> None:

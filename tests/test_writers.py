@@ -263,9 +263,9 @@ def test_lines_csv_is_read_again_with_the_selection(of_lines: Result, tmp_path: 
 def test_lines_csv_keeps_deviations(of_lines: Result, tmp_path: Path) -> None:
     control = of_lines.fit.control
     sigma = np.arange(1.0, 1.0 + len(control.lines))
-    weighed = control.with_(lines=replace(control.lines, sigma=sigma))
+    weighed = of_lines.features.with_(lines=replace(control.lines, sigma=sigma))
     path = tmp_path / "lines.csv"
-    LinesTable().write(replace(of_lines, fit=replace(of_lines.fit, control=weighed)), path)
+    LinesTable().write(replace(of_lines, features=weighed), path)
     chosen = np.isin(control.lines.ids, of_lines.selection.features)
     np.testing.assert_array_equal(LinesCsv().read(path).lines.sigma, sigma[chosen])
 

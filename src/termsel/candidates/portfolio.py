@@ -172,9 +172,9 @@ def choose(control: FeatureSet, heights: bool, watch: Watch | None = None) -> Ch
     not contain is better by CLEARLY standard errors, since the best of several is so partly by
     luck: projective and rational models, and few terms of their own. Where the points call for a
     random field, the shrunken polynomial with it takes the place of both. Logarithms of squared
-    errors are compared, lest a few great errors make everything uncertain. With lines, for which
-    there is no shrunken polynomial, the smallest sum of squares decides. So it does where points
-    are too few for one: similarities and a plane affine polynomial are then candidates too.
+    errors are compared, lest a few great errors make everything uncertain. Where features are too
+    few for a shrunken polynomial, the smallest sum of squares decides: similarities and a plane
+    affine polynomial are then candidates too.
 
     Parameters
     ----------
@@ -195,37 +195,37 @@ def choose(control: FeatureSet, heights: bool, watch: Watch | None = None) -> Ch
         judged += [one] if one else []
         if watch:
             watch(one)
-    if not len(control.lines) and not any(one.candidate.kind == "shrunken" for one in judged):
+    if not any(one.candidate.kind == "shrunken" for one in judged):
         judged = [*_few(control, heights, scaling), *judged]
     return best_of(judged)
 
 
 def _few(control: FeatureSet, heights: bool, scaling: Scaling) -> list[Judged]:
-    """Return the candidates for few points that have redundancy."""
+    """Return the candidates for few features that have redundancy."""
     found = (_judged(one, control, heights, scaling) for one in CANDIDATES
              if one.kind == "few" and one.model(heights))
     return [one for one in found if one]
 
 
 def exact(control: FeatureSet) -> Choice:
-    """Return what two or three points determine: a similarity, or an affine polynomial.
+    """Return what two or three features determine: a similarity, or an affine polynomial.
 
     Parameters
     ----------
     control : FeatureSet
-        Two or three points.
+        Two or three features.
 
     Raises
     ------
     Undetermined
-        If three points lie on a line.
+        If three points lie on a line, or lines are parallel.
     """
     scaling, n = scaling_of(control), len(control)
     candidate = named("similarity" if n == 2 else "affine")
     assert candidate is not None
     chosen = Judged(candidate, candidate.fit_control(control, False, scaling), np.full(n, np.nan))
     return Choice(chosen, (*_few(control, False, scaling), chosen),
-                  f"{n} points determine it exactly.")
+                  f"{n} {control.word} determine it exactly.")
 
 
 def _called_for(candidate: Candidate, judged: Iterable[Judged]) -> bool:
@@ -366,14 +366,14 @@ def repeated(control: FeatureSet, heights: bool,
         out[order[fold::folds]] = True
         rest, held = control.take(~out), control.take(out)
         if len(rest) <= EXACT:
-            # Three points choose nothing: the model that all points chose is fitted to them.
+            # Three features choose nothing: the model that all chose is fitted to them.
             choice = choose(control, heights)
         else:
             choice = choose_features(rest, heights and heights_hold(rest, most=1), watch)
         if choice is None:
             return None
         fitted = choice.chosen.fit if len(rest) > EXACT else \
-            choice.chosen.candidate.fit_control(rest, False, scaling_of(rest))
+            choice.chosen.candidate.fit_control(rest, heights, scaling_of(rest))
         errors[:count][out[:count]] = fitted.errors(held.points)
         errors[count:][out[owner[count:]]] = np.linalg.norm(fitted.line_errors(held.lines), axis=2)
     if count < len(owner):

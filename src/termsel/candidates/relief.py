@@ -44,8 +44,7 @@ def carriers(features: FeatureSet, most: int = 2) -> tuple[str, ...]:
     """
     most = most if len(features) >= ENOUGH else 1
     scaled = scaling_of(features).ground(features.ground_vertices())
-    n = len(features.points)
-    owner = np.concatenate([np.arange(n), n + np.repeat(features.lines.feature, 2)])
+    owner = features.vertex_feature
     plane, z = np.column_stack([np.ones(len(scaled)), scaled[:, :2]]), scaled[:, 2]
     keep, found = np.ones(len(z), dtype=bool), list[int]()
     rest, room = _about_plane(plane, z)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -111,7 +111,8 @@ def figures(fitted: Fit, observations: Observations) -> dict[str, Rmse | None]:
 
 
 def residuals_of(chosen: Fit, observations: Observations, *,
-                 check_used: bool = False, independent_used: bool = False) -> Residuals:
+                 check_used: bool = False,
+                 independent_used: Collection[str] = ()) -> Residuals:
     """Return the residuals of all features that have a role.
 
     Parameters
@@ -121,13 +122,13 @@ def residuals_of(chosen: Fit, observations: Observations, *,
     observations : Observations
     check_used : bool
         Whether the check points took part in the adjustment too.
-    independent_used : bool
-        Whether the independent points did.
+    independent_used : collection of str
+        Ids of independent points that did.
     """
     check, independent = observations.check, observations.independent
     return Residuals((
         *control_residuals(observations.control, chosen.used,
                            chosen.errors(observations.control.points), chosen.line_errors()),
-        *point_residuals(check, chosen.errors(check), "check", check_used),
+        *point_residuals(check, chosen.errors(check), "check", [check_used] * len(check)),
         *point_residuals(independent, chosen.errors(independent), "independent",
-                         independent_used)))
+                         [name in independent_used for name in independent.ids])))

@@ -69,8 +69,8 @@ def rank_places(fitted: Fit, candidates: FloatArray, scene: FloatArray, count: i
                                np.zeros((len(places), 2)))
     if both is None or both.factors is None or not np.isfinite(both.factors).all():
         raise TermselError("the uncertainty of this model is not known",
-                           hint="Plan with a model that control points determine with redundancy, "
-                                "as the strategy auto chooses.")
+                           hint="Plan with 4 or more control points alone; with lines, by a model "
+                                "of least squares, such as --model poly3d.")
     at, there = both.factors[:len(candidates)], both.factors[len(candidates):]
     left = np.eye(at.shape[2])  # what measurements leave of the directions of doubt
     over = np.einsum("mad,mae->de", there, there) / len(there)

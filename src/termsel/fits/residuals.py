@@ -82,9 +82,10 @@ def control_residuals(control: FeatureSet, used: Iterable[bool], errors: FloatAr
     return Residuals(_of_control(control, tuple(bool(on) for on in used), errors, line_errors))
 
 
-def point_residuals(points: Points, errors: FloatArray, role: str, used: bool) -> Residuals:
+def point_residuals(points: Points, errors: FloatArray, role: str,
+                    used: Iterable[bool]) -> Residuals:
     """Return the errors of points [px], shape (n, 2), that all have one role, as a table."""
-    return Residuals(_rows(points.ids, errors, points.ground, role, (used,) * len(points)))
+    return Residuals(_rows(points.ids, errors, points.ground, role, used))
 
 
 def _of_control(control: FeatureSet, used: tuple[bool, ...], errors: FloatArray,

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from termsel.adjustment.equations import weights_of
 from termsel.adjustment.foresight import foresee
 from termsel.adjustment.monomials import graded_exponents, monomials
 from termsel.adjustment.posterior import Posterior, posterior, scales_of
@@ -115,7 +116,7 @@ class _Belief:
         points, variables = control.points, 3 if model.uses_height else 2
         exponents = np.array(graded_exponents(degree, variables))
         order = exponents.sum(axis=1)
-        weights = None if points.sigma is None else np.median(points.sigma) / points.sigma
+        weights = None if points.sigma is None else weights_of(points)
         found = posterior(_columns(points.ground, degree, variables), points.image, order, weights,
                           scales_of(exponents[order > 1]), len(points))
         return None if found is None else cls(found, degree, variables)

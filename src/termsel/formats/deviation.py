@@ -110,5 +110,9 @@ def say_splines(name: str, fitted: Fit, xy: FloatArray, image: FloatArray) -> No
         return
     ground = places_of(fitted)
     ignored = ", and ignores heights" * fitted.model.uses_height
+    if len(np.unique(xy, axis=0)) < len(xy):
+        log.warning("Warning: %s: no thin plate spline goes through these GCPs, as some are above "
+                    "each other.", name)
+        return
     say_deviation(name, fitted, ground, by_splines(xy, image)(ground),
                   f", where a program fits a thin plate spline (gdalwarp -tps){ignored}")

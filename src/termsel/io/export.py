@@ -49,8 +49,9 @@ def as_exported(result: Result, final: bool | None) -> Result:
     if result.final is not None and final is False:
         log.info("Fit: to control and check points, without independent ones.")
     elif result.final is not None:
-        log.info("Fit: to all %d points, independent ones included. --no-final takes the fit "
-                 "without them, whose accuracy is known.", len(result.final.control))
+        control = result.final.control
+        log.info("Fit: to all %d %s, independent ones included. --no-final takes the fit "
+                 "without them, whose accuracy is known.", len(control), control.word)
     return result.as_exported(final)
 
 

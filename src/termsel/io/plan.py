@@ -82,6 +82,8 @@ def plan(result: Result, count: int, candidates: Path | None = None) -> Plan:
     numbers = np.flatnonzero(known)
     found = rank_places(fitted, places[numbers], scene, count)
     chosen = places[numbers[found.order]]
+    if np.isnan(fitted.control.ground_vertices()[:, 2]).any():
+        chosen[:, 2] = np.nan  # the grid of a plane model has a height for the sake of arithmetic
     return Plan(tuple(ids[i] for i in numbers[found.order]), np.column_stack(
         [fitted.project(chosen), chosen, found.sigma]), found.now, fitted.control.crs)
 

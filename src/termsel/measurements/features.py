@@ -347,6 +347,11 @@ class FeatureSet:
         return len(self.points) + len(self.lines.features)
 
     @property
+    def word(self) -> str:
+        """What messages call them."""
+        return "features" if len(self.lines) else "points"
+
+    @property
     def feature(self) -> IntArray:
         """The feature each point, then each line, belongs to; counted from 0, points first."""
         n = len(self.points)

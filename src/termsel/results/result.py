@@ -248,9 +248,11 @@ class Result:
         if final is False:
             return self
         observations = by_roles(self.features)
+        # Of independent points, the outliers stay out of the final fit; twins of others are in it.
+        taken = set(observations.independent.ids) - {one.id for one in self.outliers}
         return replace(self, fit=self.final, final=None, residuals=residuals_of(
             in_role(self.final, observations), observations, check_used=True,
-            independent_used=True))
+            independent_used=taken))
 
     def project(self, ground: ArrayLike) -> FloatArray:
         """Return where the fitted model sees ground points (see `termsel.Fit.project`)."""

@@ -205,8 +205,9 @@ def _accuracy(record: Record) -> Iterator[str]:
                f"{100 * predicted['level']:.0f} % interval {predicted['low']:.3g} to "
                f"{predicted['high']:.3g} px")
     if record.get("final"):
+        what = "features" if record["data"]["counts"]["lines"] else "points"
         yield (f"Exported: the same structure fitted to all {len(record['final']['features'])} "
-               "points; --no-final exports this fit")
+               f"{what}; --no-final exports this fit")
     if accuracy or predicted:
         yield ""
 

@@ -178,10 +178,9 @@ def choose_for(request: Request, observations: Observations, seed: int,
             raise
         answered()
     if choice is None:
-        what = "features" if len(both.lines) else "points"
         raise TermselError(
-            f"the {len(both)} control and check {what} lie so that no model can be held against "
-            "them", hint="Measure more, spread over the scene.")
+            f"the {len(both)} control and check {both.word} lie so that no model can be held "
+            "against them", hint="Measure more, spread over the scene.")
     chosen, comparison = choice.chosen, compare(clean, choice)
     expected = None if errors is None else predicted_rmse(
         errors, chosen.fit.effective, len(observations.independent))
@@ -254,12 +253,12 @@ def _notes(model: SensorModel, observations: Observations, errors: FloatArray | 
     if interrupted:
         notes.append(interrupted)
     elif len(both) <= EXACT:
-        notes.append(f"{len(both)} points determine the model exactly, so nothing tells its "
+        notes.append(f"{len(both)} {both.word} determine the model exactly, so nothing tells its "
                      "accuracy." + " They do not tell either whether the image is mirrored."
                      * (len(both) == 2))
     elif errors is None:
-        notes.append("The points are too few to repeat the choice without some of them, so it "
-                     "predicts no accuracy.")
+        notes.append(f"The {both.word} are too few to repeat the choice without some of them, so "
+                     "it predicts no accuracy.")
     if not plane and has_heights(observations) and not model.uses_height:
         notes.append(f"Heights are known and were used. --model {model.name} keeps to a plane "
                      "model.")

@@ -50,8 +50,8 @@ def _on_carriers(both: FeatureSet) -> Iterator[str]:
         return
     carrying = carriers(both)
     if len(carrying) == 1 and len(both) < SOME:
-        yield (f"With {len(both)} points nothing tells what a height does from an error, so the "
-               "model is plane.")
+        yield (f"With {len(both)} {both.word} nothing tells what a height does from an error, so "
+               "the model is plane.")
     elif carrying:
         yield (f"All heights but that of {' and that of '.join(carrying)} lie on a plane. What a "
                "height does cannot be told from an error there, so the model is plane. If such a "

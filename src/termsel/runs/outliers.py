@@ -86,7 +86,7 @@ def _named(ids: tuple[str, ...], found: Suspects, which: BoolArray) -> str:
 
 
 def _notes(control: FeatureSet, found: Suspects) -> Iterator[str]:
-    what = "features" if len(control.lines) else "points"
+    what = control.word
     if found.blunders.any():
         yield (f"Left out as blunders: {_named(control.ids, found, found.blunders)}. In brackets: "
                f"how far the other {what} predict them from where they were measured.")

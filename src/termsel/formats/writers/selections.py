@@ -183,15 +183,15 @@ class LinesTable(Writer):
     suffix = "_lines.csv"
 
     def accepts(self, result: Result) -> bool:
-        """Return True if the control has lines."""
-        return bool(len(result.fit.control.lines))
+        """Return True if there are control lines, used or not."""
+        return bool(len(result.features.lines))
 
     def write(self, result: Result, path: Path) -> None:
         """Write a table; lines that were not selected have 0 in the column enabled."""
         _require_accepted(self, result, path, "It has no control lines; points-csv takes points.")
-        lines, chosen = result.fit.control.lines, _used(result)
+        lines, chosen = result.features.lines, _used(result)
         header, values = line_columns(lines)
-        distances = np.linalg.norm(result.fit.line_errors(), axis=-1)
+        distances = np.linalg.norm(result.fit.line_errors(lines), axis=-1)
         texts = [[name, "control", str(int(name in chosen))] for name in lines.ids]
         write_table(path, result.features.crs,
                     ["id", "role", "enabled", *header, "residual1", "residual2"], texts,
