@@ -32,8 +32,15 @@ from scipy.spatial.distance import cdist
 from termsel.adjustment.equations import weights_of
 from termsel.adjustment.foresight import foresee
 from termsel.adjustment.monomials import Exponents, graded_exponents, monomials
-from termsel.adjustment.posterior import NEVER, Posterior, Prediction, posterior, scales_of
-from termsel.measurements.features import FloatArray, Points
+from termsel.adjustment.posterior import (
+    NEVER,
+    Posterior,
+    Prediction,
+    posterior,
+    scales_of,
+    together,
+)
+from termsel.measurements.features import FloatArray, IntArray, Points
 
 LENGTHS = ((0.15, 0.15), (0.3, 0.3), (0.6, 0.6), (1.2, 1.2), (0.15, 1.2), (1.2, 0.15))
 """Lengths of line and sample, by the half-range of the image: from about the distance of
@@ -133,14 +140,17 @@ class Collocation:
 
         In closed form: without a point the solutions change, and so do their probabilities.
         """
-        errors = np.array([self.without(i).error for i in range(len(self.points))])
-        return errors / weights_of(self.points)
+        errors = [self.without(some).error for some in together(np.arange(len(self.points)))]
+        return np.concatenate(errors) / weights_of(self.points)
 
-    def without(self, i: int) -> Prediction:
-        """Return what all points but one predict for it, under the solutions of all parts."""
+    def without(self, points: IntArray) -> Prediction:
+        """Return what all points but one predict for it, for each of some, shape (m,).
+
+        Under the solutions of all parts.
+        """
         highest = max(part.log for part in self.parts)
         parts = [part for part in self.parts if part.log > highest - NEVER]
-        each = [part.found.without(i) for part in parts]
+        each = [part.found.without(points) for part in parts]
         # What is known of a part beforehand is its logarithm without that of its points.
         logs = np.array([part.log - part.found.cells.log + one.log
                          for part, one in zip(parts, each, strict=True)])
@@ -150,7 +160,7 @@ class Collocation:
             (errors[0], errors[1]), (spread[0], spread[1]),
             np.concatenate([one.variance for one in each]), each[0].freedom,
             np.concatenate([share * one.share for share, one in zip(
-                _normalised(logs), each, strict=True)]), float(np.logaddexp.reduce(logs)))
+                _normalised(logs), each, strict=True)]), np.logaddexp.reduce(logs))
 
     def predict(self, ground: FloatArray) -> FloatArray:
         """Return line and sample of places, shape (m, 2)."""

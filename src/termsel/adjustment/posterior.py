@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -34,11 +35,14 @@ fall and a relief; and their standard deviation in natural logarithms."""
 NO_NOISE = 1e-11
 """Noise that counts as none, as a part of the image's half-range."""
 
-NEVER = 40.0
+NEVER = 25.0
 """Solutions less likely than the likeliest by this, in natural logarithms, are left out."""
 
 TINY = 1e-14
 """What is left of 1 by rounding error."""
+
+AT_ONCE = 16
+"""Points that are predicted together: what all solutions say of them stays in a fast cache."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,15 +160,24 @@ def _cells(sides: list[Side], freedom: int, noise: float) -> Cells:
     logarithm = (sides[0].evidence[first] + sides[1].evidence[second] - freedom / 2 * np.log(
         sides[0].square[first] + sides[1].square[second] + noise))
     kept = logarithm > logarithm.max() - NEVER
-    return Cells((first[kept], second[kept]), *_shares(logarithm[kept]))
+    share, log = _shares(logarithm[kept])
+    return Cells((first[kept], second[kept]), share, float(log))
 
 
-def _shares(logarithm: FloatArray) -> tuple[FloatArray, float]:
-    """Return probabilities, which add up to 1, and the logarithm of what they had added up to."""
-    highest = logarithm.max()
+def _shares(logarithm: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return probabilities, which add up to 1 along the first axis, and the logarithm of what they
+    had added up to."""
+    highest = logarithm.max(axis=0)
     share = np.exp(logarithm - highest)
-    total = share.sum()
-    return share / total, float(highest + np.log(total))
+    total = share.sum(axis=0)
+    share /= total
+    return share, highest + np.log(total)
+
+
+def together(points: IntArray) -> Iterator[IntArray]:
+    """Yield some points at a time."""
+    for start in range(0, len(points), AT_ONCE):
+        yield points[start:start + AT_ONCE]
 
 
 @dataclass(frozen=True, eq=False)
@@ -197,78 +210,86 @@ class Posterior:
     @property
     def square(self) -> FloatArray:
         """Sum of squares of each cell, shape (c,)."""
-        line, sample = self._of_cells("square")
-        return line + sample + self.noise
+        line, sample = (side.square[which]
+                        for side, which in zip(self.sides, self.cells.which, strict=True))
+        return np.asarray(line + sample + self.noise)
 
     def mean(self, axis: int) -> tuple[FloatArray, float]:
         """Return the shrunken coefficients of an axis, averaged, and its effective parameters."""
         side, which = self.sides[axis], self.cells.which[axis]
-        return (self.cells.share @ side.coefficients[which],
-                float(self.cells.share @ (1.0 - side.left[which]).sum(axis=1)))
+        share = np.bincount(which, self.cells.share, len(side.square))
+        return share @ side.coefficients, float(share @ (1.0 - side.left).sum(axis=1))
 
-    def without(self, i: int) -> Prediction:
-        """Return what all points but one predict for it.
+    @property
+    def errors(self) -> FloatArray:
+        """Measured minus predicted of each point by the others, weighted, shape (n, 2)."""
+        points = np.arange(self.sides[0].errors.shape[1])
+        return np.concatenate([self.without(some).error for some in together(points)])
+
+    def without(self, points: IntArray) -> Prediction:
+        """Return what all points but one predict for it, for each of some.
 
         Parameters
         ----------
-        i : int
-            A point in use.
+        points : ndarray of int, shape (m,)
+            Points in use.
         """
-        left, errors = self._at("left", i), self._at("errors", i)
-        square = self.square
-        # The determinant loses the factor `left`, the sum of squares errors^2 / left.
-        rest = np.maximum(
-            square - errors[0] ** 2 / left[0] - errors[1] ** 2 / left[1],
-            self.noise + TINY * square)
-        line, sample = self._of_cells("evidence")
-        logarithm = (line + sample - 0.5 * np.log(left[0] * left[1])
-                     - (self.freedom - 2) / 2 * np.log(rest))
-        return Prediction(
-            (errors[0] / left[0], errors[1] / left[1]), (1.0 / left[0], 1.0 / left[1]),
-            rest / (self.freedom - 2), self.freedom - 2, *_shares(logarithm))
+        square = self.square[:, None]
+        rest, logarithm = square, np.zeros(())
+        errors, spread = [], []
+        for side, which in zip(self.sides, self.cells.which, strict=True):
+            left, fitted = side.left[:, points], side.errors[:, points]
+            # The determinant loses the factor `left`, the sum of squares errors^2 / left.
+            rest = rest - (fitted**2 / left).take(which, axis=0)
+            logarithm = logarithm + (side.evidence[:, None] - 0.5 * np.log(left)).take(
+                which, axis=0)
+            errors.append((fitted / left).take(which, axis=0))
+            spread.append((1.0 / left).take(which, axis=0))
+        np.maximum(rest, self.noise + TINY * square, out=rest)
+        freedom = self.freedom - 2
+        return Prediction((errors[0], errors[1]), (spread[0], spread[1]), rest / freedom, freedom,
+                          *_shares(logarithm - freedom / 2 * np.log(rest)))
 
-    def beyond(self, i: int, weight: float) -> Prediction:
-        """Return what the points in use predict for another one.
+    def beyond(self, points: IntArray, weight: float) -> Prediction:
+        """Return what the points in use predict for others.
 
         Parameters
         ----------
-        i : int
-            A point that stands in the equations with a weight too small to matter.
+        points : ndarray of int, shape (m,)
+            Points that stand in the equations with a weight too small to matter.
         weight : float
             That weight.
         """
-        left, errors = self._at("left", i), self._at("errors", i)
+        left, errors = self._at("left", points), self._at("errors", points)
+        m = len(points)
         return Prediction(
             (errors[0] / left[0] / weight, errors[1] / left[1] / weight),
             (1.0 + (1.0 - left[0]) / weight**2, 1.0 + (1.0 - left[1]) / weight**2),
-            self.square / self.freedom, self.freedom, self.cells.share, self.cells.log)
+            np.repeat(self.square[:, None] / self.freedom, m, axis=1), self.freedom,
+            np.repeat(self.cells.share[:, None], m, axis=1), np.full(m, self.cells.log))
 
-    def _of_cells(self, name: str) -> list[FloatArray]:
-        return [getattr(side, name)[which]
-                for side, which in zip(self.sides, self.cells.which, strict=True)]
-
-    def _at(self, name: str, i: int) -> list[FloatArray]:
-        return [getattr(side, name)[which, i]
+    def _at(self, name: str, points: IntArray) -> list[FloatArray]:
+        return [getattr(side, name)[:, points].take(which, axis=0)
                 for side, which in zip(self.sides, self.cells.which, strict=True)]
 
 
 @dataclass(frozen=True, eq=False)
 class Prediction:
-    """A point as others predict it, under each solution that matters.
+    """Each of m points as others predict it, under each solution that matters.
 
     Parameters
     ----------
-    errors : tuple of ndarray, shape (c,)
+    errors : tuple of ndarray, shape (c, m)
         Measured minus predicted, of line and sample.
-    spread : tuple of ndarray, shape (c,)
+    spread : tuple of ndarray, shape (c, m)
         Variance of that error by that of the noise.
-    variance : ndarray, shape (c,)
+    variance : ndarray, shape (c, m)
         Of the noise.
     freedom : int
         Degrees of freedom that the variance has.
-    share : ndarray, shape (c,)
+    share : ndarray, shape (c, m)
         Probability of each solution.
-    log : float
+    log : ndarray, shape (m,)
         Logarithm of the evidence of the points that predict, as in `Cells`.
     """
 
@@ -277,12 +298,16 @@ class Prediction:
     variance: FloatArray
     freedom: int
     share: FloatArray
-    log: float
+    log: FloatArray
 
     @property
-    def error(self) -> tuple[float, float]:
-        """Measured minus predicted, averaged, of line and sample."""
-        return float(self.share @ self.errors[0]), float(self.share @ self.errors[1])
+    def error(self) -> FloatArray:
+        """Measured minus predicted, averaged, of line and sample, shape (m, 2)."""
+        return np.stack([self.mean(errors) for errors in self.errors], axis=1)
+
+    def mean(self, values: FloatArray) -> FloatArray:
+        """Return the mean over all solutions of what each says, shape (m,)."""
+        return np.asarray(np.einsum("cm,cm->m", self.share, values))
 
 
 def posterior(columns: FloatArray, image: FloatArray, order: IntArray, weights: FloatArray | None,

@@ -186,19 +186,19 @@ def _splines(image: bytes, ground: bytes, sigma: bytes | None, units: tuple[floa
     places = points.ground[:, :2] * units
     kernels = _kernel(places, places)
     smoothings = SMOOTHINGS if smoothing is None else np.array([smoothing])
-    axes = []
-    for axis, w in enumerate(weights_of(points).T):
-        found = _axis(columns * w[:, None], kernels * np.outer(w, w), measured[:, axis] * w,
-                      smoothings, criterion)
-        if found is None:
-            return None
-        axes.append(found)
-    line, sample = axes
+    weights = weights_of(points).T
+    of_line = _basis(columns * weights[0][:, None], kernels * np.outer(weights[0], weights[0]))
+    of_sample = of_line if (weights[0] == weights[1]).all() else _basis(
+        columns * weights[1][:, None], kernels * np.outer(weights[1], weights[1]))
+    if of_line is None or of_sample is None:
+        return None
+    line, sample = (_axis(basis, target, smoothings, criterion) for basis, target in zip(
+        (of_line, of_sample), measured.T * weights, strict=True))
     return ThinPlates(points, units, smoothings, (line, sample))
 
 
-def _axis(lead: FloatArray, kernels: FloatArray, target: FloatArray, smoothings: FloatArray,
-          criterion: str) -> Axis | None:
+def _basis(lead: FloatArray, kernels: FloatArray) -> tuple[FloatArray, FloatArray] | None:
+    """Return eigenvalues and vectors of the kernels on what affine functions leave, or None."""
     n, f = lead.shape
     if n < f + 2:
         return None
@@ -210,11 +210,16 @@ def _axis(lead: FloatArray, kernels: FloatArray, target: FloatArray, smoothings:
     values, u = np.linalg.eigh(rest.T @ kernels @ rest)
     u = rest @ u
     # Rounding makes values of points at one place a little negative.
-    values = np.maximum(values, TOLERANCE**2 * values.max(initial=0.0))
+    return np.maximum(values, TOLERANCE**2 * values.max(initial=0.0)), u
+
+
+def _axis(basis: tuple[FloatArray, FloatArray], target: FloatArray, smoothings: FloatArray,
+          criterion: str) -> Axis:
+    (values, u), n = basis, len(target)
     below = 1.0 / (values + smoothings[:, None])                              # (s, n - f)
     along = u.T @ target
     w, own = (below * along) @ u.T, below @ (u**2).T
-    freedom = n - f
+    freedom = len(values)
     if criterion == "reml":
         square, log = (below * along**2).sum(axis=1), -np.log(below).sum(axis=1)
         others = np.maximum(square[:, None] - w**2 / own, np.finfo(float).tiny)

@@ -15,7 +15,7 @@ from termsel.adjustment.equations import weights_of
 from termsel.adjustment.field import collocate
 from termsel.adjustment.lines import row_weights
 from termsel.adjustment.monomials import monomials
-from termsel.adjustment.posterior import Prediction, posterior, scales_of
+from termsel.adjustment.posterior import Prediction, posterior, scales_of, together
 from termsel.candidates.local import LIKELY
 from termsel.measurements.features import BoolArray, FeatureSet, FloatArray
 from termsel.measurements.scaling import scaling_of
@@ -114,7 +114,8 @@ def local_test(every: FeatureSet, used: BoolArray, heights: bool) -> Test | None
     rows = np.stack([*np.abs(errors.T), fdtrc(2, freedom, statistic), np.sqrt(statistic),
                      np.sqrt((1 + variance / noise).max(axis=1))], axis=1)
     # Of points in use that holds, whatever their own errors, without them.
-    rows[used] = [_row(found.without(i)) for i in range(len(control))]
+    rows[used] = np.concatenate([_rows(found.without(some))
+                                 for some in together(np.arange(len(control)))])
     rows[used, :2] /= weights_of(control)
     pixels = rows[:, :2] * scaling.image_scale
     return Test(np.abs(pixels).max(axis=1), rows[:, 2], rows[:, 3], rows[:, 4],
@@ -150,8 +151,11 @@ def _test_of_points(control: FeatureSet, used: BoolArray, heights: bool,
                       scales_of(np.array(exponents)[order > 1]), int(used.sum()))
     if found is None:
         return None
-    rows = np.array([_row(found.without(i) if used[i] else found.beyond(i, UNUSED))
-                     for i in range(len(points))])
+    rows = np.empty((len(points), 5))
+    for some in together(np.flatnonzero(used)):
+        rows[some] = _rows(found.without(some))
+    for some in together(np.flatnonzero(~used)):
+        rows[some] = _rows(found.beyond(some, UNUSED))
     pixels = rows[:, :2] / weights_of(points) * scaling.image_scale
     noise = float(np.sqrt(found.cells.share @ found.square / found.freedom)) * scaling.image_scale
     return Test(np.abs(pixels).max(axis=1), rows[:, 2], rows[:, 3], rows[:, 4], noise,
@@ -178,10 +182,12 @@ def _test_of_lines(control: FeatureSet, used: BoolArray, heights: bool,
                  found.freedom, squares[used])
 
 
-def _row(one: Prediction) -> tuple[float, float, float, float, float]:
-    """Return the error of a point in line and sample, its chance, strain and spread."""
+def _rows(one: Prediction) -> FloatArray:
+    """Return errors of points in line and sample, chance, strain and spread, shape (m, 5)."""
     statistic = (one.errors[0] ** 2 / one.spread[0]
                  + one.errors[1] ** 2 / one.spread[1]) / 2 / one.variance
-    return (*one.error, float(one.share @ fdtrc(2, one.freedom, statistic)),
-            float(np.sqrt(one.share @ statistic)),
-            float(np.sqrt(max(one.share @ spread for spread in one.spread))))
+    # fdtrc(2, freedom, statistic), which is slower
+    chance = np.exp(-one.freedom / 2 * np.log1p(2 * statistic / one.freedom))
+    spread = np.maximum(*(one.mean(spread) for spread in one.spread))
+    return np.stack([*one.error.T, one.mean(chance), np.sqrt(one.mean(statistic)),
+                     np.sqrt(spread)], axis=1)

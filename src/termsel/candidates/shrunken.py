@@ -135,8 +135,7 @@ def average(ground: FloatArray, image: FloatArray, exponents: Exponents,
         coefficients[order > 1, axis] = shrunk
         coefficients[order < 2, axis] = np.linalg.lstsq(affine, rest)[0]
         effective += own
-    errors = np.array([found.without(i).error for i in range(len(ground))]) / weights
-    return Average(coefficients, errors, effective)
+    return Average(coefficients, found.errors / weights, effective)
 
 
 def average_with_lines(features: FeatureSet, model: Polynomial) -> Average | None:
