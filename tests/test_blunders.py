@@ -8,15 +8,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.special import fdtrc
 
 import termsel
 from termsel import FeatureSet, Points
 from termsel.adjustment.monomials import graded_exponents, monomials
 from termsel.adjustment.posterior import posterior, scales_of
 from termsel.candidates.blunders import find_blunders, judge_others
+from termsel.candidates.contradictions import chance_of
 from termsel.candidates.portfolio import choose
 from termsel.candidates.shrunken import average
 from termsel.measurements.features import no_lines, no_points
+from termsel.measurements.scaling import scaling_of
 
 
 def scene(n: int, seed: int = 1, name: str = "ikonos-hamedan") -> FeatureSet:
@@ -216,6 +219,28 @@ def test_no_others_are_not_judged() -> None:
     choice = choose(termsel.simulate_scene("ikonos-hamedan", n_lines=0), True)
     assert choice is not None
     assert judge_others(choice.chosen, True, no_points()) is None
+
+
+def test_the_chance_of_a_statistic_is_that_of_the_f_distribution() -> None:
+    statistic = np.array([0.0, 0.3, 2.0, 40.0])
+    for freedom in (2, 7, 1400):
+        np.testing.assert_allclose(chance_of(statistic, freedom), fdtrc(2, freedom, statistic),
+                                   rtol=1e-9)
+
+
+def test_a_prediction_of_many_points_is_that_of_each_one() -> None:
+    """More points than are predicted together, some of them not in use."""
+    features = scene(60)
+    used = np.arange(60) % 4 > 0
+    scaled = scaling_of(features).points(features.points)
+    exponents = graded_exponents(2, 3)
+    order = np.array(exponents).sum(axis=1)
+    found = posterior(monomials(scaled.ground, exponents), scaled.image, order,
+                      np.where(used, 1.0, 1e-3)[:, None] * np.ones((60, 2)),
+                      scales_of(np.array(exponents)[order > 1]), int(used.sum()))
+    assert found is not None
+    alone = np.array([found.without(np.array([i])).error[0] for i in range(60)])
+    np.testing.assert_allclose(found.errors, alone, rtol=1e-9)
 
 
 def test_a_prediction_without_a_point_is_that_of_the_others() -> None:

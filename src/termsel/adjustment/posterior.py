@@ -35,7 +35,7 @@ fall and a relief; and their standard deviation in natural logarithms."""
 NO_NOISE = 1e-11
 """Noise that counts as none, as a part of the image's half-range."""
 
-NEVER = 25.0
+NEVER = 30.0
 """Solutions less likely than the likeliest by this, in natural logarithms, are left out."""
 
 TINY = 1e-14

@@ -23,7 +23,6 @@ others are termsel's own.
 from __future__ import annotations
 
 import numpy as np
-from scipy.special import fdtrc
 from scipy.stats import chi2
 
 from termsel.candidates.contradictions import (
@@ -31,6 +30,7 @@ from termsel.candidates.contradictions import (
     STRAIN,
     Suspects,
     Test,
+    chance_of,
     local_test,
     polynomial_of,
     test_of,
@@ -206,7 +206,7 @@ def _forward(control: FeatureSet, used: BoolArray, whole: Test,
         if not used.all():
             # The closest features understate the noise.
             strain = test.strain * np.sqrt(_consistency(used.sum() / n))
-            chance = fdtrc(2, max(2 * int(used.sum()) - 8, 2), strain**2)
+            chance = chance_of(strain**2, max(2 * int(used.sum()) - 8, 2))
             out &= (chance < LEVEL / n) & (strain > STRAIN)
         back = np.flatnonzero(~used & ~out)
         now = used.copy()
