@@ -428,3 +428,22 @@ def test_real_geometry(data_folder: Path, name: str) -> None:
     assert auto.rmse["independent"].total < searched.rmse["independent"].total
     assert all(one.excluded for one in searched.outliers)
     assert len([one for one in auto.outliers if one.excluded]) >= 13
+
+
+def test_repeated_searches_share_the_time() -> None:
+    result = termsel.run("owdis-lines", seconds=0.05, options={"population": 20})
+    assert result.seconds < 1.0
+    if any(not one.excluded for one in result.outliers):
+        assert any("raise --seconds" in note for note in result.notes)
+
+
+def test_where_points_alone_are_used_they_alone_predict() -> None:
+    scene = simulate_scene("ikonos-hamedan", n_lines=40)
+    rng = np.random.default_rng(1)
+    lines = scene.lines
+    rough = scene.with_(lines=replace(lines, image=lines.image + rng.normal(
+        0.0, 8.0, lines.image.shape)))
+    found = termsel.run("owdis-lines", features=rough, strategy="auto")
+    alone = termsel.run("rfm-terms", features=scene.with_(lines=no_lines()))
+    assert found.strategy["reason"].endswith("so the lines are not used.")
+    assert found.predicted.rmse == pytest.approx(alone.predicted.rmse, rel=0.05)

@@ -182,6 +182,8 @@ def choose_for(request: Request, observations: Observations, seed: int,
             f"the {len(both)} control and check {both.word} lie so that no model can be held "
             "against them", hint="Measure more, spread over the scene.")
     chosen, comparison = choice.chosen, compare(clean, choice)
+    if errors is not None and not len(chosen.fit.control.lines):
+        errors = errors[:len(both.points)]  # what lines were predicted to be says nothing
     expected = None if errors is None else predicted_rmse(
         errors, chosen.fit.effective, len(observations.independent))
     predicted = None if expected is None else expected.rmse

@@ -31,7 +31,7 @@ def search_without_blunders(task: Task, **how: Any) -> Search:
 
     The search is repeated until the selection uses no feature that its own model names as a
     probable blunder (see `termsel.fits.diagnosis.doubts`). Features that the user forces on stay.
-    Each search has the whole budget.
+    Each search has the whole budget of generations and evaluations; they share that of time.
 
     Parameters
     ----------
@@ -57,12 +57,16 @@ def search_without_blunders(task: Task, **how: Any) -> Search:
         named = doubts(fit_of(task, problem.decode(found.genes)))
         if named is None or not _among(names, named.in_use)[~forced].any():
             break
+        in_use = f"Probable blunders are in use: {', '.join(named.in_use)}. "
+        if (seconds := how.get("seconds")) is not None and found.seconds >= seconds:
+            return replace(found, notes=(*found.notes, in_use + "There was no time to search "
+                                         "without them; raise --seconds."))
         more = out | (_among(names, named.wrong) & ~forced)
-        again = _without(task, problem, more, segment, where, **how)
+        again = _without(task, problem, more, segment, where, **{
+            **how, "seconds": None if seconds is None else seconds - found.seconds})
         if again is None or again.violation:
-            return replace(found, notes=(*found.notes, (
-                f"Probable blunders are in use: {', '.join(named.in_use)}. Without them no "
-                "selection satisfies all conditions.")))
+            return replace(found, notes=(*found.notes, in_use + "Without them no selection "
+                                         "satisfies all conditions."))
         out = more
         found = replace(again, evaluations=found.evaluations + again.evaluations,
                         generations=found.generations + again.generations,
