@@ -78,8 +78,7 @@ def run_case(seed: int) -> Outcome:
     """
     random = Random(seed)
     start = time.process_time()
-    logging.disable(logging.WARNING)
-    with TemporaryDirectory() as name, warnings.catch_warnings(), _limited():
+    with TemporaryDirectory() as name, warnings.catch_warnings(), _silent(), _limited():
         warnings.simplefilter("error", RuntimeWarning)
         folder = Path(name)
         if random.random() < 0.15:
@@ -123,6 +122,16 @@ def _sealed(content: bytes) -> bytes:
 def _contents(folder: Path) -> dict[str, bytes]:
     return {path.relative_to(folder).as_posix(): path.read_bytes()
             for path in folder.rglob("*") if path.is_file()}
+
+
+@contextlib.contextmanager
+def _silent() -> Iterator[None]:
+    """Log errors alone while the block runs; other tests look at what is logged."""
+    logging.disable(logging.WARNING)
+    try:
+        yield
+    finally:
+        logging.disable(logging.NOTSET)
 
 
 @contextlib.contextmanager
