@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -159,3 +161,15 @@ def test_heights_that_are_all_equal_are_told(height: float, said: str) -> None:
     assert any(note.startswith(said) for note in auto.notes)
     asked = termsel.run("rfm-terms", features=level, solver="all-terms", model="poly2d")
     assert not any(note.startswith(said) for note in asked.notes)
+
+
+def test_two_points_do_not_call_every_place_far_outside(tmp_path: Path) -> None:
+    (tmp_path / "two.csv").write_text("id,line,sample,x,y,z\na,1,2,10,20,\nb,3,4,12,22,\n")
+    (tmp_path / "at.csv").write_text("id,x,y\nm,11,21\n")
+    found = [subprocess.run([sys.executable, "-m", "termsel", *command], cwd=tmp_path, text=True,
+                            capture_output=True, check=True)
+             for command in (("run", "--points", "two.csv", "--crs", "local", "--out", "r"),
+                             ("project", "r", "--points", "at.csv"))]
+    assert found[1].stdout.endswith("m,2.0,3.0,11.0,21.0,,,,\n")
+    assert "the control encloses no area" in found[1].stderr
+    assert "far outside" not in found[1].stderr

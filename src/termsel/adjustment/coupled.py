@@ -23,6 +23,7 @@ from termsel.adjustment.posterior import (
     TINY,
     TYPICAL,
     scales_of,
+    shares,
 )
 from termsel.adjustment.solve import TOLERANCE
 from termsel.measurements.features import FloatArray, IntArray
@@ -99,7 +100,7 @@ class Coupled:
     @cached_property
     def share(self) -> FloatArray:
         """Probability of each solution, shape (c,)."""
-        return _shares(self.evidence - self.freedom / 2 * np.log(self.square))
+        return shares(self.evidence - self.freedom / 2 * np.log(self.square))[0]
 
     @property
     def noise(self) -> float:
@@ -133,8 +134,8 @@ class Coupled:
                     quadratic, freedom = (found * fitted).sum(axis=2), self.freedom - rows.shape[1]
                     rest = np.maximum(self.square[:, None] - quadratic,
                                       TINY * self.square[:, None])
-                    share = _shares(self.evidence[:, None] - 0.5 * np.log(_determinant(left))
-                                   - freedom / 2 * np.log(rest))
+                    share, _ = shares(self.evidence[:, None] - 0.5 * np.log(_determinant(left))
+                                      - freedom / 2 * np.log(rest))
                     variance, widest = rest / freedom, 1.0 / _eigenvalue(left, least=True)
                 else:
                     weight, one = weights[feature][:, None, None], np.eye(rows.shape[1])
@@ -149,12 +150,6 @@ class Coupled:
                 strain[feature] = np.sqrt((share * statistic).sum(axis=0))
                 spread[feature] = np.sqrt((share * widest).sum(axis=0))
         return Predictions(errors, chance, strain, spread)
-
-
-def _shares(logarithm: FloatArray) -> FloatArray:
-    """Return probabilities, which add up to 1 along the first axis."""
-    share = np.exp(logarithm - logarithm.max(axis=0))
-    return np.asarray(share / share.sum(axis=0))
 
 
 # Nearly all features have two rows, and of these there are hundreds of thousands.

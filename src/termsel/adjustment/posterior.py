@@ -160,11 +160,11 @@ def _cells(sides: list[Side], freedom: int, noise: float) -> Cells:
     logarithm = (sides[0].evidence[first] + sides[1].evidence[second] - freedom / 2 * np.log(
         sides[0].square[first] + sides[1].square[second] + noise))
     kept = logarithm > logarithm.max() - NEVER
-    share, log = _shares(logarithm[kept])
+    share, log = shares(logarithm[kept])
     return Cells((first[kept], second[kept]), share, float(log))
 
 
-def _shares(logarithm: FloatArray) -> tuple[FloatArray, FloatArray]:
+def shares(logarithm: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return probabilities, which add up to 1 along the first axis, and the logarithm of what they
     had added up to."""
     highest = logarithm.max(axis=0)
@@ -248,7 +248,7 @@ class Posterior:
         np.maximum(rest, self.noise + TINY * square, out=rest)
         freedom = self.freedom - 2
         return Prediction((errors[0], errors[1]), (spread[0], spread[1]), rest / freedom, freedom,
-                          *_shares(logarithm - freedom / 2 * np.log(rest)))
+                          *shares(logarithm - freedom / 2 * np.log(rest)))
 
     def beyond(self, points: IntArray, weight: float) -> Prediction:
         """Return what the points in use predict for others.

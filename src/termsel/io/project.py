@@ -97,6 +97,9 @@ def project_table(
         lon = control[:, 0]
         near[:, 0] = nearest(ground[:, 0], float(lon.min() + lon.max()) / 2)
     apart = outside(control, near)
+    encloses = bool(np.isfinite(outside(control, control[:1])[0]))
+    if not encloses:  # two points, or points in a line
+        apart[:] = np.nan
     values = np.column_stack([image, ground, sigma, apart])
     # Heights may be unknown; line, sample, x and y of what was found are not.
     missed: BoolArray = np.asarray(np.isnan(values[:, :4]).any(axis=1))
@@ -104,10 +107,13 @@ def project_table(
               "uncertainty_sample", "outside"]
     text = table_text(crs, header, [[name] for name in ids], values)
     return text, list(_warnings(
-        select(ids, missed), select(ids, ~missed & (apart > FAR))))
+        select(ids, missed), select(ids, ~missed & (apart > FAR)),
+        encloses=encloses))
 
 
-def _warnings(missed: Sequence[str], far: Sequence[str]) -> Iterator[str]:
+def _warnings(missed: Sequence[str], far: Sequence[str], *, encloses: bool) -> Iterator[str]:
+    if not encloses:
+        yield "the control encloses no area, so nothing tells which places lie outside it"
     if missed:
         yield f"no position was found for {counted(len(missed), 'point')}: {_listed(missed)}"
     if far:
