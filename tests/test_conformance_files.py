@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from termsel.errors import TermselError
-from termsel.formats.atomic import write_text
+from termsel.files.atomic import write_text
 from termsel.formats.base import Reader, Writer, read_text
 from termsel.formats.readers.csv_tables import (
     LinesCsv,

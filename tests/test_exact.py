@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import termsel
-import termsel.results.text
+import termsel.report.text
 from termsel.criteria import CheckRmse, Fits
 from termsel.errors import TermselError
 from termsel.runs.assess import assess

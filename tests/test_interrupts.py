@@ -27,8 +27,8 @@ import pytest
 
 import termsel
 from termsel.errors import TermselError
-from termsel.formats import atomic
-from termsel.formats.atomic import write_text
+from termsel.files import atomic
+from termsel.files.atomic import write_text
 from termsel.formats.writers.grids import GeolocationVrt
 from termsel.io.result_folder import claim_folder, read_result, write_result
 from termsel.testing import example_results

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from termsel.errors import TermselError
-from termsel.formats.atomic import atomic_path, write_bytes, write_text
+from termsel.files.atomic import atomic_path, write_bytes, write_text
 from termsel.formats.base import Reader
 from termsel.formats.readers.csv_tables import (
     LinesCsv,

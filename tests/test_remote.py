@@ -17,9 +17,9 @@ import pytest
 
 import termsel
 from termsel.errors import TermselError
-from termsel.formats import remote
+from termsel.files import remote
+from termsel.files.rasters import open_raster, tiff_bytes
 from termsel.formats.heights import open_dem
-from termsel.formats.rasters import open_raster, tiff_bytes
 
 rasterio = pytest.importorskip("rasterio")
 

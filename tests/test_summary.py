@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from termsel.results.text import summary
+from termsel.report.text import summary
 
 
 def rmse(total: float | None, n: int = 10) -> dict[str, Any]:

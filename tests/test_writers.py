@@ -14,8 +14,8 @@ import pytest
 import termsel
 from termsel.adjustment.monomials import RPC00B
 from termsel.errors import TermselError
-from termsel.formats.atomic import write_bytes
-from termsel.formats.rasters import empty_tiff
+from termsel.files.atomic import write_bytes
+from termsel.files.rasters import empty_tiff
 from termsel.formats.readers.csv_tables import LinesCsv, PointsCsv
 from termsel.formats.rpc_files import read_rpc, rpb_text
 from termsel.formats.writers.grids import GcpGridVrt, GeolocationVrt

@@ -15,11 +15,11 @@ if TYPE_CHECKING:
     from termsel.adjustment import Equations, image_equations, line_normals, row_weights
     from termsel.criteria import Criterion, Fits
     from termsel.errors import TermselError
+    from termsel.files.remote import allow_remote
     from termsel.fits.accuracy import ce90
     from termsel.fits.fit import Fit
     from termsel.formats.base import Reader, Writer
     from termsel.formats.readers.csv_tables import write_lines_csv, write_points_csv
-    from termsel.formats.remote import allow_remote
     from termsel.formats.rpc_files import read_rpc
     from termsel.io.export import export
     from termsel.io.read import read
@@ -102,7 +102,7 @@ _HOME = {
     "TermselError": "termsel.errors",
     "ThinPlate": "termsel.models",
     "Writer": "termsel.formats.base",
-    "allow_remote": "termsel.formats.remote",
+    "allow_remote": "termsel.files.remote",
     "ce90": "termsel.fits.accuracy",
     "export": "termsel.io.export",
     "feature_options": "termsel.problems.recipes",

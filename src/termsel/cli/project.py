@@ -42,7 +42,7 @@ def project(folder: Path, points: Path, inverse: bool, dem: Path | None, height:
     """
     show_messages()
 
-    from termsel.formats.atomic import write_text
+    from termsel.files.atomic import write_text
     from termsel.io.export import as_exported
     from termsel.io.project import project_table
     from termsel.io.replacing import require_replaceable

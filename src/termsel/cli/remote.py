@@ -19,6 +19,6 @@ def allow_remote(command: Command) -> Command:
 
 def _allow(context: click.Context, parameter: click.Parameter, given: bool) -> None:  # noqa: ARG001
     if given and not context.resilient_parsing:
-        from termsel.formats.remote import allow_remote as allowed
+        from termsel.files.remote import allow_remote as allowed
 
         context.with_resource(allowed())

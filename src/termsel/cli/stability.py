@@ -86,7 +86,7 @@ def stability(
     given = dict(options)
     show_messages()
 
-    from termsel.formats.atomic import write_text
+    from termsel.files.atomic import write_text
     from termsel.io.replacing import require_replaceable
     from termsel.io.result_folder import claim_folder
     from termsel.runs import stability as module
@@ -131,7 +131,7 @@ def stability(
 def _command(problem: str, data: Mapping[str, object], model: str | None,
              given: Mapping[str, str], off: Sequence[str]) -> str:
     """Return the command that fits the terms not in `off` to the same data, for the shell."""
-    from termsel.formats.remote import remote_allowed
+    from termsel.files.remote import remote_allowed
     from termsel.plugins.registry import registry
     from termsel.runs.task import DATA_OPTIONS
 

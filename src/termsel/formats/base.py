@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from termsel.errors import TermselError
-from termsel.formats.atomic import private_folder
-from termsel.formats.files import is_open_pipe, is_there, refuse_pipe
+from termsel.files.atomic import private_folder
+from termsel.files.names import is_open_pipe, is_there, refuse_pipe
 from termsel.measurements.features import FeatureSet
 from termsel.options import Configurable
 
@@ -106,7 +106,7 @@ class Writer(Configurable, ABC):
 
     @abstractmethod
     def write(self, result: Result, path: Path) -> None:
-        """Write `result` to `path`, completely or not at all (`termsel.formats.atomic`).
+        """Write `result` to `path`, completely or not at all (`termsel.files.atomic`).
 
         Raises
         ------

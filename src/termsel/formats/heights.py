@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from termsel.errors import TermselError, printable
-from termsel.formats.rasters import open_raster, positions
+from termsel.files.rasters import open_raster, positions
 from termsel.measurements.crs import LOCAL, vertical_datum
 from termsel.measurements.features import FeatureSet, FloatArray
 from termsel.measurements.longitudes import nearest

@@ -8,8 +8,8 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 from termsel.errors import TermselError
+from termsel.files.rasters import open_raster
 from termsel.formats.base import is_utf16, located, read_head, read_text
-from termsel.formats.rasters import open_raster
 from termsel.models.rpc import N_COEFFICIENTS, Rpc
 
 RPB_NAMES = {

@@ -12,7 +12,7 @@ from xml.sax.saxutils import escape, quoteattr
 import numpy as np
 
 from termsel.errors import TermselError
-from termsel.formats.rasters import open_raster
+from termsel.files.rasters import open_raster
 from termsel.options import Option
 from termsel.results.result import Result
 

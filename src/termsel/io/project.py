@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from termsel.errors import TermselError, counted
+from termsel.files.names import is_there
 from termsel.fits.extrapolation import FAR, outside
 from termsel.formats.base import read_once
-from termsel.formats.files import is_there
 from termsel.formats.heights import surface_of
 from termsel.formats.readers.csv_tables import COORDINATES, table_text
 from termsel.formats.readers.tables import Table, read_table

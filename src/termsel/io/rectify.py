@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from termsel.errors import TermselError
-from termsel.formats.atomic import atomic_path, private_folder, write_text
-from termsel.formats.files import utf8_folder, utf8_name
+from termsel.files.atomic import atomic_path, private_folder, write_text
+from termsel.files.names import utf8_folder, utf8_name
+from termsel.files.rasters import open_raster, require_rasterio
 from termsel.formats.heights import surface_of
-from termsel.formats.rasters import open_raster, require_rasterio
 from termsel.formats.rpc_files import rpc_items
 from termsel.formats.vrt import Picture, picture_for, vrt_text
 from termsel.formats.writers.grids import GeolocationVrt

@@ -7,8 +7,8 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from termsel.errors import TermselError
-from termsel.formats.files import is_there
-from termsel.formats.rasters import open_raster
+from termsel.files.names import is_there
+from termsel.files.rasters import open_raster
 from termsel.io.result_folder import files_of_result
 
 

@@ -15,15 +15,15 @@ import numpy as np
 
 from termsel.candidates.candidate import named
 from termsel.errors import TermselError
+from termsel.files.atomic import encoded, private_folder, put_in_place, sync, write_bytes
+from termsel.files.names import is_there
 from termsel.fits.accuracy import Predicted, accuracy_from
 from termsel.fits.diagnosis import Diagnosis, Doubts, Significance
 from termsel.fits.figures import Baseline, figures, residuals_of
 from termsel.fits.fit import GIVEN, Fit
 from termsel.fits.least_squares import fit
 from termsel.fits.rmse import Rmse
-from termsel.formats.atomic import encoded, private_folder, put_in_place, sync, write_bytes
 from termsel.formats.base import located, parse_json, read_text
-from termsel.formats.files import is_there
 from termsel.formats.readers.csv_tables import (
     LinesCsv,
     PointsCsv,

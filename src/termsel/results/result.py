@@ -27,8 +27,8 @@ from termsel.fits.residuals import Residuals
 from termsel.measurements.features import FeatureSet, FloatArray
 from termsel.measurements.roles import by_roles
 from termsel.problems.base import Selection
+from termsel.report.text import summary
 from termsel.results.checksums import sealed
-from termsel.results.text import summary
 
 if TYPE_CHECKING:
     from termsel.models.rpc import Rpc
@@ -302,7 +302,7 @@ class Result:
         return json.dumps(record, indent=1, allow_nan=False) + "\n"
 
     def summary(self) -> str:
-        """Return a page that a person reads (see `termsel.results.text.summary`)."""
+        """Return a page that a person reads (see `termsel.report.text.summary`)."""
         return summary(self.to_dict())
 
     def _repr_html_(self) -> str:

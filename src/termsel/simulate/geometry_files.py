@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from termsel.errors import TermselError
-from termsel.formats.atomic import write_text
+from termsel.files.atomic import write_text
 from termsel.formats.base import located, parse_json, read_head, read_text
 from termsel.simulate.pushbroom import Angle, Pushbroom
 

@@ -254,14 +254,14 @@ def _refused(export: Export, result: Result, path: Path, what: str) -> None:
         return
     except Exception as error:
         raise AssertionError(f"{what} raises {type(error).__name__}: {error}; write through "
-                             "termsel.formats.atomic, or raise TermselError(..., "
+                             "termsel.files.atomic, or raise TermselError(..., "
                              "file=path)") from error
     raise AssertionError(f"{what} goes unnoticed; raise TermselError(..., file=path)")
 
 
 def _require_old(path: Path, what: str) -> None:
     require(path.read_bytes() == OLD, f"after {what} the file that was there before is lost; "
-                                      "write through termsel.formats.atomic")
+                                      "write through termsel.files.atomic")
     _require_tidy(path)
 
 

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from termsel.errors import TermselError
-from termsel.formats.atomic import write_text
+from termsel.files.atomic import write_text
 from termsel.formats.base import Reader
 from termsel.formats.readers.tables import (
     COLUMNS,

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from termsel.errors import TermselError
+from termsel.files.rasters import open_raster
 from termsel.formats.base import Reader, located, read_head
-from termsel.formats.rasters import open_raster
 from termsel.measurements.features import FeatureSet, Points
 from termsel.options import Option
 

@@ -12,8 +12,9 @@ from warnings import catch_warnings, simplefilter
 import numpy as np
 
 from termsel.errors import TermselError
+from termsel.files.names import utf8_name
+from termsel.files.remote import local_alone
 from termsel.formats.base import Reader, located, read_head
-from termsel.formats.files import utf8_name
 from termsel.formats.readers.csv_tables import LINES
 from termsel.formats.readers.geojson import (
     Feature,
@@ -23,7 +24,6 @@ from termsel.formats.readers.geojson import (
     vertices,
 )
 from termsel.formats.readers.tables import read_table
-from termsel.formats.remote import local_alone
 from termsel.measurements.features import FeatureSet, FloatArray, Lines
 from termsel.options import Option
 

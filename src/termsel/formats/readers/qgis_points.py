@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 
 from termsel.errors import TermselError
+from termsel.files.rasters import open_raster, positions
 from termsel.formats.base import Reader
-from termsel.formats.rasters import open_raster, positions
 from termsel.formats.readers.tables import Table, read_table, sniff_table
 from termsel.measurements.features import FeatureSet, FloatArray
 from termsel.options import Option

@@ -12,13 +12,13 @@ from xml.sax.saxutils import escape
 import numpy as np
 
 from termsel.errors import TermselError
+from termsel.files.atomic import atomic_path, encoded, write_bytes, write_text
+from termsel.files.names import is_there
+from termsel.files.rasters import require_rasterio, tiff_bytes
 from termsel.fits.fit import Fit
-from termsel.formats.atomic import atomic_path, encoded, write_bytes, write_text
 from termsel.formats.base import Writer
 from termsel.formats.deviation import by_splines, places_of, say_deviation
-from termsel.formats.files import is_there
 from termsel.formats.heights import Dem, surface_of
-from termsel.formats.rasters import require_rasterio, tiff_bytes
 from termsel.formats.vrt import IMAGE, Gcp, picture_for, vrt_text
 from termsel.measurements.features import FloatArray
 from termsel.measurements.utm import for_warping

@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from termsel.errors import TermselError
-from termsel.formats.atomic import private_folder, write_bytes
+from termsel.files.atomic import private_folder, write_bytes
 from termsel.formats.base import Writer
 from termsel.formats.deviation import say_measured
 from termsel.measurements.crs import horizontal

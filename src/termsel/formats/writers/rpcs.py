@@ -10,11 +10,11 @@ from typing import ClassVar
 import numpy as np
 
 from termsel.errors import TermselError
-from termsel.formats.atomic import atomic_path, encoded, private_folder, write_bytes, write_text
+from termsel.files.atomic import atomic_path, encoded, private_folder, write_bytes, write_text
+from termsel.files.names import is_there
+from termsel.files.rasters import empty_tiff, open_raster, require_rasterio
 from termsel.formats.base import Writer
 from termsel.formats.deviation import places_of, say_deviation
-from termsel.formats.files import is_there
-from termsel.formats.rasters import empty_tiff, open_raster, require_rasterio
 from termsel.formats.rpc_files import read_rpc, rpb_text, rpc_items, rpc_txt_text
 from termsel.formats.vrt import IMAGE, picture_for, vrt_text
 from termsel.measurements.crs import LOCAL, normalise, to_wgs84

@@ -10,7 +10,7 @@ from typing import ClassVar
 import numpy as np
 
 from termsel.errors import TermselError, printable
-from termsel.formats.atomic import write_text
+from termsel.files.atomic import write_text
 from termsel.formats.base import Writer
 from termsel.formats.deviation import say_measured, say_splines
 from termsel.formats.readers.csv_tables import line_columns, write_table

@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 
 from termsel.errors import TermselError
-from termsel.formats.files import is_there, refuse_pipe, utf8_name
-from termsel.formats.remote import HINT, NO_PROXY_EXISTS, local_alone
+from termsel.files.names import is_there, refuse_pipe, utf8_name
+from termsel.files.remote import HINT, NO_PROXY_EXISTS, local_alone
 from termsel.measurements.features import FloatArray
 
 
@@ -97,7 +97,7 @@ def open_raster(path: Path | str) -> Iterator[Any]:
     ------
     TermselError
         If rasterio is not installed; if GDAL cannot open or read the file; if it has remote
-        sources that are not allowed (see `termsel.formats.remote`).
+        sources that are not allowed (see `termsel.files.remote`).
     """
     rasterio = require_rasterio()
     from rasterio._err import CPLE_BaseError

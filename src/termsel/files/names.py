@@ -10,7 +10,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from termsel.errors import TermselError
-from termsel.formats.atomic import private_folder
+from termsel.files.atomic import private_folder
 
 
 def is_there(path: Path) -> bool:

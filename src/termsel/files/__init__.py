@@ -1,0 +1,1 @@
+"""Files: found, opened, written whole or not at all; rasters; what is remote."""

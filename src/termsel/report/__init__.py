@@ -1,0 +1,1 @@
+"""What people see of a record: text, charts, pages."""
