@@ -300,8 +300,8 @@ def _reason(chosen: Judged, shrunk: Judged, shrunken: Sequence[Judged], others: 
     if others:
         nearest = chosen if chosen is not shrunk else max(
             others, key=lambda one: _gain(one, shrunk))
-        smaller = " and have a smaller RMSE" * (nearest is not chosen
-                                                 and _gain(nearest, shrunk) > CLEARLY)
+        smaller = (" and have a smaller RMSE"
+                   if nearest is not chosen and _gain(nearest, shrunk) > CLEARLY else "")
         said.append(f"{_compared(nearest, shrunk)}; it must be better by more than "
                     f"{CLEARLY:g}{smaller}.")
     if said:
