@@ -6,6 +6,9 @@ import signal
 import sys
 from types import FrameType
 
+INTERRUPTED = 130
+"""Exit code after Ctrl-C, as shells have it."""
+
 _AGAIN = 1.0  # s after which an interrupt that nobody answered is raised again
 
 

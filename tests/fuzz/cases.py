@@ -261,6 +261,34 @@ def _project(path: Path, random: Random) -> int:
                    *(("--inverse",) if random.random() < 0.3 else ()))
 
 
+_TO = ("rpc-vrt", "rpc-txt", "gcp-vrt", "gcp-grid-vrt", "geolocation-vrt")
+
+
+def _image(path: Path, random: Random) -> int:
+    """Rectify an image, or export with it."""
+    folder = path.parent
+    if random.random() < 0.5:
+        ground = random.choice((("--height", 250), ("--dem", folder / "heights.tif")))
+        return command("rectify", folder, path, *ground, "-o", folder / "map.tif", "--quiet")
+    return command("export", folder, "--to", random.choice(_TO), "--image", path, "-o",
+                   folder / "a_RPC.TXT")
+
+
+def _surface(path: Path, random: Random) -> int:
+    """Use a raster of heights with a model that needs them."""
+    folder = path.parent
+    image = ("--image", folder / "image.tif")
+    way = random.random()
+    if way < 0.4:
+        return command("rectify", folder, image[1], "--dem", path, "-o", folder / "map.tif",
+                       "--quiet")
+    if way < 0.7:
+        return command("export", folder, "--to", "geolocation-vrt", *image, "--dem", path, "-o",
+                       folder / "a.vrt")
+    return command("project", folder, "--points", folder / "points.csv", "--inverse", "--dem",
+                   path)
+
+
 def _declared() -> list[str]:
     kinds = ("models", "solvers", "criteria", "readers", "writers")
     return sorted({option.name for kind in kinds for entry in registry().entries(kind)
@@ -295,7 +323,7 @@ USES: dict[str, Callable[[Path, Random], int]] = {
     "lines": lambda path, random: _read("lines", path, random),
     "areas": lambda path, random: _read("areas", path, random),
     "vector": _vector, "joined": _joined, "dem": _dem, "rpc": _rpc, "geometry": _geometry,
-    "result": _result, "project": _project}
+    "result": _result, "project": _project, "image": _image, "surface": _surface}
 """What is done with a file, by the kind of its seed."""
 
 

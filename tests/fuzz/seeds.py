@@ -118,6 +118,45 @@ def result_files() -> dict[str, bytes]:
         return {path.name: path.read_bytes() for path in Path(folder).iterdir()}
 
 
+_PIXELS = 60
+"""Lines and samples of an image that is rectified."""
+
+
+@cache
+def scene_files() -> dict[str, bytes]:
+    """Return the files of a result whose model needs heights, of a small image, by name."""
+    image, ground = _numbers()
+    features = termsel.FeatureSet(termsel.Points([f"P{i}" for i in range(_N)],
+                                                 image * (_PIXELS / 5000), ground),
+                                  crs="EPSG:4979")
+    with TemporaryDirectory() as folder:
+        termsel.run("rfm-terms", model="poly3d", solver="all-terms", criterion="press",
+                    features=features, options={"degree": 1}, out=Path(folder))
+        return {path.name: path.read_bytes() for path in Path(folder).iterdir()}
+
+
+def _virtual(source: str, size: int, kind: str, inside: str = "") -> bytes:
+    return (f'<VRTDataset rasterXSize="{size}" rasterYSize="{size}">{inside}<VRTRasterBand '
+            f'dataType="{kind}" band="1"><NoDataValue>-9999</NoDataValue><SimpleSource>'
+            f'<SourceFilename relativeToVRT="1">{source}</SourceFilename><SourceBand>1'
+            "</SourceBand></SimpleSource></VRTRasterBand></VRTDataset>").encode()
+
+
+def _rasters() -> tuple[Seed, ...]:
+    """Return images and rasters of heights, next to a result that they are used with."""
+    scene = tuple(scene_files().items())
+    pixels = np.random.default_rng(4).integers(0, 255, (2, _PIXELS, _PIXELS)).astype(np.uint8)
+    image, heights = tiff_bytes(pixels), ("heights.tif", dem())
+    place = "<SRS>EPSG:4326</SRS><GeoTransform>47.99, 0.003, 0, 35.01, 0, -0.003</GeoTransform>"
+    return (
+        Seed("image.tif", image, "image", (*scene, heights)),
+        Seed("image.vrt", _virtual("plain.tif", _PIXELS, "Int16"), "image",
+             (*scene, heights, ("plain.tif", image))),
+        Seed("surface.tif", dem(), "surface", (*scene, ("image.tif", image))),
+        Seed("surface.vrt", _virtual("plain.tif", 40, "Float32", place), "surface",
+             (*scene, ("image.tif", image), ("plain.tif", dem()))))
+
+
 @cache
 def seeds() -> tuple[Seed, ...]:
     """Return a valid file of every format."""
@@ -181,11 +220,8 @@ def seeds() -> tuple[Seed, ...]:
         Seed("lines.shp", vector["lines.shp"], "vector", (lines, *shape)),
         Seed("image.csv", image_lines, "joined", (("lines.gpkg", vector["lines.gpkg"]),)),
         Seed("dem.tif", dem(), "dem", (("points.csv", points),)),
-        Seed("dem.vrt", b'<VRTDataset rasterXSize="40" rasterYSize="40"><SRS>EPSG:4326</SRS>'
-             b"<GeoTransform>47.99, 0.003, 0, 35.01, 0, -0.003</GeoTransform><VRTRasterBand "
-             b'dataType="Float32" band="1"><NoDataValue>-9999</NoDataValue><SimpleSource>'
-             b'<SourceFilename relativeToVRT="1">plain.tif</SourceFilename><SourceBand>1'
-             b"</SourceBand></SimpleSource></VRTRasterBand></VRTDataset>", "dem",
+        Seed("dem.vrt", _virtual("plain.tif", 40, "Float32", "<SRS>EPSG:4326</SRS><GeoTransform>"
+                                 "47.99, 0.003, 0, 35.01, 0, -0.003</GeoTransform>"), "dem",
              (("points.csv", points), ("plain.tif", dem()))),
         Seed("scene.RPB", rpb_text(rpc).encode(), "rpc"),
         Seed("scene_RPC.TXT", rpc_txt_text(rpc).encode(), "rpc"),
@@ -199,5 +235,6 @@ def seeds() -> tuple[Seed, ...]:
           for name, content in result if name in ("result.json", "points.csv")),
         Seed("ground.csv", _table("id,line,sample,x,y,z",
                                   [[i, *row] for i, row in enumerate(both)]),
-             "project", result))
+             "project", result),
+        *_rasters())
 

@@ -19,11 +19,11 @@ import click
 
 from termsel.cli.messages import echo
 from termsel.errors import TermselError, cut, unknown_name
-from termsel.interrupts import answered
+from termsel.interrupts import INTERRUPTED, answered
 from termsel.plugins.commands import COMMANDS
 from termsel.version import __version__
 
-CORRECTABLE, INTERRUPTED = 2, 130
+CORRECTABLE = 2
 
 
 _UNWRITABLE = {errno.EPIPE, errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EBADF,

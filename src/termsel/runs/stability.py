@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -12,13 +12,16 @@ from termsel.errors import TermselError
 from termsel.fits.figures import Rmses, figures, in_role, plain_rmse
 from termsel.fits.least_squares import fit
 from termsel.fits.rmse import Rmse
+from termsel.interrupts import answered
 from termsel.measurements.features import BoolArray, FeatureSet, FloatArray, select
 from termsel.measurements.roles import together
 from termsel.measurements.scaling import scaling_of
+from termsel.measurements.twins import twins
 from termsel.models.poles import guard_points, pole_violation
 from termsel.runs.recommend import recommended
 from termsel.runs.task import Task, prepare
-from termsel.solvers.search import search
+from termsel.solvers.ledger import Progress
+from termsel.solvers.search import Observer, search
 from termsel.threads import one_blas_thread
 
 
@@ -41,6 +44,8 @@ class Stability:
     rmse : mapping
         Of the stable terms, fitted to control and check together, by role; empty if they are not
         a model.
+    interrupted : bool
+        Whether Ctrl-C came before all repetitions were made.
     """
 
     terms: tuple[str, ...]
@@ -49,6 +54,7 @@ class Stability:
     stable: tuple[str, ...]
     determined: bool
     rmse: Rmses
+    interrupted: bool = False
 
     @property
     def frequency(self) -> FloatArray:
@@ -80,13 +86,15 @@ def stability(
     solver: str | None = None,
     criterion: str | None = None,
     options: Mapping[str, Any] | None = None,
+    observers: Iterable[Observer] = (),
 ) -> Stability:
     """Select terms again and again, each time with other control and check points.
 
     Each repetition draws at random which of them are control, as many as there were; independent
-    points keep their role. The terms selected often are then fitted to control and check points
-    together: stability selection. The papers show such frequencies over runs with other seeds on
-    the same data; here the data differ too.
+    points keep their role, and twins share one. Where no point can change its role, as with lines,
+    a random half of the control is left out, as in the paper. The terms selected often are then
+    fitted to control and check points together: stability selection. The papers show such
+    frequencies over runs with other seeds on the same data; here the data differ too.
 
     Parameters
     ----------
@@ -103,10 +111,13 @@ def stability(
         Budgets of each search; the solver's own by default.
     features, dataset, model, solver, criterion, options
         As for `termsel.prepare`.
+    observers : iterable of callable
+        Called with `Progress` as in `termsel.search`; its share is that of all repetitions.
 
     Returns
     -------
     Stability
+        Also when interrupted with Ctrl-C, if two repetitions are complete.
 
     Raises
     ------
@@ -130,40 +141,70 @@ def stability(
                            hint="Give at least 2 repetitions and a threshold above 0, up to 1.")
     task = prepare(problem, features=features, dataset=dataset, model=model, solver=solver,
                    criterion=criterion, options=options)
-    if any(segment.name == "features" for segment in task.problem.genome.segments) \
-            or len(task.observations.control.lines):
-        raise TermselError(f"the problem {problem} selects features or has lines as control",
-                           hint="Choose a problem that selects terms from points: rfm-terms, "
+    if any(segment.name == "features" for segment in task.problem.genome.segments):
+        raise TermselError(f"the problem {problem} selects features",
+                           hint="Choose a problem that selects terms alone: rfm-terms, "
                                 "poly-terms.")
     rng = np.random.default_rng(seed)
     # The drawn roles are those of the features, which take the place of roles that are named.
     others = {key: value for key, value in (options or {}).items() if key not in ("off", "role")}
-    rows = []
+    rows: list[BoolArray] = []
+    interrupted = False
     for repetition in range(repeats):
-        again = prepare(problem, features=_with_drawn_roles(task, rng), model=model,
-                        solver=solver, criterion=criterion,
-                        options={**others, "roles": "file"})
-        found = recommended(again, search(again.problem, again.solver, seed=seed + repetition,
-                                          generations=generations, evaluations=evaluations,
-                                          seconds=seconds))
-        rows.append(np.isin(task.model.terms, again.problem.decode(found.genes).terms))
+        try:
+            again = prepare(problem, features=_with_drawn_roles(task, rng), model=model,
+                            solver=solver, criterion=criterion,
+                            options={**others, "roles": "file"})
+            found = search(again.problem, again.solver, seed=seed + repetition,
+                           generations=generations, evaluations=evaluations, seconds=seconds,
+                           observers=[_of_all(observe, repetition, repeats)
+                                      for observe in observers])
+            interrupted = found.interrupted
+            if not interrupted:
+                genes = recommended(again, found).genes
+                rows.append(np.isin(task.model.terms, again.problem.decode(genes).terms))
+        except KeyboardInterrupt:
+            interrupted = True
+        if interrupted:
+            if len(rows) < 2:
+                raise KeyboardInterrupt
+            answered()
+            break
     selections = np.array(rows)
     chosen = selections.mean(axis=0) >= threshold
     determined, rmse = _fitted(task, chosen)
     return Stability(task.model.terms, selections, threshold,
-                     select(task.model.terms, chosen), determined, rmse)
+                     select(task.model.terms, chosen), determined, rmse, interrupted)
+
+
+def _of_all(observe: Observer, repetition: int, repeats: int) -> Observer:
+    """Return an observer of one repetition, which tells `observe` the share of all of them."""
+    def told(progress: Progress) -> None:
+        observe(replace(progress, share=(repetition + (progress.share or 0.0)) / repeats,
+                        what=f"repetition {repetition + 1} of {repeats}"))
+
+    return told
 
 
 def _with_drawn_roles(task: Task, rng: np.random.Generator) -> FeatureSet:
-    """Return the features with other points as control and check."""
-    features = task.observations.features
-    roles = np.array(features.points.roles, dtype=object)
-    movable = np.flatnonzero(np.isin(roles, ("control", "check")))
-    roles[movable] = rng.permutation(roles[movable])
-    if not len(task.observations.check):
-        # Without check points the rest of a half is left out.
-        roles[rng.permutation(movable)[len(movable) // 2:]] = "off"
-    return features.with_(points=replace(features.points, roles=tuple(roles)))
+    """Return the features with other points as control and check, or half of the control."""
+    features, observations = task.observations.features, task.observations
+    points, lines = features.points, features.lines
+    roles = np.array(points.roles, dtype=object)
+    n_control, n_check = len(observations.control.points), len(observations.check)
+    if n_control:
+        movable = np.flatnonzero(np.isin(roles, ("control", "check")))
+        group = twins(points.ground[movable])
+        order = np.argsort(rng.permutation(group.max() + 1)[group], kind="stable")
+        kept, rest = (n_control, "check") if n_check else (n_control // 2, "off")
+        drawn = np.where(np.arange(len(order)) < kept, "control", rest)
+        # Twins follow each other; all of them take the role of the first.
+        _, first, which = np.unique(group[order], return_index=True, return_inverse=True)
+        roles[movable[order]] = drawn[first[which]]
+    elif len(lines):
+        names = np.unique(lines.ids)
+        lines = lines.take(np.isin(lines.ids, rng.permutation(names)[:(len(names) + 1) // 2]))
+    return features.with_(points=replace(points, roles=tuple(roles)), lines=lines)
 
 
 def _fitted(task: Task, chosen: BoolArray) -> tuple[bool, dict[str, Rmse | None]]:
