@@ -7,6 +7,7 @@ import shlex
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,10 +15,13 @@ from click.testing import CliRunner
 
 import termsel
 from termsel.cli.main import cli
-from termsel.formats.readers.csv_tables import write_points_csv
-from termsel.measurements.features import FeatureSet, Points
+from termsel.formats.readers.csv_tables import write_lines_csv, write_points_csv
+from termsel.measurements.features import FeatureSet, Lines, Points, join_points
 from termsel.models.polynomial import Polynomial3D
+from termsel.runs import stability as module
 from termsel.runs.stability import stability
+from termsel.runs.task import prepare
+from termsel.solvers.search import search
 
 QUICK = {"model": "poly3d", "solver": "exact", "criterion": "press", "repeats": 4,
          "options": {"degree": 2}}
@@ -155,3 +159,95 @@ def test_the_command_leaves_out_options_of_the_searches() -> None:
     assert "--dataset irs1c-mashad" in printed
     assert "--set fit_crs=geocentric" in printed
     assert "population" not in printed
+
+
+def test_it_takes_whatever_run_takes() -> None:
+    names = [{option for one in cli.get_command(None, name).params for option in one.opts}
+             for name in ("run", "stability")]
+    assert names[0] <= names[1]
+    assert names[1] - names[0] == {"--repeats", "--threshold"}
+
+
+def with_lines() -> FeatureSet:
+    """Points of each role and 40 lines, of an affine model."""
+    features, _ = few_terms()
+    rng = np.random.default_rng(5)
+    ground = rng.uniform(-1, 1, (40, 2, 3))
+    image = 30.0 * ground[..., :2] + ground[..., 2:] + rng.normal(0, 0.1, (40, 2, 2))
+    points = replace(features.points, image=30.0 * features.points.ground[:, :2]
+                     + features.points.ground[:, 2:] + rng.normal(0, 0.1, (90, 2)))
+    return FeatureSet(points, Lines(tuple(f"L{i}" for i in range(40)), image, ground), "local")
+
+
+def test_lines_go_with_points_and_are_in_the_command(tmp_path: Path) -> None:
+    features = with_lines()
+    write_points_csv(features.points, tmp_path / "p.csv")
+    write_lines_csv(features.lines, tmp_path / "my lines.csv")
+    words = ["--points", str(tmp_path / "p.csv"), "--lines", str(tmp_path / "my lines.csv"),
+             "--crs", "local", "--set", "mixed=true", "--model", "poly3d", "--set", "degree=2"]
+    done = CliRunner().invoke(cli, [
+        "stability", "--problem", "rfm-terms", *words, "--repeats", "2", "--evaluations", "60",
+        "--strategy", "auto", "--quiet", "--export", "points-csv", "--out", str(tmp_path / "out")])
+    assert done.exit_code == 0, done.output
+    assert "Note: the strategy auto searches for no terms." in done.stderr
+    printed = shlex.split(done.stdout.splitlines()[-1])
+    assert set(zip(words[:6:2], words[1:6:2], strict=True)) <= set(pairwise(printed))
+    again = CliRunner().invoke(cli, [*printed[1:], "--json", "--out", str(tmp_path / "again"),
+                                     "--export", "points-csv"])
+    assert again.exit_code == 0, again.output
+    record = json.loads((tmp_path / "out/stability.json").read_text())
+    assert json.loads(again.stdout)["selection"]["terms"] == record["stable"]
+    exported = "result_points.csv"
+    assert (tmp_path / "out" / exported).read_text() == (tmp_path / "again" / exported).read_text()
+
+
+def test_what_cannot_be_exported_is_said(tmp_path: Path) -> None:
+    done = CliRunner().invoke(cli, [
+        "stability", "--problem", "poly-terms", "--repeats", "12", "--evaluations", "5",
+        "--threshold", "1", "--set", "force_on=", "--set", "degree=8", "--solver", "random",
+        "--export", "points-csv", "--out", str(tmp_path)])
+    assert done.exit_code == 2
+    assert "are no model, so nothing is exported" in done.stderr
+    assert [path.name for path in tmp_path.iterdir()] == ["stability.json"]
+
+
+def test_twins_share_a_role_in_every_repetition(monkeypatch: pytest.MonkeyPatch) -> None:
+    features, _ = few_terms()
+    points = features.points
+    twins = Points(tuple(f"T{name}" for name in points.ids), points.image,
+                   points.ground + 1e-6, None, points.roles)
+    drawn = []
+
+    def prepared(*words: Any, **how: Any) -> Any:
+        drawn.append(dict(zip(how["features"].ids, how["features"].points.roles, strict=True)))
+        return prepare(*words, **how)
+
+    monkeypatch.setattr(module, "prepare", prepared)
+    stability("rfm-terms", features=FeatureSet(join_points(points, twins)), **QUICK)
+    assert len(drawn) == 5
+    for roles in drawn:
+        assert all(roles[name] == roles[f"T{name}"] for name in points.ids)
+    assert drawn[1] != drawn[2]
+
+
+@pytest.mark.parametrize(("after", "complete"), [(3, 2), (2, None)])
+def test_ctrl_c_ends_it_and_keeps_what_is_complete(
+        after: int, complete: int | None, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    calls = []
+
+    def interrupted(*words: Any, **how: Any) -> Any:
+        calls.append(how["seed"])
+        found = search(*words, **how)
+        return replace(found, interrupted=len(calls) == after)
+
+    monkeypatch.setattr(module, "search", interrupted)
+    done = CliRunner().invoke(cli, [
+        "stability", "--problem", "poly-terms", "--repeats", "5", "--evaluations", "50", "--out",
+        str(tmp_path)])
+    assert done.exit_code == 130
+    assert len(calls) == after
+    if complete:
+        assert f"Interrupted after {complete} of 5 selections." in done.stderr
+        assert json.loads((tmp_path / "stability.json").read_text())["repeats"] == complete
+    else:
+        assert "Interrupted." in done.stderr

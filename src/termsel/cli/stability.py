@@ -79,6 +79,9 @@ def stability(repeats: int, threshold: float, **given: Any) -> None:
     if found.determined and others and not asked.as_json:
         echo("For a result with the stable terms run\n  " + asked.command(
             problem, _SOLVER, _CRITERION, _for_stable(problem, asked, asked.options, others)))
+    if exported and not found.determined:
+        raise TermselError("the stable terms alone are no model, so nothing is exported",
+                           hint="Lower --threshold.")
     if exported:
         _export(found, exported, problem, asked, features,
                 _for_stable(problem, asked, options, others))
@@ -128,9 +131,6 @@ def _export(found: Stability, exported: Mapping[str, Path], problem: str, asked:
     from termsel.io.export import export
     from termsel.runs import run as running
 
-    if not found.determined:
-        raise TermselError("the stable terms alone are no model, so nothing is exported",
-                           hint="Lower --threshold.")
     result = running.run(problem, features=features, dataset=asked.dataset, source=asked.source,
                          model=asked.model, solver=_SOLVER, criterion=_CRITERION,
                          options=options)
