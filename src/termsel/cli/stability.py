@@ -83,7 +83,7 @@ def stability(repeats: int, threshold: float, **given: Any) -> None:
         raise TermselError("the stable terms alone are no model, so nothing is exported",
                            hint="Lower --threshold.")
     if exported:
-        _export(found, exported, problem, asked, features,
+        _export(exported, problem, asked, features,
                 _for_stable(problem, asked, options, others))
     if found.interrupted:
         echo(f"Interrupted after {len(found.selections)} of {repeats} selections.", err=True)
@@ -125,7 +125,7 @@ def _for_stable(problem: str, asked: Asked, options: Mapping[str, str],
     return {**settings, "force_off": ",".join(dict.fromkeys([*filter(None, before), *off]))}
 
 
-def _export(found: Stability, exported: Mapping[str, Path], problem: str, asked: Asked,
+def _export(exported: Mapping[str, Path], problem: str, asked: Asked,
             features: FeatureSet | None, options: Mapping[str, str]) -> None:
     """Write the fit of the stable terms in other formats."""
     from termsel.io.export import export
