@@ -3,12 +3,16 @@
 import ast
 import inspect
 import json
+import os
+import random
 import re
 import sys
+import warnings
 from importlib.metadata import distributions
 from pathlib import Path
 from textwrap import dedent
 
+import numpy as np
 import pytest
 
 import termsel
@@ -428,12 +432,110 @@ def test_a_plugin_is_asked_once(install, registry):
             return []
         """)
     names = registry()
-    calls = sys.modules["counting"].calls
-    assert not calls
+    assert "counting" not in sys.modules
     for _ in range(2):
         names.entries("models")
         names.entries("problems")
-    assert calls == [1]
+    assert sys.modules["counting"].calls == [1]
+
+
+def test_a_listing_imports_only_what_may_provide_its_kind(install, registry):
+    install("only-models", MODEL.format(name="one"))
+    install("by-star", "from only_models import *\nfrom only_models import termsel_models")
+    names = registry()
+    names.entries("solvers")
+    assert [one.hooks for one in names._loader.plugins if one.distribution != "termsel"] \
+        == [("termsel_models",), ()]
+    assert [one.hooks for one in names.plugins if one.distribution != "termsel"] \
+        == [("termsel_models",)] * 2
+
+
+WRAPPERS = """
+    from termsel import hookimpl, Affine
+    class Last(Affine):
+        '''An affine model.'''
+        name = {name!r}
+    @hookimpl({how})
+    def termsel_models():
+        {body}
+"""
+
+
+def test_pluggy_orders_and_wraps_the_calls(install, registry):
+    install("ant", WRAPPERS.format(name="late", how="trylast=True", body="return [Last]"))
+    install("bee", WRAPPERS.format(name="early", how="tryfirst=True", body="return [Last]"))
+    install("cat", WRAPPERS.format(name="own", how="wrapper=True", body="""
+        lists = yield
+        return [[m for m in one if m.name != 'affine'] for one in lists] + [[Last]]"""))
+    install("dog", WRAPPERS.format(name="x", how="hookwrapper=True", body="""
+        result = yield
+        result.force_result([[m for m in one if m.name != 'poly3d']
+                             for one in result.get_result()])"""))
+    names = registry()
+    assert not names.failures("models")
+    found = names.names("models")
+    assert found[0] == "early"
+    assert found[-2:] == ["late", "own"]
+    assert "rfm" in found
+    assert not {"affine", "poly3d"} & set(found)
+    assert names.origin(names.get("models", "own")).provided_by == "cat"
+
+
+@pytest.mark.parametrize(("how", "body", "reason"), [
+    ("wrapper=True", "raise OSError('before')\n        yield", "as a wrapper: OSError: before"),
+    ("wrapper=True", "yield\n        raise OSError('after')", "as a wrapper: OSError: after"),
+    ("wrapper=True", "yield\n        return 5", "as a wrapper: TypeError: returned 5, not a list"),
+    ("wrapper=True", "yield\n        yield", "as a wrapper: RuntimeError: it yields twice"),
+    ("hookwrapper=True", "r = yield\n        r.force_result('no')",
+     "as a wrapper: TypeError: returned 'no', not a list"),
+    ("wrapper=True", "if 0: yield\n        return []", "as a wrapper: StopIteration"),
+    ("", "while True: yield Last", "returned more than 10,000 things; the list must end")])
+def test_a_broken_wrapper_or_endless_hook_changes_nothing(install, registry, how, body, reason):
+    install("wrapping", WRAPPERS.format(name="x", how=how, body=body))
+    names = registry()
+    assert names.names("models") == Registry([]).names("models")
+    assert reason in names.failures()[0].what
+
+
+def test_the_first_called_takes_no_name_of_termsel(install, registry):
+    install("rival", WRAPPERS.format(name="rfm", how="tryfirst=True", body="return [Last]"))
+    names = registry()
+    assert names.get("models", "rfm").__module__ == "termsel.models.rational"
+    assert names.names("models")[0] == "rival:rfm"
+
+
+def test_every_listener_has_a_copy_and_a_process_of_its_own(install, registry, tmp_path):
+    install("a-changer", f"""
+        import os, random, sys, warnings
+        import numpy as np
+        from termsel import hookimpl
+        @hookimpl
+        def termsel_run_finished(result):
+            result['a'].append(1)
+            os.chdir({str(tmp_path)!r})
+            warnings.simplefilter('error')
+            np.seterr(all='raise')
+            random.seed(1)
+            np.random.seed(1)
+            sys.stdout = None
+            sys.exit(3)""")
+    install("b-listener", """
+        from termsel import hookimpl
+        heard = []
+        @hookimpl
+        def termsel_run_finished(result): heard.append(result)""")
+    before = _process()
+    given = {"a": []}
+    registry().notify_run_finished(given)
+    assert given == sys.modules["b_listener"].heard[0] == {"a": []}
+    assert sys.modules["b_listener"].heard[0] is not given
+    assert _process() == before
+
+
+def _process():
+    name, keys, *rest = np.random.get_state()
+    return (os.getcwd(), list(warnings.filters), np.geterr(), random.getstate(), name,
+            keys.tobytes(), rest, sys.stdout)
 
 
 def test_what_a_plugin_prints_does_not_reach_stdout(install, registry, capsys):
@@ -447,7 +549,7 @@ def test_what_a_plugin_prints_does_not_reach_stdout(install, registry, capsys):
 def test_the_traceback_of_a_plugin_is_shown_for_its_author(install, registry, capsys, monkeypatch):
     install("a-broken-one", "import no_such_module")
     monkeypatch.setenv("TERMSEL_DEBUG", "1")
-    registry()
+    assert registry().failures()
     assert "Traceback" in capsys.readouterr().err
 
 

@@ -8,6 +8,7 @@ from operator import index
 from typing import Any, ClassVar
 
 from termsel.errors import TermselError, unknown_name
+from termsel.guard.calls import Check, Guarded
 
 COUNT = 1_000_000
 """Most of what is counted, where an option has no limit of its own: more is a mistake of typing."""
@@ -183,7 +184,7 @@ def resolve(declared: Iterable[Option], given: Mapping[str, Any]) -> dict[str, A
     return {name: option.parse(given.get(name, option.default)) for name, option in options.items()}
 
 
-class Configurable:
+class Configurable(Guarded):
     """A named thing with declared options; base of models, solvers and criteria.
 
     Parameters
@@ -199,6 +200,7 @@ class Configurable:
 
     name: ClassVar[str]
     declared_options: ClassVar[tuple[Option, ...]] = ()
+    guards: ClassVar[Mapping[str, Check | None]] = {"__init__": None}
 
     def __init__(self, **options: Any) -> None:
         self.options: dict[str, Any] = resolve(self.declared_options, options)

@@ -27,6 +27,7 @@ ROOMS = {
     "files": "files: found, opened, written whole or not at all; rasters; what is remote",
     "measurements": "features, roles, areas, coordinates, scaling, data sets",
     "options": "typed, documented options",
+    "guard": "calls into plugins: faults, isolation, limits of time",
     "threads": "threads of linear algebra",
     "interrupts": "Ctrl-C that is not lost",
     "errors": "what the user can correct",

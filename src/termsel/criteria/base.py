@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
@@ -13,6 +14,8 @@ from termsel.adjustment.equations import line_normals
 from termsel.adjustment.parts import Part
 from termsel.criteria.losses import SQUARES, figure
 from termsel.fits.fittable import Fittable
+from termsel.guard.arrays import of_shape
+from termsel.guard.calls import Check
 from termsel.measurements.features import (
     BoolArray,
     FeatureSet,
@@ -183,8 +186,17 @@ class Fits:
         return figure(np.sqrt(squares / errors), self.in_use * errors, loss, threshold)
 
 
+def _score_fault(_criterion: Criterion, value: Any, fits: Fits) -> str | None:
+    """Return what is wrong with figures of merit, if anything."""
+    return of_shape(value, (len(fits.terms),), finite=False)
+
+
 class Criterion(Configurable, ABC):
     """A figure of merit of fitted models; smaller is better."""
+
+    kind = "criterion"
+    guards: ClassVar[Mapping[str, Check | None]] = {
+        "score": _score_fault, "subset_cost": None, "subset_folds": None}
 
     needs_check: ClassVar[bool] = True
     """Whether the figure requires check points."""

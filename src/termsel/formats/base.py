@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import json
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
+import numpy as np
+
 from termsel.errors import TermselError
 from termsel.files.atomic import private_folder
 from termsel.files.names import is_open_pipe, is_there, refuse_pipe
+from termsel.guard.arrays import of_type
+from termsel.guard.calls import Check
 from termsel.measurements.features import FeatureSet
 from termsel.options import Configurable
 
@@ -20,6 +24,22 @@ if TYPE_CHECKING:
 
 _HEAD = 65536  # bytes shown to sniff(): room for a long comment before a header
 _UTF16 = (b"\xff\xfe", b"\xfe\xff")
+
+
+def _answer_fault(_own: Configurable, value: Any, *_args: Any) -> str | None:
+    """Return what is wrong with a yes or no, if anything."""
+    return None if isinstance(value, bool | np.bool_) else \
+        f"returned {value!r:.100}; expected True or False"
+
+
+def _features_fault(_own: Configurable, value: Any, *_args: Any) -> str | None:
+    return of_type(value, FeatureSet)
+
+
+def _files_fault(_own: Configurable, value: Any, *_args: Any) -> str | None:
+    return None if isinstance(value, tuple) and value \
+        and all(isinstance(file, Path) for file in value) \
+        else f"returned {value!r:.100}; expected a tuple of paths"
 
 
 class Reader(Configurable, ABC):
@@ -37,6 +57,10 @@ class Reader(Configurable, ABC):
         Whether it reads areas, given with ``--areas``, as points or lines. Such a
         reader has the option `areas_as`: "boundary" for lines, "centroid" for points.
     """
+
+    kind = "reader"
+    guards: ClassVar[Mapping[str, Check | None]] = {
+        "sniff": _answer_fault, "read": _features_fault}
 
     name: ClassVar[str]
     summary: ClassVar[str]
@@ -90,6 +114,10 @@ class Writer(Configurable, ABC):
     suffix : str
         Ending of the file names that ``termsel run --export`` chooses.
     """
+
+    kind = "writer"
+    guards: ClassVar[Mapping[str, Check | None]] = {
+        "accepts": _answer_fault, "files": _files_fault, "write": None}
 
     name: ClassVar[str]
     summary: ClassVar[str]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import ExitStack
 from itertools import zip_longest
@@ -9,10 +10,17 @@ from pathlib import Path
 from typing import Any
 
 from termsel.errors import TermselError, counted, unknown_name
+from termsel.files.atomic import private_folder
 from termsel.formats.base import Reader, is_utf16, located, read_head, read_once, utf16_error
+from termsel.guard.faults import PluginFault, is_own, name_of
 from termsel.measurements.crs import EXAMPLES, check_ground, normalise
 from termsel.measurements.features import FeatureSet, join_lines, join_points, no_lines, no_points
 from termsel.plugins.registry import registry
+
+log = logging.getLogger(__name__)
+
+_NOISE = bytes(range(1, 256)) * 4
+"""What no reader recognises, unless it recognises anything."""
 
 
 def read(
@@ -112,9 +120,11 @@ def find_reader(path: Path, readers: Iterable[type[Reader]], format: str | None 
         raise unknown_name("file format", format, [reader.name for reader in known])
     expected = "Expected one of: " + "; ".join(f"{r.name}: {r.summary}" for r in known) + "."
     head = read_head(path, expected)
-    for reader in chosen or known:
-        if chosen or reader.sniff(path, head):
-            return reader
+    if chosen:
+        return chosen[0]
+    found = _recognising(path, head, known)
+    if found is not None:
+        return found
     if is_utf16(head):
         raise utf16_error(path)
     if any(name in head for name in (b"LINE_NUM_COEFF", b"lineNumCoef", b"Global_RFM")):
@@ -123,6 +133,52 @@ def find_reader(path: Path, readers: Iterable[type[Reader]], format: str | None 
                                 "package termsel-rpc.")
     kind = "binary file" if b"\0" in head else "file"
     raise TermselError(f"this {kind} is in no format that termsel knows", file=path, hint=expected)
+
+
+def _recognising(path: Path, head: bytes, readers: Sequence[Reader]) -> Reader | None:
+    """Return the reader that recognises a file; built-in ones come first, in their order.
+
+    Every reader of a plugin is asked: one that fails, or recognises noise as well, is left out with
+    a warning, so that it takes no file of another.
+
+    Raises
+    ------
+    TermselError
+        If the readers of several plugins recognise the file.
+    """
+    own = next((one for one in readers if is_own(type(one)) and one.sniff(path, head)), None)
+    claims = []
+    for reader in readers:
+        if is_own(type(reader)):
+            continue
+        try:
+            if reader.sniff(path, head):
+                claims.append(reader)
+        except PluginFault as fault:
+            log.warning("Warning: %s", fault)
+    if own is not None or len(claims) < 2:
+        for reader in claims if own is not None else ():
+            log.warning("Note: %s recognises %s too; --format %s reads it so.", name_of(reader),
+                        path.name, reader.name)
+        return own or next(iter(claims), None)
+    choosy = [reader for reader in claims if not _greedy(reader, path)]
+    if len(choosy) == 1:
+        return choosy[0]
+    raise TermselError(
+        f"several readers recognise this file: {', '.join(map(name_of, claims))}", file=path,
+        hint="Choose one: " + " or ".join(f"--format {reader.name}" for reader in claims) + ".")
+
+
+def _greedy(reader: Reader, path: Path) -> bool:
+    """Return whether a reader recognises noise as well, and say so."""
+    with private_folder() as folder:
+        noise = folder / path.name
+        noise.write_bytes(_NOISE)
+        if not reader.sniff(noise, _NOISE):
+            return False
+    log.warning("Warning: %s recognises any file, so it is not used without --format %s.",
+                name_of(reader), reader.name)
+    return True
 
 
 def _with_options(reader: type[Reader], given: Mapping[str, Any]) -> Reader:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from copy import copy
-from typing import TYPE_CHECKING, ClassVar, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
 
@@ -13,6 +14,8 @@ from termsel.adjustment.interpolation import Interpolation
 from termsel.errors import TermselError
 from termsel.fits.fit import Fit
 from termsel.fits.of_features import control_of, fit_all_terms
+from termsel.guard.arrays import of_shape, of_type
+from termsel.guard.calls import Check
 from termsel.measurements.crs import to_wgs84
 from termsel.measurements.features import FeatureSet, FloatArray, IntArray
 from termsel.measurements.scaling import Scaling
@@ -25,6 +28,45 @@ LINE, SAMPLE, BOTH = 0, 1, 2
 """Image axis a term acts on."""
 
 
+def _terms_fault(_model: SensorModel, value: Any) -> str | None:
+    """Return what is wrong with names of terms, if anything."""
+    if isinstance(value, tuple) and value and all(isinstance(name, str) for name in value) \
+            and len(set(value)) == len(value):
+        return None
+    return f"returned {value!r:.200}; expected a tuple of different names"
+
+
+def _equations_fault(model: SensorModel, value: Any, *args: Any) -> str | None:
+    """Return what is wrong with equations, if anything; None stands for no linearisation."""
+    if value is None and len(args) == 2:
+        return None
+    return (of_type(value, Equations)
+            or of_shape(value.A, (-1, len(model.terms)), what="returned as A")
+            or of_shape(value.b, (len(value.A),), what="returned as b")
+            or of_shape(value.feature, (len(value.A),), what="returned as feature"))
+
+
+def _image_fault(_model: SensorModel, value: Any, coefficients: FloatArray, *args: Any,
+                 ) -> str | None:
+    """Return what is wrong with image positions, if anything; at a pole they are not finite."""
+    ground = args[-1]
+    return of_shape(value, (*np.shape(coefficients)[:-1], len(ground), 2), finite=False)
+
+
+def _denominators_fault(model: SensorModel, value: Any, coefficients: FloatArray,
+                        ground: FloatArray) -> str | None:
+    return None if value is None else _image_fault(model, value, coefficients, ground)
+
+
+def _weights_fault(_model: SensorModel, value: Any, control: FloatArray, ground: FloatArray,
+                   ) -> str | None:
+    return None if value is None else of_shape(value, (len(ground), len(control)))
+
+
+def _model_fault(_model: SensorModel, value: Any, *_args: Any) -> str | None:
+    return of_type(value, SensorModel)
+
+
 class SensorModel(Configurable, ABC):
     """A mapping from ground to image whose terms can be switched on and off.
 
@@ -32,6 +74,14 @@ class SensorModel(Configurable, ABC):
     `termsel.measurements.scaling`). A model that depends on its place on Earth finds it in
     `scaling` and `crs`, or calls `geographic`.
     """
+
+    kind = "model"
+    guards: ClassVar[Mapping[str, Check | None]] = {
+        "terms": _terms_fault, "axis": None, "prepared": _model_fault,
+        "equations": _equations_fault, "linearised": _equations_fault, "project": _image_fault,
+        "predict": _image_fault, "denominators": _denominators_fault,
+        "residual_weights": _weights_fault, "interpolation": None, "as_rpc": None,
+        "polynomial_degree": None}
 
     uses_height: ClassVar[bool] = True
 

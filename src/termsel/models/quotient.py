@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from abc import abstractmethod
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
 from termsel.adjustment.equations import Equations, line_normals
 from termsel.adjustment.lines import approximate_image, image_equations
 from termsel.errors import TermselError
+from termsel.guard.arrays import of_shape, of_type
+from termsel.guard.calls import Check
 from termsel.measurements.features import FeatureSet, FloatArray, IntArray
 from termsel.models.base import BOTH, LINE, SAMPLE, SensorModel
 from termsel.models.terms import AXES, Term
@@ -48,6 +51,14 @@ _LAYOUT = (
 )
 
 
+def _blocks_fault(_model: RationalModel, value: Any, ground: FloatArray) -> str | None:
+    """Return what is wrong with the columns of a model, if anything."""
+    return of_type(value, Blocks) or next(filter(None, (
+        of_shape(columns, (len(ground), -1), what=f"returned as {name}")
+        for name, columns in vars(value).items() if columns is not None
+        or name in ("line", "sample"))), None)
+
+
 class RationalModel(SensorModel):
     """A model whose line and sample are each a quotient of two linear forms.
 
@@ -55,6 +66,8 @@ class RationalModel(SensorModel):
     (1 + d c), sample likewise. Subclasses give the columns in `blocks`; equations of points
     and lines, projection and fast evaluation follow.
     """
+
+    guards: ClassVar[Mapping[str, Check | None]] = {"blocks": _blocks_fault, "column_names": None}
 
     @abstractmethod
     def blocks(self, ground: FloatArray) -> Blocks:

@@ -4,18 +4,21 @@ from __future__ import annotations
 
 import os
 import re
-import sys
+import time
 import traceback
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import redirect_stdout
-from dataclasses import dataclass, replace
-from functools import partial
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field, replace
+from functools import cache, partial
+from importlib.machinery import PathFinder
 from importlib.metadata import Distribution, EntryPoint, distributions
+from pathlib import Path
 from typing import Any, TypeVar
 
 import pluggy
 
 from termsel.errors import unknown_name
+from termsel.guard.faults import told
+from termsel.guard.isolation import Isolated
 from termsel.plugins import builtin, hookspecs
 from termsel.plugins.hookspecs import PROJECT
 from termsel.version import __version__
@@ -72,16 +75,18 @@ class Remark:
         return f"plugin {self.plugin!r} of {package}: {self.what}"
 
 
-def attempt(call: Callable[[], T]) -> tuple[T, None] | tuple[None, str]:
+def attempt(call: Callable[[], T], package: str = "") -> tuple[T, None] | tuple[None, str]:
     """Run code of a plugin.
 
-    What it prints goes to stderr, as stdout belongs to results. ``TERMSEL_DEBUG=1`` shows
-    the traceback of what it raises.
+    What it prints goes to stderr, as stdout belongs to results, and what it changes of the process
+    is put back. ``TERMSEL_DEBUG=1`` shows the traceback of what it raises.
 
     Parameters
     ----------
     call : callable
         Without arguments.
+    package : str
+        The top-level module of the plugin.
 
     Returns
     -------
@@ -89,7 +94,7 @@ def attempt(call: Callable[[], T]) -> tuple[T, None] | tuple[None, str]:
         The value and None, or None and what was raised.
     """
     try:
-        with redirect_stdout(sys.stderr):
+        with Isolated(package):
             return call(), None
     # A plugin may raise anything at all, even leave the program while it is imported, and
     # must not take termsel or another plugin with it. This is the one place for that.
@@ -104,6 +109,47 @@ def canonical(distribution: str) -> str:
     return re.sub(r"[-_.]+", "-", distribution.strip()).lower()
 
 
+@dataclass
+class Slot:
+    """A plugin and its code, which is imported when something needs it.
+
+    Parameters
+    ----------
+    plugin : Plugin
+    load : callable
+        Imports the module.
+    module : str
+        Its name.
+    may_have : callable
+        Takes the name of a hook; returns False where the plugin certainly does not implement it.
+    hooks : mapping
+        What it implements, once it is loaded.
+    seconds : float
+        How long its import and its hooks took.
+    """
+
+    plugin: Plugin
+    load: Callable[[], Any]
+    module: str
+    may_have: Callable[[str], bool]
+    hooks: dict[str, pluggy.HookImpl] = field(default_factory=dict)
+    loaded: bool = False
+    seconds: float = 0.0
+
+    @property
+    def package(self) -> str:
+        """The top-level module."""
+        return self.module.partition(".")[0]
+
+    def attempt(self, call: Callable[[], T]) -> tuple[T, None] | tuple[None, str]:
+        """Run code of the plugin (see `attempt`), and note how long it takes."""
+        start = time.perf_counter()
+        try:
+            return attempt(call, self.package)
+        finally:
+            self.seconds += time.perf_counter() - start
+
+
 class Loader:
     """The plugins and their hooks.
 
@@ -114,28 +160,37 @@ class Loader:
     """
 
     def __init__(self, entry_points: Iterable[EntryPoint] | None = None) -> None:
-        self._manager = pluggy.PluginManager(PROJECT)
-        self._manager.add_hookspecs(hookspecs)
-        self.plugins: list[Plugin] = []
         self.failures: list[Remark] = []
-        self._load(Plugin("builtin", PROJECT, __version__), lambda: builtin)
+        self._missing: list[Plugin] = []
         points = self._installed() if entry_points is None else entry_points
-        external = [(_plugin_of(point), point) for point in points]
-        for plugin, point in sorted(external, key=lambda x: (x[0].distribution, x[0].name)):
-            self._load(plugin, point.load)
+        external = [Slot(_plugin_of(point), point.load, point.module, hooks_in_source(point))
+                    for point in points]
+        self.slots = [
+            Slot(Plugin("builtin", PROJECT, __version__), lambda: builtin, builtin.__name__,
+                 lambda _hook: True),
+            *sorted(external, key=lambda slot: (slot.plugin.distribution, slot.plugin.name))]
 
-    def implementations(self, hook: str) -> Iterator[tuple[Plugin, Callable[..., Any]]]:
-        """Yield each plugin that implements a hook, and its implementation.
+    @property
+    def plugins(self) -> list[Plugin]:
+        """All plugins as far as they are loaded, the built-in one first."""
+        return [*(slot.plugin for slot in self.slots), *self._missing]
 
-        The implementation takes all arguments of the hook by keyword. The built-in plugin is
-        the first, others follow by distribution and name.
+    def load_all(self) -> None:
+        """Import every plugin."""
+        for slot in self.slots:
+            self._load(slot)
+
+    def slots_of(self, hook: str) -> list[Slot]:
+        """Return the plugins that implement a hook, the built-in one first; import no others.
+
+        Parameters
+        ----------
+        hook : str
         """
-        found = {implementation.plugin_name: implementation
-                 for implementation in getattr(self._manager.hook, hook).get_hookimpls()}
-        for plugin in self.plugins:
-            implementation = found.get(_key(plugin))
-            if implementation is not None:
-                yield plugin, partial(_call, implementation)
+        for slot in self.slots:
+            if slot.may_have(hook):
+                self._load(slot)
+        return [slot for slot in self.slots if hook in slot.hooks]
 
     def _installed(self) -> list[EntryPoint]:
         """Return the entry points of the installed plugins that may be used."""
@@ -156,33 +211,81 @@ class Loader:
                 points += found
             seen.add(name)
         for name in sorted(wanted - seen):
-            self._fail(Plugin("", name, ""), "named in TERMSEL_PLUGINS, but not installed")
+            self._missing.append(Plugin("", name, ""))
+            self.failures.append(self._missing[-1].remark(
+                "named in TERMSEL_PLUGINS, but not installed"))
         return points
 
-    def _load(self, plugin: Plugin, load: Callable[[], Any]) -> None:
-        module, reason = attempt(load)
+    def _load(self, slot: Slot) -> None:
+        if slot.loaded:
+            return
+        slot.loaded = True
+        plugin, manager = slot.plugin, new_manager()
+        told(slot.package, f"{plugin.distribution} {plugin.version}".strip())
+        module, reason = slot.attempt(slot.load)
         if reason is not None:
-            self._fail(plugin, f"cannot be imported: {reason}")
+            self.failures.append(plugin.remark(f"cannot be imported: {reason}"))
             return
-        _, reason = attempt(lambda: self._manager.register(module, _key(plugin)))
+        _, reason = slot.attempt(lambda: manager.register(module, _key(plugin)))
         if reason is not None:
-            # Some versions of pluggy leave the hooks before the wrong one registered.
-            self._manager.unregister(name=_key(plugin))
-            self._fail(plugin, f"does not fit the hooks: {reason}")
+            self.failures.append(plugin.remark(f"does not fit the hooks: {reason}"))
             return
-        hooks = sorted(caller.name for caller in self._manager.get_hookcallers(module) or ())
-        if not hooks:
-            self._fail(plugin, "no hooks; its functions need the decorator termsel.hookimpl")
-            return
-        self.plugins.append(replace(plugin, hooks=tuple(h for h in hooks if h in HOOKS)))
+        found = {caller.name: implementation
+                 for caller in manager.get_hookcallers(module) or ()
+                 for implementation in caller.get_hookimpls()}
+        if not found:
+            self.failures.append(plugin.remark(
+                "no hooks; its functions need the decorator termsel.hookimpl"))
         # Its other hooks count: it may be written for a later termsel that has more of them.
-        for hook in hooks:
-            if hook not in HOOKS:
-                self.failures.append(plugin.remark(str(unknown_name("hook", hook, HOOKS))))
+        for hook in sorted(found.keys() - set(HOOKS)):
+            self.failures.append(plugin.remark(str(unknown_name("hook", hook, HOOKS))))
+        slot.hooks = {hook: found[hook] for hook in sorted(found.keys() & set(HOOKS))}
+        slot.plugin = replace(plugin, hooks=tuple(slot.hooks))
 
-    def _fail(self, plugin: Plugin, what: str) -> None:
-        self.plugins.append(plugin)
-        self.failures.append(plugin.remark(what))
+
+def new_manager() -> pluggy.PluginManager:
+    """Return a manager that knows the hooks, and no plugins."""
+    manager = pluggy.PluginManager(PROJECT)
+    manager.add_hookspecs(hookspecs)
+    return manager
+
+
+def hooks_in_source(point: EntryPoint) -> Callable[[str], bool]:
+    """Return a function that tells whether a plugin may implement a hook, without importing it.
+
+    A hook can only be left out where the source of the module is there, names another hook, and
+    takes no names from elsewhere by ``*``.
+
+    Parameters
+    ----------
+    point : importlib.metadata.EntryPoint
+    """
+    @cache
+    def source() -> str:
+        return "" if point.attr else _source(point.module)
+
+    def may_have(hook: str) -> bool:
+        text = source()
+        return hook in text or "import *" in text or not any(name in text for name in HOOKS)
+
+    return may_have
+
+
+def _source(module: str) -> str:
+    """Return the text of a module; nothing where it cannot be found without an import."""
+    spec, path = None, None
+    parts = module.split(".")
+    for i in range(len(parts)):
+        spec = PathFinder.find_spec(".".join(parts[:i + 1]), path)
+        if spec is None:
+            return ""
+        path = spec.submodule_search_locations
+    if spec is None or spec.origin is None or not spec.origin.endswith(".py"):
+        return ""
+    try:
+        return Path(spec.origin).read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError):
+        return ""
 
 
 def _key(plugin: Plugin) -> str:
@@ -197,7 +300,3 @@ def _plugin_of(point: EntryPoint) -> Plugin:
     if point.dist is None:  # made by hand, not found in a distribution
         return Plugin(point.name, canonical(point.module), "")
     return Plugin(point.name, canonical(point.dist.name), point.dist.version or "")
-
-
-def _call(implementation: pluggy.HookImpl, **arguments: Any) -> Any:
-    return implementation.function(*(arguments[name] for name in implementation.argnames))

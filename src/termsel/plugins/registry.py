@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
+from copy import deepcopy
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
 from importlib.metadata import EntryPoint
@@ -11,12 +12,15 @@ from typing import TYPE_CHECKING, Any
 
 from termsel.errors import printable, unknown_name
 from termsel.options import Configurable
+from termsel.plugins.calling import Answers, call, listed
 from termsel.plugins.commands import COMMANDS
 from termsel.plugins.hookspecs import PROJECT
 from termsel.plugins.kinds import KINDS, summary
 from termsel.plugins.loading import Loader, Plugin, Remark, attempt, canonical
 
 if TYPE_CHECKING:
+    import click
+
     from termsel.results.result import Result
 
 _PACKAGES = {
@@ -81,7 +85,7 @@ class Provided:
 class Registry:
     """Everything that has a name.
 
-    Plugins are loaded at once; their hooks are called when a kind is needed.
+    Plugins are loaded, and their hooks called, when a kind is needed that they may provide.
 
     Parameters
     ----------
@@ -97,8 +101,13 @@ class Registry:
 
     @property
     def plugins(self) -> tuple[Plugin, ...]:
-        """All plugins, the built-in one first, also those that could not be loaded."""
+        """All plugins, loaded now, the built-in one first, also those that could not be loaded."""
+        self._loader.load_all()
         return tuple(self._loader.plugins)
+
+    def seconds(self) -> dict[Plugin, float]:
+        """Return how long each plugin took: its import, and the hooks that were called [s]."""
+        return {slot.plugin: slot.seconds for slot in self._loader.slots}
 
     def entries(self, kind: str) -> list[Entry]:
         """Return everything of a kind.
@@ -147,7 +156,8 @@ class Registry:
 
     def version(self, distribution: str) -> str:
         """Return the version of a distribution that provides a plugin."""
-        return next(one.version for one in self.plugins if one.distribution == distribution)
+        return next(one.version for one in self._loader.plugins
+                    if one.distribution == distribution)
 
     def failures(self, *kinds: str) -> list[Remark]:
         """Return what does not work: plugins that cannot be loaded, then things of the kinds.
@@ -155,12 +165,13 @@ class Registry:
         Parameters
         ----------
         *kinds : str
-            As for `entries`; all of them by default.
+            As for `entries`; by default all of them, and every plugin is loaded.
         """
-        found = list(self._loader.failures)
-        for kind in kinds or (*KINDS, "commands"):
-            found += self._collect(kind).failures
-        return found
+        if not kinds:
+            self._loader.load_all()
+        of_kinds = [failure for kind in kinds or (*KINDS, "commands")
+                    for failure in self._collect(kind).failures]
+        return [*self._loader.failures, *of_kinds]
 
     def notes(self, *kinds: str) -> list[Remark]:
         """Return what works in a way that is deprecated.
@@ -175,7 +186,7 @@ class Registry:
 
     def hint(self, name: str, *kinds: str) -> str:
         """Return a sentence on where an unknown name may come from, or nothing."""
-        installed = {plugin.distribution for plugin in self.plugins}
+        installed = {plugin.distribution for plugin in self._loader.plugins}
         distribution = canonical(name.rpartition(":")[0])
         if distribution and distribution not in installed:
             return f"It comes with the package {distribution}, which is not installed."
@@ -189,59 +200,69 @@ class Registry:
                 "see termsel plugins.")
 
     def notify_run_finished(self, result: Result) -> None:
-        """Call the hook of every plugin for a finished run; warn on stderr of those that fail."""
+        """Give every plugin that asks for it a copy of a finished run; warn of those that fail."""
         hook = f"{PROJECT}_run_finished"
-        for plugin, call in self._loader.implementations(hook):
-            _, reason = attempt(partial(call, result=result))
-            if reason is not None:
-                print(printable(f"Warning: {plugin.remark(f'{hook}: {reason}')}"), file=sys.stderr)
+        answers = self._call(hook, result=lambda _plugin: deepcopy(result))
+        for plugin, reason in answers.faults:
+            print(printable(f"Warning: {plugin.remark(f'{hook}: {reason}')}"), file=sys.stderr)
+
+    def _call(self, hook: str, **arguments: Any) -> Answers:
+        """Call a hook that returns nothing, of all plugins that implement it."""
+        return call(hook, self._loader.slots_of(hook), lambda _value: [], arguments)
 
     def _collect(self, kind: str) -> Provided:
         """Return what is provided of a kind, asking plugins once."""
         if kind not in self._provided:
             hook = f"{PROJECT}_{kind}"
+            entries, faults = self._things(kind) if kind in KINDS else self._commands()
+            owners = dict.fromkeys(COMMANDS, PROJECT) if kind == "commands" else {}
+            # Whoever is called first, a built-in thing keeps its name.
+            owners |= {entry.name: PROJECT for _, entry in entries if entry.provided_by == PROJECT}
             found = Provided()
-            for plugin, call in self._loader.implementations(hook):
-                offered, faults = (_things(kind, plugin, call) if kind in KINDS
-                                   else _commands(plugin, call))
-                for entry in offered:
-                    clash = _add(found.entries, entry, kind)
-                    if clash is not None:
-                        faults.append(clash)
-                    if entry.note:
-                        found.notes.append(plugin.remark(f"{hook}: {entry.note}"))
-                found.failures.extend(plugin.remark(f"{hook}: {fault}") for fault in faults)
+            for plugin, entry in entries:
+                clash = _add(found.entries, entry, kind, owners)
+                if clash is not None:
+                    faults.append((plugin, clash))
+                if entry.note:
+                    found.notes.append(plugin.remark(f"{hook}: {entry.note}"))
+            found.failures.extend(plugin.remark(f"{hook}: {fault}") for plugin, fault in faults)
             self._provided[kind] = found
         return self._provided[kind]
+
+    def _things(self, kind: str) -> Offered:
+        """Return what plugins offer of a kind, and what is wrong with the rest."""
+        hook = f"{PROJECT}_{kind}"
+        answers = call(hook, self._loader.slots_of(hook), listed)
+        entries = []
+        for plugin, thing in answers.things:
+            entry, reason = attempt(partial(_entry, kind, plugin, thing))
+            if entry is not None:
+                entries.append((plugin, entry))
+            if reason is not None:
+                answers.faults.append((plugin, reason))
+        return entries, answers.faults
+
+    def _commands(self) -> Offered:
+        """Return the commands that plugins add, and what is wrong."""
+        import click
+
+        # Each plugin has its own group, so that none replaces a command of another.
+        groups: dict[Plugin, click.Group] = {}
+        answers = self._call(f"{PROJECT}_commands",
+                             cli=lambda plugin: groups.setdefault(plugin, click.Group()))
+        return ([(plugin, Entry(name, command.get_short_help_str(), plugin.distribution, command))
+                 for plugin, group in groups.items() for name, command in group.commands.items()],
+                answers.faults)
+
+
+Offered = tuple[list[tuple[Plugin, Entry]], list[tuple[Plugin, str]]]
+"""Entries with their plugins, and plugins with their faults."""
 
 
 @cache
 def registry() -> Registry:
     """Return the registry of this process, with all installed plugins."""
     return Registry()
-
-
-def _things(
-    kind: str, plugin: Plugin, call: Callable[..., Any]
-) -> tuple[list[Entry], list[str]]:
-    """Return what a plugin offers of a kind, and what is wrong with the rest."""
-    things, reason = attempt(partial(_listed, call))
-    faults = [] if reason is None else [reason]
-    entries = []
-    for thing in things or ():
-        entry, reason = attempt(partial(_entry, kind, plugin, thing))
-        if entry is not None:
-            entries.append(entry)
-        if reason is not None:
-            faults.append(reason)
-    return entries, faults
-
-
-def _listed(call: Callable[..., Any]) -> list[Any]:
-    value = call()
-    if isinstance(value, str | type) or not isinstance(value, Iterable):
-        raise TypeError(f"returned {value!r}, not a list")
-    return list(value)
 
 
 def _entry(kind: str, plugin: Plugin, thing: Any) -> Entry:
@@ -253,30 +274,16 @@ def _entry(kind: str, plugin: Plugin, thing: Any) -> Entry:
     return Entry(made.name, summary(made), plugin.distribution, made, note)
 
 
-def _commands(plugin: Plugin, call: Callable[..., Any]) -> tuple[list[Entry], list[str]]:
-    """Return the commands a plugin adds, and what is wrong."""
-    import click
-
-    # Each plugin has its own group, so that none replaces a command of another.
-    group = click.Group()
-    _, reason = attempt(partial(call, cli=group))
-    return ([Entry(name, command.get_short_help_str(), plugin.distribution, command)
-             for name, command in group.commands.items()],
-            [] if reason is None else [reason])
-
-
-def _add(entries: list[Entry], entry: Entry, kind: str) -> str | None:
+def _add(entries: list[Entry], entry: Entry, kind: str, owners: dict[str, str]) -> str | None:
     """Append an entry, by its full name where its name is taken; return how it clashes."""
-    owners = {other.name: other.provided_by for other in entries}
-    if kind == "commands":
-        owners |= dict.fromkeys(COMMANDS, PROJECT)
-    owner = owners.get(entry.name)
-    if owner is None:
+    full = f"{entry.provided_by}:{entry.name}"
+    names = {other.name for other in entries}
+    owner = owners.setdefault(entry.name, entry.provided_by)
+    if owner == entry.provided_by and entry.name not in names:
         entries.append(entry)
         return None
     word = KINDS[kind].word if kind in KINDS else "command"
-    full = f"{entry.provided_by}:{entry.name}"
-    if owner == entry.provided_by or full in owners:
+    if owner == entry.provided_by or full in names:
         return f"provides the {word} {entry.name!r} twice; only the first is kept"
     entries.append(replace(entry, name=full))
     return (f"provides the {word} {entry.name!r}, a name that {owner} has too; "

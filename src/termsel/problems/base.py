@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
 from termsel.criteria import Criterion
 from termsel.errors import TermselError, unknown_name
+from termsel.guard.arrays import of_shape, of_type
+from termsel.guard.calls import Check, Guarded
 from termsel.measurements.features import BoolArray, FeatureSet, FloatArray, IntArray, Points
 from termsel.models.base import SensorModel
 
@@ -190,8 +192,30 @@ class EnumerablePart:
     pixels: float = 1.0
 
 
-class Problem(ABC):
+def evaluation_fault(problem: Problem, value: Any, genes: BoolArray) -> str | None:
+    """Return what is wrong with the evaluation of a population, if anything."""
+    n, names = len(genes), problem.objectives
+    return (of_type(value, Evaluation)
+            or of_shape(value.objectives, (n, len(names)), what="returned as objectives")
+            or of_shape(value.violation, (n,), what="returned as violation"))
+
+
+def _selection_fault(_problem: Problem, value: Any, *_args: Any) -> str | None:
+    """Return what is wrong with a decoded selection, if anything."""
+    what = of_type(value, Selection)
+    if what is None:
+        for part, names in (("terms", value.terms), ("features", value.features)):
+            if not isinstance(names, tuple) or not all(isinstance(name, str) for name in names):
+                return f"returned as {part} {names!r:.200}; expected a tuple of names"
+    return what
+
+
+class Problem(Guarded, ABC):
     """What a solver sees: a genome, names of objectives, and an evaluation of genes."""
+
+    kind = "problem"
+    guards: ClassVar[Mapping[str, Check | None]] = {
+        "evaluate": evaluation_fault, "decode": _selection_fault, "parts": None, "design": None}
 
     genome: Genome
     objectives: tuple[str, ...]

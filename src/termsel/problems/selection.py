@@ -160,7 +160,7 @@ class SelectionProblem(Problem):
         good = violation == 0
         score = np.full(len(genes), WORST)
         if good.any():
-            score[good] = _scored(inputs.criterion, Fits(
+            score[good] = inputs.criterion.score(Fits(
                 inputs.model, inputs.control.points, inputs.check, inputs.pixels, terms[good],
                 coefficients[good], inputs.control.lines, self._parts,
                 None if features is None else features[good], self._gene_of_term))
@@ -232,16 +232,6 @@ class SelectionProblem(Problem):
             return np.zeros(len(terms))
         line, sample = terms[:, axis == LINE], terms[:, axis == SAMPLE]
         return np.asarray(2.0 - line.any(axis=1) - sample.any(axis=1))
-
-
-def _scored(criterion: Criterion, fits: Fits) -> FloatArray:
-    """Return one figure for each fitted model; refuse a criterion that gives anything else."""
-    score, n = criterion.score(fits), len(fits.terms)
-    if np.shape(score) != (n,):
-        raise TermselError(f"criterion {criterion.name!r} gives figures of shape "
-                           f"{np.shape(score)} for {n} fitted models, not of shape ({n},)",
-                           hint="This is a bug in the criterion: tell its author.")
-    return score
 
 
 def _objectives(inputs: Inputs) -> tuple[str, ...]:

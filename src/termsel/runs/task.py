@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,6 +11,8 @@ import numpy as np
 from termsel.criteria import Criterion
 from termsel.errors import TermselError, counted, printable
 from termsel.fits.diagnosis import orientation_spread
+from termsel.guard.arrays import of_type
+from termsel.guard.faults import blamed, wrong
 from termsel.measurements.features import FeatureSet, Points
 from termsel.measurements.roles import Observations, asked_roles, check_as_control, with_roles
 from termsel.measurements.roles import observe as assign_roles
@@ -199,7 +201,9 @@ def ask(
                            hint="Leave one of them out; off goes with both.")
     if features is None:
         spec = names.get("datasets", dataset or recipe.dataset)
-        features = spec.load()
+        with blamed(spec.load, "load"):
+            features = spec.load()
+        _require_type(spec.load, "load", features, FeatureSet)
         source = f"{spec.name} (simulated)" if spec.simulated else spec.name
     features = with_roles(features, named)
     return Request(recipe, model_type(**{**own, **chosen["model"]}), the_criterion,
@@ -273,13 +277,22 @@ def build(request: Request, observations: Observations, scaling: Scaling,
     scaling : Scaling
     inputs : Inputs
     """
-    problem = request.recipe.build(inputs)
+    with blamed(request.recipe.build, "build"):
+        problem = request.recipe.build(inputs)
+    _require_type(request.recipe.build, "build", problem, Problem)
     require_able(problem, request.solver,
                  [entry.object for entry in registry().entries("solvers")])
     data = {**request.options["data"], "check_as": _check_as(request, observations)}
     return Task(request.recipe, problem, inputs.model, request.solver, request.criterion,
                 observations, scaling, request.features, request.source,
                 {"problem": inputs.options, "data": data})
+
+
+def _require_type(function: Callable[..., Any], name: str, value: Any, wanted: type) -> None:
+    """Refuse what a function of a plugin must not return."""
+    what = of_type(value, wanted)
+    if what is not None:
+        raise wrong(function, name, what)
 
 
 def _of_problem(recipe: Recipe, given: Mapping[str, Any], criterion: Criterion,

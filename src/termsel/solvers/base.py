@@ -9,9 +9,11 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from termsel.guard.arrays import of_type
+from termsel.guard.calls import Check
 from termsel.measurements.features import BoolArray
 from termsel.options import Configurable, Option
-from termsel.problems.base import Evaluation, Problem
+from termsel.problems.base import Evaluation, Problem, evaluation_fault
 
 POLISH = Option("polish", True, "Local refinement after the search: add, drop and swap genes "
                 "as long as that helps, from many starts. The result records what it added. Its "
@@ -40,8 +42,27 @@ class Generation:
     details: Mapping[str, Any] = field(default_factory=dict)
 
 
+def _generation_fault(_solver: Solver, value: Any, problem: Problem, *_args: Any) -> str | None:
+    """Return what is wrong with a generation, if anything."""
+    what = of_type(value, Generation)
+    if what is not None:
+        return what.replace("returned", "yielded")
+    if not isinstance(value.index, int) or isinstance(value.index, bool) or value.index < 0:
+        return f"yielded the index {value.index!r:.100}; expected a whole number from 0"
+    if not isinstance(value.details, Mapping):
+        return "yielded details that are no mapping"
+    size = problem.genome.size
+    if not isinstance(value.genes, np.ndarray) or value.genes.shape[1:] != (size,):
+        return (f"yielded genes of shape {np.shape(value.genes)}; expected an array of shape "
+                f"(n, {size})")
+    return evaluation_fault(problem, value.evaluation, value.genes)
+
+
 class Solver(Configurable, ABC):
     """A search. Subclasses yield generations; budgets and records are kept by the run."""
+
+    kind = "solver"
+    guards: ClassVar[Mapping[str, Check | None]] = {"generations": _generation_fault}
 
     min_objectives: ClassVar[int] = 1
     max_objectives: ClassVar[int] = 1

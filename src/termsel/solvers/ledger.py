@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from termsel.errors import TermselError
+from termsel.guard.isolation import Returned
 from termsel.measurements.features import BoolArray, FloatArray
 from termsel.problems.base import EnumerablePart, Evaluation, Problem, Selection
 from termsel.solvers.base import Generation
@@ -81,6 +82,10 @@ class Ledger(Problem):
 
     def evaluate(self, genes: BoolArray) -> Evaluation:
         """Return the evaluation, computing only what is not known."""
+        with Returned():
+            return self._evaluate(genes)
+
+    def _evaluate(self, genes: BoolArray) -> Evaluation:
         if self.deadline is not None and self.count and time.perf_counter() > self.deadline:
             raise BudgetSpent
         self._require_bits(genes)

@@ -10,6 +10,7 @@ from functools import partial
 from typing import Any, TypeVar
 
 from termsel.errors import unknown_name
+from termsel.guard.calls import unguarded
 from termsel.options import Configurable
 from termsel.plugins.kinds import KINDS, summary
 
@@ -125,7 +126,7 @@ def _run(name: str, function: Callable[[Any], None], cases: tuple[Case, ...],
 def _run_case(name: str, function: Callable[[Any], None], case: Case) -> None:
     try:
         # The user of the plugin would see a warning such as "divide by zero".
-        with warnings.catch_warnings():
+        with warnings.catch_warnings(), unguarded():
             warnings.simplefilter("error", RuntimeWarning)
             function(case.make())
     except AssertionError as failure:

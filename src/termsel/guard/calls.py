@@ -1,0 +1,117 @@
+"""The guard of methods: every class of a plugin has it, and no class of termsel pays for it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from contextvars import ContextVar
+from functools import cached_property, wraps
+from typing import Any, ClassVar
+
+from termsel.guard.faults import OWN, blamed, package_of, wrong
+from termsel.guard.isolation import inside
+
+Check = Callable[..., str | None]
+"""Takes the object, what a method returned and the method's arguments; returns what is wrong with
+it and what was expected, after the name of the method, or None."""
+
+_off: ContextVar[bool] = ContextVar("off", default=False)
+
+
+@contextmanager
+def unguarded() -> Iterator[None]:
+    """Call plugins as they are, as the conformance suites do, which find more than the guard."""
+    token = _off.set(True)
+    try:
+        yield
+    finally:
+        _off.reset(token)
+
+
+class Guarded:
+    """Base of what plugins derive from: methods of theirs that termsel calls are guarded.
+
+    A subclass that is defined outside termsel gets each of its `guards` wrapped when it is made.
+    What the method raises becomes a `termsel.guard.faults.PluginFault`, which names the plugin and
+    the line; what it returns is checked; what it changes of the process is put back. Calls from
+    within the same package are not guarded again.
+    """
+
+    kind: ClassVar[str] = ""
+    """What one of them is called in messages."""
+
+    guards: ClassVar[Mapping[str, Check | None]] = {}
+    """The methods, with a check of what they return. A subclass adds to those of its base."""
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        super().__init_subclass__(**options)
+        if package_of(cls) == OWN:
+            return
+        for name, check in _guards(cls).items():
+            found = cls.__dict__.get(name)
+            if isinstance(found, property) and found.fget is not None:
+                setattr(cls, name, property(_guarded(name, found.fget, check), found.fset,
+                                            found.fdel, found.__doc__))
+            elif isinstance(found, cached_property):
+                cached = cached_property(_guarded(name, found.func, check))
+                cached.__set_name__(cls, name)
+                setattr(cls, name, cached)
+            elif callable(found) and not isinstance(found, type):
+                wrapped = _iterated if name == "generations" else _guarded
+                setattr(cls, name, wrapped(name, found, check))
+
+
+def _guards(cls: type) -> dict[str, Check | None]:
+    """Return the guards of a class and all its bases."""
+    return {name: check for base in reversed(cls.__mro__)
+            for name, check in base.__dict__.get("guards", {}).items()}
+
+
+def _plain(thing: Any) -> bool:
+    """Return whether a call needs no guard: from the same package, or from a conformance suite."""
+    return _off.get() or inside() == package_of(type(thing))
+
+
+def _guarded(name: str, function: Callable[..., Any], check: Check | None) -> Callable[..., Any]:
+    @wraps(function)
+    def call(self: Any, *args: Any, **given: Any) -> Any:
+        if _plain(self):
+            return function(self, *args, **given)
+        with blamed(self, name):
+            value = function(self, *args, **given)
+        what = check(self, value, *args, **given) if check is not None else None
+        if what is not None:
+            raise wrong(self, name, what)
+        return value
+
+    return call
+
+
+def _iterated(name: str, function: Callable[..., Any], check: Check | None) -> Callable[..., Any]:
+    """Return the guard of a method that returns an iterator, each step of which is guarded."""
+    @wraps(function)
+    def call(self: Any, *args: Any, **given: Any) -> Iterator[Any]:
+        if _plain(self):
+            found: Iterator[Any] = function(self, *args, **given)
+            return found
+        return steps(self, *args, **given)
+
+    def steps(self: Any, *args: Any, **given: Any) -> Iterator[Any]:
+        with blamed(self, name):
+            iterator = iter(function(self, *args, **given))
+        try:
+            while True:
+                with blamed(self, name):
+                    try:
+                        value = next(iterator)
+                    except StopIteration:
+                        return
+                what = check(self, value, *args, **given) if check is not None else None
+                if what is not None:
+                    raise wrong(self, name, what)
+                yield value
+        finally:
+            with blamed(self, name):
+                getattr(iterator, "close", lambda: None)()
+
+    return call

@@ -1,0 +1,142 @@
+"""Faults of plugins: which plugin, where in its code, and what was expected."""
+
+from __future__ import annotations
+
+import inspect
+import os
+import sys
+import traceback
+from collections.abc import Iterator
+from contextlib import contextmanager
+from importlib.metadata import PackageNotFoundError, packages_distributions, version
+from types import TracebackType
+from typing import Any
+
+from termsel.errors import TermselError
+from termsel.guard.isolation import Isolated, is_marked
+
+OWN = "termsel"
+
+HINT = "This is a bug in the plugin, not your mistake: tell its author."
+
+_packages: dict[str, str] = {}
+
+
+class PluginFault(TermselError):
+    """Code of a plugin failed, or returned what it must not; the command ends with exit code 2."""
+
+
+def told(package: str, distribution: str) -> None:
+    """Remember the distribution and version that a top-level module comes with.
+
+    Parameters
+    ----------
+    package : str
+    distribution : str
+        Such as "termsel-demo 1.0".
+    """
+    _packages[package] = distribution
+
+
+def package_of(thing: Any) -> str:
+    """Return the top-level module in which a class, function or object is defined."""
+    named = thing if hasattr(thing, "__module__") else type(thing)
+    return str(named.__module__).partition(".")[0]
+
+
+def is_own(thing: Any) -> bool:
+    """Return True for what is defined in termsel itself."""
+    return package_of(thing) == OWN
+
+
+def distribution_of(package: str) -> str:
+    """Return the distribution and version of a top-level module, as far as they are known."""
+    if package in _packages:
+        return _packages[package]
+    for name in packages_distributions().get(package, ()):
+        try:
+            return f"{name} {version(name)}"
+        except PackageNotFoundError:
+            continue
+    return "this session" if package == "__main__" else f"the module {package}"
+
+
+def name_of(thing: Any) -> str:
+    """Return what a message calls a thing: its kind, its name and its distribution."""
+    cls = thing if isinstance(thing, type) else type(thing)
+    named = getattr(thing, "name", None)
+    called = repr(named) if isinstance(named, str) else getattr(thing, "__name__", cls.__name__)
+    return f"{getattr(cls, 'kind', '')} {called} of {distribution_of(package_of(thing))}".strip()
+
+
+def wrong(thing: Any, method: str, what: str) -> PluginFault:
+    """Return the fault of a method that returned what it must not.
+
+    Parameters
+    ----------
+    thing : object
+    method : str
+        Such as "score".
+    what : str
+        What it returned and what was expected, after the name of the method.
+    """
+    file, line = _defined(thing, method)
+    return PluginFault(f"{name_of(thing)}: {method}() {what}", file=file, line=line, hint=HINT)
+
+
+@contextmanager
+def blamed(thing: Any, method: str) -> Iterator[None]:
+    """Run code of a plugin in isolation; what it raises becomes its fault.
+
+    termsel's own errors pass, such as a `TermselError` on a file that the user can correct.
+
+    Parameters
+    ----------
+    thing : object
+        The class, function or object that is called; what belongs to termsel is called as it is.
+    method : str
+        For the message.
+
+    Raises
+    ------
+    PluginFault
+    """
+    package = package_of(thing)
+    if package == OWN:
+        yield
+        return
+    try:
+        with Isolated(package):
+            yield
+    # A plugin may raise anything at all, even leave the program.
+    except (Exception, SystemExit) as error:
+        if is_own(type(error)) or is_marked(error):
+            raise
+        if os.environ.get("TERMSEL_DEBUG") == "1":
+            traceback.print_exc()
+        file, line = _raised(error.__traceback__, package)
+        raised = f"{type(error).__name__}: {' '.join(str(error).split())}".rstrip(": ")
+        raise PluginFault(f"{name_of(thing)} failed in {method}(): {raised}", file=file, line=line,
+                          hint=HINT) from error
+
+
+def _raised(trace: TracebackType | None, package: str) -> tuple[str | None, int | None]:
+    """Return the innermost line of the package's code in a traceback."""
+    found: tuple[str | None, int | None] = (None, None)
+    while trace is not None:
+        module = str(trace.tb_frame.f_globals.get("__name__", ""))
+        if module.partition(".")[0] == package:
+            found = trace.tb_frame.f_code.co_filename, trace.tb_lineno
+        trace = trace.tb_next
+    return found
+
+
+def _defined(thing: Any, method: str) -> tuple[str | None, int | None]:
+    """Return where a method is defined."""
+    found = getattr(thing if isinstance(thing, type) else type(thing), method, thing)
+    found = getattr(found, "fget", None) or getattr(found, "func", found)
+    code = getattr(inspect.unwrap(found), "__code__", None)
+    if code is None:
+        module = sys.modules.get(str(getattr(found, "__module__", "")))
+        return getattr(module, "__file__", None), None
+    return code.co_filename, code.co_firstlineno

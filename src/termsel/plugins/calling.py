@@ -1,0 +1,169 @@
+"""Call a hook by pluggy, wrappers and order included, so that a broken plugin harms no other."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Generator, Iterable, Mapping
+from dataclasses import dataclass, field
+from functools import partial, wraps
+from types import SimpleNamespace
+from typing import Any
+
+import pluggy
+
+from termsel.plugins.hookspecs import PROJECT
+from termsel.plugins.loading import Plugin, Slot, new_manager
+
+MOST = 10_000
+"""Things that a plugin may return from a hook: a generator without an end is no list."""
+
+
+@dataclass
+class Answers:
+    """What plugins answered to a hook.
+
+    Parameters
+    ----------
+    things : list
+        Each thing that a plugin gave, with the plugin, in pluggy's order.
+    faults : list
+        Plugins that failed, with the reason.
+    """
+
+    things: list[tuple[Plugin, Any]] = field(default_factory=list)
+    faults: list[tuple[Plugin, str]] = field(default_factory=list)
+
+
+Arguments = Mapping[str, Callable[[Plugin], Any]]
+"""What makes each argument of a hook, anew for each plugin."""
+
+Taken = Callable[[Any], list[Any]]
+"""Takes what a plugin returned; returns the things that it gives."""
+
+
+def call(hook: str, slots: Iterable[Slot], taken: Taken, arguments: Arguments | None = None,
+         ) -> Answers:
+    """Call a hook of all plugins through pluggy.
+
+    ``tryfirst``, ``trylast`` and wrappers work as pluggy documents them. Without them the built-in
+    plugin is called first, and others follow by distribution and name.
+
+    Parameters
+    ----------
+    hook : str
+    slots : iterable of Slot
+        The plugins that implement it.
+    taken : callable
+        Raises TypeError for what a plugin may not return.
+    arguments : mapping, optional
+        By name; what makes each of them, so that no plugin changes what another one gets.
+    """
+    answers, givers, arguments = Answers(), _Givers(), arguments or {}
+    manager = new_manager()
+    # pluggy calls first what is registered last.
+    for slot in reversed(list(slots)):
+        guard = _wrapper if slot.hooks[hook].wrapper or slot.hooks[hook].hookwrapper else _plain
+        function = guard(slot, slot.hooks[hook], arguments, taken, answers, givers)
+        manager.register(SimpleNamespace(**{hook: function}), _key(slot))
+    results = getattr(manager.hook, hook)(**dict.fromkeys(arguments))
+    for one in results:
+        answers.things += [(givers.of(thing), thing) for thing in one]
+    return answers
+
+
+class _Givers:
+    """Which plugin gave a thing: wrappers pass on the things of others."""
+
+    def __init__(self) -> None:
+        self._plugins: dict[int, tuple[Plugin, Any]] = {}  # with the thing, so that its id stays
+
+    def gave(self, plugin: Plugin, things: Iterable[Any]) -> None:
+        for thing in things:
+            self._plugins.setdefault(id(thing), (plugin, thing))
+
+    def of(self, thing: Any) -> Plugin:
+        return self._plugins[id(thing)][0]
+
+
+def listed(value: Any) -> list[Any]:
+    """Return what a hook returned as a list.
+
+    Raises
+    ------
+    TypeError
+        If it is none, or has no end.
+    """
+    if isinstance(value, str | type) or not isinstance(value, Iterable):
+        raise TypeError(f"returned {value!r}, not a list")
+    things: list[Any] = []
+    for thing in value:
+        things.append(thing)
+        if len(things) > MOST:
+            raise TypeError(f"returned more than {MOST:,} things; the list must end")
+    return things
+
+
+def _plain(slot: Slot, implementation: pluggy.HookImpl, arguments: Arguments, taken: Taken,
+           answers: Answers, givers: _Givers) -> Callable[..., Any]:
+    """Return an implementation that never raises; what it returns is a list of things."""
+    @wraps(implementation.function)
+    def answer(*_args: Any, **_given: Any) -> list[Any] | None:
+        things, reason = slot.attempt(
+            lambda: taken(_called(implementation, slot.plugin, arguments)))
+        if reason is not None:
+            answers.faults.append((slot.plugin, reason))
+        givers.gave(slot.plugin, things or ())
+        return things or None
+
+    return answer
+
+
+def _wrapper(slot: Slot, implementation: pluggy.HookImpl, arguments: Arguments, _taken: Taken,
+             answers: Answers, givers: _Givers) -> Callable[..., Any]:
+    """Return a wrapper that never raises; if it fails, what it wraps is the result."""
+    @wraps(implementation.function)
+    def wrap(*_args: Any, **_given: Any) -> Generator[None, Any, Any]:
+        def begin() -> Generator[None, Any, Any]:
+            running: Generator[None, Any, Any] = _called(implementation, slot.plugin, arguments)
+            next(running)
+            return running
+
+        running, reason = slot.attempt(begin)
+        inner = yield
+        # An old wrapper gets a pluggy.Result, and changes it.
+        before = inner if implementation.wrapper else inner.get_result()
+        made = None
+        if running is not None:
+            made, reason = slot.attempt(partial(_ended, running, inner))
+        if reason is not None:
+            answers.faults.append((slot.plugin, f"as a wrapper: {reason}"))
+        for things in made or ():
+            givers.gave(slot.plugin, things)
+        kept = before if made is None else made
+        if implementation.hookwrapper:
+            inner.force_result(kept)
+        return kept
+
+    return wrap
+
+
+def _ended(running: Generator[None, Any, Any], inner: Any) -> list[list[Any]] | None:
+    """Send a wrapper what it wraps; return what it makes of it, None where that is nothing."""
+    old = not isinstance(inner, list)
+    try:
+        running.send(inner if old else list(inner))
+    except StopIteration as end:
+        made = inner.get_result() if old else end.value
+        return None if made is None else [listed(one) for one in listed(made)]
+    running.close()
+    raise RuntimeError("it yields twice")
+
+
+def _called(implementation: pluggy.HookImpl, plugin: Plugin, arguments: Arguments) -> Any:
+    return implementation.function(
+        *(arguments[name](plugin) for name in implementation.argnames),
+        **{name: arguments[name](plugin) for name in implementation.kwargnames
+           if name in arguments})
+
+
+def _key(slot: Slot) -> str:
+    return f"{PROJECT}:{slot.plugin.distribution}:{slot.plugin.name}"
