@@ -34,7 +34,7 @@ class Answers:
 
 
 Arguments = Mapping[str, Callable[[Plugin], Any]]
-"""What makes each argument of a hook, anew for each plugin."""
+"""What makes each argument of a hook, a new one for each plugin."""
 
 Taken = Callable[[Any], list[Any]]
 """Takes what a plugin returned; returns the things that it gives."""
