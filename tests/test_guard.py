@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import random
 import sys
+import time
 import warnings
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -19,8 +22,9 @@ from termsel.guard.calls import unguarded
 from termsel.guard.faults import PluginFault
 from termsel.models.polynomial import Affine
 from termsel.problems.base import Evaluation, Genome, Problem, Segment, Selection
+from termsel.solvers import silence
 from termsel.solvers.base import Generation, Solver
-from termsel.solvers.search import search
+from termsel.solvers.search import Search, search
 from termsel.solvers.yardsticks import RandomSearch
 
 
@@ -166,6 +170,51 @@ def test_classes_of_termsel_are_not_wrapped() -> None:
     for cls in (Affine, RandomSearch, termsel.SelectionProblem):
         assert not [name for name, value in vars(cls).items() if hasattr(value, "__wrapped__")]
     assert hasattr(Once.generations, "__wrapped__")
+
+
+@pytest.mark.parametrize("wait", [lambda: time.sleep(60), lambda: _forever()],
+                         ids=["sleeps", "computes"])
+@pytest.mark.parametrize("in_thread", [False, True], ids=["main thread", "other thread"])
+def test_a_silent_solver_ends_with_its_time(
+        wait: Callable[[], None], in_thread: bool, monkeypatch: pytest.MonkeyPatch,
+        caplog: pytest.LogCaptureFixture) -> None:
+    if in_thread and "sleep" in wait.__code__.co_names:
+        pytest.skip("only a signal ends a sleep, and signals reach the main thread alone")
+    monkeypatch.setattr(silence, "LONG", 0.1)
+    monkeypatch.setattr(silence, "GRACE", 0.2)
+    monkeypatch.setattr(silence, "_EVERY", 0.1)
+    seen: list[str] = []
+
+    class Stuck(Once):
+        name = "stuck"
+
+        def generations(self, problem: Problem, rng: np.random.Generator) -> Iterator[Generation]:
+            yield from super().generations(problem, rng)
+            wait()
+
+    def run() -> Search:
+        return search(Ones(), Stuck(), seconds=0.5,
+                      observers=[lambda progress: seen.append(progress.what)])
+
+    start = time.perf_counter()
+    with caplog.at_level(logging.INFO, "termsel"):
+        if in_thread:
+            with ThreadPoolExecutor(1) as pool:
+                found = pool.submit(run).result()
+        else:
+            found = run()
+    assert time.perf_counter() - start < 10
+    assert found.evaluations == 4
+    assert "solver 'stuck' of the module tests has yielded nothing for 0 s" in seen
+    assert "yielded nothing until its time was spent" in caplog.text
+
+
+def _forever() -> None:
+    while True:
+        try:
+            sum(range(100))
+        except Exception:  # noqa: BLE001 - as careless code does
+            continue
 
 
 def test_conformance_suites_see_the_plugin_as_it_is() -> None:

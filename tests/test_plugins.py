@@ -353,6 +353,18 @@ def test_a_plugin_of_the_old_rule_serves_commands(install, only, call, tmp_path)
         termsel.read(tmp_path / "b")
 
 
+def test_slow_imports_are_named(install, only, call):
+    code = MODEL.format(name="m").replace("\n    ", "\n")
+    install("slow-one", f"import time; time.sleep(0.35){code}")
+    only("slow-one")
+    shown = call("plugins", "--time").stdout
+    assert "Slow: plugin 'slow_one' of slow-one 1.0 takes 0." in shown
+    assert "Slow: plugin 'builtin'" not in shown
+    found = json.loads(call("plugins", "--time", "--json").stdout)
+    assert [one["seconds"] > 0.3 for one in found[1:]] == [True]
+    assert "seconds" not in json.loads(call("plugins", "--json").stdout)[1]
+
+
 NEW_RULE = {
     "models": MODEL.format(name="new"),
     "solvers": """

@@ -12,10 +12,15 @@ from termsel.cli.tables import print_json, print_table
 if TYPE_CHECKING:
     from termsel.plugins.loading import Plugin, Remark
 
+SLOW = 0.3
+"""Seconds that a user notices."""
+
 
 @click.command()
 @click.option("--json", "as_json", is_flag=True, help="Print a JSON array.")
-def plugins(as_json: bool) -> None:
+@click.option("--time", "timed", is_flag=True,
+              help="Show the seconds that each plugin takes: its import, and all its hooks.")
+def plugins(as_json: bool, timed: bool) -> None:
     """List plugins, and what is wrong with them.
 
     A plugin is a package with an entry point in the group `termsel`. A plugin that is broken,
@@ -28,24 +33,33 @@ def plugins(as_json: bool) -> None:
     \b
     Examples:
       termsel plugins
+      termsel plugins --time
       TERMSEL_PLUGINS= termsel list models
     """
     from termsel.plugins.registry import registry
 
     names = registry()
     failures, notes = names.failures(), names.notes()
+    seconds = names.seconds() if timed else {}
     if as_json:
         print_json([{
             "name": plugin.name, "distribution": plugin.distribution, "version": plugin.version,
             "hooks": list(plugin.hooks), "status": _status(plugin, failures),
-            "reasons": _about(plugin, failures), "notes": _about(plugin, notes)}
+            "reasons": _about(plugin, failures), "notes": _about(plugin, notes),
+            **({"seconds": round(seconds.get(plugin, 0.0), 4)} if timed else {})}
             for plugin in names.plugins])
         return
     print_table(
-        ("name", "distribution", "version", "status", "hooks"),
+        ("name", "distribution", "version", "status", *(["seconds"] if timed else []), "hooks"),
         [(plugin.name, plugin.distribution, plugin.version, _status(plugin, failures),
+          *([f"{seconds.get(plugin, 0.0):.3f}"] if timed else []),
           " ".join(hook.removeprefix("termsel_") for hook in plugin.hooks))
          for plugin in names.plugins])
+    slow = [plugin for plugin, taken in seconds.items() if taken > SLOW]
+    for plugin in slow:
+        if plugin.distribution != "termsel":
+            echo(f"Slow: plugin {plugin.name!r} of {plugin.distribution} {plugin.version} takes "
+                 f"{seconds[plugin]:.1f} s. Its author can import slow modules inside functions.")
     for command in names.entries("commands"):
         echo(f"Command {command.name!r} of {command.provided_by}: {command.summary}")
     for failure in failures:

@@ -71,6 +71,7 @@ class Ledger(Problem):
         self.limit = evaluations
         self.deadline = deadline
         self.after_evaluation: Callable[[], None] = lambda: None
+        self.busy = False
         self.count = 0
         self.lookups = 0
         self.best: tuple[float, float] = (np.inf, np.inf)
@@ -82,8 +83,12 @@ class Ledger(Problem):
 
     def evaluate(self, genes: BoolArray) -> Evaluation:
         """Return the evaluation, computing only what is not known."""
-        with Returned():
-            return self._evaluate(genes)
+        self.busy = True
+        try:
+            with Returned():
+                return self._evaluate(genes)
+        finally:
+            self.busy = False
 
     def _evaluate(self, genes: BoolArray) -> Evaluation:
         if self.deadline is not None and self.count and time.perf_counter() > self.deadline:

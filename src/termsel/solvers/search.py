@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
+from contextlib import closing
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,6 +17,7 @@ from termsel.problems.base import Evaluation, Problem
 from termsel.solvers.base import Generation, Solver
 from termsel.solvers.budget import Budget
 from termsel.solvers.ledger import BudgetSpent, Ledger, Progress
+from termsel.solvers.silence import heard
 from termsel.solvers.swap import climb, neighbours
 from termsel.threads import one_blas_thread
 
@@ -27,6 +29,9 @@ See docs/evidence/solver-table.md."""
 DESCENT = 100_000_000
 """Most genes that the first descent of the local refinement evaluates, in all its individuals: of
 thousands of points, one look at all neighbours of a selection would take hours."""
+
+NONE = Evaluation(np.full((1, 1), np.inf), np.zeros(1))
+"""Of an individual, before a solver has evaluated any."""
 
 Observer = Callable[[Progress], None]
 
@@ -124,7 +129,8 @@ def search(
     seconds : float, optional
         Budget of time; the current evaluation is finished.
     observers : iterable of callable
-        Called with `Progress` after each generation, and in the local refinement.
+        Called with `Progress` after each generation, and in the local refinement; in another thread
+        while a solver of a plugin yields nothing for 10 s.
 
     Returns
     -------
@@ -152,14 +158,21 @@ def search(
     polish = None
     interrupted = False
     rng = np.random.default_rng(seed)
-    running = solver.generations(ledger, rng)
+
+    def tell(what: str) -> None:
+        reached = generation or Generation(0, np.zeros((1, problem.genome.size), dtype=bool), NONE)
+        for observe in observers:
+            observe(ledger.progress(reached, budget.share(reached, ledger), what))
+
+    running = heard(solver.generations(ledger, rng), solver, ledger, tell)
     try:
-        for generation in _until_spent(running):
-            progress = ledger.progress(generation, budget.share(generation, ledger))
-            for observe in observers:
-                observe(progress)
-            if budget.spent(generation, ledger):
-                break
+        with closing(_until_spent(running)) as yielded:
+            for generation in yielded:
+                progress = ledger.progress(generation, budget.share(generation, ledger))
+                for observe in observers:
+                    observe(progress)
+                if budget.spent(generation, ledger):
+                    break
         done, lookups = ledger.count, ledger.lookups
         if solver.options.get("polish"):
             polish = _polish(ledger, rng, generation, observers)
@@ -214,7 +227,7 @@ def _require_names(problem: Problem) -> None:
             "names", hint="This is a bug in the problem: tell its author.")
 
 
-def _until_spent(running: Iterator[Generation]) -> Iterator[Generation]:
+def _until_spent(running: Iterator[Generation]) -> Generator[Generation]:
     try:
         yield from running
     except BudgetSpent:
