@@ -31,9 +31,9 @@ from termsel.io.read import read
 from termsel.measurements.features import FeatureSet, FloatArray, Points
 from termsel.runs.run import run
 from termsel.simulate import simulate_scene
+from termsel.simulate.catalogue import SCENES
 from termsel.simulate.maps import NAME as OLD_MAP
 from termsel.simulate.maps import simulate_map
-from termsel.simulate.scenes import SCENES
 
 ROOT = Path(__file__).parents[1]
 DATA = Path(os.environ.get("TERMSEL_DATA", ROOT.parent / "shared" / "data"))

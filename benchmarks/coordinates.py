@@ -23,7 +23,7 @@ from termsel.models.polynomial import Affine, Polynomial3D
 from termsel.models.projective import DLT3D
 from termsel.runs.fit_crs import SYSTEMS, fit_crs_of
 from termsel.simulate import simulate_scene
-from termsel.simulate.scenes import SCENES
+from termsel.simulate.catalogue import SCENES
 
 COUNTS = (6, 8, 12, 16, 24, 40)
 MODELS: dict[str, SensorModel] = {

@@ -19,8 +19,8 @@ from benchmarks.accuracy import heights_of, names, put, rmse_of, split
 from termsel.candidates.portfolio import choose, repeated
 from termsel.fits.accuracy import LEVEL, Predicted, predicted_rmse
 from termsel.measurements.features import FeatureSet, FloatArray
+from termsel.simulate.catalogue import SCENES
 from termsel.simulate.maps import NAME as OLD_MAP
-from termsel.simulate.scenes import SCENES
 from termsel.threads import one_blas_thread
 
 COUNTS = (6, 8, 12, 16, 20, 30, 40, 74)

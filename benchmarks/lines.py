@@ -27,7 +27,8 @@ from termsel.measurements.features import FeatureSet, Points, select
 from termsel.measurements.roles import Observations, observe, together
 from termsel.measurements.scaling import scaling_of
 from termsel.models.rpc import Rpc
-from termsel.simulate.scenes import SCENES, Scene, scene_truth, simulate_scene
+from termsel.simulate.catalogue import SCENES, Scene
+from termsel.simulate.scenes import scene_truth, simulate_scene
 
 ROOT = Path(__file__).parents[1]
 REAL = {"ikonos_lines": "ikonos_montevideo", "ventoux_lines": "pleiades_ventoux_left"}

@@ -26,7 +26,7 @@ from termsel.candidates import local
 from termsel.candidates.portfolio import best_of, choose
 from termsel.measurements.features import FeatureSet, Points
 from termsel.simulate import simulate_map
-from termsel.simulate.scenes import SCENES
+from termsel.simulate.catalogue import SCENES
 
 COUNTS = (20, 40, 74)
 MAPS: dict[str, dict[str, Any]] = {

@@ -21,7 +21,7 @@ from termsel.fits.fit import Fit
 from termsel.fits.next_places import rank_places
 from termsel.measurements.features import FeatureSet, FloatArray, Points
 from termsel.simulate import scene_truth, simulate_scene
-from termsel.simulate.scenes import SCENES
+from termsel.simulate.catalogue import SCENES
 from termsel.threads import one_blas_thread
 
 COUNTS = (8, 12, 20, 40)

@@ -353,3 +353,16 @@ def test_whole_runs(solver: type[Solver]) -> None:
     found = search(task.problem, solver(), seed=1, evaluations=4000)
     assert found.polish is not None
     assert found.objectives[0] == pytest.approx(exact.objectives["check-rmse"], rel=1e-9)
+
+
+def test_the_two_best_are_the_parents_of_all() -> None:
+    """Without mutation, children have a gene only if the best or the second best has it."""
+    problem = termsel.prepare("poly-terms", solver="ga").problem
+    solver = termsel.prepare("poly-terms", solver="ga", options={
+        "parents": "two-best", "population": 30, "mutation": 0.0, "elite": 0,
+        "max_share": 1}).solver
+    first, second = islice(solver.generations(problem, np.random.default_rng(2)), 2)
+    one, other = first.genes[first.evaluation.order()[:2]]
+    assert (second.genes <= (one | other)).all()
+    assert (second.genes >= (one & other)).all()
+    assert len(np.unique(second.genes, axis=0)) > 1

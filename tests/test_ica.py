@@ -268,3 +268,43 @@ def test_the_polynomials_of_the_paper(degree: int, population: int) -> None:
         certificate = gap(task.problem, float(found.objectives[0]))
         assert certificate is not None
         assert certificate["optimal"]
+
+
+def test_empires_that_have_met_unite_by_hand() -> None:
+    genes = np.array([[1, 1, 1, 1], [1, 1, 1, 0], [0, 0, 0, 0], [0, 1, 0, 1], [1, 0, 1, 0],
+                      [1, 1, 0, 0]], dtype=bool)
+    cost = np.array([2.0, 1.0, 3.0, 9.0, 8.0, 7.0])
+    world = Empires(np.array([0, 1, 2, 0, 1, 2]), np.array([0, 1, 2]), np.array([0, 1, 2]))
+    # The first two imperialists differ in one gene of four; the second is the better one.
+    united = world.unite(genes, cost, 0.25)
+    assert united.imperialists.tolist() == [1, 2]
+    assert united.names.tolist() == [1, 2]
+    assert united.empire.tolist() == [0, 0, 1, 0, 0, 1]
+    assert world.unite(genes, cost, 0.24).empire.tolist() == world.empire.tolist()
+    assert world.unite(genes, cost, 1.0).imperialists.tolist() == [1]
+
+
+def test_uniting_ends_a_search_that_hardly_ends_by_itself() -> None:
+    problem = termsel.prepare("poly-terms", solver="ica", options={
+        "degree": 4, "mask": "shared"}).problem
+
+    def ends(**options: object) -> int:
+        solver = ImperialistCompetition(population=100, **options)
+        last = 0
+        for generation in islice(solver.generations(problem, np.random.default_rng(1)), 301):
+            last = generation.index
+        return last
+
+    assert ends() == 300
+    assert ends(uniting=0.02) < 300
+
+
+def test_more_contested_colonies_move_in_one_generation() -> None:
+    problem = termsel.prepare("poly-terms", solver="ica").problem
+
+    def moved(contested: int) -> int:
+        solver = ImperialistCompetition(population=40, contested=contested)
+        first, second = islice(solver.generations(problem, np.random.default_rng(1)), 2)
+        return int((first.details["empire"] != second.details["empire"]).sum())
+
+    assert moved(1) <= 1 < moved(12)

@@ -108,6 +108,43 @@ def test_features_first_then_terms() -> None:
     assert len(result.selection.terms) < 20
 
 
+def test_each_step_has_a_solver_and_options_of_its_own() -> None:
+    options = {"steps": "features-first", "solver.population": 30, "then.population": 7,
+               "solver.polish": False, "then.polish": False, "blunders": "keep"}
+    result = termsel.run("owdis-lines-terms", model="poly3d", solver="ga", generations=8,
+                         options={**options, "then": "pso"})
+    assert result.notes[0].startswith("In two steps: features first by ga, check-rmse ")
+    assert "; then the rest by pso, " in result.notes[0]
+    record = result.to_dict()["options"]
+    assert (record["problem"]["then"], record["then"]["population"]) == ("pso", 7)
+    # The first step is that of a run without the option; the particles search from there on.
+    task = termsel.prepare("owdis-lines-terms", model="poly3d", solver="pso", options={
+        "population": 7, "polish": False, "steps": "features-first"})
+    chosen = result.selection.features
+    is_feature = np.arange(task.problem.genome.size) >= task.problem.genome.slices()[
+        "features"].start
+    genes = is_feature & np.isin(task.problem.genome.labels, chosen)
+    alone = termsel.search(task.problem.frozen(genes, is_feature), task.solver, generations=8)
+    assert task.problem.decode(alone.genes).terms == result.selection.terms
+
+
+@pytest.mark.parametrize(("given", "message"), [
+    ({"then": "pso"}, "steps=joint has one. Add --set steps=features-first"),
+    ({"then": "swarm", "steps": "terms-first"}, "unknown solver 'swarm'"),
+    ({"then": "nsga2", "steps": "terms-first"}, "'nsga2' cannot handle 1 objective"),
+    ({"then": "pso", "steps": "terms-first", "population": 9}, "write|Write solver.population")])
+def test_a_second_solver_that_cannot_be(given: dict[str, object], message: str) -> None:
+    with pytest.raises(termsel.TermselError, match=message):
+        termsel.prepare("owdis-lines-terms", options=given)
+
+
+def test_terms_alone_with_lines_as_control() -> None:
+    result = run("rfm-terms-lines", order=2)
+    assert len(result.selection.features) == 120
+    assert len(result.selection.terms) < 38
+    assert result.fit.control.lines.ids == result.selection.features
+
+
 def test_two_steps_are_for_one_objective() -> None:
     with pytest.raises(termsel.TermselError, match="is for one objective, and there are 2"):
         termsel.run("owdis-lines-terms", solver="nsga2", options={"steps": "terms-first"})

@@ -15,7 +15,7 @@ from termsel.fits.fit import Fit
 from termsel.fits.next_places import rank_places
 from termsel.measurements.features import FeatureSet, FloatArray, Points, no_points
 from termsel.simulate import scene_truth, simulate_scene
-from termsel.simulate.scenes import SCENES
+from termsel.simulate.catalogue import SCENES
 
 
 def _fit(points: Points) -> Fit:

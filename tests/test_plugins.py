@@ -24,8 +24,8 @@ from termsel.plugins.registry import Registry
 from termsel.plugins.registry import registry as process_registry
 
 BUILT_IN = {
-    "problems": {"rfm-terms", "poly-terms", "owdis-points", "owdis-lines", "owdis-points-terms",
-                 "owdis-lines-terms"},
+    "problems": {"rfm-terms", "rfm-terms-lines", "poly-terms", "owdis-points", "owdis-lines",
+                 "owdis-points-terms", "owdis-lines-terms"},
     "models": {"rfm", "poly2d", "poly3d", "affine"},
     "solvers": {"ga", "swap", "random", "all-terms"},
     "criteria": {"check-rmse"},

@@ -12,7 +12,8 @@ import termsel
 from termsel.measurements.features import FeatureSet, FloatArray, Points, no_lines
 from termsel.measurements.places import beyond
 from termsel.simulate import scene_truth, simulate_scene
-from termsel.simulate.scenes import SCENES, _on_ground
+from termsel.simulate.catalogue import SCENES
+from termsel.simulate.scenes import _on_ground
 
 NORMAL_90 = 1.645
 REGIONS = ("inside", "edge", "outside")

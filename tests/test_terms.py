@@ -130,3 +130,12 @@ def test_names_of_a_plugin_have_a_hierarchy_and_shared_genes() -> None:
     assert each.evaluate(lacking[None]).violation == 4  # X and Y, of line and of sample
     shared = termsel.SelectionProblem(inputs, terms=True, features=False, mask="shared")
     assert shared.genome.labels == ("row:1", "row:X", "row:Y", "row:XY")
+
+
+def test_the_double_sum_of_the_papers() -> None:
+    """Valadan Zoej et al. 2002, eq. 6, in its order."""
+    model = termsel.Polynomial2D(degree=2, powers="each")
+    names = [name.split(":")[1] for name in model.terms if name.startswith("line")]
+    assert names == ["1", "X", "Y", "XY", "X2", "Y2", "X2Y", "XY2", "X2Y2"]
+    assert len(termsel.Polynomial2D(degree=3, powers="each").terms) == 2 * 16
+    assert len(termsel.Polynomial2D(degree=4).terms) == 2 * 15

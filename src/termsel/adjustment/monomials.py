@@ -36,6 +36,26 @@ def graded_exponents(degree: int, variables: int) -> Exponents:
         if variables == 3 or i + j == total)
 
 
+def double_sum_exponents(degree: int) -> Exponents:
+    """Return the exponents of all X^i Y^j with i and j up to a degree, (degree + 1)^2 of them.
+
+    In the order of Valadan Zoej et al. 2002, eq. 6: by the higher power, then by the lower, that
+    of X first.
+
+    Parameters
+    ----------
+    degree : int
+
+    Examples
+    --------
+    >>> [monomial_name(e) for e in double_sum_exponents(2)]
+    ['1', 'X', 'Y', 'XY', 'X2', 'Y2', 'X2Y', 'XY2', 'X2Y2']
+    """
+    return tuple(dict.fromkeys(
+        (i, j, 0) for high in range(degree + 1) for low in range(high + 1)
+        for i, j in ((high, low), (low, high))))
+
+
 def monomial_name(exponent: Exponent) -> str:
     """Return the name of a monomial, such as "X2Y"; "1" for the constant."""
     name = "".join(f"{letter}{power if power > 1 else ''}"

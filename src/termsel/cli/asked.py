@@ -59,6 +59,9 @@ _OPTIONS = (
                  help="Sensor model; see `termsel list models`."),
     click.option("--solver", metavar="NAME", shell_complete=complete("solvers"),
                  help="Solver; see `termsel list solvers`."),
+    click.option("--then", metavar="NAME", shell_complete=complete("solvers"),
+                 help="Solver of the second step, with --set steps=features-first or "
+                      "terms-first."),
     click.option("--criterion", metavar="NAME", shell_complete=complete("criteria"),
                  help="What is minimised; see `termsel list criteria`."),
     click.option("--strategy", type=click.Choice(["auto", "as-asked"]),
@@ -125,6 +128,7 @@ class Asked:
     role: tuple[str, ...]
     model: str | None
     solver: str | None
+    then: str | None
     criterion: str | None
     strategy: str | None
     settings: tuple[str, ...]
@@ -142,7 +146,7 @@ class Asked:
     def __post_init__(self) -> None:
         object.__setattr__(self, "options", parse_settings(
             self.settings, fit_crs=self.fit_crs, off=",".join(self.off) or None,
-            role=",".join(self.role) or None))
+            role=",".join(self.role) or None, then=self.then))
         if self.dataset is not None and self.files:
             raise TermselError("--dataset cannot be combined with files",
                                hint="Give --dataset NAME, or --points FILE and --lines FILE.")

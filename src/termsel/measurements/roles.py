@@ -298,3 +298,31 @@ def _assign_blank(xy: FloatArray, shares: Sequence[float], how: str,
     as_control = {"control": "check", "check": "independent"}
     drawn = assign(xy, how=how, fractions=(shares[1], shares[2], 0.0), rng=rng)
     return tuple(as_control[role] for role in drawn)
+
+
+def parsed_shares(text: str, needs_check: bool) -> tuple[float, ...]:
+    """Return the shares of control, check and independent points, from the option "fractions".
+
+    Parameters
+    ----------
+    text : str
+        Such as "1:1:1".
+    needs_check : bool
+        Whether there must be check points.
+
+    Raises
+    ------
+    TermselError
+        If they are not three numbers of at least 0.
+    """
+    try:
+        found = tuple(float(part) for part in text.replace(",", ":").split(":"))
+    except ValueError:
+        found = ()
+    if len(found) != 3 or not np.isfinite(found).all() or min(found) < 0 \
+            or (needs_check and not found[1]):
+        raise TermselError(f"option 'fractions' cannot be {text!r}",
+                           hint="It takes three numbers for control, check and independent, "
+                                "such as 1:1:1 or 0.4:0.3:0.3; check must be above 0 "
+                                "for a criterion that needs check points.")
+    return found

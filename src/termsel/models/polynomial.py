@@ -5,14 +5,20 @@ from __future__ import annotations
 from functools import cached_property
 from typing import ClassVar
 
-from termsel.adjustment.monomials import Exponents, graded_exponents, monomial_name, monomials
+from termsel.adjustment.monomials import (
+    Exponents,
+    double_sum_exponents,
+    graded_exponents,
+    monomial_name,
+    monomials,
+)
 from termsel.measurements.features import FloatArray
 from termsel.models.quotient import Blocks, RationalModel
 from termsel.options import Option
 
 
 class Polynomial(RationalModel):
-    """A polynomial with all monomials up to a total degree, the same for both axes."""
+    """A polynomial with all monomials up to a degree, the same for both axes."""
 
     variables: ClassVar[int] = 3
 
@@ -23,7 +29,7 @@ class Polynomial(RationalModel):
 
     @property
     def polynomial_degree(self) -> int | None:
-        """Total degree; None for a model that goes on from a polynomial."""
+        """Greatest total power; None for a model that goes on from a polynomial."""
         return None if self.corrects else max(map(sum, self.exponents))
 
     def blocks(self, ground: FloatArray) -> Blocks:
@@ -41,16 +47,27 @@ class Polynomial2D(Polynomial):
 
     References
     ----------
-    Valadan Zoej et al. 2002, eqs. 1 and 2; Zakaryaie Nejad et al. 2015, eqs. 1 and 2. Their
-    double sums run over all i, j up to n, but they count 15 and 21 terms, those of total degree
-    4 and 5. `degree` is the total degree.
+    Valadan Zoej et al. 2002, eqs. 1 and 2; Zakaryaie Nejad et al. 2015, eqs. 1 and 2. Both print
+    double sums over all i, j up to n (`powers=each`). Zakaryaie Nejad et al. count 15 and 21 terms,
+    those of total degree 4 and 5 (`powers=total`).
     """
 
     name = "poly2d"
     variables = 2
     uses_height = False
     declared_options: ClassVar[tuple[Option, ...]] = (
-        Option("degree", 4, "Total degree; 4 gives 15 terms per axis, 5 gives 21.", int, 1, 8),)
+        Option("degree", 4, "Degree; a total degree of 4 gives 15 terms per axis, 5 gives 21.",
+               int, 1, 8),
+        Option("powers", "total", "Whether the degree limits the powers of X and Y together, or "
+               "each of them, as in the papers' double sums; then 3 gives 16 terms per axis.",
+               choices=("total", "each")))
+
+    @cached_property
+    def exponents(self) -> Exponents:
+        """Exponents of X, Y, Z of each column."""
+        if self.options.get("powers") == "each":
+            return double_sum_exponents(int(self.options["degree"]))
+        return super().exponents
 
 
 class Polynomial3D(Polynomial):

@@ -73,6 +73,8 @@ TERMS = Option("terms", None, "Terms of the model in use, separated by commas; b
 STEPS = Option("steps", "joint", "Whether terms and features are selected together; or terms "
                "first, with all features, then features with these terms; or the reverse.",
                choices=("joint", "terms-first", "features-first"))
+THEN = Option("then", None, "Solver of the second of two steps (--then); by default that of the "
+              "first.")
 
 OBJECTIVES = Option(
     "objectives", None, "Objectives next to the criterion, separated by commas: n_terms, "
@@ -96,7 +98,7 @@ BLUNDERS = Option(
 _BOTH = (MASK, MIXED, *TERM_OPTIONS, OBJECTIVES)
 OF_TERMS = (*_BOTH, RECOMMEND_TERMS)
 OF_FEATURES = (TERMS, MIXED, *COUNTS, *FORCE_OPTIONS, OBJECTIVES, RECOMMEND, BLUNDERS)
-OF_BOTH = (*_BOTH, RECOMMEND, *COUNTS, STEPS, BLUNDERS)
+OF_BOTH = (*_BOTH, RECOMMEND, *COUNTS, STEPS, THEN, BLUNDERS)
 
 
 def feature_options(**defaults: Any) -> tuple[Option, ...]:
@@ -132,6 +134,11 @@ RECIPES = (
     Recipe("rfm-terms", "Which terms of a rational function model to use.", _terms,
            model="rfm", dataset="ikonos-hamedan", options=OF_TERMS, portfolio=True,
            source="Valadan Zoej et al. 2007; Akhoundi Khezrabad et al. 2020"),
+    Recipe("rfm-terms-lines", "Which terms of a rational function model to use, with lines as "
+           "control.", _terms,
+           model="rfm", dataset="ikonos-hamedan", control="lines", options=OF_TERMS,
+           portfolio=True, search_first=True,
+           source=f"{YAVARI}; its companion on particle swarm could not be consulted"),
     Recipe("poly-terms", "Which terms of a plane polynomial to use.", _terms,
            model="poly2d", dataset="ikonos-hamedan", options=OF_TERMS, portfolio=True,
            source="Valadan Zoej et al. 2002; Zakaryaie Nejad et al. 2015"),
@@ -144,11 +151,11 @@ RECIPES = (
            options=OF_FEATURES, second="n_features", portfolio=True, search_first=True,
            source=YAVARI),
     Recipe("owdis-points-terms", "Which control points and which model terms to use.", _both,
-           model="rfm", model_options={"order": 2, "ridge": 0.0}, dataset="ikonos-hamedan",
+           model="rfm", model_options={"order": 2}, dataset="ikonos-hamedan",
            options=OF_BOTH, portfolio=True, search_first=True,
            source=YAVARI),
     Recipe("owdis-lines-terms", "Which control lines and which model terms to use.", _both,
-           model="rfm", model_options={"order": 2, "ridge": 0.0}, dataset="ikonos-hamedan",
+           model="rfm", model_options={"order": 2}, dataset="ikonos-hamedan",
            control="lines", options=OF_BOTH, portfolio=True, search_first=True,
            source=YAVARI),
 )

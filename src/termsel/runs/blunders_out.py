@@ -1,8 +1,8 @@
 """Features that a selection uses and its own model contradicts: left out, and the search repeated.
 
-Yavari et al. 2018 remark that OWDIS leaves blunders out. It does not leave out all of them: one
-that lies where it hardly moves the check points may stay. That a search is repeated without what
-its result names is termsel's own. A fit without them, of features selected with them, is worse.
+OWDIS leaves out most blunders by its fitness. One that lies where it hardly moves the check points
+may stay. That a search is repeated without what its result names is termsel's own. A fit without
+them, of features selected with them, is worse.
 """
 
 from __future__ import annotations

@@ -126,8 +126,8 @@ def stability(
 
     References
     ----------
-    Meinshausen and Bühlmann 2010, J. R. Stat. Soc. B 72(4), section 2; Akhoundi Khezrabad et al.
-    2020 show the frequency of terms.
+    Meinshausen and Bühlmann 2010, J. R. Stat. Soc. B 72(4), section 2; Zakaryaie Nejad et al. 2015,
+    figure 6, show how often a search selected each term in 120 runs.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""Terms and features selected one after the other, as OWDIS was published."""
+"""Terms and features selected one after the other."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ def search_in_steps(task: Task, **how: Any) -> Search:
 
     "joint" searches terms and features together. "terms-first" selects terms with all features
     in use, then features under these terms; "features-first" selects features under all terms,
-    then terms (Yavari et al. 2018 optimise the terms and the features one after the other).
-    Each step has the whole budget.
+    then terms. The pages of Yavari et al. 2018 that could be consulted combine both and give no
+    sequence. The second step may have a solver of its own. Each step has the whole budget.
 
     Parameters
     ----------
@@ -59,10 +59,13 @@ def search_in_steps(task: Task, **how: Any) -> Search:
                  "the model.")
     if first.interrupted:
         return first
-    second = search(problem.frozen(first.genes, ~later), task.solver, **how)
-    note = (f"In two steps: {word} first, {problem.objectives[0]} {first.objectives[0]:.4g} with "
-            f"{int(first.genes[~later].sum())} of {int((~later).sum())} and everything else in "
-            f"use; then the rest, {second.objectives[0]:.4g}.")
+    solver = task.then or task.solver
+    second = search(problem.frozen(first.genes, ~later), solver, **how)
+    by = [f" by {each.name}" if task.then else "" for each in (task.solver, solver)]
+    note = (f"In two steps: {word} first{by[0]}, {problem.objectives[0]} "
+            f"{first.objectives[0]:.4g} with {int(first.genes[~later].sum())} of "
+            f"{int((~later).sum())} and everything else in use; then the rest{by[1]}, "
+            f"{second.objectives[0]:.4g}.")
     return replace(second, evaluations=first.evaluations + second.evaluations,
                    generations=first.generations + second.generations,
                    lookups=first.lookups + second.lookups,

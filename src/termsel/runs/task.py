@@ -14,7 +14,13 @@ from termsel.fits.diagnosis import orientation_spread
 from termsel.guard.arrays import of_type
 from termsel.guard.faults import blamed, wrong
 from termsel.measurements.features import FeatureSet, Points
-from termsel.measurements.roles import Observations, asked_roles, check_as_control, with_roles
+from termsel.measurements.roles import (
+    Observations,
+    asked_roles,
+    check_as_control,
+    parsed_shares,
+    with_roles,
+)
 from termsel.measurements.roles import observe as assign_roles
 from termsel.measurements.scaling import Scaling, scaling_of
 from termsel.models.base import SensorModel, require_heights
@@ -74,6 +80,8 @@ class Request:
         Where the features come from.
     options : mapping
         Options by part: problem, data.
+    then : Solver, optional
+        Of the second of two steps, if it is another one.
     """
 
     recipe: Recipe
@@ -83,6 +91,7 @@ class Request:
     features: FeatureSet
     source: str
     options: Mapping[str, Mapping[str, Any]]
+    then: Solver | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,6 +113,8 @@ class Task:
         Where the features come from.
     options : mapping
         Options by part: problem, data.
+    then : Solver, optional
+        Of the second of two steps, if it is another one.
     """
 
     recipe: Recipe
@@ -116,6 +127,7 @@ class Task:
     features: FeatureSet
     source: str
     options: Mapping[str, Mapping[str, Any]]
+    then: Solver | None = None
 
 
 def prepare(
@@ -189,7 +201,12 @@ def ask(
     declared = {
         "problem": recipe.options, "data": DATA_OPTIONS, "model": model_type.declared_options,
         "criterion": criterion_type.declared_options, "solver": solver_type.declared_options}
-    chosen = by_part(options or {}, declared)
+    given = options or {}
+    name_of_then = given.get("then", given.get("problem.then"))
+    then_type = None if name_of_then is None else names.get("solvers", name_of_then)
+    if then_type is not None:
+        declared["then"] = then_type.declared_options
+    chosen = by_part(given, declared)
     own = recipe.model_options if model in (None, recipe.model) else {}
     the_criterion = criterion_type(**chosen["criterion"])
     of_problem = _of_problem(recipe, chosen["problem"], the_criterion, solver_type,
@@ -208,7 +225,8 @@ def ask(
     features = with_roles(features, named)
     return Request(recipe, model_type(**{**own, **chosen["model"]}), the_criterion,
                    solver_type(**chosen["solver"]), features,
-                   printable(source or "given in Python"), {"problem": of_problem, "data": of_data})
+                   printable(source or "given in Python"), {"problem": of_problem, "data": of_data},
+                   None if then_type is None else then_type(**chosen["then"]))
 
 
 def observe(request: Request, least: int = MIN_CONTROL) -> Observations:
@@ -225,7 +243,7 @@ def observe(request: Request, least: int = MIN_CONTROL) -> Observations:
         request.features,
         control="both" if request.options["problem"].get("mixed") else recipe.control,
         how=of_data["roles"], fractions=(1.0, 0.0, 0.0) if all_control(request) else
-        _fractions(of_data["fractions"], criterion.needs_check),
+        parsed_shares(of_data["fractions"], criterion.needs_check),
         rng=np.random.default_rng(of_data["split"]))
     if _check_as(request, observations) == "control":
         observations = check_as_control(observations)
@@ -280,12 +298,12 @@ def build(request: Request, observations: Observations, scaling: Scaling,
     with blamed(request.recipe.build, "build"):
         problem = request.recipe.build(inputs)
     _require_type(request.recipe.build, "build", problem, Problem)
-    require_able(problem, request.solver,
-                 [entry.object for entry in registry().entries("solvers")])
+    for solver in filter(None, (request.solver, request.then)):
+        require_able(problem, solver, [entry.object for entry in registry().entries("solvers")])
     data = {**request.options["data"], "check_as": _check_as(request, observations)}
     return Task(request.recipe, problem, inputs.model, request.solver, request.criterion,
                 observations, scaling, request.features, request.source,
-                {"problem": inputs.options, "data": data})
+                {"problem": inputs.options, "data": data}, request.then)
 
 
 def _require_type(function: Callable[..., Any], name: str, value: Any, wanted: type) -> None:
@@ -303,6 +321,9 @@ def _of_problem(recipe: Recipe, given: Mapping[str, Any], criterion: Criterion,
         options["objectives"] = options["objectives"] or recipe.second
     if "max_share" in options and options["max_share"] is None:
         options["max_share"] = 1.0 if published else MAX_SHARE
+    if options.get("then") is not None and options["steps"] == "joint":
+        raise TermselError("then names a solver for the second of two steps, and steps=joint has "
+                           "one", hint="Add --set steps=features-first or steps=terms-first.")
     if "recommend" in options:
         options["recommend"] = _rule(options["recommend"], criterion, solver)
     return options
@@ -342,20 +363,6 @@ def _taking_part(observations: Observations) -> FeatureSet:
         tuple(name for part in points for name in part.ids),
         np.concatenate([part.image for part in points]),
         np.concatenate([part.ground for part in points])))
-
-
-def _fractions(text: str, needs_check: bool) -> tuple[float, ...]:
-    try:
-        shares = tuple(float(part) for part in text.replace(",", ":").split(":"))
-    except ValueError:
-        shares = ()
-    if len(shares) != 3 or not np.isfinite(shares).all() or min(shares) < 0 \
-            or (needs_check and not shares[1]):
-        raise TermselError(f"option 'fractions' cannot be {text!r}",
-                           hint="It takes three numbers for control, check and independent, "
-                                "such as 1:1:1 or 0.4:0.3:0.3; check must be above 0 "
-                                "for a criterion that needs check points.")
-    return shares
 
 
 def _require_enough(observations: Observations, recipe: Recipe, criterion: Criterion,

@@ -1,5 +1,6 @@
 """Simulated scenes: a rigorous pushbroom scanner over analytic terrain, and scans of old maps."""
 
+from termsel.simulate.catalogue import SCENES
 from termsel.simulate.geometry_files import (
     geometry_from,
     geometry_text,
@@ -9,7 +10,7 @@ from termsel.simulate.geometry_files import (
 from termsel.simulate.maps import simulate_map
 from termsel.simulate.orbit import pushbroom_at
 from termsel.simulate.pushbroom import Angle, Pushbroom
-from termsel.simulate.scenes import DATASETS, SCENES, SceneTruth, scene_truth, simulate_scene
+from termsel.simulate.scenes import DATASETS, SceneTruth, scene_truth, simulate_scene
 from termsel.simulate.terrain import Terrain
 
 __all__ = [

@@ -25,6 +25,7 @@ from termsel.measurements.features import (
     no_lines,
     no_points,
 )
+from termsel.simulate.catalogue import OTHERS, SCENES, Scene
 from termsel.simulate.orbit import pushbroom_at
 from termsel.simulate.pushbroom import Angle, Pushbroom
 from termsel.simulate.terrain import Terrain, hilly
@@ -34,87 +35,6 @@ _ROLES = ("control", "check", "independent")
 _EDGE = 0.015  # fraction of the image at each edge without measurements
 _CANDIDATES = 24  # places tried for each point
 _SMALLEST, _LARGEST = 4.0, 15.0  # sideways displacement of a mismatched line [px]
-
-
-@dataclass(frozen=True)
-class Scene:
-    """Settings of a simulated scene.
-
-    Parameters
-    ----------
-    name, summary : str
-        As in `DatasetSpec`.
-    number : int
-        Seed of the terrain, and first part of the seed of everything drawn.
-    lon, lat : float
-        Centre of the image [deg].
-    heights : tuple of float
-        Lowest and highest terrain in the image, ellipsoidal [m].
-    image_size : tuple of int
-        Lines and samples [px].
-    gsd, altitude : float
-        Ground sample distance and altitude of the orbit [m].
-    inclination, off_nadir, look_azimuth : float
-        See `pushbroom_at` [deg].
-    drift : tuple of three tuples
-        Change of roll, pitch and yaw from the middle to the end of the scene by each power of
-        time from the first, as movement in the image [px]; for yaw, that of the array's ends.
-    jitter : tuple of float
-        Amplitudes of roll and pitch [px].
-    relief : float
-        Root mean square of the local relief, which no low polynomial fits [m].
-    roles : tuple of int
-        Numbers of control, check and independent points.
-    lines, wrong_lines : int
-        Numbers of lines, and of mismatched ones (blunders) among them.
-    noise : float
-        Standard deviation of line and sample [px].
-    """
-
-    name: str
-    summary: str
-    number: int
-    lon: float
-    lat: float
-    heights: tuple[float, float]
-    image_size: tuple[int, int]
-    gsd: float
-    altitude: float
-    inclination: float
-    off_nadir: float
-    look_azimuth: float
-    drift: tuple[tuple[float, ...], tuple[float, ...], tuple[float, ...]]
-    jitter: tuple[float, float]
-    relief: float
-    roles: tuple[int, int, int]
-    lines: int = 0
-    wrong_lines: int = 0
-    noise: float = 0.5
-
-
-SCENES: dict[str, Scene] = {scene.name: scene for scene in (
-    Scene("ikonos-hamedan",
-          "simulated IKONOS scene of Hamedan, 1 m: 74 points, 120 lines, 8 of them blunders (after "
-          "Valadan Zoej et al. 2002, Akhoundi Khezrabad et al. 2020)",
-          number=1, lon=48.5, lat=34.8, heights=(1700.0, 1990.0), image_size=(7000, 8000), gsd=1.0,
-          altitude=681e3, inclination=98.1, off_nadir=20.4, look_azimuth=65.0,
-          drift=((1.0, 1.2, 0.2), (1.0, 1.5, 0.2), (0.5, 0.5)), jitter=(0.12, 0.15),
-          relief=5.5, roles=(24, 24, 26), lines=120, wrong_lines=8),
-    Scene("spot-isfahan",
-          "simulated SPOT scene of Isfahan, 10 m: 35 points "
-          "(after Zakaryaie Nejad et al. 2015)",
-          number=2, lon=51.7, lat=32.6, heights=(528.0, 1147.0), image_size=(6000, 6000), gsd=10.0,
-          altitude=822e3, inclination=98.7, off_nadir=20.8, look_azimuth=90.0,
-          drift=((1.0, 0.8, 0.2), (1.0, 0.8, 0.2), (0.5, 0.5)), jitter=(0.15, 0.15),
-          relief=70.0, roles=(12, 11, 12)),
-    Scene("irs1c-mashad",
-          "simulated IRS-1C scene of Mashad, 5.8 m: 62 points "
-          "(after Valadan Zoej et al. 2002)",
-          number=3, lon=59.6, lat=36.3, heights=(900.0, 1300.0), image_size=(4000, 4000), gsd=5.8,
-          altitude=817e3, inclination=98.7, off_nadir=15.0, look_azimuth=90.0,
-          drift=((1.0, 1.5, 0.2), (1.0, 1.5, 0.2), (0.5, 0.5)), jitter=(0.12, 0.15),
-          relief=46.0, roles=(20, 20, 22)),
-)}
 
 
 @dataclass(frozen=True)
@@ -144,13 +64,15 @@ def simulate_scene(
     n_points: int | None = None,
     n_lines: int | None = None,
     wrong_lines: int | None = None,
+    roles: tuple[int, int, int] | None = None,
 ) -> FeatureSet:
     """Return the measured features of a simulated scene.
 
     Parameters
     ----------
     name : str
-        "ikonos-hamedan", "spot-isfahan" or "irs1c-mashad".
+        "ikonos-hamedan", "spot-isfahan", "irs1c-mashad", "geoeye-tehran" or
+        "cartosat-hyderabad".
     seed : int, optional
         Draws points, lines and noise; by default 0. Sensor and terrain do not depend on it.
     noise : float, optional
@@ -159,12 +81,14 @@ def simulate_scene(
         Numbers of points and lines; by default those of the scene.
     wrong_lines : int, optional
         Number of mismatched lines; by default the scene's fraction of `n_lines`.
+    roles : tuple of int, optional
+        Numbers of control, check and independent points, instead of `n_points`.
 
     Returns
     -------
     FeatureSet
-        Longitude, latitude [deg] and ellipsoidal height [m] on WGS84, roles in thirds.
-        Two points, both control, lie at the lowest and the highest place.
+        Longitude, latitude [deg] and ellipsoidal height [m] on WGS84; without `roles` a third of
+        the points has each role. Two points, both control, lie at the lowest and the highest place.
 
     Raises
     ------
@@ -173,13 +97,17 @@ def simulate_scene(
     """
     scene = _scene(name)
     n_lines, wrong = _line_counts(scene, n_lines, wrong_lines)
-    n_points = sum(scene.roles) if n_points is None else n_points
+    if roles is not None and (n_points is not None or len(roles) != 3 or min(roles) < 0):
+        raise TermselError(f"roles={roles} cannot be simulated",
+                           hint="Give three numbers of points of at least 0, and no n_points.")
+    if roles is None:
+        roles = _role_counts(scene, sum(scene.roles) if n_points is None else n_points)
     noise = scene.noise if noise is None else noise
-    if n_points < 0 or not 0 <= noise < float("inf"):
-        raise TermselError(f"{n_points} points with a noise of {noise} px cannot be simulated",
+    if min(roles) < 0 or not 0 <= noise < float("inf"):
+        raise TermselError(f"{sum(roles)} points with a noise of {noise} px cannot be simulated",
                            hint="Give a number of points and a noise of at least 0.")
     point_rng, line_rng, wrong_rng, noise_rng = _streams(scene, seed)
-    points = _points(scene, point_rng, n_points)
+    points = _points(scene, point_rng, roles)
     lines = _lines(scene, line_rng, n_lines)
     image = _displaced(lines.image, wrong_rng, wrong)
     point_noise, line_noise = noise_rng.spawn(2)
@@ -221,9 +149,10 @@ def scene_truth(
 
 
 def _scene(name: str) -> Scene:
-    if name not in SCENES:
-        raise unknown_name("simulated scene", name, SCENES)
-    return SCENES[name]
+    known = {**SCENES, **OTHERS}
+    if name not in known:
+        raise unknown_name("simulated scene", name, known)
+    return known[name]
 
 
 def _line_counts(scene: Scene, n_lines: int | None, wrong: int | None) -> tuple[int, int]:
@@ -251,7 +180,7 @@ def _ids(letter: str, count: int) -> tuple[str, ...]:
 @lru_cache
 def _geometry(name: str) -> tuple[Pushbroom, Terrain, FloatArray]:
     """Return sensor, terrain, and the image places (2, 2) of lowest and highest terrain."""
-    scene = SCENES[name]
+    scene = _scene(name)
     middle = sum(scene.heights) / 2
     sensor = _shaken(scene, pushbroom_at(
         scene.lon, scene.lat, height=middle, off_nadir=scene.off_nadir,
@@ -285,7 +214,7 @@ def _shaken(scene: Scene, sensor: Pushbroom) -> Pushbroom:
 def _on_ground(name: str, image: FloatArray) -> FloatArray:
     """Return lon, lat, height, shape (n, 3), of image points on the terrain."""
     sensor, terrain, _ = _geometry(name)
-    height = np.full(len(image), sum(SCENES[name].heights) / 2)
+    height = np.full(len(image), sum(_scene(name).heights) / 2)
     # Slopes are gentle, so each iteration leaves about a twentieth of the error.
     for _ in range(8):
         place = sensor.locate(image, height)
@@ -293,19 +222,19 @@ def _on_ground(name: str, image: FloatArray) -> FloatArray:
     return np.column_stack([place, height])
 
 
-def _role_counts(scene: Scene, count: int) -> tuple[int, ...]:
+def _role_counts(scene: Scene, count: int) -> tuple[int, int, int]:
     if count == sum(scene.roles):
         return scene.roles
     third, rest = divmod(count, 3)
     return third + (rest == 2), third, third + (rest > 0)
 
 
-def _points(scene: Scene, rng: Generator, count: int) -> Points:
+def _points(scene: Scene, rng: Generator, numbers: tuple[int, int, int]) -> Points:
     """Return points free of noise, spread over the image as a whole and role by role."""
+    count = sum(numbers)
     if count == 0:
         return no_points()
     sensor, _, extremes = _geometry(scene.name)
-    numbers = _role_counts(scene, count)
     turns = sorted(((k + 0.5) / number, role) for role, number in enumerate(numbers)
                    for k in range(number))
     roles = np.array([role for _, role in turns])

@@ -29,6 +29,18 @@ def tournament(order: IntArray, n: int, size: int, rng: np.random.Generator) -> 
     return order[drawn]
 
 
+def two_best(order: IntArray, n: int) -> IntArray:
+    """Return the two best in turn, as the parents of n children (Valadan Zoej et al. 2002, 3.2).
+
+    Parameters
+    ----------
+    order : ndarray of int, shape (p,)
+        Individuals from best to worst.
+    n : int
+    """
+    return np.resize(order[:2], n)
+
+
 def uniform_crossover(genes: BoolArray, probability: float, rng: np.random.Generator) -> BoolArray:
     """Return children of neighbours; each gene of a mating pair is swapped with chance 1/2.
 
@@ -69,6 +81,8 @@ class GeneticAlgorithm(Solver):
     default_generations = 80
     declared_options: ClassVar[tuple[Option, ...]] = (
         Option("population", 200, "Number of chromosomes.", int, 2, 100_000),
+        Option("parents", "tournament", "Who are crossed: winners of tournaments, or always the "
+               "two best, as in Valadan Zoej et al. 2002.", choices=("tournament", "two-best")),
         Option("tournament", 3, "Chromosomes drawn for each tournament.", int, 1, 1000),
         Option("crossover", 0.9, "Chance that a pair of parents mates.", float, 0.0, 1.0),
         Option("mutation", None, "Chance that a gene flips; by default 1 over the number of "
@@ -83,7 +97,10 @@ class GeneticAlgorithm(Solver):
         box = base.Toolbox()
         box.register("population", problem.genome.random, rng, o["population"])
         box.register("evaluate", problem.evaluate)
-        box.register("select", tournament, size=o["tournament"], rng=rng)
+        if o["parents"] == "two-best":
+            box.register("select", two_best)
+        else:
+            box.register("select", tournament, size=o["tournament"], rng=rng)
         box.register("mate", uniform_crossover, probability=o["crossover"], rng=rng)
         rate = 1.0 / problem.genome.size if o["mutation"] is None else o["mutation"]
         box.register("mutate", flip_bits, probability=rate, rng=rng)

@@ -158,13 +158,14 @@ def coding(genome: Genome) -> Coding:
 class SteadyStateGA(GeneticAlgorithm):
     """Steady-state GA that chooses m features of n, with m fixed or in a range.
 
-    Konugurthi et al. 2016, page 380: a chromosome is a tuple of m feature numbers out of n;
-    about half of the population, the best, survives; random chromosomes join every
-    generation, since a small population lacks most features. The objective is the problem's,
-    by default the RMSE over all check points; the paper's other objective, the covered area, is
-    the bound `max_uncovered` of the problem.
+    Konugurthi et al. 2016. Page 380: a chromosome is a tuple of m feature numbers out of n, and
+    about half of the population, the best, survives. Page 381: random chromosomes join every
+    generation, since a small population lacks most features. The objective is the problem's. The
+    paper's, A/E50, is the criterion `e50-area` of termsel-rpc: A is the covered area, E50 the
+    median error. It is named on pages 381 and 383; page 382, with its formula, could not be
+    consulted.
 
-    Only that page could be consulted. The rest is termsel's own: tournaments; a crossover of
+    Operators are on none of these pages and are termsel's own: tournaments; a crossover of
     sets, which keeps what both parents have and fills up from what one of them has, so that no
     feature occurs twice; and a mutation that replaces one feature by one the chromosome lacks.
     Of equal chromosomes only one survives, as copies would otherwise fill the population and

@@ -11,18 +11,20 @@ from termsel import Option, Polynomial2D
 
 FloatArray = NDArray[np.float64]
 
+POWERS = next(option for option in Polynomial2D.declared_options if option.name == "powers")
+
 
 class Multiquadric(Polynomial2D):
     """Plane polynomial with multiquadric interpolation of its control residuals.
 
-    F are the planimetric distances between the control points, zero on its diagonal, and v the
-    residuals of the polynomial in line or sample. F a = v is solved for a, and a point at the
+    F are the distances between the control points in scaled X and Y, zero on its diagonal, and v
+    the residuals of the polynomial in line or sample. F a = v is solved for a, and a point at the
     distances f from the control points is corrected by f a. The model thus fits control points
     exactly: their RMSE is 0 whatever its errors elsewhere.
 
-    Distances are those in termsel's scaled ground coordinates, where the control extends over
-    [-1, 1] along X and along Y; this also works for longitude and latitude in degrees, but in a
-    narrow strip the distances are not those on the ground.
+    The paper takes planimetric distances. Here X and Y are scaled separately, so that the control
+    extends over [-1, 1] along each. Distances are thus compressed along the longer side of a
+    scene; longitude and latitude in degrees need no projection.
 
     References
     ----------
@@ -31,8 +33,9 @@ class Multiquadric(Polynomial2D):
 
     name = "multiquadric"
     declared_options = (
-        Option("degree", 2, "Total degree of the polynomial; 2 gives 6 terms per "
-                            "axis.", int, 1, 8),)
+        Option("degree", 2, "Degree of the polynomial; a total degree of 2 gives 6 terms per "
+                            "axis.", int, 1, 8),
+        POWERS)
 
     def residual_weights(self, control: FloatArray, ground: FloatArray) -> FloatArray:
         """Return W = f inv(F) (see `SensorModel.residual_weights`).
@@ -59,8 +62,9 @@ class Hybrid3(Multiquadric):
 
     name = "hybrid-3"
     declared_options = (
-        Option("degree", 4, "Total degree of the available polynomial; 4 gives 15 terms per axis.",
-               int, 1, 8),)
+        Option("degree", 4, "Degree of the available polynomial; a total degree of 4 gives 15 "
+                            "terms per axis.", int, 1, 8),
+        POWERS)
 
 
 @lru_cache(maxsize=8)
@@ -72,5 +76,5 @@ def _inverse(places: bytes) -> FloatArray:
 
 
 def _distances(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Return planimetric distances, shape (len(a), len(b))."""
+    """Return distances in scaled X and Y, shape (len(a), len(b))."""
     return np.asarray(np.linalg.norm(a[:, None, :2] - b[None, :, :2], axis=2))
