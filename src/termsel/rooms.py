@@ -9,7 +9,7 @@ from __future__ import annotations
 ROOMS = {
     "__main__": "entry of the command line",
     "cli": "commands, one module each",
-    "testing": "conformance suites for models, solvers, criteria, readers and writers",
+    "testing": "conformance suites for every kind of thing that plugins provide",
     "runs": "one run: task, search, choice, assessment, judgement; stability over many",
     "io": "verbs on files: read, export, project, rectify, the folder of a result",
     "plugins": "hooks, kinds of things, loading, registry, what is built in",

@@ -36,8 +36,10 @@ def plugins(as_json: bool, timed: bool) -> None:
       termsel plugins --time
       TERMSEL_PLUGINS= termsel list models
     """
-    from termsel.plugins.registry import registry
+    from termsel.plugins.registry import Registry, registry
 
+    if timed:
+        Registry([]).failures()  # imports what is built in, which else the first plugin would do
     names = registry()
     failures, notes = names.failures(), names.notes()
     seconds = names.seconds() if timed else {}

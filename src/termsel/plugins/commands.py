@@ -19,6 +19,8 @@ COMMANDS = {
     "describe": ("termsel.cli.describe:describe",
                  "Describe a problem, model, solver or anything else that has a name."),
     "plugins": ("termsel.cli.plugins:plugins", "List plugins, and what is wrong with them."),
+    "new-plugin": ("termsel.cli.new_plugin:new_plugin",
+                   "Write a package with a plugin that works, to be changed into yours."),
     "completion": ("termsel.cli.completion:completion",
                    "Print a script that completes commands and names in a shell."),
 }

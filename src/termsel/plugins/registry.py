@@ -16,7 +16,7 @@ from termsel.plugins.calling import Answers, call, listed
 from termsel.plugins.commands import COMMANDS
 from termsel.plugins.hookspecs import PROJECT
 from termsel.plugins.kinds import KINDS, summary
-from termsel.plugins.loading import Loader, Plugin, Remark, attempt, canonical
+from termsel.plugins.loading import Loader, Plugin, Remark, Slot, attempt, canonical
 
 if TYPE_CHECKING:
     import click
@@ -104,6 +104,11 @@ class Registry:
         """All plugins, loaded now, the built-in one first, also those that could not be loaded."""
         self._loader.load_all()
         return tuple(self._loader.plugins)
+
+    @property
+    def slots(self) -> tuple[Slot, ...]:
+        """All plugins with their modules, the built-in one first; not imported by this."""
+        return tuple(self._loader.slots)
 
     def seconds(self) -> dict[Plugin, float]:
         """Return how long each plugin took: its import, and the hooks that were called [s]."""

@@ -131,7 +131,7 @@ class Task:
 
 
 def prepare(
-    problem: str,
+    problem: str | Recipe,
     *,
     features: FeatureSet | None = None,
     dataset: str | None = None,
@@ -145,8 +145,8 @@ def prepare(
 
     Parameters
     ----------
-    problem : str
-        Name of a recipe, such as "owdis-lines".
+    problem : str or Recipe
+        A recipe, or its name, such as "owdis-lines".
     features : FeatureSet, optional
         Measured features; without them those of `dataset`, or of the recipe's data set.
     dataset : str, optional
@@ -174,7 +174,7 @@ def prepare(
 
 
 def ask(
-    problem: str,
+    problem: str | Recipe,
     *,
     features: FeatureSet | None = None,
     dataset: str | None = None,
@@ -192,7 +192,8 @@ def ask(
         As for `prepare`.
     """
     names = registry()
-    recipe: Recipe = names.get("problems", problem)
+    recipe: Recipe = (problem if isinstance(problem, Recipe)
+                      else names.get("problems", problem))
     model_type: type[SensorModel] = names.get("models", model or recipe.model)
     criterion_type: type[Criterion] = names.get("criteria", criterion or recipe.criterion)
     # Where terms have no influence there is nothing to search.

@@ -1,0 +1,121 @@
+"""The command `termsel new-plugin`."""
+
+from __future__ import annotations
+
+import keyword
+import re
+import sys
+from importlib.metadata import entry_points
+from importlib.resources import files
+from importlib.util import find_spec
+from pathlib import Path
+
+import click
+
+from termsel.cli.messages import echo, say_written
+from termsel.errors import TermselError
+
+KINDS = ("model", "solver", "problem", "criterion", "reader", "writer", "command")
+
+_NAME = re.compile(r"[A-Za-z](?:[A-Za-z0-9]|[-_.](?=[A-Za-z0-9]))*")
+
+_USE = {
+    "model": "Use it: `termsel run --problem rfm-terms --model {name}`",
+    "solver": "Use it: `termsel run --problem rfm-terms --solver {name}`",
+    "problem": "Use it: `termsel run --problem {name}`",
+    "criterion": "Use it: `termsel run --problem rfm-terms --criterion {name}`",
+    "reader": "Use it: `termsel run --points FILE --crs EPSG:n`; termsel recognises the format.",
+    "writer": "Use it: `termsel export DIR --to {name} --output FILE`",
+    "command": "Use it: `termsel {name} DIR`, with the folder of a result",
+}
+
+
+@click.command("new-plugin")
+@click.argument("name")
+@click.option("--kind", type=click.Choice(KINDS), required=True, help="What it provides.")
+@click.option("--into", "parent", metavar="DIR", default=".", show_default=True,
+              type=click.Path(path_type=Path), help="The folder in which the package is made.")
+def new_plugin(name: str, kind: str, parent: Path) -> None:
+    """Write a package with a plugin that works, to be changed into yours.
+
+    NAME is that of the package, such as termsel-demo. The package installs without a network
+    and any other package, and has tests.
+
+    \b
+    Examples:
+      termsel new-plugin termsel-demo --kind model
+      pip install ./termsel-demo
+      termsel describe demo
+    """
+    texts = package(name, kind)
+    folder = parent / name
+    if not parent.is_dir():
+        raise TermselError("this folder does not exist", file=parent, hint="Make it first.")
+    try:
+        folder.mkdir()
+        (folder / "tests").mkdir()
+        for file, text in texts.items():
+            (folder / file).write_text(text, encoding="utf-8")
+    except FileExistsError as error:
+        raise TermselError("this folder exists, and nothing in it is replaced", file=folder,
+                           hint="Choose another NAME, or another folder with --into.") from error
+    except OSError as error:
+        raise TermselError(f"cannot write: {error.strerror}", file=folder) from error
+    say_written(folder / file for file in texts)
+    echo(f"Install it: {Path(sys.executable).name} -m pip install {folder}\n"
+         f"Test it:    cd {folder}; {Path(sys.executable).name} -m unittest discover tests")
+
+
+def package(name: str, kind: str) -> dict[str, str]:
+    """Return the files of a new package, by their path in it.
+
+    Parameters
+    ----------
+    name : str
+        Of the package.
+    kind : str
+        One of `KINDS`.
+
+    Raises
+    ------
+    TermselError
+        For a name that no package or module can have, or that is taken.
+    """
+    module = re.sub(r"[-_.]+", "_", name).lower()
+    thing = re.sub(r"[-_.]+", "-", name).lower().removeprefix("termsel-")
+    _require_free(name, module, thing, kind)
+    words = {
+        "DISTRIBUTION": name, "MODULE": module, "NAME": thing, "KIND": kind,
+        "CLASS": "".join(part.capitalize() for part in thing.split("-")),
+        "TITLE": f"The {kind} {thing}", "USE": _USE[kind].format(name=thing)}
+    sources = {
+        "pyproject.toml": "pyproject.toml", "build_wheel.py": "build_wheel.py",
+        "README.md": "README.md", f"{module}.py": f"{kind}.py",
+        f"tests/test_{module}.py": f"{kind}_test.py"}
+    return {file: _filled(source, words) for file, source in sources.items()}
+
+
+def _filled(source: str, words: dict[str, str]) -> str:
+    text = (files("termsel.cli") / "skeletons" / f"{source}.txt").read_text(encoding="utf-8")
+    return re.sub(r"@([A-Z]+)@", lambda mark: words[mark[1]], text)
+
+
+def _require_free(name: str, module: str, thing: str, kind: str) -> None:
+    if not _NAME.fullmatch(name) or keyword.iskeyword(module) or not thing:
+        raise TermselError(f"{name!r} cannot be the name of a package",
+                           hint="Take letters, digits and hyphens, such as termsel-demo.")
+    plugins = {point.module for point in entry_points(group="termsel")}
+    if module != "termsel" and module not in plugins and find_spec(module) is not None:
+        raise TermselError(f"Python already has a module {module!r}",
+                           hint=f"Choose another name, such as termsel-{name}.")
+    if module == "termsel":
+        raise TermselError("this is the name of termsel itself", hint="Choose another name.")
+    from termsel.plugins.commands import COMMANDS
+    from termsel.plugins.kinds import KINDS as REGISTERED
+    from termsel.plugins.registry import Registry
+
+    plural = next((key for key, value in REGISTERED.items() if value.word == kind), None)
+    taken = COMMANDS if plural is None else Registry([]).names(plural)
+    if thing in taken:
+        raise TermselError(f"termsel has a {kind} {thing!r} itself",
+                           hint="Choose another name.")

@@ -1,0 +1,107 @@
+"""What every data set must do."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from termsel.measurements.crs import check_ground, normalise
+from termsel.measurements.datasets import DatasetSpec
+from termsel.measurements.features import FeatureSet
+from termsel.testing.checks import (
+    Case,
+    Check,
+    assemble,
+    check_declaration,
+    pickled,
+    require,
+    run_all,
+)
+
+
+def declaration(spec: DatasetSpec) -> None:
+    """It has a name and a summary."""
+    check_declaration("datasets", spec)
+
+
+def loads_features(spec: DatasetSpec) -> None:
+    """It loads a FeatureSet with points or lines."""
+    features = _loaded(spec)
+    require(len(features), "load() returns no points and no lines")
+
+
+def ground_in_crs(spec: DatasetSpec) -> None:
+    """It states the CRS of its ground coordinates, which can be in it."""
+    features = _loaded(spec)
+    require(features.crs, "load() states no crs; give EPSG:n, WKT or local")
+    normalise(features.crs)
+    check_ground(features)
+
+
+def alike_each_time(spec: DatasetSpec) -> None:
+    """It loads the same features each time, and in another process."""
+    first = _loaded(spec)
+    for other in (_loaded(spec), pickled(first)):
+        require(first.ids == other.ids and first.crs == other.crs
+                and np.array_equal(first.points.image, other.points.image)
+                and np.array_equal(first.points.ground, other.points.ground, equal_nan=True)
+                and np.array_equal(first.lines.image, other.lines.image)
+                and np.array_equal(first.lines.ground, other.lines.ground, equal_nan=True),
+                "two calls of load() differ; draw random numbers from a generator with a seed")
+
+
+def enough_of_them(spec: DatasetSpec) -> None:
+    """It has at least 5 features, the fewest of any run: 3 of control and 2 that check."""
+    count = len(_loaded(spec))
+    require(count >= 5, f"it has {count} features; no problem can be run on fewer than 5")
+
+
+DATASET_CHECKS = (declaration, loads_features, ground_in_crs, alike_each_time, enough_of_them)
+
+
+def dataset_checks(spec: DatasetSpec, *, expected_failures: Mapping[str, str] | None = None,
+                   ) -> tuple[Check, ...]:
+    """Return the checks of a data set, for ``pytest.mark.parametrize``.
+
+    Parameters
+    ----------
+    spec : DatasetSpec
+    expected_failures : mapping, optional
+        Checks it is known to fail, by name, with the reason.
+
+    Returns
+    -------
+    tuple of Check
+
+    Raises
+    ------
+    TermselError
+        For an expected failure of a check that does not exist.
+    """
+    return assemble(DATASET_CHECKS, [Case(str(getattr(spec, "name", spec)), lambda: spec)],
+                    expected_failures)
+
+
+def check_dataset(spec: DatasetSpec, *, expected_failures: Mapping[str, str] | None = None,
+                  ) -> None:
+    """Run all checks of a data set.
+
+    Parameters
+    ----------
+    spec, expected_failures
+        As `dataset_checks`.
+
+    Raises
+    ------
+    AssertionError
+        Naming every check that fails, and what is wrong.
+    """
+    run_all(dataset_checks(spec, expected_failures=expected_failures))
+
+
+def _loaded(spec: DatasetSpec) -> FeatureSet:
+    features = spec.load()
+    require(isinstance(features, FeatureSet),
+            f"load() must return a FeatureSet, not {type(features).__name__}")
+    return features

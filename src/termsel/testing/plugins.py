@@ -1,0 +1,136 @@
+"""What every installed plugin must do, whatever it provides."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from importlib.metadata import distributions
+
+from termsel.plugins.hookspecs import PROJECT
+from termsel.plugins.kinds import KINDS
+from termsel.plugins.loading import canonical
+from termsel.plugins.registry import Registry
+from termsel.testing.checks import Case, Check, assemble, check_declaration, require, run_all
+
+SLOW = 3.0
+"""Seconds that an import may take."""
+
+_IMPORT = """
+import os, random, sys, time, warnings
+import numpy as np
+import termsel.runs, termsel.plugins.builtin
+for name in termsel.__all__: getattr(termsel, name)
+def state():
+    return {"the working folder": os.getcwd(), "the filters of warnings": warnings.filters[:],
+            "numpy's error handling": np.geterr(), "the random numbers": random.getstate(),
+            "numpy's random numbers": np.random.get_state()[1].tolist()}
+before, start = state(), time.perf_counter()
+__import__(sys.argv[1])
+seconds, after = time.perf_counter() - start, state()
+print("\\n", [name for name in before if before[name] != after[name]], seconds, sep="\\n")
+"""
+
+
+@dataclass(frozen=True)
+class Installed:
+    """A distribution with plugins.
+
+    Parameters
+    ----------
+    name : str
+    """
+
+    name: str
+
+    @cached_property
+    def registry(self) -> Registry:
+        """The plugins of this distribution, next to those that are built in."""
+        return Registry([
+            point for one in distributions() if canonical(one.name) == canonical(self.name)
+            for point in one.entry_points.select(group=PROJECT)])
+
+    def modules(self) -> list[str]:
+        """Return the modules of its entry points."""
+        return sorted({slot.module for slot in self.registry.slots[1:]})
+
+
+def installed(plugin: Installed) -> None:
+    """It is installed, with an entry point in the group termsel."""
+    names = {canonical(one.name) for one in distributions()}
+    require(canonical(plugin.name) in names, f"{plugin.name} is not installed: pip install .")
+    require(plugin.modules(), f"{plugin.name} has no entry point in the group {PROJECT!r}")
+
+
+def loads(plugin: Installed) -> None:
+    """It is imported, all its hooks work, and nothing of it is refused or deprecated."""
+    remarks = [*plugin.registry.failures(), *plugin.registry.notes()]
+    require(not remarks, "; ".join(map(str, remarks)))
+
+
+def provides(plugin: Installed) -> None:
+    """It implements a hook, and what it provides says what it is."""
+    require(any(one.hooks for one in plugin.registry.plugins[1:]), "it implements no hook")
+    for kind in KINDS:
+        for entry in plugin.registry.entries(kind):
+            if entry.provided_by == canonical(plugin.name):
+                check_declaration(kind, entry.object)
+
+
+def modest_import(plugin: Installed) -> None:
+    """Its import is quick, prints nothing and changes nothing of the process."""
+    for module in plugin.modules():
+        done = subprocess.run([sys.executable, "-c", _IMPORT, module], text=True,
+                              capture_output=True, check=False)
+        require(done.returncode == 0, f"{module} cannot be imported: {done.stderr[-500:]}")
+        *printed, changed, seconds = done.stdout.strip().splitlines()
+        require(not "".join(printed).strip(), f"the import of {module} prints {printed}")
+        require(changed == "[]", f"the import of {module} changes {changed}")
+        require(float(seconds) < SLOW, f"the import of {module} takes {float(seconds):.1f} s; "
+                                       "import slow modules inside functions")
+
+
+PLUGIN_CHECKS = (installed, loads, provides, modest_import)
+
+
+def plugin_checks(distribution: str, *, expected_failures: Mapping[str, str] | None = None,
+                  ) -> tuple[Check, ...]:
+    """Return the checks of an installed plugin, for ``pytest.mark.parametrize``.
+
+    Parameters
+    ----------
+    distribution : str
+        Name of the package, such as "termsel-demo".
+    expected_failures : mapping, optional
+        Checks it is known to fail, by name, with the reason.
+
+    Returns
+    -------
+    tuple of Check
+
+    Raises
+    ------
+    TermselError
+        For an expected failure of a check that does not exist.
+    """
+    return assemble(PLUGIN_CHECKS, [Case(distribution, lambda: Installed(distribution))],
+                    expected_failures)
+
+
+def check_plugin(distribution: str, *, expected_failures: Mapping[str, str] | None = None,
+                 ) -> None:
+    """Run all checks of an installed plugin.
+
+    Parameters
+    ----------
+    distribution, expected_failures
+        As `plugin_checks`.
+
+    Raises
+    ------
+    AssertionError
+        Naming every check that fails, and what is wrong.
+    """
+    run_all(plugin_checks(distribution, expected_failures=expected_failures))

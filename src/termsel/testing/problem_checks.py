@@ -1,0 +1,165 @@
+"""What every problem must do."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from functools import partial
+
+import numpy as np
+
+from termsel.problems.base import Evaluation, Problem, Selection, evaluation_fault
+from termsel.problems.recipes import Recipe
+from termsel.runs.task import prepare
+from termsel.solvers.search import search
+from termsel.solvers.yardsticks import RandomSearch
+from termsel.testing.checks import (
+    Case,
+    Check,
+    assemble,
+    check_declaration,
+    pickled,
+    require,
+    run_all,
+)
+
+Make = Callable[[], Problem]
+
+FEW = 12
+"""Individuals that are evaluated together."""
+
+
+def declaration(problem: Problem) -> None:
+    """It is a Problem with a genome and names of objectives."""
+    require(isinstance(problem, Problem), f"it must be a Problem, not {type(problem).__name__}")
+    names = problem.objectives
+    require(isinstance(names, tuple) and names and all(isinstance(name, str) for name in names)
+            and len(set(names)) == len(names),
+            f"objectives must be a tuple of different names, not {names!r}")
+    require(problem.genome.size > 0, "its genome has no genes")
+
+
+def evaluation_holds(problem: Problem) -> None:
+    """It evaluates one individual and many: finite objectives, and violations of at least 0."""
+    genes = _individuals(problem)
+    for some in (genes, genes[:1]):
+        found = problem.evaluate(some)
+        what = evaluation_fault(problem, found, some)
+        require(what is None, f"evaluate() {what}")
+        require((found.violation >= 0).all(), "violations must be 0 or above")
+
+
+def deterministic(problem: Problem) -> None:
+    """The same genes get the same evaluation, here and in another process."""
+    genes = _individuals(problem)
+    first = problem.evaluate(genes)
+    for other in (problem.evaluate(genes), pickled(problem).evaluate(genes)):
+        _require_equal(first, other, "evaluate() of the same genes differs from one call or "
+                                     "process to the next")
+
+
+def one_by_one(problem: Problem) -> None:
+    """An individual's evaluation does not depend on those evaluated with it."""
+    genes = _individuals(problem)
+    together = problem.evaluate(genes)
+    alone = [problem.evaluate(genes[i:i + 1]) for i in range(len(genes))]
+    _require_equal(together, Evaluation(
+        np.concatenate([one.objectives for one in alone]),
+        np.concatenate([one.violation for one in alone])),
+        "an individual is evaluated otherwise alone than among others; a search keeps figures and "
+        "compares them later")
+
+
+def inputs_unchanged(problem: Problem) -> None:
+    """It does not change the genes it is given."""
+    genes = _individuals(problem)
+    before = genes.copy()
+    problem.evaluate(genes)
+    problem.decode(genes[0])
+    require(np.array_equal(genes, before), "evaluate() or decode() changes the genes; work on a "
+                                           "copy")
+
+
+def decodes(problem: Problem) -> None:
+    """It tells what each individual selects, the same each time."""
+    for one in _individuals(problem):
+        found = problem.decode(one)
+        require(isinstance(found, Selection),
+                f"decode() must return a Selection, not {type(found).__name__}")
+        for part, names in (("terms", found.terms), ("features", found.features)):
+            require(isinstance(names, tuple) and all(isinstance(name, str) for name in names),
+                    f"decode() must give {part} as a tuple of names, not {names!r:.200}")
+            require(len(set(names)) == len(names), f"decode() names one of the {part} twice")
+        require(problem.decode(one.copy()) == found, "decode() of the same genes differs")
+
+
+def searched(problem: Problem) -> None:
+    """A random search of 300 evaluations finds something feasible, which can be decoded."""
+    if len(problem.objectives) > RandomSearch.max_objectives:
+        return
+    found = search(problem, RandomSearch(), evaluations=300)
+    require(found.violation == 0, "no individual of 300 random ones is feasible; let genome.random "
+                                  "and genome.repair know the conditions")
+    problem.decode(found.genes)
+
+
+PROBLEM_CHECKS = (declaration, evaluation_holds, deterministic, one_by_one, inputs_unchanged,
+                  decodes, searched)
+
+
+def problem_checks(problem: Recipe | Make, *, expected_failures: Mapping[str, str] | None = None,
+                   ) -> tuple[Check, ...]:
+    """Return the checks of a problem, for ``pytest.mark.parametrize``.
+
+    Parameters
+    ----------
+    problem : Recipe or callable
+        As a hook returns it, which is run on its own data set; or what makes a `Problem`.
+    expected_failures : mapping, optional
+        Checks it is known to fail, by name, with the reason.
+
+    Returns
+    -------
+    tuple of Check
+
+    Raises
+    ------
+    TermselError
+        For an expected failure of a check that does not exist.
+    """
+    if isinstance(problem, Recipe):
+        case = Case(problem.name, partial(_of_recipe, problem))
+    else:
+        case = Case(getattr(problem, "__name__", "problem"), problem)
+    return assemble(PROBLEM_CHECKS, [case], expected_failures)
+
+
+def check_problem(problem: Recipe | Make, *, expected_failures: Mapping[str, str] | None = None,
+                  ) -> None:
+    """Run all checks of a problem.
+
+    Parameters
+    ----------
+    problem, expected_failures
+        As `problem_checks`.
+
+    Raises
+    ------
+    AssertionError
+        Naming every check that fails, and what is wrong.
+    """
+    run_all(problem_checks(problem, expected_failures=expected_failures))
+
+
+def _of_recipe(recipe: Recipe) -> Problem:
+    check_declaration("problems", recipe)
+    return prepare(recipe).problem
+
+
+def _individuals(problem: Problem) -> np.ndarray:
+    """Return individuals that keep the conditions of the genome."""
+    return problem.genome.random(np.random.default_rng(1), FEW)
+
+
+def _require_equal(one: Evaluation, other: Evaluation, message: str) -> None:
+    require(np.allclose(one.objectives, other.objectives, rtol=1e-9, atol=1e-12)
+            and np.allclose(one.violation, other.violation, rtol=1e-9, atol=1e-12), message)

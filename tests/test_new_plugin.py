@@ -1,0 +1,94 @@
+"""`termsel new-plugin`: what it writes installs offline, passes its tests and shows up."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+from termsel.cli.new_plugin import KINDS, package
+
+LISTED = {"model": "models", "solver": "solvers", "problem": "problems", "criterion": "criteria",
+          "reader": "readers", "writer": "writers"}
+
+
+def _python(folder: Path, *words: object, target: Path) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([sys.executable, *map(str, words)], cwd=folder, text=True,
+                          capture_output=True, check=False,
+                          env={**os.environ, "PYTHONPATH": str(target), "PIP_NO_INDEX": "1",
+                               "PIP_DISABLE_PIP_VERSION_CHECK": "1"})
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_new_package_installs_passes_its_tests_and_shows_up(
+        kind: str, tmp_path: Path, call: Callable[..., SimpleNamespace]) -> None:
+    name, target = f"termsel-my-{kind}", tmp_path / "site"
+    done = call("new-plugin", name, "--kind", kind, "--into", tmp_path)
+    assert done.exit_code == 0
+    folder = tmp_path / name
+    done = _python(tmp_path, "-m", "pip", "install", "--no-deps", "--no-build-isolation",
+                   "--target", target, folder, target=target)
+    assert done.returncode == 0, done.stderr
+    assert (target / f"termsel_my_{kind}.py").is_file()
+    tests = _python(folder / "tests", "-m", "unittest", "-v", target=target)
+    assert tests.returncode == 0, tests.stderr
+    assert "Ran 2 tests" in tests.stderr
+    if kind == "command":
+        shown = _python(tmp_path, "-m", "termsel", f"my-{kind}", "--help", target=target)
+        assert "Print the RMSE of a result" in shown.stdout
+        return
+    shown = _python(tmp_path, "-m", "termsel", "list", LISTED[kind], "--json", target=target)
+    (found,) = [one for one in json.loads(shown.stdout) if one["provided_by"] == name]
+    assert found["name"] == f"my-{kind}"
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_all_marks_are_filled_in(kind: str) -> None:
+    files = package("Termsel.Demo_x", kind)
+    assert sorted(files) == ["README.md", "build_wheel.py", "pyproject.toml",
+                             "termsel_demo_x.py", "tests/test_termsel_demo_x.py"]
+    for file, text in files.items():
+        assert "@DIST" not in text
+        assert "@NAME" not in text
+        if file.endswith(".py"):
+            compile(text, file, "exec")
+            assert max(map(len, text.splitlines())) <= 100
+
+
+@pytest.mark.parametrize(("name", "kind", "said"), [
+    ("rfm", "model", "termsel has a model 'rfm' itself"),
+    ("termsel-ga", "solver", "termsel has a solver 'ga' itself"),
+    ("run", "command", "termsel has a command 'run' itself"),
+    ("numpy", "model", "Python already has a module 'numpy'"),
+    ("json", "model", "Python already has a module 'json'"),
+    ("two words", "model", "'two words' cannot be the name of a package"),
+    ("../up", "model", "cannot be the name of a package"),
+    ("-x", "model", "No such option"),
+    ("class", "model", "'class' cannot be the name of a package"),
+    ("termsel", "model", "the name of termsel itself"),
+    ("1st", "reader", "cannot be the name of a package")])
+def test_names_that_cannot_be_are_refused(
+        name: str, kind: str, said: str, tmp_path: Path, call: Callable[..., SimpleNamespace],
+        ) -> None:
+    done = call("new-plugin", name, "--kind", kind, "--into", tmp_path)
+    assert done.exit_code == 2
+    assert re.search(said, done.stderr)
+    assert not list(tmp_path.iterdir())
+
+
+def test_nothing_is_replaced(tmp_path: Path, call: Callable[..., SimpleNamespace]) -> None:
+    assert call("new-plugin", "mine", "--kind", "model", "--into", tmp_path).exit_code == 0
+    done = call("new-plugin", "mine", "--kind", "solver", "--into", tmp_path)
+    assert done.exit_code == 2
+    assert "this folder exists, and nothing in it is replaced" in done.stderr
+    done = call("new-plugin", "mine", "--kind", "model", "--into", tmp_path / "no")
+    assert done.exit_code == 2
+    assert "this folder does not exist" in done.stderr
