@@ -11,7 +11,7 @@ import click
 from termsel.cli.completion import complete
 from termsel.cli.messages import echo
 from termsel.cli.tables import print_table
-from termsel.errors import unknown_name
+from termsel.errors import TermselError, unknown_name
 
 if TYPE_CHECKING:
     from termsel.options import Option
@@ -64,15 +64,13 @@ def _describe_problem(entry: Entry) -> None:
 
 
 def _describe_model(entry: Entry) -> None:
-    from termsel.plugins.loading import attempt
-
     _document(entry)
     _pairs({"heights": "required" if entry.object.uses_height else "not used"})
     _options(entry.object.declared_options)
-    # A plugin's model may fail here; its description is still useful.
-    terms, reason = attempt(lambda: list(entry.object().terms))
-    if terms is None:
-        echo(f"\nTerms cannot be listed: {reason}")
+    try:
+        terms = entry.object().terms
+    except TermselError as error:  # of a plugin, whose description is still useful
+        echo(f"\nTerms cannot be listed: {error}")
         return
     echo(f"\nTerms at the default options: {len(terms)}")
     echo(click.wrap_text(", ".join(terms), 78, "  ", "  "))

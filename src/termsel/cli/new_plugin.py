@@ -88,10 +88,11 @@ def package(name: str, kind: str) -> dict[str, str]:
         "DISTRIBUTION": name, "MODULE": module, "NAME": thing, "KIND": kind,
         "CLASS": "".join(part.capitalize() for part in thing.split("-")),
         "TITLE": f"The {kind} {thing}", "USE": _USE[kind].format(name=thing)}
+    test = f"test_{module}.py"
     sources = {
         "pyproject.toml": "pyproject.toml", "build_wheel.py": "build_wheel.py",
         "README.md": "README.md", f"{module}.py": f"{kind}.py",
-        f"tests/test_{module}.py": f"{kind}_test.py"}
+        f"tests/{test}": f"{kind}_test.py"}
     return {file: _filled(source, words) for file, source in sources.items()}
 
 
