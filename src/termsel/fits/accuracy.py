@@ -14,6 +14,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
+from scipy.special import chdtri
 
 from termsel.errors import counted
 from termsel.fits.fit import Fit
@@ -104,6 +105,26 @@ def predicted_rmse(errors: FloatArray, effective: float, points: int) -> Predict
     middle, half = np.log(rmse) - variance / 2, QUANTILE * np.sqrt(variance)
     return Predicted(rmse, float(np.exp(middle - half)), float(np.exp(middle + half)),
                      points=points or None)
+
+
+def rmse_interval(total: float, points: int, level: float = LEVEL) -> tuple[float, float]:
+    """Return the interval of the RMSE that endlessly many such points would have.
+
+    Of errors in line and sample that are independent, normal and alike, so that their squares have
+    a chi-squared distribution.
+
+    Parameters
+    ----------
+    total : float
+        RMSE of the points [px].
+    points : int
+        Their number, at least 1.
+    level : float
+        Probability of the interval.
+    """
+    tail, freedom = (1 - level) / 2, 2 * points
+    return (total * float(np.sqrt(freedom / chdtri(freedom, tail))),
+            total * float(np.sqrt(freedom / chdtri(freedom, 1 - tail))))
 
 
 @dataclass(frozen=True)

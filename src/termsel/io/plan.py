@@ -10,6 +10,7 @@ import numpy as np
 
 from termsel.errors import TermselError
 from termsel.fits.next_places import rank_places
+from termsel.fits.scene import scene_grid
 from termsel.formats.readers.csv_tables import table_text
 from termsel.io.project import read_ground
 from termsel.measurements.features import FloatArray
@@ -20,8 +21,6 @@ if TYPE_CHECKING:
 COLUMNS = ("id", "line", "sample", "x", "y", "z", "uncertainty")
 GRID = 20
 """Places along either side of the image on which the uncertainty is averaged."""
-INSET = 0.02
-"""Part of the image's sides that the grid leaves out, where nothing can be measured."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +68,8 @@ def plan(result: Result, count: int, candidates: Path | None = None) -> Plan:
         not known.
     """
     fitted = result.fit
-    scene = _grid(result)
+    scene = scene_grid(fitted, GRID)[1]
+    scene = scene[np.isfinite(scene).all(axis=1)]
     if candidates is None:
         ids, places = tuple(f"N{i + 1:03d}" for i in range(len(scene))), scene
     else:
@@ -86,22 +86,3 @@ def plan(result: Result, count: int, candidates: Path | None = None) -> Plan:
         chosen[:, 2] = np.nan  # the grid of a plane model has a height for the sake of arithmetic
     return Plan(tuple(ids[i] for i in numbers[found.order]), np.column_stack(
         [fitted.project(chosen), chosen, found.sigma]), found.now, fitted.control.crs)
-
-
-def _grid(result: Result) -> FloatArray:
-    """Return ground positions on a grid over the image, at the heights of the nearest control."""
-    from scipy.spatial import cKDTree
-
-    fitted = result.fit
-    (top, left), (bottom, right) = fitted.image_box()
-    lines, samples = (np.linspace(low + INSET * (high - low), high - INSET * (high - low), GRID)
-                      for low, high in ((top, bottom), (left, right)))
-    image = np.stack(np.meshgrid(lines, samples, indexing="ij"), axis=-1).reshape(-1, 2)
-    control = fitted.control
-    ground = control.ground_vertices()
-    nearest = cKDTree(fitted.project(ground)).query(image)[1]
-    heights = ground[nearest, 2]
-    if not fitted.model.uses_height:
-        heights = np.nan_to_num(heights)
-    places = fitted.locate(image, heights)
-    return places[np.isfinite(places).all(axis=1)]

@@ -6,11 +6,15 @@ import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from html import escape
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from numpy.typing import ArrayLike
 
 from termsel.errors import TermselError
+from termsel.files.atomic import write_text
+from termsel.files.names import is_there
+from termsel.files.thumbnail import thumbnail
 from termsel.fits.accuracy import Accuracy, Predicted, plain_accuracy
 from termsel.fits.diagnosis import Diagnosis
 from termsel.fits.figures import (
@@ -27,7 +31,10 @@ from termsel.fits.residuals import Residuals
 from termsel.measurements.features import FeatureSet, FloatArray
 from termsel.measurements.roles import by_roles
 from termsel.problems.base import Selection
+from termsel.report.answers import report
+from termsel.report.plots import Plots
 from termsel.report.text import summary
+from termsel.report.view import View
 from termsel.results.checksums import sealed
 
 if TYPE_CHECKING:
@@ -300,6 +307,44 @@ class Result:
         """Return result.json as text: `to_dict` and its checksums."""
         record = sealed(self.to_dict(), self.features)
         return json.dumps(record, indent=1, allow_nan=False) + "\n"
+
+    @property
+    def view(self) -> View:
+        """What charts and pages read of the result."""
+        return View(self.to_dict(), self.fit, self.features, self.residuals)
+
+    @property
+    def plot(self) -> Plots:
+        """Charts: ``result.plot.residuals()`` and so on return Altair charts."""
+        return Plots(self.view)
+
+    def report(self, path: Path | str, *, image: Path | str | None = None,
+               overwrite: bool = False) -> None:
+        """Write a page about the result that opens in any browser, without a connection.
+
+        Parameters
+        ----------
+        path : path-like
+        image : path-like, optional
+            The image, to be shown below the residuals.
+        overwrite : bool
+            Whether a file that is there may be replaced.
+
+        Raises
+        ------
+        TermselError
+            If the file exists and may not be replaced or cannot be written, the image cannot be
+            read or has another size, or the extra `report` is not installed.
+        """
+        path = Path(path)
+        if not overwrite and is_there(path):
+            raise TermselError("this file already exists", file=path,
+                               hint="Choose another name, or pass overwrite=True.")
+        shown, picture = self, ""
+        if image is not None:
+            picture, size = thumbnail(image, self.features.image_size)
+            shown = self.of_image(size)
+        write_text(path, report(shown.view, picture))
 
     def summary(self) -> str:
         """Return a page that a person reads (see `termsel.report.text.summary`)."""

@@ -10,6 +10,7 @@ import numpy as np
 
 from termsel.errors import TermselError
 from termsel.files.atomic import private_folder, write_bytes
+from termsel.fits.scene import errors_on_ground
 from termsel.formats.base import Writer
 from termsel.formats.deviation import say_measured
 from termsel.measurements.crs import horizontal
@@ -87,9 +88,7 @@ class ResidualsGeopackage(Writer):
 
     def _ends(self, result: Result, ground: FloatArray) -> tuple[FloatArray, float]:
         """Return the ends of the vectors, and their exaggeration."""
-        errors = np.array([(r.line, r.sample) for r in result.residuals])
-        there = result.fit.locate(result.project(ground) + errors, ground[:, 2])[:, :2]
-        vectors = np.nan_to_num(there - ground[:, :2])
+        vectors = np.nan_to_num(errors_on_ground(result.fit, result.residuals))
         exaggeration = self.options["exaggeration"]
         if exaggeration is None:
             length = float(np.median(np.linalg.norm(vectors, axis=1)))

@@ -1,0 +1,53 @@
+"""The command `termsel plot`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from termsel.cli.messages import refuse_stdout, say_written, show_messages
+
+KINDS = ("residuals", "ground", "worst", "baselines", "candidates", "front", "convergence",
+         "terms", "correlations", "sigma")
+
+
+@click.command()
+@click.argument("folder", metavar="DIR", type=click.Path(path_type=Path))
+@click.argument("kind", metavar="KIND", type=click.Choice(KINDS))
+@click.option("--output", "-o", metavar="FILE", required=True, type=click.Path(path_type=Path),
+              help="The picture to write; its name ends in .svg, .png or .pdf.")
+@click.option("--overwrite", is_flag=True, help="Replace an existing file.")
+def plot(folder: Path, kind: str, output: Path, overwrite: bool) -> None:
+    """Draw a chart of a result.
+
+    DIR is the folder that a run wrote with --out. KIND is one of:
+
+    \b
+      residuals     arrows of residuals over the image
+      ground        the same on the ground
+      worst         the largest residuals, and where they are
+      baselines     RMSE next to those of fits without a search
+      candidates    what the strategy auto chose among
+      front         RMSE against terms or features
+      convergence   best and median of the search
+      terms         significance of terms
+      correlations  correlations of coefficients
+      sigma         standard deviation over the image
+
+    \b
+    Examples:
+      termsel plot result residuals -o residuals.svg
+      termsel plot result baselines -o baselines.png
+    """
+    refuse_stdout(output)
+    show_messages()
+
+    from termsel.io.replacing import require_replaceable
+    from termsel.io.result_folder import read_result
+    from termsel.report.plots import chart, require_picture, save
+
+    require_picture(output)
+    require_replaceable([output], reads=[folder], overwrite=overwrite)
+    save(chart(read_result(folder).view, kind), output)
+    say_written([output])

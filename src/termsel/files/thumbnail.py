@@ -1,0 +1,58 @@
+"""An image made small, for a page."""
+
+from __future__ import annotations
+
+import base64
+import warnings
+from pathlib import Path
+
+import numpy as np
+
+from termsel.errors import TermselError
+from termsel.files.rasters import open_raster, require_rasterio
+
+LONGEST = 1000
+"""Pixels of the longer side."""
+
+
+def thumbnail(path: Path | str, expected: tuple[int, int] | None = None,
+              ) -> tuple[str, tuple[int, int]]:
+    """Return an image as a small grey JPEG in a data URL, and its size.
+
+    Parameters
+    ----------
+    path : path-like
+    expected : tuple of int, optional
+        Lines and samples that the image must have.
+
+    Raises
+    ------
+    TermselError
+        If it cannot be read, or has another size.
+    """
+    rasterio = require_rasterio()
+    with open_raster(path) as raster:
+        size = (int(raster.height), int(raster.width))
+        if expected is not None and size != tuple(expected):
+            raise TermselError(
+                f"this image has {size[0]} lines and {size[1]} samples, and the points were "
+                f"measured in one of {expected[0]} and {expected[1]}", file=path,
+                hint="Give the image that the points were measured in.")
+        small = max(1.0, max(size) / LONGEST)
+        shape = (max(1, round(size[0] / small)), max(1, round(size[1] / small)))
+        band = raster.read(1, out_shape=shape, masked=True,
+                           resampling=rasterio.enums.Resampling.average)
+    values = np.ma.filled(band.astype(np.float64), np.nan)
+    known = values[np.isfinite(values)]
+    low, high = np.percentile(known, [2, 98]) if known.size else (0.0, 1.0)
+    grey = np.clip((values - low) / max(high - low, 1e-12), 0, 1)
+    # Pale, so that arrows stand out; white where there is nothing.
+    pixels = np.nan_to_num(110 + 145 * grey, nan=255.0).astype(np.uint8)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
+        with rasterio.MemoryFile() as memory:
+            with memory.open(driver="JPEG", count=1, height=shape[0], width=shape[1],
+                             dtype="uint8", quality=80) as jpeg:
+                jpeg.write(pixels, 1)
+            content = bytes(memory.read())
+    return f"data:image/jpeg;base64,{base64.b64encode(content).decode()}", size

@@ -1,0 +1,208 @@
+"""The report of a result: six questions in the order in which they are asked."""
+
+from __future__ import annotations
+
+import platform
+from collections.abc import Iterator
+from typing import Any
+
+from termsel.errors import counted
+from termsel.fits.accuracy import rmse_interval
+from termsel.report.charts import bars, maps, search
+from termsel.report.charts.terms import term_rows
+from termsel.report.page import Block, Code, Figure, Section, Statement, Table, page
+from termsel.report.plots import KINDS
+from termsel.report.repeat import command
+from termsel.report.view import View
+
+MAPS = ("residuals", "ground", "sigma", "correlations")
+
+
+def report(view: View, picture: str = "") -> str:
+    """Return the report of a result as a page.
+
+    Parameters
+    ----------
+    view : View
+    picture : str
+        The image, smaller, as a data URL.
+    """
+    record = view.record
+    strategy = record["strategy"]
+    by = f"strategy {strategy['name']}" if strategy else \
+        f"solver {record['solver']}, criterion {record['criterion']}"
+    return page(f"{record['data']['source']}: {record['problem']}",
+                f"Model {record['model']}, {by}, seed {record['seed']}; termsel "
+                f"{record['versions']['termsel']}", (
+                    Section("How accurate is it?", tuple(_accuracy(view))),
+                    Section("Is it better than plain structures?", tuple(_compared(view))),
+                    Section("Which points or lines are bad?", tuple(_bad(view, picture))),
+                    Section("Where is the model weak?", tuple(_weak(view))),
+                    Section("What was selected, and why?", tuple(_selected(view, picture))),
+                    Section("How is it repeated?", tuple(_repeated(view)))))
+
+
+def _accuracy(view: View) -> Iterator[Block]:
+    record = view.record
+    yield Statement(statement(view))
+    accuracy = record.get("accuracy")
+    if accuracy:
+        rows = [("in the image", *_distances(accuracy["image"], "px", "line", "sample"))]
+        if accuracy["ground"]:
+            rows.append(("on the ground", *_distances(accuracy["ground"], "m", "x", "y")))
+        count = counted(accuracy["image"]["n"], "independent point")
+        yield Table(f"{count}, which took no part in any choice",
+                    ("", "RMSE", "line or x", "sample or y", "maximum", "CE90"), rows)
+        for key, title in (("nssda", "NSSDA, horizontal accuracy at 95 % confidence"),
+                           ("asprs", "ASPRS 2024, RMSE without the error of the survey")):
+            one = accuracy[key]
+            yield (f"{title}: {one['value']:.3g} m." if one["value"] is not None else
+                   f"{title}: no figure ({one['reason']}).")
+    if record.get("final"):
+        yield (f"What is exported is the same structure fitted to all "
+               f"{len(record['final']['features'])} features; these figures are those of the fit "
+               "without the independent points.")
+
+
+def statement(view: View) -> str:
+    """Return the accuracy as a statement that can be pasted.
+
+    Parameters
+    ----------
+    view : View
+    """
+    record = view.record
+    accuracy, predicted = record.get("accuracy"), record.get("predicted")
+    if accuracy:
+        image, ground = accuracy["image"], accuracy["ground"]
+        low, high = rmse_interval(image["total"], image["n"]) if image["total"] \
+            else (0.0, 0.0)
+        metres = f", {ground['total']:.3g} m on the ground" if ground else ""
+        return (f"RMSE {image['total']:.3g} px{metres} on "
+                f"{counted(image['n'], 'independent point')} (90 % interval {low:.3g} to "
+                f"{high:.3g} px).")
+    if predicted:
+        return (f"Predicted RMSE {predicted['rmse']:.3g} px ({100 * predicted['level']:.0f} % "
+                f"interval {predicted['low']:.3g} to {predicted['high']:.3g} px), by "
+                "leave-one-out; there are no independent points.")
+    return ("The accuracy is not known: there are no independent points. Give some points the role "
+            "independent.")
+
+
+def _distances(one: dict[str, Any], unit: str, *axes: str) -> tuple[str, ...]:
+    return tuple(f"{one[key]:.3g} {unit}" for key in ("total", *axes, "maximum", "ce90"))
+
+
+def _compared(view: View) -> Iterator[Block]:
+    yield view.record["judgement"]
+    rows = bars.fit_rows(view)
+    if not rows:
+        return
+    yield _figure("baselines", bars.baseline_bars(view))
+    fits = dict.fromkeys(row["fit"] for row in rows)
+    found = {(row["fit"], row["role"]): row for row in rows}
+    yield Table("RMSE [px] of all fits, with 90 % intervals", (
+        "fit", "check", "interval", "independent", "interval"), [
+            (name, *_interval(found.get((name, "check"))),
+             *_interval(found.get((name, "independent")))) for name in fits],
+        choice="fit", keys=list(fits))
+    if any(row["note"] == "fitted" for row in rows):
+        yield ("A hollow symbol is a fit to the check points themselves; it says little about its "
+               "accuracy.")
+
+
+def _interval(row: dict[str, Any] | None) -> tuple[str, str]:
+    return ("-", "-") if row is None else (
+        f"{row['rmse']:.3f}", f"{row['low']:.3f} to {row['high']:.3f}")
+
+
+def _bad(view: View, picture: str) -> Iterator[Block]:
+    outliers = view.record.get("outliers", ())
+    if outliers:
+        named = "; ".join(f"{one['kind']} {one['id']}, {one['error']:.3g} px, "
+                          + ("left out" if one["excluded"] else "in use") for one in outliers)
+        yield f"{counted(len(outliers), 'probable blunder')}: {named}."
+    else:
+        yield "No feature is a probable blunder."
+    yield _figure("worst", bars.worst_bars(view))
+    yield _figure("residuals", maps.image_map(view, picture))
+    rows = view.worst
+    on_ground: dict[str, float] = {}
+    for row in view.on_ground:
+        if row["metres"] is not None:
+            on_ground[row["id"]] = max(row["metres"], on_ground.get(row["id"], 0.0))
+    yield Table("Residuals of all features, the largest first", (
+        "feature", "kind", "role", "residual [px]", "on the ground [m]", "blunder"), [
+            (row["id"], row["kind"], row["role"], f"{row['distance']:.3g}",
+             f"{on_ground[row['id']]:.3g}" if row["id"] in on_ground else "-",
+             "probable" if row["blunder"] else "") for row in rows],
+        choice="picked", keys=[row["id"] for row in rows], folded=True)
+
+
+def _weak(view: View) -> Iterator[Block]:
+    if why := KINDS["sigma"].missing(view):
+        yield f"The standard deviation is not known: {why}."
+    else:
+        yield _figure("sigma", maps.sigma_map(view))
+    yield _figure("ground", maps.ground_map(view))
+    yield "termsel plan names the places where further points help most."
+
+
+def _selected(view: View, picture: str) -> Iterator[Block]:
+    record = view.record
+    strategy, selection, offered = record["strategy"], record["selection"], record["offered"]
+    if strategy:
+        yield f"Chosen: {bars.label_of(strategy['chosen'])}. {strategy.get('reason', '')}"
+        yield _figure("candidates", bars.candidate_bars(view))
+        yield Table("Candidates", ("candidate", "terms", "effective", "leave-one-out RMSE [px]"), [
+            (bars.label_of(one["name"]), str(one["n_terms"]), f"{one['effective']:.1f}",
+             "-" if one["predicted"] is None else f"{one['predicted']:.3f}")
+            for one in strategy["candidates"]], folded=True)
+    else:
+        yield (f"{selection['n_terms']} of {offered['n_terms']} terms and "
+               f"{selection['n_features']} of {offered['n_features']} control features, by "
+               f"{counted(record['evaluations'], 'evaluation')} in {record['seconds']:.1f} s.")
+    yield from record["notes"]
+    if record["front"]:
+        yield from _front(view, picture)
+    for name in ("convergence", "terms", "correlations"):
+        if not KINDS[name].missing(view):
+            yield _figure(name, KINDS[name].draw(view))
+    if record["significance"]:
+        yield Table("Terms and their significance", ("term", "t", "chance if zero"), [
+            (row["term"], f"{row['t']:.3g}", f"{row['p']:.2g}") for row in term_rows(view)],
+            folded=True)
+    if not strategy:
+        yield Table("Selected features", ("feature",),
+                    [(name,) for name in selection["features"]], folded=True)
+
+
+def _front(view: View, picture: str) -> Iterator[Block]:
+    front = view.record["front"]
+    size = search.COUNTS.get(view.front_size, view.front_size)
+    yield _figure("front", search.front(view))
+    yield Figure("members", "Residuals of the chosen member",
+                 "Choose a member in the chart above or in the table below.",
+                 search.members(view, picture), keeps_ratio=True)
+    yield Table("Members of the front", (size, "check [px]", "independent [px]", "terms"), [
+        (f"{one['objectives'][view.front_size]:g}", *(
+            "-" if one["rmse"][role]["total"] is None else f"{one['rmse'][role]['total']:.3f}"
+            for role in ("check", "independent")), " ".join(one["selection"]["terms"]))
+        for one in front], choice="member", keys=list(range(len(front))))
+
+
+def _repeated(view: View) -> Iterator[Block]:
+    record = view.record
+    yield "In the folder of this result:"
+    yield Code(command(record) + " --out again")
+    yield Table("Versions", ("package", "version"), [
+        *record["versions"].items(),
+        *((part["name"], part["version"]) for part in record["plugins"].values()),
+        ("system of this report", platform.system())])
+    sums = [("data as read", record["data"]["sha256"]), *record.get("checksums", {}).items()]
+    yield Table("Checksums (SHA-256)", ("of", "checksum"), sums, folded=True)
+
+
+def _figure(name: str, chart: Any) -> Figure:
+    kind = KINDS[name]
+    return Figure(name, kind.title, kind.look, chart, name in MAPS)

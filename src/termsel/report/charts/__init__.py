@@ -1,0 +1,1 @@
+"""Charts of a result, one definition for pages, notebooks and pictures."""

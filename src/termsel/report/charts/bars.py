@@ -1,0 +1,139 @@
+"""Comparisons: features by residual, fits by RMSE, candidates by predicted RMSE."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from termsel.candidates.candidate import named
+from termsel.errors import cut
+from termsel.fits.accuracy import rmse_interval
+from termsel.report.theme import (
+    BLUNDER,
+    CONTROL,
+    FAINT,
+    INK,
+    ROLE_COLOURS,
+    ROLE_SHAPES,
+    UNUSED,
+    WIDTH,
+    data,
+    legend_of,
+    require_altair,
+    spread_scale,
+)
+from termsel.report.view import Row, View
+
+WORST = 25
+"""Features that the chart of the worst residuals shows."""
+ROW = 18
+"""Height of a row [px of the screen]."""
+SELECTION = "this result"
+
+
+def worst_bars(view: View) -> Any:
+    """Return the largest residuals as bars, the largest first."""
+    alt = require_altair()
+    rows = [{**row, "label": cut(row["id"], 24)} for row in view.worst[:WORST]]
+    picked = alt.selection_point(name="picked", fields=["id"], empty=False)
+    base = alt.Chart(data(rows)).encode(
+        y=alt.Y("id:N", sort=[row["id"] for row in rows], title=None, axis=alt.Axis(
+            labelLimit=120, ticks=False, domain=False)))
+    roles = {row["role"] for row in rows}
+    bars = base.mark_bar(cursor="pointer", height={"band": 0.72}).encode(
+        x=alt.X("distance:Q", title="residual [px]"),
+        color=alt.Color("role:N", scale=legend_of(ROLE_COLOURS, roles)),
+        stroke=alt.condition(picked, alt.value(INK), alt.value(None)),
+        strokeWidth=alt.condition(picked, alt.value(2.5), alt.value(0)),
+        tooltip=[alt.Tooltip("id:N"), alt.Tooltip("role:N"),
+                 alt.Tooltip("distance:Q", title="residual [px]", format=".3g")],
+    ).add_params(picked)
+    marks = base.transform_filter("datum.blunder").mark_text(
+        text="blunder", align="left", dx=5, fontSize=10.5, color=BLUNDER, fontWeight=600).encode(
+            x="distance:Q")
+    layers = [bars, marks] if any(row["blunder"] for row in rows) else [bars]
+    return alt.layer(*layers).properties(width=WIDTH, height=ROW * len(rows))
+
+
+def baseline_bars(view: View) -> Any:
+    """Return the RMSE of this result and of all fits without a search, with intervals."""
+    alt = require_altair()
+    rows = fit_rows(view)
+    roles = {row["role"]: ROLE_COLOURS[row["role"]] for row in rows}
+    order = [SELECTION, *dict.fromkeys(row["fit"] for row in rows if row["fit"] != SELECTION)]
+    scale, kind = spread_scale([row["rmse"] for row in rows], zero=True)
+    x = alt.X("rmse:Q", title=f"RMSE [px], with 90 % interval{kind}", scale=scale)
+    colours = alt.Scale(domain=list(roles), range=list(roles.values()))
+    base = alt.Chart(data(rows)).encode(
+        y=alt.Y("fit:N", sort=order, title=None, axis=alt.Axis(
+            ticks=False, domain=False, grid=True, labelLimit=160, labelFontWeight=alt.condition(
+                f"datum.value == '{SELECTION}'", alt.value("bold"), alt.value("normal")))),
+        yOffset=alt.YOffset("role:N", sort=list(roles)),
+        color=alt.Color("role:N", scale=colours))
+    chosen = alt.selection_point(name="fit", fields=["fit"], empty=False)
+    told = [alt.Tooltip("fit:N"), alt.Tooltip("role:N", title="points"),
+            alt.Tooltip("rmse:Q", title="RMSE [px]", format=".3f"),
+            alt.Tooltip("low:Q", format=".3f"), alt.Tooltip("high:Q", format=".3f"),
+            alt.Tooltip("note:N", title="check points")]
+    shape = alt.Shape("role:N", scale=alt.Scale(
+        domain=list(roles), range=[ROLE_SHAPES[role] for role in roles]))
+    return alt.layer(
+        base.mark_rule(strokeWidth=2.2, opacity=0.65).encode(x=x, x2="high:Q").transform_calculate(
+            rmse="datum.low"),
+        base.mark_point(opacity=1, strokeWidth=1.8, cursor="pointer").encode(
+            x=x, shape=shape, tooltip=told, fill=alt.condition(
+                "datum.note == 'fitted'", alt.value("white"), alt.Fill("role:N", scale=colours)),
+            size=alt.condition(chosen, alt.value(150), alt.value(62))).add_params(chosen),
+    ).properties(width=WIDTH, height=1.55 * ROW * len(order))
+
+
+def candidate_bars(view: View) -> Any:
+    """Return the candidates of the strategy "auto" with the RMSE that leave-one-out predicts."""
+    alt = require_altair()
+    strategy = view.record["strategy"]
+    rows = [{"fit": label_of(one["name"]), "rmse": one["predicted"],
+             "effective": float(f"{one['effective']:.4g}"), "terms": one["n_terms"],
+             "state": "chosen" if one["name"] == strategy["chosen"] else "candidate"}
+            for one in strategy["candidates"] if one["predicted"] is not None]
+    scale, kind = spread_scale([row["rmse"] for row in rows], zero=True)
+    order = [row["fit"] for row in sorted(rows, key=lambda row: row["rmse"])]
+    colour = alt.Color("state:N", scale=alt.Scale(domain=["chosen", "candidate"],
+                                                  range=[CONTROL, UNUSED]))
+    base = alt.Chart(data(rows)).encode(
+        y=alt.Y("fit:N", sort=order, title=None, axis=alt.Axis(
+            ticks=False, domain=False, grid=True, labelLimit=160)),
+        x=alt.X("rmse:Q", title=f"leave-one-out RMSE [px]{kind}", scale=scale))
+    return alt.layer(
+        base.mark_point(filled=True, size=90, opacity=1).encode(
+            color=colour, tooltip=[
+                alt.Tooltip("fit:N", title="candidate"), alt.Tooltip("terms:Q"),
+                alt.Tooltip("effective:Q", title="effective parameters"),
+                alt.Tooltip("rmse:Q", title="leave-one-out RMSE [px]", format=".3f")]),
+        base.mark_text(align="left", dx=9, fontSize=10.5, color=FAINT).encode(
+            text=alt.Text("rmse:Q", format=".2f")),
+    ).properties(width=WIDTH, height=1.2 * ROW * len(rows))
+
+
+def label_of(name: str) -> str:
+    """Return what tables call a baseline."""
+    candidate = named(name)
+    return {"all-terms": "all terms", "without-blunders": "without blunders"}.get(name, name) \
+        if candidate is None else candidate.label
+
+
+def fit_rows(view: View) -> list[Row]:
+    """Return the RMSE of check and independent points of this result and of all other fits."""
+    record = view.record
+    fits = [(SELECTION, record["rmse"], bool(record["strategy"])),
+            *((label_of(one["name"]), one["rmse"], "check" in one["fitted_to"])
+              for one in record["baselines"])]
+    rows = []
+    for name, rmse, fitted in fits:
+        for role in ("check", "independent"):
+            total, n = rmse[role]["total"], rmse[role]["n"]
+            if total is not None and total > 0 and n:
+                low, high = rmse_interval(total, n)
+                # A fit's own points say little; a hollow symbol tells them.
+                note = "fitted" if role == "check" and fitted else "judged"
+                rows.append({"fit": name, "role": role, "rmse": total, "low": low, "high": high,
+                             "note": note})
+    return rows

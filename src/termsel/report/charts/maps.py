@@ -1,0 +1,229 @@
+"""Maps: residuals in the image and on the ground, and where the model is uncertain."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from termsel.report.theme import (
+    BLUNDER,
+    EDGE,
+    INK,
+    ROLE_COLOURS,
+    ROLE_SHAPES,
+    WIDTH,
+    data,
+    legend_of,
+    require_altair,
+)
+from termsel.report.view import Row, View, nice
+
+LENGTH = 0.06
+"""Of the median vector, in widths of the map."""
+MARGIN = 0.04
+"""Drawn around the image, in widths of it."""
+
+
+def image_map(view: View, image: str = "", rows: list[Row] | None = None,
+              member: Any = None) -> Any:
+    """Return residuals as arrows over the image.
+
+    Parameters
+    ----------
+    view : View
+    image : str
+        A picture of the image as a data URL.
+    rows : list of dict, optional
+        Residuals in the image by members of a front; by default those of the view.
+    member : altair.Parameter, optional
+        The choice of the member whose residuals are drawn.
+    """
+    alt = require_altair()
+    top, left, bottom, right = view.image_box
+    wide, high = max(right - left, 1.0), max(bottom - top, 1.0)
+    margin = MARGIN * max(wide, high)
+    rows = view.in_image if rows is None else rows
+    x = alt.X("sample:Q", title="sample [px]", axis=alt.Axis(grid=False, tickCount=6),
+              scale=alt.Scale(domain=[left - margin, right + margin], nice=False, zero=False))
+    y = alt.Y("line:Q", title="line [px]", axis=alt.Axis(grid=False, tickCount=6),
+              scale=alt.Scale(domain=[bottom + margin, top - margin], nice=False, zero=False))
+    frame = alt.Chart(data([{"line": top, "sample": left, "line2": bottom, "sample2": right,
+                             "url": image}]))
+    ends = {"x": x, "y": y, "x2": "sample2:Q", "y2": "line2:Q"}
+    layers = [frame.mark_image(aspect=False).encode(url="url:N", **ends)] if image else []
+    layers.append(frame.mark_rect(fill=None, stroke=EDGE, strokeWidth=1.2).encode(**ends))
+    if view.lines:
+        layers.append(alt.Chart(data(view.lines)).mark_rule(
+            strokeWidth=1.8, strokeCap="round", opacity=0.55).encode(
+                color=_colour(view, rows),
+                strokeDash=alt.condition("datum.blunder", alt.value([4, 3]),
+                                         alt.value([1, 0])),
+                tooltip=[alt.Tooltip("id:N", title="line")], **ends))
+    scale = _exaggeration(view.in_image, "dl", "ds", wide)
+    layers += _arrows(view, rows, x, y, ("ds", "dl"), scale, downwards=True, member=member)
+    layers.append(_bar(left, bottom + 0.55 * margin, 1.0, "1 px", "sample", "line", x, y))
+    return _map(layers, (wide + 2 * margin) / (high + 2 * margin))
+
+
+def ground_map(view: View) -> Any:
+    """Return residuals as arrows on the ground, in the CRS of the control."""
+    alt = require_altair()
+    rows = view.on_ground
+    places = view.ground[np.isfinite(view.ground[:, :2]).all(axis=1), :2]
+    low, high = places.min(axis=0), places.max(axis=0)
+    wide, tall = (max(float(side), 1e-9) for side in high - low)
+    margin = MARGIN * max(wide * view.flattening, tall)
+    across = margin / view.flattening
+    x = alt.X("x:Q", title=f"x, {view.features.crs}", axis=alt.Axis(grid=False, tickCount=5),
+              scale=alt.Scale(domain=[low[0] - across, high[0] + across], nice=False, zero=False))
+    y = alt.Y("y:Q", title="y", axis=alt.Axis(grid=False, tickCount=6),
+              scale=alt.Scale(domain=[low[1] - 2 * margin, high[1] + margin], nice=False,
+                              zero=False))
+    median = _median([float(np.hypot(row["dx"] * view.flattening, row["dy"])) for row in rows])
+    scale = nice(LENGTH * tall / median) if median > 0 else 1.0
+    layers = _arrows(view, rows, x, y, ("dx", "dy"), scale, downwards=False,
+                     metres=view.units_per_metre is not None, flat=view.flattening)
+    if view.units_per_metre is not None:
+        metre = view.units_per_metre / view.flattening
+        length = nice(0.2 * wide / (scale * metre))
+        layers.append(_bar(float(low[0]), float(low[1]) - 1.3 * margin, length * metre,
+                           f"{length:g} m", "x", "y", x, y))
+    return _map(layers, (wide * view.flattening + 2 * margin) / (tall + 3 * margin))
+
+
+def sigma_map(view: View) -> Any:
+    """Return the predicted standard deviation over the image, with the hull of the control."""
+    alt = require_altair()
+    top, left, bottom, right = view.image_box
+    cells = view.sigma
+    axis = alt.Axis(grid=False, tickCount=6)
+    x = alt.X("sample:Q", title="sample [px]", axis=axis,
+              scale=alt.Scale(domain=[left, right], nice=False, zero=False))
+    y = alt.Y("line:Q", title="line [px]", axis=axis,
+              scale=alt.Scale(domain=[bottom, top], nice=False, zero=False))
+    colour = alt.Color("sigma:Q", scale=alt.Scale(scheme="viridis", reverse=True),
+                       legend=alt.Legend(title="standard deviation [px]", orient="top",
+                                         gradientLength=220, titleFontWeight="normal",
+                                         titleFontSize=11.5))
+    made = view.fit.made or view.fit
+    used = made.control.take(made.used).image_vertices()
+    layers = [
+        alt.Chart(data(cells)).mark_rect(strokeWidth=0).encode(
+            x=x, y=y, x2="sample2:Q", y2="line2:Q", color=colour,
+            tooltip=[alt.Tooltip("sigma:Q", title="standard deviation [px]", format=".3g")]),
+        alt.Chart(data(_hull(used))).mark_line(
+            color=INK, strokeWidth=1.4, strokeDash=[5, 3]).encode(x=x, y=y, order="i:O"),
+        alt.Chart(data([{"line": line, "sample": sample} for line, sample in used.tolist()])
+                  ).mark_point(filled=True, size=26, color="white", stroke=INK, strokeWidth=0.9,
+                               opacity=1).encode(x=x, y=y)]
+    return _map(layers, max(right - left, 1.0) / max(bottom - top, 1.0))
+
+
+def _hull(places: Any) -> list[Row]:
+    from scipy.spatial import ConvexHull, QhullError
+
+    try:
+        around = ConvexHull(places).vertices
+    except (QhullError, ValueError):  # on one straight line, or fewer than three
+        return []
+    return [{"i": i, "line": float(places[v, 0]), "sample": float(places[v, 1])}
+            for i, v in enumerate([*around, around[0]])]
+
+
+def _map(layers: list[Any], aspect: float) -> Any:
+    aspect = min(max(aspect, 0.4), 3.0)
+    wide = WIDTH if aspect >= 0.9 else WIDTH * aspect / 0.9
+    return require_altair().layer(*layers).properties(width=round(wide),
+                                                      height=round(wide / aspect))
+
+
+def _arrows(view: View, rows: list[Row], x: Any, y: Any, vector: tuple[str, str],
+            scale: float, *, downwards: bool, metres: bool = False, flat: float = 1.0,
+            member: Any = None) -> list[Any]:
+    """Return the layers of arrows with a scale to drag, of symbols, of rings and of a choice."""
+    alt = require_altair()
+    across, along = vector
+    at_x, at_y = (channel.shorthand.partition(":")[0] for channel in (x, y))
+    drag = alt.param(name="exaggeration", value=scale, bind=alt.binding_range(
+        min=0, max=3 * scale, step=scale / 50, name="Length of arrows "))
+    picked = alt.selection_point(name="picked", fields=["id"], empty=False)
+    base = alt.Chart(data(rows))
+    if member is not None:
+        number = "(member.member ? member.member[0] : 0)"
+        base = base.transform_calculate(
+            dl=f"datum.dls[{number}]", ds=f"datum.dss[{number}]").transform_calculate(
+            distance="sqrt(datum.dl * datum.dl + datum.ds * datum.ds)",
+            role=f"datum.role != 'control' && datum.role != 'left out' ? datum.role : "
+                 f"datum.uses[{number}] ? 'control' : 'left out'")
+    base = base.transform_calculate(
+        end_x=f"datum.{at_x} + exaggeration * datum.{across}",
+        end_y=f"datum.{at_y} + exaggeration * datum.{along}",
+        turn=f"atan2({flat:.6g} * datum.{across}, {'-' if downwards else ''}datum.{along})"
+             " * 180 / PI")
+    colour = _colour(view, rows)
+    told = [alt.Tooltip("id:N"), alt.Tooltip("role:N"),
+            alt.Tooltip("distance:Q", title="residual [px]", format=".3g"),
+            *[alt.Tooltip("metres:Q", title="on the ground [m]", format=".3g")] * metres]
+    shape = alt.Shape("role:N", scale=legend_of(ROLE_SHAPES, _roles(view, rows)))
+    layers = [
+        base.mark_rule(strokeWidth=1.5, clip=True).encode(x=x, y=y, x2="end_x:Q", y2="end_y:Q",
+                                                          color=colour),
+        base.mark_point(shape="wedge", filled=True, size=110, opacity=1, clip=True).encode(
+            x=_of(x, "end_x"), y=_of(y, "end_y"), color=colour,
+            angle=alt.Angle("turn:Q", scale=None)),
+        base.transform_filter("datum.blunder").mark_point(
+            size=230, filled=False, stroke=BLUNDER, strokeWidth=1.8, opacity=1).encode(x=x, y=y),
+        base.transform_filter(picked).mark_point(
+            size=420, filled=False, stroke=INK, strokeWidth=2.6, opacity=1).encode(x=x, y=y),
+        base.transform_filter("datum.kind == 'point'").mark_point(
+            filled=True, size=44, opacity=1, stroke="white", strokeWidth=0.6, cursor="pointer",
+        ).encode(x=x, y=y, color=colour, shape=shape, tooltip=told),
+    ]
+    if view.lines:
+        layers.append(base.transform_filter("datum.kind == 'line'").mark_point(
+            filled=True, size=14, opacity=1, cursor="pointer").encode(
+                x=x, y=y, color=colour, tooltip=told))
+    layers[-1] = layers[-1].add_params(picked, *[member] * (member is not None))
+    layers[0] = layers[0].add_params(drag)
+    return layers
+
+
+def _bar(x0: float, y0: float, length: float, text: str, at_x: str, at_y: str, x: Any, y: Any,
+         ) -> Any:
+    """Return the bar that says how long a residual is drawn."""
+    alt = require_altair()
+    base = alt.Chart(data([{at_x: x0, at_y: y0, "length": length, "text": text}])
+                     ).transform_calculate(end=f"datum.{at_x} + exaggeration * datum.length")
+    return alt.layer(
+        base.mark_rule(strokeWidth=2.4, color=INK).encode(x=x, y=y, x2="end:Q"),
+        base.mark_text(align="left", dx=7, fontSize=11, color=INK).encode(
+            x=_of(x, "end"), y=y, text="text:N"))
+
+
+def _of(channel: Any, field: str) -> Any:
+    """Return the same axis for another field."""
+    other = channel.copy()
+    other.shorthand = f"{field}:Q"
+    return other
+
+
+def _roles(view: View, rows: list[Row]) -> set[str]:
+    some = {"left out"} if any(0 in row.get("uses", ()) and row["role"] == "control"
+                               for row in rows) else set()
+    return some | {row["role"] for row in (*rows, *view.lines)}
+
+
+def _colour(view: View, rows: list[Row]) -> Any:
+    alt = require_altair()
+    return alt.Color("role:N", scale=legend_of(ROLE_COLOURS, _roles(view, rows)),
+                     legend=alt.Legend(symbolStrokeWidth=0, symbolOpacity=1))
+
+
+def _exaggeration(rows: list[Row], down: str, across: str, wide: float) -> float:
+    median = _median([float(np.hypot(row[down], row[across])) for row in rows])
+    return nice(LENGTH * wide / median) if median > 0 else 1.0
+
+
+def _median(lengths: list[float]) -> float:
+    return float(np.median(lengths)) if lengths else 0.0

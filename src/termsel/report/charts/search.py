@@ -1,0 +1,100 @@
+"""The search: its front, the members of that, and how it converged."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from termsel.report.charts.maps import image_map
+from termsel.report.theme import (
+    CHECK,
+    CONTROL,
+    EDGE,
+    FAINT,
+    INDEPENDENT,
+    INK,
+    WIDTH,
+    data,
+    require_altair,
+    spread_scale,
+)
+from termsel.report.view import Row, View
+
+COUNTS = {"n_terms": "terms", "n_features": "control features"}
+
+
+def front(view: View) -> Any:
+    """Return the front: RMSE of check and independent points against terms or features."""
+    alt = require_altair()
+    rows = front_rows(view)
+    size = COUNTS.get(view.front_size, view.front_size)
+    member = choice(view)
+    scale, kind = spread_scale([row["rmse"] for row in rows], zero=False)
+    base = alt.Chart(data(rows)).encode(
+        x=alt.X("size:Q", title=size, scale=alt.Scale(zero=False, padding=14),
+                axis=alt.Axis(tickMinStep=1, format="d")),
+        y=alt.Y("rmse:Q", title=f"RMSE [px]{kind}", scale=scale))
+    kinds = ["check", "independent"]
+    colour = alt.Color("points:N", scale=alt.Scale(domain=kinds, range=[CHECK, INDEPENDENT]))
+    shape = alt.Shape("points:N", scale=alt.Scale(domain=kinds, range=["square", "triangle-up"]))
+    return alt.layer(
+        base.mark_line(strokeWidth=1.4, opacity=0.7).encode(color=colour),
+        base.transform_filter("datum.recommended").mark_point(
+            size=260, stroke=CONTROL, strokeWidth=2, filled=False, opacity=1),
+        base.mark_point(filled=True, size=75, opacity=1, cursor="pointer").encode(
+            color=colour, shape=shape,
+            stroke=alt.condition(member, alt.value(INK), alt.value(None)),
+            strokeWidth=alt.condition(member, alt.value(3), alt.value(0)),
+            tooltip=[alt.Tooltip("size:Q", title=size), alt.Tooltip("points:N"),
+                     alt.Tooltip("rmse:Q", title="RMSE [px]", format=".3f")],
+        ).add_params(member),
+    ).properties(width=WIDTH, height=0.5 * WIDTH)
+
+
+def members(view: View, image: str = "") -> Any:
+    """Return the residuals of the member of the front that is chosen."""
+    return image_map(view, image, view.members, choice(view))
+
+
+def front_rows(view: View) -> list[Row]:
+    """Return a row for check and independent points of each member."""
+    return [{"member": i, "size": one["objectives"][view.front_size], "points": points,
+             "rmse": one["rmse"][points]["total"], "recommended": i == view.recommended}
+            for i, one in enumerate(view.record["front"]) for points in ("check", "independent")
+            if one["rmse"][points]["total"]]
+
+
+def choice(view: View) -> Any:
+    """Return the choice of a member, at first the recommended one."""
+    return require_altair().selection_point(
+        name="member", fields=["member"], value=[{"member": view.recommended}], clear=False,
+        toggle=False, empty=False)
+
+
+def convergence(view: View) -> Any:
+    """Return the best and the median of the population, and what share of it is infeasible."""
+    alt = require_altair()
+    history = view.record["history"]
+    criterion = view.record["criterion"]
+    lines = [{"evaluations": one["evaluations"], "what": what, "value": one[what]}
+             for one in history for what in ("best", "median") if one[what] is not None]
+    share = [{"evaluations": one["evaluations"], "infeasible": 1.0 - one["feasible"]}
+             for one in history]
+    scale, kind = spread_scale([row["value"] for row in lines], zero=False)
+    x = alt.X("evaluations:Q", axis=alt.Axis(format="~s", tickCount=6))
+    colour = alt.Color("what:N", scale=alt.Scale(domain=["best", "median"],
+                                                 range=[CONTROL, CHECK]))
+    area = alt.Chart(data(share)).mark_area(color=EDGE, opacity=0.45, interpolate="step-after",
+                                            ).encode(
+        x=x, y=alt.Y("infeasible:Q", title="infeasible share of the population",
+                     scale=alt.Scale(domain=[0, 1]),
+                     axis=alt.Axis(format="%", orient="right", grid=False, titleColor=FAINT)))
+    drawn = alt.Chart(data(lines)).mark_line(
+        strokeWidth=2, interpolate="step-after").encode(
+        x=x, color=colour, strokeDash=alt.StrokeDash("what:N", legend=None, scale=alt.Scale(
+            domain=["best", "median"], range=[[1, 0], [5, 3]])),
+        y=alt.Y("value:Q", title=f"{criterion}{kind}", scale=scale),
+        tooltip=[alt.Tooltip("evaluations:Q", format=",d"), alt.Tooltip("what:N"),
+                 alt.Tooltip("value:Q", title=criterion, format=".4g")])
+    return alt.layer(area, drawn).resolve_scale(y="independent").properties(
+        width=WIDTH, height=0.45 * WIDTH)
+

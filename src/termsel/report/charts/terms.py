@@ -1,0 +1,84 @@
+"""Terms: their significance, how often a front has them, and how their coefficients correlate."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from scipy.special import stdtrit
+
+from termsel.measurements.features import select
+from termsel.report.theme import CHECK, CONTROL, FAINT, INK, WIDTH, data, require_altair
+from termsel.report.view import Row, View
+
+ROW = 15
+LEVEL = 0.05
+"""Chance below which a coefficient is called significant."""
+
+
+def term_bars(view: View) -> Any:
+    """Return the significance of each term in use, and its share of the front's members."""
+    alt = require_altair()
+    rows = term_rows(view)
+    kinds = [f"significant ({100 * LEVEL:.0f} %)", "not significant"]
+    order = [row["term"] for row in rows]
+    base = alt.Chart(data([{**row, "state": kinds[row["p"] > LEVEL]} for row in rows])).encode(
+        y=alt.Y("term:N", sort=order, title=None,
+                axis=alt.Axis(ticks=False, domain=False, grid=True, labelLimit=170)))
+    front = [alt.Tooltip("share:Q", title="share of the front", format=".0%")] \
+        * bool(view.record["front"])
+    shape = alt.Shape("state:N", scale=alt.Scale(domain=kinds, range=["circle", "diamond"]))
+    x = alt.X("t:Q", title="|coefficient| / standard deviation, logarithmic",
+              scale=alt.Scale(type="log", nice=False, padding=14))
+    layers = [
+        alt.Chart(data([{"t": term_limit(view)}])).mark_rule(
+            strokeDash=[5, 3], color=INK, strokeWidth=1.2).encode(x="t:Q"),
+        base.mark_point(filled=True, size=75, opacity=1).encode(
+            x=x, shape=shape, color=alt.Color("state:N", scale=alt.Scale(
+                domain=kinds, range=[CONTROL, CHECK])),
+            tooltip=[alt.Tooltip("term:N"), alt.Tooltip("t:Q", format=".3g"),
+                     alt.Tooltip("p:Q", title="chance if it were zero", format=".2g"), *front])]
+    if front:
+        layers.append(base.mark_text(align="left", dx=8, fontSize=10, color=FAINT).encode(
+            x="t:Q", text=alt.Text("share:Q", format=".0%")))
+    return alt.layer(*layers).properties(width=WIDTH, height=ROW * len(rows))
+
+
+def term_limit(view: View) -> float:
+    """Return the ratio of coefficient to deviation above which a term is significant."""
+    return float(stdtrit(view.record["adjustment"]["redundancy"], 1 - LEVEL / 2))
+
+
+def term_rows(view: View) -> list[Row]:
+    """Return the terms in use with t, p and their share of the front's members."""
+    front = view.record["front"]
+    return sorted(({"term": name, "t": max(one["t"], 1e-3), "p": one["p"],
+                    "share": sum(name in member["selection"]["terms"] for member in front)
+                    / len(front) if front else None}
+                   for name, one in view.record["significance"].items()),
+                  key=lambda row: -row["t"])
+
+
+def correlation_map(view: View) -> Any:
+    """Return the correlations of the coefficients of the terms in use."""
+    alt = require_altair()
+    matrix = view.correlations
+    assert matrix is not None
+    names = select(view.fit.model.terms, view.fit.terms)
+    rows = [{"one": names[i], "other": names[j], "correlation": float(f"{matrix[i, j]:.3f}")}
+            for i in range(len(names)) for j in range(i) if np.isfinite(matrix[i, j])]
+    side = min(max(13 * len(names), 200), WIDTH)
+    labels = alt.Axis(labelFontSize=min(11, max(6, side / len(names) - 2)), ticks=False,
+                      domain=False, grid=False, labelLimit=120)
+    order = list(names)
+    return alt.Chart(data(rows)).mark_rect(stroke="white", strokeWidth=0.4).encode(
+        x=alt.X("other:N", sort=order, title=None, axis=alt.Axis(
+            **{**labels.to_dict(), "labelAngle": -90})),
+        y=alt.Y("one:N", sort=order, title=None, axis=labels),
+        color=alt.Color("correlation:Q", scale=alt.Scale(scheme="purpleorange", domain=[-1, 1],
+                                                         domainMid=0),
+                        legend=alt.Legend(gradientLength=180, title="correlation",
+                                          titleFontWeight="normal", titleColor=INK)),
+        tooltip=[alt.Tooltip("one:N", title="term"), alt.Tooltip("other:N", title="and term"),
+                 alt.Tooltip("correlation:Q", format=".3f")],
+    ).properties(width=side, height=side)

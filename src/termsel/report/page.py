@@ -1,0 +1,218 @@
+"""One self-contained page that opens offline: sections of text, charts and tables.
+
+The page asks for nothing from elsewhere, which its Content-Security-Policy enforces: only the
+scripts and the style with the given checksums, and pictures in the page itself. Charts are
+evaluated by an interpreter, as the policy allows no code made from text.
+"""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import json
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
+from functools import cache
+from html import escape
+from importlib.resources import files
+from itertools import groupby
+from typing import Any
+
+from termsel.errors import TermselError, printable
+from termsel.report.theme import require_altair, styled
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table, which also serves where a chart cannot be seen.
+
+    Parameters
+    ----------
+    caption : str
+    columns : tuple of str
+    rows : sequence of tuple
+        Numbers as text, already rounded.
+    choice : str
+        Name of the choice that a row makes in the charts; "" where there is none.
+    keys : sequence
+        What each row chooses, of the same length as the rows.
+    folded : bool
+        Whether it is shown only when asked for.
+    """
+
+    caption: str
+    columns: tuple[str, ...]
+    rows: Sequence[tuple[str, ...]]
+    choice: str = ""
+    keys: Sequence[Any] = ()
+    folded: bool = False
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A chart with what to look for.
+
+    Parameters
+    ----------
+    name, title, look : str
+    chart : altair.Chart
+        Without title and style.
+    keeps_ratio : bool
+        Whether height follows width, as that of a map.
+    """
+
+    name: str
+    title: str
+    look: str
+    chart: Any
+    keeps_ratio: bool = False
+
+
+@dataclass(frozen=True)
+class Statement:
+    """A statement that can be pasted elsewhere as it is."""
+
+    text: str
+
+
+@dataclass(frozen=True)
+class Code:
+    """A command, or other text in which spaces count."""
+
+    text: str
+
+
+_NUMBER = 24
+"""Characters beyond which a cell of a table is words, and begins at the left."""
+
+Block = str | Table | Figure | Statement | Code
+
+
+@dataclass(frozen=True)
+class Section:
+    """A question, and what answers it."""
+
+    title: str
+    blocks: tuple[Block, ...] = field(default=())
+
+
+def page(title: str, subtitle: str, sections: Iterable[Section]) -> str:
+    """Return a page as HTML.
+
+    Parameters
+    ----------
+    title, subtitle : str
+    sections : iterable of Section
+
+    Raises
+    ------
+    TermselError
+        If altair or vl-convert-python is not installed.
+    """
+    specs: dict[str, Any] = {}
+    parts = []
+    for number, section in enumerate(sections, 1):
+        shown = "\n".join(_blocks(section.blocks, specs))
+        parts.append(f'<section aria-labelledby="s{number}"><h2 id="s{number}">'
+                     f"{_text(section.title)}</h2>\n{shown}\n</section>")
+    style, script, library = _resource("page.css"), _resource("page.js"), _library()
+    policy = (f"default-src 'none'; script-src {_checksum(library)} {_checksum(script)}; "
+              f"style-src {_checksum(style)}; img-src data:; base-uri 'none'; form-action 'none'")
+    # Nothing in a block of data may end it.
+    charts = json.dumps(specs, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
+    return f"""<!DOCTYPE html>
+<html lang="en">
+<head>
+<meta charset="utf-8">
+<meta http-equiv="Content-Security-Policy" content="{policy}">
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<link rel="icon" href="data:,">
+<title>{_text(title)}</title>
+<style>{style}</style>
+</head>
+<body>
+<header><h1>{_text(title)}</h1><p>{_text(subtitle)}</p></header>
+<main>
+{chr(10).join(parts)}
+</main>
+<p id="chosen" role="status" aria-live="polite"></p>
+<script type="application/json" id="charts">{charts}</script>
+<script>{library}</script>
+<script>{script}</script>
+</body>
+</html>
+"""
+
+
+def _blocks(blocks: Iterable[Block], specs: dict[str, Any]) -> Iterator[str]:
+    """Yield blocks as HTML, with charts that follow each other side by side where there is room."""
+    for are_charts, group in groupby(blocks, lambda block: isinstance(block, Figure)):
+        shown = "\n".join(_block(block, specs) for block in group)
+        yield f'<div class="figures">{shown}</div>' if are_charts else shown
+
+
+def _block(block: Block, specs: dict[str, Any]) -> str:
+    if isinstance(block, str):
+        return f"<p>{_text(block)}</p>"
+    if isinstance(block, Statement):
+        return f'<blockquote class="statement" tabindex="0">{_text(block.text)}</blockquote>'
+    if isinstance(block, Code):
+        return f'<pre tabindex="0"><code>{_text(block.text)}</code></pre>'
+    return _figure(block, specs) if isinstance(block, Figure) else _table(block)
+
+
+def _figure(figure: Figure, specs: dict[str, Any]) -> str:
+    specs[figure.name] = styled(figure.chart).to_dict()
+    ratio = figure.chart.width / figure.chart.height if figure.keeps_ratio else 0
+    return (f'<figure id="{_text(figure.name)}"><h3>{_text(figure.title)}</h3>'
+            f"<p class=\"look\">{_text(figure.look)}</p>"
+            f'<div class="chart" data-chart="{_text(figure.name)}" data-ratio="{ratio:.4g}" '
+            f'role="img" aria-label="{_text(figure.title)}. {_text(figure.look)}"></div></figure>')
+
+
+def _table(table: Table) -> str:
+    words = [""] + [' class="words"' * any(len(row[i]) > _NUMBER for row in table.rows)
+                    for i in range(1, len(table.columns))]
+    head = "".join(f'<th scope="col"{kind}>{_text(name)}</th>'
+                   for name, kind in zip(table.columns, words, strict=True))
+    choice = f' data-choice="{_text(table.choice)}"' * bool(table.choice)
+    rows = []
+    for i, row in enumerate(table.rows):
+        name, *cells = map(_text, row)
+        key = ""
+        if table.choice:
+            key = f' data-key="{_text(json.dumps(table.keys[i]))}"'
+            name = f'<button type="button">{name}</button>'
+        rows.append(f'<tr{key}><th scope="row">{name}</th>'
+                    + "".join(f"<td{kind}>{cell}</td>" for cell, kind in zip(
+                        cells, words[1:], strict=True)) + "</tr>")
+    shown = (f'<div class="scroll" tabindex="0"><table{choice}><caption>{_text(table.caption)}'
+             f"</caption><thead><tr>{head}</tr></thead><tbody>\n" + "\n".join(rows)
+             + "\n</tbody></table></div>")
+    return f"<details><summary>{_text(table.caption)}</summary>{shown}</details>" \
+        if table.folded else shown
+
+
+def _text(text: str) -> str:
+    """Return text of names and files as HTML that shows it and obeys nothing in it."""
+    return escape(printable(text))
+
+
+def _resource(name: str) -> str:
+    return (files("termsel.report") / name).read_text(encoding="utf-8")
+
+
+@cache
+def _library() -> str:
+    """Return Vega, Vega-Lite and Vega-Embed with the interpreter of expressions."""
+    require_altair()
+    try:
+        from vl_convert import javascript_bundle
+    except ImportError:
+        raise TermselError("pages require vl-convert-python, which is not installed",
+                           hint='Install it: pip install "termsel[report]".') from None
+    return javascript_bundle("window.vegaEmbed = vegaEmbed;").replace("</script", "<\\/script")
+
+
+def _checksum(text: str) -> str:
+    return f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'"

@@ -1,0 +1,51 @@
+"""The command that repeats a run."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+
+def command(record: Mapping[str, Any]) -> str:
+    """Return the command that repeats a run in the folder of its result.
+
+    The points and lines there have their roles, so that the files they came from are not needed.
+
+    Parameters
+    ----------
+    record : mapping
+        The content of result.json.
+    """
+    return " \\\n    ".join(["termsel run", *_parts(record)])
+
+
+def _parts(record: Mapping[str, Any]) -> Iterator[str]:
+    counts = record["data"]["counts"]
+    yield f"--problem {shlex.quote(record['problem'])}"
+    if any(counts[role] for role in ("control", "check", "independent", "off")):
+        yield "--points points.csv"
+    if counts["lines"]:
+        yield "--lines lines.csv"
+    yield f"--crs {shlex.quote(record['data']['crs'])}"
+    if record["strategy"]:
+        yield "--strategy auto"
+    else:
+        for part in ("model", "solver", "criterion"):
+            yield f"--{part} {shlex.quote(record[part])}"
+    for part, options in record["options"].items():
+        for name, value in options.items():
+            if value is not None and not (part == "data" and name in _SETTLED) \
+                    and not (record["strategy"] and part != "data"):
+                yield f"--set {shlex.quote(f'{name}={_plain(value)}')}"
+    yield f"--seed {record['seed']}"
+    if not record["strategy"]:
+        yield f"--evaluations {record['evaluations']}"
+
+
+_SETTLED = ("roles", "off", "role", "fractions", "split")
+"""Options of data that the roles in points.csv have settled."""
+
+
+def _plain(value: Any) -> str:
+    return str(value).lower() if isinstance(value, bool) else str(value)

@@ -1,0 +1,95 @@
+"""Colours, symbols and type of all charts and pages, and the library that draws them.
+
+The colours of the roles are told apart with any kind of colour blindness, and by lightness in
+print; each role has a shape too.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from termsel.errors import TermselError
+
+CONTROL, CHECK, INDEPENDENT = "#0072b2", "#e08a00", "#1b1f24"
+UNUSED, BLUNDER, LINE = "#9aa1ab", "#c8003c", "#0072b2"
+INK, FAINT, EDGE, GROUND = "#1b1f24", "#5b636e", "#c6cbd2", "#ffffff"
+
+ROLE_COLOURS = {"control": CONTROL, "check": CHECK, "independent": INDEPENDENT,
+                "left out": UNUSED}
+ROLE_SHAPES = {"control": "circle", "check": "square", "independent": "triangle-up",
+               "left out": "cross"}
+
+WIDTH = 560
+"""Of a chart [px of the screen]."""
+
+
+def require_altair() -> Any:
+    """Return the package altair.
+
+    Raises
+    ------
+    TermselError
+        If it is not installed, with the command that installs it.
+    """
+    try:
+        import altair
+    except ImportError:
+        raise TermselError("charts require altair and vl-convert-python, which are not installed",
+                           hint='Install them: pip install "termsel[report]".') from None
+    return altair
+
+
+def styled(chart: Any, title: str = "", look: str = "") -> Any:
+    """Return a chart in the common style, with its title and what to look for.
+
+    Parameters
+    ----------
+    chart : altair.Chart
+    title, look : str
+    """
+    alt = require_altair()
+    if title:
+        chart = chart.properties(title=alt.Title(title, subtitle=_wrapped(look)))
+    return chart.configure(
+        background=GROUND, font="Helvetica Neue, Helvetica, Arial, sans-serif", padding=10,
+    ).configure_view(stroke=None).configure_title(
+        anchor="start", frame="group", fontSize=15, fontWeight=600, color=INK, offset=12,
+        subtitleColor=FAINT, subtitleFontSize=11.5, subtitlePadding=4,
+    ).configure_axis(
+        labelColor=INK, titleColor=FAINT, titleFontWeight="normal", titleFontSize=11.5,
+        labelFontSize=11, domainColor=EDGE, tickColor=EDGE, gridColor="#eceef1", labelLimit=150,
+    ).configure_legend(
+        orient="top", direction="horizontal", title=None, labelFontSize=11.5, labelColor=INK,
+        symbolSize=70, offset=6, columnPadding=14, labelLimit=200)
+
+
+def _wrapped(text: str, width: int = 84) -> list[str]:
+    import textwrap
+
+    return textwrap.wrap(text, width)
+
+
+def data(rows: list[dict[str, Any]]) -> Any:
+    """Return rows as data of a chart."""
+    return require_altair().InlineData(values=rows)
+
+
+def legend_of(kinds: dict[str, str], present: set[str]) -> Any:
+    """Return the colours of those kinds that are present, in the order of the kinds."""
+    names = [name for name in kinds if name in present]
+    return require_altair().Scale(domain=names, range=[kinds[name] for name in names])
+
+
+def spread_scale(values: list[float], *, zero: bool) -> tuple[Any, str]:
+    """Return the scale of values, logarithmic where they differ by a power of ten, and its name.
+
+    Parameters
+    ----------
+    values : list of float
+    zero : bool
+        Whether a linear scale begins at 0.
+    """
+    alt = require_altair()
+    if len(values) and min(values) > 0 and max(values) > 12 * min(values):
+        return alt.Scale(type="log", nice=False, padding=10), ", logarithmic"
+    return alt.Scale(zero=zero), ""

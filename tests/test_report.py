@@ -1,0 +1,277 @@
+"""Charts, pictures and pages of results: what they show is what the record says."""
+
+from __future__ import annotations
+
+import json
+import re
+import shlex
+import sys
+from collections.abc import Callable
+from html import unescape
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+import termsel
+from termsel.fits.accuracy import rmse_interval
+from termsel.report.plots import KINDS
+from termsel.report.repeat import command
+
+altair = pytest.importorskip("altair")
+pytest.importorskip("vl_convert")
+
+HOSTILE = ("</script><img src=x onerror=alert(1)>", "{{7*7}} ${x} %s",
+           "\u0627\u0644\u0646\u0642\u0637\u0629 42", "a \"quoted\" & 'single' id", "x" * 200,
+           "=cmd|' /C calc'!A0", "datum['id']")
+Call = Callable[..., SimpleNamespace]
+
+
+@pytest.fixture(scope="module")
+def searched(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the folder of a search with a front."""
+    folder = tmp_path_factory.mktemp("searched") / "result"
+    termsel.run("rfm-terms", solver="nsga2", evaluations=2000, out=folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def lines(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the folder of a selection of lines, with blunders among them."""
+    folder = tmp_path_factory.mktemp("lines") / "result"
+    termsel.run("owdis-lines", evaluations=2000, out=folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def chosen() -> termsel.Result:
+    """Return a choice by auto."""
+    return termsel.run("poly-terms")
+
+
+def rows_of(chart: object) -> dict[str, list[dict[str, object]]]:
+    """Return all data of a chart."""
+    return chart.to_dict()["datasets"]  # type: ignore[attr-defined]
+
+
+def test_an_arrow_is_measured_minus_computed(searched: Path) -> None:
+    result = termsel.read_result(searched)
+    points = result.features.points
+    error = points.image - result.fit.project(points.ground)
+    drawn = {row["id"]: row for row in result.view.in_image}
+    assert set(drawn) == {name for name, role in zip(points.ids, points.roles, strict=True)
+                          if role != "off"}
+    for name, place, (line, sample) in zip(points.ids, points.image, error, strict=True):
+        if name in drawn:
+            assert (drawn[name]["line"], drawn[name]["sample"]) == pytest.approx(tuple(place))
+            assert (drawn[name]["dl"], drawn[name]["ds"]) == pytest.approx((line, sample), rel=1e-3)
+
+
+def test_the_map_on_the_ground_is_in_metres(searched: Path) -> None:
+    result = termsel.read_result(searched)
+    independent = [row["metres"] for row in result.view.on_ground if row["role"] == "independent"]
+    assert result.accuracy is not None
+    assert result.accuracy.ground is not None
+    assert np.sqrt(np.mean(np.square(independent))) == pytest.approx(
+        result.accuracy.ground.total, rel=1e-3)
+
+
+def test_the_interval_of_an_rmse_is_that_of_chi_squared() -> None:
+    low, high = rmse_interval(2.0, 15)
+    assert low == pytest.approx(2 * np.sqrt(30 / chi2.ppf(0.95, 30)))
+    assert high == pytest.approx(2 * np.sqrt(30 / chi2.ppf(0.05, 30)))
+
+
+def test_the_interval_covers_the_rmse_as_often_as_it_says() -> None:
+    rng = np.random.default_rng(1)
+    errors = rng.normal(size=(4000, 12, 2))
+    totals = np.sqrt((errors**2).sum(axis=2).mean(axis=1))
+    inside = [low <= np.sqrt(2) <= high for low, high in (rmse_interval(t, 12) for t in totals)]
+    assert np.mean(inside) == pytest.approx(0.9, abs=0.015)
+
+
+def test_members_of_a_front_have_the_errors_that_the_record_says(searched: Path) -> None:
+    view = termsel.read_result(searched).view
+    front = view.record["front"]
+    assert len(front) > 3
+    for i, said in enumerate(front):
+        for role in ("check", "independent"):
+            squares = [row["dls"][i] ** 2 + row["dss"][i] ** 2 for row in view.members
+                       if row["role"] == role]
+            assert np.sqrt(np.mean(squares)) == pytest.approx(said["rmse"][role]["total"], rel=5e-3)
+
+
+def test_every_chart_is_one_altair_chart_that_says_what_to_look_for(
+        searched: Path, chosen: termsel.Result) -> None:
+    drawn = set()
+    for result in (termsel.read_result(searched), chosen):
+        for kind in KINDS.values():
+            if kind.missing(result.view):
+                with pytest.raises(termsel.TermselError, match=f"no chart {kind.name}"):
+                    getattr(result.plot, kind.name)()
+                continue
+            chart = getattr(result.plot, kind.name)()
+            assert isinstance(chart, altair.TopLevelMixin)
+            spec = chart.to_dict()
+            assert spec["title"]["text"] == kind.title
+            assert " ".join(spec["title"]["subtitle"]) == kind.look
+            drawn.add(kind.name)
+    assert drawn >= set(KINDS) - {"convergence"}
+
+
+def test_baselines_show_the_record(chosen: termsel.Result) -> None:
+    shown = max(rows_of(chosen.plot.baselines()).values(), key=len)
+    here = {(row["fit"], row["role"]): row["rmse"] for row in shown}
+    assert here["this result", "independent"] == chosen.rmse["independent"].total
+    assert len(here) == 2 * (len(chosen.baselines) + 1)
+
+
+def test_blunders_stand_first_and_are_marked(lines: Path) -> None:
+    view = termsel.read_result(lines).view
+    assert view.blunders
+    assert {row["id"] for row in view.worst[:len(view.blunders)]} == set(view.blunders)
+    assert all(row["blunder"] for row in view.worst[:len(view.blunders)])
+
+
+@pytest.mark.parametrize(("suffix", "head"), [
+    ("svg", b"<svg"), ("png", b"\x89PNG"), ("pdf", b"%PDF")])
+def test_a_picture_is_written(call: Call, searched: Path, tmp_path: Path, suffix: str,
+                              head: bytes) -> None:
+    picture = tmp_path / f"picture.{suffix}"
+    assert call("plot", searched, "terms", "-o", picture).exit_code == 0
+    assert picture.read_bytes().startswith(head)
+    again = call("plot", searched, "terms", "-o", picture)
+    assert again.exit_code == 2
+    assert "already exists" in again.stderr
+    assert call("plot", searched, "terms", "-o", picture, "--overwrite").exit_code == 0
+
+
+@pytest.mark.parametrize(("words", "says"), [
+    (("{}", "terms", "-o", "x.gif"), ".svg, .png, .pdf"),
+    (("{}", "terms", "-o", "x"), ".svg, .png, .pdf"),
+    (("{}", "termz", "-o", "x.svg"), "terms"),
+    (("{}", "candidates", "-o", "x.svg"), "it was not made by the strategy auto"),
+    (("nowhere", "terms", "-o", "x.svg"), "there is no result here"),
+    (("{}", "terms", "-o", "-"), "cannot write to stdout"),
+    (("{}", "terms", "-o", "no/folder/x.svg"), "there is no such folder"),
+])
+def test_a_mistake_is_said_in_one_sentence(call: Call, searched: Path, tmp_path: Path,
+                                           monkeypatch: pytest.MonkeyPatch,
+                                           words: tuple[str, ...], says: str) -> None:
+    monkeypatch.chdir(tmp_path)
+    done = call("plot", *(word.format(searched) for word in words))
+    assert done.exit_code == 2
+    assert says in done.stderr
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(("module", "words"), [
+    ("altair", ("plot", "{}", "terms", "-o", "{out}.svg")),
+    ("altair", ("report", "{}", "-o", "{out}.html")),
+    ("vl_convert", ("plot", "{}", "terms", "-o", "{out}.svg"))])
+def test_without_the_extra_the_message_names_it(
+        call: Call, searched: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, module: str,
+        words: tuple[str, ...]) -> None:
+    monkeypatch.setitem(sys.modules, module, None)
+    done = call(*(word.format(searched, out=tmp_path / "x") for word in words))
+    assert done.exit_code == 2
+    assert 'pip install "termsel[report]"' in done.stderr
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_run_writes_its_report(call: Call, tmp_path: Path) -> None:
+    words = ("run", "--problem", "poly-terms", "--solver", "random", "--evaluations", "200",
+             "--quiet", "--report")
+    assert "--report requires --out" in call(*words).stderr
+    assert call(*words, "--out", tmp_path / "r").exit_code == 0
+    page = tmp_path / "r" / "report.html"
+    assert "How accurate is it?" in page.read_text()
+    assert "already exists" in call("report", tmp_path / "r").stderr
+    assert call("report", tmp_path / "r", "--overwrite").exit_code == 0
+    assert "would replace it" in call("report", tmp_path / "r", "--overwrite", "-o",
+                                      tmp_path / "r" / "result.json").stderr
+
+
+def test_the_six_answers_come_in_order(searched: Path, tmp_path: Path) -> None:
+    result = termsel.read_result(searched)
+    result.report(tmp_path / "page.html")
+    text = (tmp_path / "page.html").read_text()
+    assert re.findall(r"<h2[^>]*>(.*?)</h2>", text) == [
+        "How accurate is it?", "Is it better than plain structures?",
+        "Which points or lines are bad?", "Where is the model weak?",
+        "What was selected, and why?", "How is it repeated?"]
+    assert f"RMSE {result.rmse['independent'].total:.3g} px" in text
+    assert f"{result.accuracy.ground.total:.3g} m on the ground" in text  # type: ignore[union-attr]
+    sums = json.loads((searched / "result.json").read_text())["checksums"]
+    assert all(f"<td class=\"words\">{value}</td>" in text for value in sums.values())
+    with pytest.raises(termsel.TermselError, match="already exists"):
+        result.report(tmp_path / "page.html")
+
+
+def test_the_page_allows_nothing_but_itself(searched: Path, tmp_path: Path) -> None:
+    termsel.read_result(searched).report(tmp_path / "page.html")
+    text = (tmp_path / "page.html").read_text()
+    policy = re.search(r'Content-Security-Policy" content="([^"]*)"', text)
+    assert policy is not None
+    assert policy[1].startswith("default-src 'none'; script-src 'sha256-")
+    assert "unsafe" not in policy[1]
+    head = text[:text.index("<script>")]
+    assert not re.search(r"(?:src|href)=[\"']?(?:https?:|//)", head)
+
+
+def test_hostile_ids_are_text(tmp_path: Path) -> None:
+    features = termsel.simulate_scene("ikonos-hamedan", n_lines=0)
+    points = features.points
+    ids = (*HOSTILE, *points.ids[len(HOSTILE):])
+    named = features.with_(points=termsel.Points(
+        ids, points.image, points.ground, points.sigma, points.roles))
+    termsel.run("poly-terms", features=named, solver="random", evaluations=100).report(
+        tmp_path / "page.html")
+    text = (tmp_path / "page.html").read_text()
+    assert "<img" not in text[:text.index("<script>")]
+    assert text.count("</script>") == 3
+    for name in HOSTILE:
+        assert f">{name}<" in unescape(text) or f"{name}</button>" in unescape(text)
+
+
+def test_a_page_of_a_thousand_features_is_small(tmp_path: Path) -> None:
+    rng = np.random.default_rng(3)
+    image = rng.uniform(0, 8000, (1000, 2))
+    ground = np.column_stack([image[:, 1] * 0.5, -image[:, 0] * 0.5, rng.uniform(0, 300, 1000)])
+    points = termsel.Points([f"point {i}" for i in range(1000)],
+                            image + rng.normal(0, 0.5, (1000, 2)), ground)
+    features = termsel.FeatureSet(points, crs="EPSG:32639")
+    result = termsel.run("rfm-terms", features=features, solver="nsga2", evaluations=1000)
+    result.report(tmp_path / "page.html")
+    assert (tmp_path / "page.html").stat().st_size < 3e6
+
+
+@pytest.mark.parametrize("fixture", ["searched", "lines"])
+def test_the_command_repeats_the_run(call: Call, request: pytest.FixtureRequest, fixture: str,
+                                     monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    folder = request.getfixturevalue(fixture)
+    monkeypatch.chdir(folder)
+    record = json.loads((folder / "result.json").read_text())
+    words = shlex.split(command(record).replace("\\\n", " "))
+    assert call(*words[1:], "--quiet", "--out", tmp_path / "again").exit_code == 0
+    again = json.loads((tmp_path / "again" / "result.json").read_text())
+    assert again["selection"] == record["selection"]
+    assert again["rmse"] == record["rmse"]
+
+
+def test_the_image_lies_below_the_residuals(searched: Path, call: Call, tmp_path: Path) -> None:
+    rasterio = pytest.importorskip("rasterio")
+    size = json.loads((searched / "result.json").read_text())["data"]["image_size"]
+    for name, (high, wide) in (("right", size), ("wrong", (50, 60))):
+        with rasterio.open(tmp_path / f"{name}.tif", "w", driver="GTiff", height=high, width=wide,
+                           count=1, dtype="uint8", compress="deflate") as image:
+            image.write(np.zeros((high, wide), dtype="uint8"), 1)
+    page = tmp_path / "page.html"
+    wrong = call("report", searched, "-o", page, "--image", tmp_path / "wrong.tif")
+    assert wrong.exit_code == 2
+    assert "Give the image that the points were measured in" in wrong.stderr
+    assert not page.exists()
+    assert call("report", searched, "-o", page, "--image", tmp_path / "right.tif").exit_code == 0
+    assert "data:image/jpeg;base64," in page.read_text()
