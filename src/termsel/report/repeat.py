@@ -33,11 +33,14 @@ def _parts(record: Mapping[str, Any]) -> Iterator[str]:
     else:
         for part in ("model", "solver", "criterion"):
             yield f"--{part} {shlex.quote(record[part])}"
+    names = [name for options in record["options"].values() for name in options]
     for part, options in record["options"].items():
         for name, value in options.items():
             if value is not None and not (part == "data" and name in _SETTLED) \
                     and not (record["strategy"] and part != "data"):
-                yield f"--set {shlex.quote(f'{name}={_plain(value)}')}"
+                # A name that two parts have must say which.
+                key = f"{part}.{name}" if names.count(name) > 1 else name
+                yield f"--set {shlex.quote(f'{key}={_plain(value)}')}"
     yield f"--seed {record['seed']}"
     if not record["strategy"]:
         yield f"--evaluations {record['evaluations']}"
