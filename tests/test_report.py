@@ -205,7 +205,7 @@ def test_the_six_answers_come_in_order(searched: Path, tmp_path: Path) -> None:
     assert f"RMSE {result.rmse['independent'].total:.3g} px" in text
     assert f"{result.accuracy.ground.total:.3g} m on the ground" in text  # type: ignore[union-attr]
     sums = json.loads((searched / "result.json").read_text())["checksums"]
-    assert all(f"<td class=\"words\">{value}</td>" in text for value in sums.values())
+    assert all(f">{value}</td>" in text for value in sums.values())
     with pytest.raises(termsel.TermselError, match="already exists"):
         result.report(tmp_path / "page.html")
 
