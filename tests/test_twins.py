@@ -107,3 +107,52 @@ def test_points_that_are_apart_stay_as_they_are() -> None:
     seen_through[1] = seen_through[0] + [0.0, 0.0, 300.0]  # one line of sight
     assert len(set(twins(seen_through))) == 30
     assert list(twins(seen_through[:1])) == [0]
+
+
+@pytest.mark.parametrize("problem", ["rfm-terms", "owdis-points"])
+def test_leave_one_out_holds_out_twins_together(problem: str) -> None:
+    given = twice(scene(20))
+    options = {"degree": 2, "check_as": "control"}
+    task = termsel.prepare(problem, features=given.with_(points=replace(
+        given.points, roles=("control",) * 40)), model="poly3d", criterion="press",
+        solver="random", options=options)
+    genes = np.random.default_rng(0).random((30, task.problem.genome.size)) < 0.8
+    found = task.problem.evaluate(genes).objectives[:, 0]
+    fits = [task.problem.decode(one) for one in genes]
+    control = task.observations.control
+    expected = np.full(30, np.inf)
+    for i, selected in enumerate(fits):
+        used = np.isin(control.ids, selected.features) if "owdis" in problem else np.ones(40, bool)
+        terms = np.isin(task.model.terms, selected.terms)
+        errors = []
+        for j in np.flatnonzero(used):
+            name = control.ids[j].removesuffix("-again")
+            rest = used & np.array([one.removesuffix("-again") != name for one in control.ids])
+            A, b = (part for part in _of_points(task, control.points, terms))
+            rows = np.repeat(rest, 2)
+            x = np.linalg.lstsq(A[rows], b[rows], rcond=None)[0]
+            mine = slice(2 * j, 2 * j + 2)
+            errors.append(((A[mine] @ x - b[mine]) ** 2).sum())
+        expected[i] = np.sqrt(np.mean(errors)) * task.scaling.image_scale
+    usable = np.isfinite(found) & (found < 1e6)
+    assert usable.sum() > 3
+    np.testing.assert_allclose(found[usable], expected[usable], rtol=1e-6)
+
+
+def _of_points(task: termsel.Task, points: Points, terms: np.ndarray) -> tuple:
+    scaled = FeatureSet(task.scaling.points(points))
+    equations = task.model.equations(scaled)
+    return equations.A[:, terms], equations.b
+
+
+def test_an_enumeration_holds_out_twins_together() -> None:
+    given = twice(scene(14))
+    task = termsel.prepare("poly-terms", features=given.with_(points=replace(
+        given.points, roles=("control",) * 28)), criterion="press", solver="exact",
+        options={"degree": 2})
+    found = termsel.search(task.problem, task.solver)
+    assert task.problem.evaluate(found.genes[None]).objectives[0, 0] == pytest.approx(
+        found.objectives[0], rel=1e-9)
+    every = np.array(np.meshgrid(*[[False, True]] * 12)).reshape(12, -1).T
+    assert task.problem.evaluate(every).objectives[:, 0].min() == pytest.approx(
+        found.objectives[0], rel=1e-9)

@@ -7,11 +7,13 @@ termsel, and answering ``termsel --help``, costs next to nothing.
 from __future__ import annotations
 
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
 
 from termsel.version import __version__
 
+TYPE_CHECKING = False  # see termsel.interrupts
 if TYPE_CHECKING:
+    from typing import Any
+
     from termsel.adjustment import Equations, image_equations, line_normals, row_weights
     from termsel.criteria import Criterion, Fits
     from termsel.errors import TermselError

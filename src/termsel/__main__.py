@@ -5,11 +5,12 @@ from __future__ import annotations
 import io
 import os
 import sys
-from types import TracebackType
-from typing import NoReturn
 
-from termsel.interrupts import answered, watch
-from termsel.version import __version__
+from termsel.interrupts import INTERRUPTED, answered, end, end_at_once, leave, watch
+
+TYPE_CHECKING = False  # see termsel.interrupts
+if TYPE_CHECKING:
+    from types import TracebackType
 
 FAULT = """\
 Error: termsel has failed: {what}. This is a bug in termsel or in a plugin, not your mistake.
@@ -22,12 +23,17 @@ def report_fault(
 ) -> None:
     """Report on stderr that termsel has failed; Python then exits with code 1.
 
+    An interrupt is none of its faults: it ends the program at once.
+
     Parameters
     ----------
     kind, error, trace
         As for `sys.excepthook`.
     """
+    if issubclass(kind, KeyboardInterrupt):
+        leave()
     from termsel.errors import cut, printable
+    from termsel.version import __version__
 
     if os.environ.get("TERMSEL_DEBUG") == "1":
         sys.__excepthook__(kind, error, trace)
@@ -56,26 +62,26 @@ def open_streams() -> None:
 
 def main() -> None:
     """Run the command line."""
-    watch()
+    end_at_once()
     sys.excepthook = report_fault
     try:
+        watch()
         from termsel.cli.main import cli
 
         open_streams()
         cli.main(prog_name="termsel")
-    except KeyboardInterrupt:  # before the command line answers
-        _interrupted()
+    except KeyboardInterrupt:  # where the command line does not answer
+        leave()
     except (Exception, SystemExit) as error:
+        code = getattr(error, "code", 1)
         # A library may have made another error of it, such as "cannot be imported".
-        if answered() and getattr(error, "code", 1) != 0:
-            _interrupted()
+        if answered() and code not in (0, INTERRUPTED):
+            leave()
+        if code == INTERRUPTED:
+            end()
         raise
-
-
-def _interrupted() -> NoReturn:
-    answered()
-    print("Interrupted.", file=sys.stderr)
-    sys.exit(130)
+    finally:
+        end_at_once()
 
 
 if __name__ == "__main__":

@@ -2,14 +2,55 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import sys
-from types import FrameType
+
+# As in typing, whose import takes longer than all that comes before Ctrl-C is watched.
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from types import FrameType
+    from typing import NoReturn
 
 INTERRUPTED = 130
 """Exit code after Ctrl-C, as shells have it."""
 
 _AGAIN = 1.0  # s after which an interrupt that nobody answered is raised again
+
+
+def end_at_once() -> None:
+    """Let Ctrl-C end the program at once, with the exit code `INTERRUPTED` and no traceback.
+
+    For programs, while they have nothing to finish: at their start and at their end. Nothing is
+    changed where Ctrl-C is ignored, as by nohup.
+    """
+    if signal.getsignal(signal.SIGINT) in (signal.default_int_handler, _interrupt):
+        signal.signal(signal.SIGINT, leave)
+    answered()
+
+
+def leave(_number: int = signal.SIGINT, _frame: FrameType | None = None) -> NoReturn:
+    """End the program as after Ctrl-C, at once."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    answered()
+    try:
+        os.write(2, b"Interrupted.\n")
+    finally:
+        os._exit(INTERRUPTED)  # not even Python may do more: this may be in the middle of anything
+
+
+def end() -> NoReturn:
+    """End the program with the exit code `INTERRUPTED`, after what it has printed.
+
+    Python itself would end by the signal, whatever the exit code, if the interrupt passed through
+    code that was executed from text, such as that of a dataclass.
+    """
+    from contextlib import suppress
+
+    for stream in (sys.stdout, sys.stderr):
+        with suppress(OSError, ValueError):  # a full disk, or closed
+            stream.flush()
+    os._exit(INTERRUPTED)
 
 
 def watch() -> None:
@@ -18,17 +59,24 @@ def watch() -> None:
     For programs, not for libraries: it takes the signals SIGINT and, where there is one, SIGALRM.
     Nothing is changed where Ctrl-C is ignored, as by nohup.
     """
-    if signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
+    if signal.getsignal(signal.SIGINT) not in (signal.default_int_handler, leave):
         return
     signal.signal(signal.SIGINT, _interrupt)
     if sys.platform != "win32":
         signal.signal(signal.SIGALRM, _interrupt)
+    sys.unraisablehook = _not_raised
 
 
 def _interrupt(_number: int, _frame: FrameType | None) -> None:
     if sys.platform != "win32":
         signal.setitimer(signal.ITIMER_REAL, _AGAIN)
     raise KeyboardInterrupt
+
+
+def _not_raised(what: sys.UnraisableHookArgs) -> None:
+    """Print what Python cannot raise, but for an interrupt, which comes again."""
+    if what.exc_type is not KeyboardInterrupt:
+        sys.__unraisablehook__(what)
 
 
 def answered() -> bool:

@@ -227,7 +227,7 @@ class Criterion(Configurable, ABC):
         return scores
 
     def subset_folds(self, control: Points) -> tuple[IntArray, ...]:
-        """Return the control points held out together, for the subset score "kfold"."""
+        """Return the control points held out together; any make the subset score "kfold"."""
         return ()
 
 

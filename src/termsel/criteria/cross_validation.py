@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Any, ClassVar
 
 import numpy as np
@@ -10,9 +11,9 @@ from termsel.adjustment.leave_out import leave_one_out
 from termsel.adjustment.parts import solve_parts
 from termsel.criteria.base import Criterion, Fits
 from termsel.criteria.losses import LOSS, SQUARES, THRESHOLD
-from termsel.measurements.features import FloatArray, IntArray, Lines, Points, no_lines
+from termsel.measurements.features import FeatureSet, FloatArray, IntArray, Lines, Points, no_lines
 from termsel.measurements.places import spatial_order
-from termsel.measurements.twins import firsts, twins
+from termsel.measurements.twins import twins
 from termsel.options import COUNT, SEED, Option
 
 _SOLUTIONS = 1 << 22
@@ -38,10 +39,10 @@ class _LeftOut(Criterion):
 class Press(_LeftOut):
     """RMSE of each control feature, predicted from all others [px]; needs no check points.
 
-    A feature is held out with all its rows (leave-one-out). Its squared error is the true image
-    error under that solution, with the denominator of that solution. A selection in which some
-    feature is indispensable has no figure. If features are selected too, only those in use
-    count, so that a search can drop difficult ones.
+    A feature is held out with all its rows (leave-one-out), and twins together. Its squared error
+    is the true image error under that solution, with the denominator of that solution. A selection
+    in which some feature is indispensable has no figure. If features are selected too, only those
+    in use count, so that a search can drop difficult ones.
 
     References
     ----------
@@ -56,7 +57,7 @@ class Press(_LeftOut):
         p, k = fits.terms.shape
         used = fits.in_use
         n = used.shape[1]
-        squares = np.empty((p, n))
+        squares, together = np.empty((p, n)), _groups(fits.control, fits.lines)
         step = max(1, _SOLUTIONS // (n * k))
         for some in (slice(start, start + step) for start in range(0, p, step)):
             solutions = np.zeros((n, *fits.terms[some].shape))
@@ -66,7 +67,14 @@ class Press(_LeftOut):
                     part.equations, fits.terms[some, part.columns], used[some])
                 determined &= one_by_one
             squares[some] = np.where(determined[:, None], fits.held_out_each(solutions), np.inf)
+        for group in (group for group in together if len(group) > 1):
+            squares[:, group] = _without(fits, group)
         return self.combined(fits, squares)
+
+    def subset_folds(self, control: Points) -> tuple[IntArray, ...]:
+        """Return each point with its twins; nothing without twins."""
+        groups = _groups(control, no_lines())
+        return groups if len(groups) < len(control) else ()
 
 
 class KFold(_LeftOut):
@@ -99,11 +107,7 @@ class KFold(_LeftOut):
         used = fits.in_use
         squares = np.zeros(used.shape)
         for fold in self.folds(fits.control, fits.lines):
-            rest = used.copy()
-            rest[:, fold] = False
-            coefficients, lacking = solve_parts(fits.parts, fits.terms, rest)
-            found = fits.held_out(coefficients, fold)
-            squares[:, fold] += np.where(lacking[:, None] == 0, found, np.inf)
+            squares[:, fold] += _without(fits, fold)
         return self.combined(fits, squares / self.options["repeats"])
 
     def folds(self, points: Points, lines: Lines) -> tuple[IntArray, ...]:
@@ -120,20 +124,36 @@ class KFold(_LeftOut):
         xy = np.concatenate([points.ground[:, :2],
                              lines.by_feature(lines.ground[:, :, :2].mean(axis=1))])
         rng = np.random.default_rng(self.options["fold_seed"])
-        labels = twins(points.ground)
-        labels = np.concatenate([labels, np.arange(len(xy) - len(labels)) + len(labels)])
-        first = firsts(labels)
-        xy = xy[first]
+        groups = _groups(points, lines)
+        xy = xy[[group[0] for group in groups]]
         repeats, folds = self.options["repeats"], min(self.options["folds"], len(xy))
         found: list[IntArray] = []
         for turn in np.arange(repeats) * np.pi / 2 / repeats:
             rotation = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
             order = (rng.permutation(len(xy)) if self.options["how"] == "random"
                      else spatial_order(xy @ rotation))
-            found.extend(np.flatnonzero(np.isin(labels, labels[first[fold]]))
+            found.extend(np.sort(np.concatenate([groups[i] for i in fold]))
                          for fold in np.array_split(order, folds))
         return tuple(found)
 
     def subset_folds(self, control: Points) -> tuple[IntArray, ...]:
         """Return the folds of control points."""
         return self.folds(control, no_lines())
+
+
+def _without(fits: Fits, fold: IntArray) -> FloatArray:
+    """Return the squared errors of a fold predicted from all others, shape (p, n of the fold)."""
+    rest = fits.in_use.copy()
+    rest[:, fold] = False
+    coefficients, lacking = solve_parts(fits.parts, fits.terms, rest)
+    return np.where(lacking[:, None] == 0, fits.held_out(coefficients, fold), np.inf)
+
+
+@lru_cache(maxsize=4)  # a search asks again and again
+def _groups(points: Points, lines: Lines) -> tuple[IntArray, ...]:
+    """Return each feature with its twins, points before lines, by their first ones."""
+    labels = twins(points.ground)
+    n = len(FeatureSet(points, lines))
+    labels = np.concatenate([labels, np.arange(len(labels), n)])
+    order = np.argsort(labels, kind="stable")
+    return tuple(np.split(order, np.flatnonzero(np.diff(labels[order])) + 1))

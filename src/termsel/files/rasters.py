@@ -105,7 +105,8 @@ def open_raster(path: Path | str) -> Iterator[Any]:
     refuse_pipe(Path(path))
     try:
         with (local_alone(path) as options, rasterio.Env(**options), utf8_name(path) as name,
-              _quiet_about_encodings()):
+              _quiet_about_encodings(), np.errstate(over="ignore")):
+            # The last: rasterio compares a value for no data with what pixels of the type can hold.
             with warnings.catch_warnings():
                 # An image that is to be georeferenced has no geotransform.
                 warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)

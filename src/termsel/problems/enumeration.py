@@ -77,11 +77,13 @@ def enumerable_parts(inputs: Inputs, equations: Equations, genome: Genome,
         sides, genes = [_merge(sides, genes)], genes[:1]
     # One row a point and axis, so that the rows of a fold are its points.
     folds = criterion.subset_folds(inputs.control.points)
+    # Leave-one-out of points some of which are held out together is of folds too.
+    score = "kfold" if folds else criterion.subset_score
     parts = []
     for side, where in zip(sides, genes, strict=True):
         order = np.argsort(where)  # columns in the order of the genes
         system = _ordered(side, order, genome, where[order])
-        parts.append(EnumerablePart(where[order], system, criterion.subset_score,
+        parts.append(EnumerablePart(where[order], system, score,
                                     partial(criterion.subset_cost, system=system), folds,
                                     inputs.pixels))
     return tuple(parts)
