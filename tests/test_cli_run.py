@@ -175,11 +175,11 @@ BAD_FILES = {
                      "line 3, column 'role': unknown role 'tie'. Roles are control, check, "
                      "independent, off, or blank."),
     "empty file": (lambda f, t: written(t, b""),
-                   "bad.csv: the file is empty. Expected one of: areas-csv: areas as a table"),
+                   "bad.csv: the file is empty. Give a table headed id,role,line,sample,x,y,z"),
     "header alone": (lambda f, t: written(t, b"id,line,sample,x,y,z\n"),
                      "line 1: there are no rows below the header. Add one row per feature."),
     "binary file": (lambda f, t: written(t, bytes(range(256)) * 20),
-                    "bad.csv: this binary file is in no format that termsel knows. Expected one"),
+                    "bad.csv: this binary file is in no format that termsel knows. Give a "),
     "wrong encoding": (
         lambda f, t: written(t, "id,line,sample,x,y,z\nStraße,1,2,3,4,5\n".encode("latin-1")),
         "line 2: the text of this file is not UTF-8. Save it with the encoding UTF-8."),
@@ -187,15 +187,15 @@ BAD_FILES = {
         lambda f, t: written(t, b"id,line,sample,x,y,z\n" + b"".join(
             b"P%d,%d,%d,%f,%f,1\n" % (i, i, i * i, 35 + i / 99, 139.7 + i * i / 99)
             for i in range(20))),
-        "feature 'P0' with x = 35, y = 139.7 cannot be longitude and latitude in EPSG:4979. The "
-        "columns look swapped."),
+        "line 2, column 'y': feature 'P0' with x = 35, y = 139.7 cannot be longitude and latitude "
+        "in EPSG:4979. The columns look swapped."),
     "row too short": (
         lambda f, t: written(t, b"id,line,sample,x,y,z\nA,1,2,3\n"),
         "line 2: the row has 4 cells, but the header has 6. Every row needs one cell"),
     "two points in one place": (
         lambda f, t: written(t, b"id,line,sample,x,y,z\nA,1,2,3,4,5\nB,9,9,3,4,5\n"),
         "line 3: points 'A' and 'B' have the same ground coordinates. Remove one of them"),
-    "a folder": (lambda f, t: t, "this is a folder, expected a file. Expected one of"),
+    "a folder": (lambda f, t: t, "this is a folder, expected a file. Give a table headed"),
     "no such file": (lambda f, t: t / "nowhere.csv",
                      "nowhere.csv: this file does not exist. Check the name and the folder."),
 }

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from termsel.errors import TermselError
+from termsel.measurements.coordinates import check_ground
 from termsel.measurements.crs import (
-    check_ground,
     height_reference,
     horizontal,
     is_geographic,
@@ -185,3 +185,12 @@ def test_wkt_tells_its_code_without_pyproj() -> None:
         normalise("EPSG:" + "4" * 5000)
     for own in (f'PROJCRS["a",CS[Cartesian,2],{base}]', f'COMPOUNDCRS["a",PROJCRS["b"],{base}]'):
         assert normalise(own) == own
+
+
+@pytest.mark.usefixtures("_no_pyproj")
+def test_without_pyproj_a_code_that_nothing_checks_is_named_once(
+        caplog: pytest.LogCaptureFixture) -> None:
+    for name in ("EPSG:0", "EPSG:0", "EPSG:32639", "EPSG:4326", "local"):
+        normalise(name)
+    assert [record.message.partition(".")[0] for record in caplog.records] == [
+        "Note: pyproj is not installed, so nothing checks that EPSG:0 exists"]

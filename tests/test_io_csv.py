@@ -201,8 +201,10 @@ def test_declarations(tmp_path: Path) -> None:
     (POINTS + A + "b,chek,1,2,3,4,5\n", 3, "role", "unknown role 'chek'"),
     (POINTS, 1, None, "no rows below the header"),
     ("# crs: EPSG:4979\n" + POINTS, 2, None, "no rows below the header"),
-    ("name;lat;lon;row;col\n", 1, "z", "The columns here are: name, lat, lon, row, col. "
-                                      "Accepted names: z, h, height"),
+    ("name;lat;row;col;z\n", 1, "x", "The columns here are: name, lat, row, col, z. "
+                                    "Accepted names: x, lon, longitude"),
+    ("id,line1,sample1,line2,sample2,x1,y1,z1,x2,y2\na,1,2,3,4,5,6,7,8,9\n", 1, "z2",
+     "there is no column for z2"),
     ("id,line,sample,lon,z\na,1,2,3,4\n", 1, "y", "Accepted names: y, lat"),
     ("id,line,sample,x,y,x,y,z\n", 1, "x", "columns 'x' and 'x' both mean x"),
     ("id,line,Row,sample,x,y,z\n", 1, "Row", "columns 'line' and 'Row' both mean line"),
@@ -416,7 +418,7 @@ def test_crs_not_known_or_contradicted(tmp_path: Path) -> None:
 def test_coordinates_that_cannot_be_name_their_file(tmp_path: Path) -> None:
     p = put(tmp_path, POINTS + A, "p.csv")
     q = put(tmp_path, LINES + L.replace("44.1", "144.1"), "l.csv")
-    with pytest.raises(TermselError, match=r"l\.csv: feature 'l' with x = 5\.1, y = 144\.1"):
+    with pytest.raises(TermselError, match=r"l\.csv, line 2, column 'y2': feature 'l' with x = 5"):
         read_features(p, q, crs="EPSG:4979", readers=READERS)
 
 
@@ -511,3 +513,32 @@ def test_places_that_cannot_be_written(tmp_path: Path) -> None:
             write_text(path, "text")
         assert str(path) in str(caught.value)
     assert list(tmp_path.iterdir()) == [file]
+
+
+@pytest.mark.parametrize(("rows", "place"), [
+    ("# crs: EPSG:32639\nname;easting;northing;z;row;col\na;500000;4e6;1;2;3\nb;51;34;1;9;3\n"
+     "c;500100;4e6;1;2;4\n", "line 4, column 'easting'"),
+    ("# crs: EPSG:4979\nid,lat,lon,z,row,col\na,34,51,1,2,3\nb,34,451,1,2,4\n",
+     "line 4, column 'lon'"),
+    ("# crs: EPSG:4979\nid,lat,lon,z,row,col\na,34,51,1,2,3\nb,134,251,1,2,4\n",
+     "line 4, column 'lat'"),
+])
+def test_a_row_with_coordinates_of_another_crs_is_named(rows: str, place: str, tmp_path: Path,
+                                                        ) -> None:
+    with pytest.raises(TermselError, match=f"p.csv, {place}: "):
+        read_features(put(tmp_path, rows, "p.csv"), None, crs=None, readers=READERS)
+
+
+@pytest.mark.parametrize(("text", "lines", "missing"), [
+    ("id,line,sample,x,y\na,1,2,3,4\nb,2,3,4,5\n", False, "z"),
+    ("id,line1,sample1,line2,sample2,x1,y1,x2,y2\na,1,2,3,4,5,6,8,9\n", True, "z1 and z2"),
+])
+def test_without_columns_of_heights_all_are_blank_with_a_note(
+        text: str, lines: bool, missing: str, tmp_path: Path,
+        caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level("INFO", "termsel")
+    path = put(tmp_path, text, "a.csv")
+    features = read_features(None if lines else path, path if lines else None, crs="local",
+                             readers=READERS)
+    assert np.isnan(features.ground_vertices()[:, 2]).all()
+    assert f"a.csv has no column for {missing}, so its heights are unknown." in caplog.text

@@ -6,7 +6,10 @@ import io
 import os
 import sys
 
-from termsel.interrupts import INTERRUPTED, answered, end, end_at_once, leave, watch
+try:
+    from termsel.interrupts import INTERRUPTED, answered, end, end_at_once, leave, watch
+except KeyboardInterrupt:
+    raise SystemExit(130) from None  # as later, but without the words
 
 TYPE_CHECKING = False  # see termsel.interrupts
 if TYPE_CHECKING:

@@ -97,6 +97,19 @@ class Reader(Configurable, ABC):
             Naming file, line and column, for anything in the file that the user must correct.
         """
 
+    def placed(self, error: TermselError, path: Path) -> TermselError:
+        """Return an error that was found after reading with its place in the file.
+
+        Parameters
+        ----------
+        error : TermselError
+            Its `ids` name the features, its `column` a coordinate, such as "x" or "y2".
+        path : pathlib.Path
+            As for `read`.
+        """
+        error.column = None  # of a table alone
+        return located(error, path)
+
 
 class Writer(Configurable, ABC):
     """Writes a result in one format.

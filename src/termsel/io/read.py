@@ -13,7 +13,8 @@ from termsel.errors import TermselError, counted, unknown_name
 from termsel.files.atomic import private_folder
 from termsel.formats.base import Reader, is_utf16, located, read_head, read_once, utf16_error
 from termsel.guard.faults import PluginFault, is_own, name_of
-from termsel.measurements.crs import EXAMPLES, check_ground, normalise
+from termsel.measurements.coordinates import check_ground
+from termsel.measurements.crs import EXAMPLES, normalise
 from termsel.measurements.features import FeatureSet, join_lines, join_points, no_lines, no_points
 from termsel.plugins.registry import registry
 
@@ -118,7 +119,8 @@ def find_reader(path: Path, readers: Iterable[type[Reader]], format: str | None 
     chosen = [reader for reader in known if reader.name == format]
     if format is not None and not chosen:
         raise unknown_name("file format", format, [reader.name for reader in known])
-    expected = "Expected one of: " + "; ".join(f"{r.name}: {r.summary}" for r in known) + "."
+    expected = ("Give a table headed id,role,line,sample,x,y,z, or another format of "
+                "termsel list readers.")
     head = read_head(path, expected)
     if chosen:
         return chosen[0]
@@ -241,7 +243,7 @@ def read_features(points: Path | None, lines: Path | None, *, areas: Path | None
         check_ground(measured)
     except TermselError as error:
         place = next(path for path, one in sets.items() if error.ids[0] in one.ids)
-        raise located(error, place) from error
+        raise chosen[place].placed(error, place) from error
     return measured
 
 

@@ -1,4 +1,4 @@
-"""Coordinate reference systems: names, kinds, and coordinates that cannot be in them.
+"""Coordinate reference systems: names, kinds, transformations.
 
 pyproj is optional. Without it only the form of a name and the well-known codes are checked.
 In termsel x is always longitude or easting and y latitude or northing, whatever axis order
@@ -7,19 +7,22 @@ the authority gives.
 
 from __future__ import annotations
 
+import logging
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import lru_cache
 from typing import TYPE_CHECKING
 from warnings import catch_warnings, simplefilter
 
 import numpy as np
 
-from termsel.errors import TermselError, counted
-from termsel.measurements.features import BoolArray, FeatureSet, FloatArray
+from termsel.errors import TermselError
+from termsel.measurements.features import FloatArray
 
 if TYPE_CHECKING:
     from pyproj import CRS
+
+log = logging.getLogger(__name__)
 
 LOCAL = "local"
 EXAMPLES = ("EPSG:4979 (longitude, latitude, ellipsoidal height), EPSG:32631 (UTM zone 31 north) "
@@ -35,7 +38,7 @@ _CODE = re.compile(r"(?:urn:ogc:def:crs:)?(EPSG|OGC):(?:[\d.]*:)?(\w+)", re.IGNO
 _COMPOUND = re.compile(r"EPSG:(\d{1,9})\+(\d{1,9})", re.IGNORECASE)
 # x is longitude in termsel, so the OGC names say nothing more than the EPSG codes.
 _OGC = {"CRS84": "EPSG:4326", "CRS84H": "EPSG:4979"}
-_UTM = re.compile(r"EPSG:32([67])(0[1-9]|[1-5]\d|60)")
+UTM = re.compile(r"EPSG:32([67])(0[1-9]|[1-5]\d|60)")
 _WKT = re.compile(r"(GEOG|GEOD|GEOC|PROJ|COMP|LOCAL_CS|ENG|BOUND|DERIVED)\w*\s*\[.*\]",
                   re.IGNORECASE | re.DOTALL)
 
@@ -43,11 +46,6 @@ _WKT = re.compile(r"(GEOG|GEOD|GEOC|PROJ|COMP|LOCAL_CS|ENG|BOUND|DERIVED)\w*\s*\
 _AUTHORITY = re.compile(r'(?:ID|AUTHORITY)\s*\[\s*"EPSG"\s*,\s*"?(\d{1,9})"?\s*\]\s*\]\s*$',
                         re.IGNORECASE)
 
-_NEAR = 1000.0  # metres from the origin of a CRS
-_DEGREES = ((-180.0, -90.0), (360.0, 90.0))
-# Generous: scenes reach into the next zone, and some producers keep northern zones with
-# negative northings south of the equator.
-_UTM_RANGE = {"6": ((0.0, -9.4e6), (1e6, 9.4e6)), "7": ((0.0, 0.0), (1e6, 10.5e6))}
 
 
 def normalise(crs: str) -> str:
@@ -81,8 +79,8 @@ def normalise(crs: str) -> str:
             return _OGC[number]
         if authority == "EPSG" and number.isdecimal() and len(number) < 10:
             name = f"EPSG:{int(number)}"
-            if name not in WGS84 and not _UTM.fullmatch(name):
-                _with_pyproj(name)
+            if name not in WGS84 and not UTM.fullmatch(name) and _with_pyproj(name) is None:
+                _say_unchecked(name)
             return name
     elif (two := _COMPOUND.fullmatch(text)) or _WKT.fullmatch(text):
         text = f"EPSG:{int(two[1])}+{int(two[2])}" if two else text
@@ -114,7 +112,7 @@ def is_geographic(crs: str) -> bool:
     TermselError
         For a CRS `normalise` refuses.
     """
-    return _kind(normalise(crs)) == "geographic"
+    return kind_of(normalise(crs)) == "geographic"
 
 
 def metres_per_unit(crs: str) -> float | None:
@@ -123,7 +121,7 @@ def metres_per_unit(crs: str) -> float | None:
     None for other kinds, and where only pyproj would know and is not installed.
     """
     crs = normalise(crs)
-    if _UTM.fullmatch(crs):
+    if UTM.fullmatch(crs):
         return 1.0
     known = None if crs == LOCAL else _with_pyproj(crs)
     return float(known.axis_info[0].unit_conversion_factor) \
@@ -172,7 +170,7 @@ def transformation(source: str, target: str, *, strict: bool = True) -> Transfor
     source, target = normalise(source), normalise(target)
     if source == target or WGS84.issuperset((source, target)):
         return np.asarray
-    into = "longitude and latitude" if target in WGS84 else _short(target)
+    into = "longitude and latitude" if target in WGS84 else short(target)
     if LOCAL in (source, target):
         raise TermselError(f"plane coordinates without a CRS cannot be transformed to {into}",
                            hint="State the CRS of the ground coordinates.")
@@ -180,10 +178,10 @@ def transformation(source: str, target: str, *, strict: bool = True) -> Transfor
         from pyproj import Transformer
         from pyproj.exceptions import ProjError
     except ImportError:
-        raise TermselError(f"the transformation of {_short(source)} to {into} requires the package "
+        raise TermselError(f"the transformation of {short(source)} to {into} requires the package "
                            "pyproj, which is not installed",
                            hint='Install it: pip install "termsel[gis]".') from None
-    failure = f"coordinates in {_short(source)} cannot be transformed to {into}"
+    failure = f"coordinates in {short(source)} cannot be transformed to {into}"
     known = [_with_pyproj(name) for name in (source, target)]
     ends = [one if len(one.axis_info) > 2 else one.to_3d() for one in known if one is not None]
     try:
@@ -216,7 +214,7 @@ def is_geocentric(crs: str) -> bool:
     crs : str
         As for `normalise`.
     """
-    return _kind(normalise(crs)) == "geocentric"
+    return kind_of(normalise(crs)) == "geocentric"
 
 
 def height_reference(crs: str) -> str:
@@ -232,10 +230,10 @@ def height_reference(crs: str) -> str:
         return ""
     if name == "EPSG:4979":
         return "ellipsoidal (WGS 84)"
-    plane = name in WGS84 or _UTM.fullmatch(name)
+    plane = name in WGS84 or UTM.fullmatch(name)
     known = None if plane else _with_pyproj(name)
     stated = "" if known is None else vertical_datum(known)
-    return stated or f"not stated by {_short(name)}; taken as ellipsoidal"
+    return stated or f"not stated by {short(name)}; taken as ellipsoidal"
 
 
 def vertical_datum(crs: CRS) -> str:
@@ -270,65 +268,6 @@ def horizontal(crs: str) -> str:
     return name if known is None or len(known.axis_info) < 3 else normalise(known.to_2d().to_wkt())
 
 
-def check_ground(features: FeatureSet) -> None:
-    """Refuse ground coordinates that cannot be in the CRS of the features.
-
-    Parameters
-    ----------
-    features : FeatureSet
-        With a CRS; "local" takes any coordinates.
-
-    Raises
-    ------
-    TermselError
-        For longitudes outside -180 to 360 or latitudes outside -90 to 90 degrees in a
-        geographic CRS, coordinates that look like degrees in a projected one, and eastings
-        or northings that no UTM zone has.
-    """
-    crs = normalise(features.crs)
-    kind = _kind(crs)
-    ids = features.points.ids + tuple(name for name in features.lines.ids for _ in range(2))
-    xy = features.ground_vertices()[:, :2]
-    if not ids:
-        return
-    if kind == "geographic":
-        metres = (np.abs(xy) > 360).any(axis=1).mean() > 0.5
-        hint = ("These look like metres: state the projected CRS with --crs." if metres else
-                "x must be longitude and y latitude, in degrees.")
-        _check_range(xy, ids, *_DEGREES, f"cannot be longitude and latitude in {crs}", hint)
-    elif kind == "projected":
-        _check_metres(xy, ids, crs)
-        utm = _UTM.fullmatch(crs)
-        if utm:
-            _check_range(xy, ids, *_UTM_RANGE[utm[1]],
-                         f"cannot be easting and northing in {crs} (UTM)",
-                         "x must be easting and y northing, in metres; check the CRS of the file.")
-
-
-def _check_metres(xy: FloatArray, ids: Sequence[str], crs: str) -> None:
-    """Refuse features in degrees under a projected CRS: all of them, or some far from the rest."""
-    degrees: BoolArray = np.all(np.abs(xy) <= (180, 90), axis=1)
-    if not degrees.any():
-        return
-    rest = xy[~degrees]
-    if len(rest):
-        # Metres next to the origin of a CRS are as small.
-        middle = np.median(rest, axis=0)
-        spread = np.median(np.abs(rest - middle), axis=0).max()
-        if np.hypot(*middle) <= max(_NEAR, 10 * spread):
-            return
-        n = len({name for name, one in zip(ids, degrees, strict=True) if one})
-        what = f"{n} of {counted(len(set(ids)), 'feature')} look{'s' * (n == 1)} like degrees"
-        hint = "Transform these features to the CRS of the others, or remove them."
-    else:
-        what = "the ground coordinates look like degrees"
-        hint = ("State --crs EPSG:4979 for longitude, latitude and ellipsoidal height, or --crs "
-                "local for plane coordinates without a CRS.")
-    first = int(np.argmax(degrees))
-    raise TermselError(f"{what}, but {_short(crs)} is a projected CRS: {_values(xy, ids, first)}",
-                       ids=[ids[first]], hint=hint)
-
-
 def _missing_grids(source: CRS, target: CRS) -> list[str]:
     """Return the names of grids with which PROJ could transform."""
     from pyproj.transformer import TransformerGroup
@@ -340,36 +279,22 @@ def _missing_grids(source: CRS, target: CRS) -> list[str]:
                               for grid in operation.grids if not grid.available))
 
 
-def _check_range(xy: FloatArray, ids: Sequence[str], low: tuple[float, float],
-                 high: tuple[float, float], what: str, hint: str) -> None:
-    def outside(values: FloatArray) -> BoolArray:
-        bad: BoolArray = np.any((values < low) | (values > high), axis=1)
-        return bad
-
-    bad = outside(xy)
-    if not bad.any():
-        return
-    first = int(np.argmax(bad))
-    if not outside(xy[:, ::-1]).any():
-        hint = f"The columns look swapped. {hint}"
-    elif not outside(xy[bad][:, ::-1]).any():
-        hint = f"Perhaps x and y are swapped there. {hint}"
-    raise TermselError(f"{_values(xy, ids, first)} {what}", hint=hint, ids=[ids[first]])
-
-
-def _values(xy: FloatArray, ids: Sequence[str], i: int) -> str:
-    return f"feature {ids[i]!r} with x = {xy[i, 0]:.10g}, y = {xy[i, 1]:.10g}"
-
-
-def _short(crs: str) -> str:
+def short(crs: str) -> str:
+    """Return a CRS as messages name it: WKT is long."""
     return crs if len(crs) <= 40 else f"{crs[:40]}..."
 
 
-def _kind(crs: str) -> str:
-    """Return "geographic", "projected", "geocentric", or "" where none of them or not known."""
+def kind_of(crs: str) -> str:
+    """Return the kind of a CRS in its normal form.
+
+    Returns
+    -------
+    str
+        "geographic", "projected", "geocentric", or "" where it is none of them or not known.
+    """
     if crs in WGS84:
         return "geographic"
-    if _UTM.fullmatch(crs):
+    if UTM.fullmatch(crs):
         return "projected"
     known = None if crs == LOCAL else _with_pyproj(crs)
     if known is not None:
@@ -378,6 +303,13 @@ def _kind(crs: str) -> str:
                 "geocentric" if known.is_geocentric else "")
     return {"GEOG": "geographic", "PROJ": "projected", "GEOC": "geocentric"}.get(
         crs.upper()[:4], "")
+
+
+@lru_cache
+def _say_unchecked(name: str) -> None:
+    """Say once that only the form of a CRS was checked."""
+    log.warning("Note: pyproj is not installed, so nothing checks that %s exists. Install it: "
+                'pip install "termsel[gis]".', name)
 
 
 def _with_pyproj(crs: str) -> CRS | None:
@@ -390,9 +322,9 @@ def _with_pyproj(crs: str) -> CRS | None:
     try:
         known = CRS.from_user_input(crs)
     except CRSError:
-        raise TermselError(f"CRS {_short(crs)!r} does not exist or cannot be read",
+        raise TermselError(f"CRS {short(crs)!r} does not exist or cannot be read",
                            hint=f"Examples: {EXAMPLES}.") from None
     if known.is_geographic or known.is_projected or known.is_geocentric or known.is_engineering:
         return known
-    raise TermselError(f"CRS {_short(crs)!r} ({known.name}) has no horizontal coordinates",
+    raise TermselError(f"CRS {short(crs)!r} ({known.name}) has no horizontal coordinates",
                        hint=f"Examples: {EXAMPLES}.")

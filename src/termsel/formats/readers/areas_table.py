@@ -43,7 +43,7 @@ class AreasCsv(Reader):
 
     def read(self, path: Path) -> FeatureSet:
         """Return the areas as lines or points; errors name file, line and column."""
-        table = read_table(path, self._aliases())
+        table = read_table(path, self._aliases(), flat=True)
         rows = _rows_of_areas(table)
         image, ground = table.stack("line", "sample"), table.stack("x", "y", "z")
         roles = table.roles()

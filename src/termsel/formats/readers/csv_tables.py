@@ -56,11 +56,15 @@ class PointsCsv(Reader):
 
     def read(self, path: Path) -> FeatureSet:
         """Return the points of a table; errors name file, line and column."""
-        table = read_table(path, self._aliases())
+        table = read_table(path, self._aliases(), flat=True)
         image, ground = table.stack("line", "sample"), table.stack("x", "y", "z")
         return FeatureSet(table.points(image, ground, table.sigma("sigma_line", "sigma_sample"),
                                        table.roles()),
                           crs=table.crs)
+
+    def placed(self, error: TermselError, path: Path) -> TermselError:
+        """Return the error with line and column."""
+        return read_table(path, self._aliases(), flat=True).placed(error)
 
 
 class LinesCsv(Reader):
@@ -79,7 +83,7 @@ class LinesCsv(Reader):
 
     def read(self, path: Path) -> FeatureSet:
         """Return the lines that are not off; errors name file, line and column."""
-        table = read_table(path, self._aliases())
+        table = read_table(path, self._aliases(), flat=True)
         roles = table.roles()
         for row, role in enumerate(roles):
             if role in ("check", "independent"):
@@ -96,6 +100,10 @@ class LinesCsv(Reader):
         if "off" in roles:
             lines = lines.take([role != "off" for role in roles])
         return FeatureSet(lines=lines, crs=table.crs)
+
+    def placed(self, error: TermselError, path: Path) -> TermselError:
+        """Return the error with line and column."""
+        return read_table(path, self._aliases(), flat=True).placed(error)
 
 
 def write_points_csv(points: Points, path: Path | str, crs: str = "") -> None:

@@ -58,6 +58,10 @@ class QgisPoints(Reader):
         return FeatureSet(table.points(image, ground, None, roles), crs=table.crs,
                           image_size=size)
 
+    def placed(self, error: TermselError, path: Path) -> TermselError:
+        """Return the error with line and column."""
+        return read_table(path, _COLUMNS).placed(error)
+
     def _image(self, table: Table) -> tuple[FloatArray, tuple[int, int] | None]:
         """Return line and sample, and the size of the image where it is known."""
         source = table.stack("source_x", "source_y")

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import csv
 import io
+import logging
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -22,6 +23,8 @@ from termsel.measurements.crs import normalise
 from termsel.measurements.features import ROLES, FloatArray, Points
 from termsel.measurements.ids import refused
 from termsel.options import Option
+
+log = logging.getLogger(__name__)
 
 Aliases = Mapping[str, tuple[str, ...]]
 """Names of the columns that hold each meaning, in lower case."""
@@ -67,8 +70,12 @@ class Table:
                                 for meaning, cells in self.columns.items()})
 
     def placed(self, error: TermselError) -> TermselError:
-        """Return `error` with the line of the first feature it names."""
+        """Return `error` with the line of the first feature it names, and the name of the column.
+
+        The error has the meaning of a column, if any.
+        """
         rows = [row for row, name in enumerate(self.ids()) if name in error.ids[:1]]
+        error.column = self.names.get(error.column or "")
         return located(error, self.path, self.lines[rows[0]] if len(rows) == 1 else None)
 
     def ids(self) -> list[str]:
@@ -137,6 +144,8 @@ class Table:
                                 for meaning in meanings])
 
     def _numbers(self, meaning: str, may_be_blank: bool) -> FloatArray:
+        if meaning not in self.columns and meaning[0] == "z":
+            return np.full(len(self.lines), np.nan)
         # Whole columns at C speed; single cells are checked only to find the bad one.
         cells = self.columns[meaning]
         joined = "".join(cells)
@@ -241,12 +250,21 @@ def sniff_table(head: bytes, aliases: Aliases, needed: Sequence[str] = ()) -> bo
 
 
 def _columns(path: Path, line: int, header: Sequence[str],
-             aliases: Aliases) -> dict[str, int]:
-    """Return the one column of each meaning, refusing missing and ambiguous ones."""
+             aliases: Aliases, *, flat: bool) -> dict[str, int]:
+    """Return the one column of each meaning, refusing missing and ambiguous ones.
+
+    If `flat`, all columns of heights may be missing together.
+    """
     here = f"The columns here are: {', '.join(cell.strip() for cell in header)}."
     found: dict[str, int] = {}
     matches = _matches(header, aliases)
     sigma = bool(matches.get("sigma_line") or matches.get("sigma_sample"))
+    heights = [meaning for meaning in aliases if meaning[0] == "z"]
+    if flat and not any(matches[meaning] for meaning in heights):
+        log.info("Note: %s has no column for %s, so its heights are unknown. Accepted names: %s.",
+                 path, " and ".join(heights), ", ".join(aliases[heights[0]]))
+        matches = {meaning: columns for meaning, columns in matches.items()
+                   if meaning not in heights}
     for meaning, columns in matches.items():
         if len(columns) > 1:
             named = " and ".join(repr(header[i].strip()) for i in columns)
@@ -343,7 +361,7 @@ def declared(aliases: Aliases, columns: str) -> Aliases:
     return {**aliases, **own}
 
 
-def read_table(path: Path, aliases: Aliases) -> Table:
+def read_table(path: Path, aliases: Aliases, *, flat: bool = False) -> Table:
     """Return the table of a file whose header names the columns.
 
     Parameters
@@ -352,6 +370,9 @@ def read_table(path: Path, aliases: Aliases) -> Table:
     aliases : mapping
         Names of the columns by meaning. Numbers other than deviations are required,
         and so are ids if they are among the meanings.
+    flat : bool
+        Whether the heights, meanings that begin with z, may all be missing. They are then blank,
+        and a note says so.
 
     Raises
     ------
@@ -366,7 +387,7 @@ def read_table(path: Path, aliases: Aliases) -> Table:
         raise TermselError("the file has no table", file=path,
                            hint="It must begin with a header that names the columns.")
     header, header_line = rows.pop(0), lines.pop(0)
-    found = _columns(path, header_line, header, aliases)
+    found = _columns(path, header_line, header, aliases, flat=flat)
     if not rows:
         raise TermselError("there are no rows below the header", file=path, line=header_line,
                            hint="Add one row per feature.")
