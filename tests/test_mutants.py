@@ -13,7 +13,7 @@ from termsel.rooms import ROOMS
 
 ROOT = Path(__file__).parents[1]
 MUTANTS: list[dict[str, Any]] = tomllib.loads((ROOT / "tests/mutants.toml").read_text())["mutant"]
-WITHOUT = {"__main__", "version", "rooms"}
+WITHOUT = {"version", "rooms"}
 """Rooms without logic of their own."""
 
 

@@ -296,6 +296,14 @@ def _declared() -> list[str]:
                   | {option.name for option in DATA_OPTIONS})
 
 
+def _passable(word: str) -> bool:
+    """Return whether a shell can pass a word on."""
+    try:
+        return b"\0" not in os.fsencode(word)
+    except UnicodeEncodeError:
+        return False
+
+
 def _options(folder: Path, random: Random) -> int:
     """Run a small task with hostile options."""
     points = next(seed.content for seed in seeds() if seed.name == "points.csv")
@@ -312,7 +320,7 @@ def _options(folder: Path, random: Random) -> int:
                                 "--fit-crs", "--model", "--solver", "--criterion", "--format",
                                 "--dataset", "--dem", "--raster", "--image-lines", "--problem"))
         words += [option, random.choice((*NUMBERS, *TEXTS))]
-    words = [word for word in words if "\0" not in str(word)]  # no shell passes it on
+    words = [word for word in words if _passable(str(word))]
     code = command(*words)
     (folder / "p.csv").unlink()
     return code

@@ -30,7 +30,7 @@ from termsel.formats.readers.csv_tables import (
     lines_text,
     points_text,
 )
-from termsel.formats.readers.tables import guarded
+from termsel.formats.readers.formulas import guarded
 from termsel.measurements.crs import normalise
 from termsel.measurements.features import FeatureSet, no_lines, no_points
 from termsel.measurements.roles import Observations, by_roles, together

@@ -13,7 +13,8 @@ from pathlib import Path
 
 from termsel.errors import TermselError
 from termsel.formats.base import Reader, read_text
-from termsel.formats.readers.tables import Table, is_number
+from termsel.formats.readers.formulas import is_number
+from termsel.formats.readers.tables import Table
 from termsel.measurements.features import FeatureSet
 from termsel.options import Option
 

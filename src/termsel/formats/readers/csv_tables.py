@@ -15,12 +15,12 @@ import numpy as np
 from termsel.errors import TermselError
 from termsel.files.atomic import write_text
 from termsel.formats.base import Reader
+from termsel.formats.readers.formulas import guarded
 from termsel.formats.readers.tables import (
     COLUMNS,
     USE,
     Aliases,
     declared,
-    guarded,
     read_table,
     sniff_table,
 )

@@ -19,6 +19,7 @@ import numpy as np
 
 from termsel.errors import TermselError, unknown_name
 from termsel.formats.base import located, read_text
+from termsel.formats.readers.formulas import unguarded
 from termsel.measurements.crs import normalise
 from termsel.measurements.features import ROLES, FloatArray, Points
 from termsel.measurements.ids import refused
@@ -40,7 +41,6 @@ _OPTIONAL = frozenset({"role", "enabled", "sigma_line", "sigma_sample", "sigma"}
 _ENABLED = {"": True, "1": True, "true": True, "yes": True, "on": True,
             "0": False, "false": False, "no": False, "off": False}
 _DECLARATION = re.compile(r"#\s*(crs|units?)\s*[:=](.*)", re.IGNORECASE)
-_FORMULA = re.compile(r"'*[=+\-@]")
 _UNITS = re.compile(r"(deg|degrees?|m|met(re|er)s?)", re.IGNORECASE)
 
 
@@ -203,38 +203,6 @@ def _matches(header: Sequence[str],
     folded = [cell.strip().casefold() for cell in header]
     return {meaning: [i for i, cell in enumerate(folded) if cell in names]
             for meaning, names in aliases.items()}
-
-
-def guarded(text: str) -> str:
-    """Return a cell that no spreadsheet takes for a formula, as `unguarded` takes it back.
-
-    A spreadsheet runs text that begins with = + - or @, unless an apostrophe is in front of it.
-    Numbers stay as they are.
-
-    Parameters
-    ----------
-    text : str
-    """
-    return f"'{text}" if _FORMULA.match(text) and not is_number(text) else text
-
-
-def unguarded(text: str) -> str:
-    """Return a cell without the apostrophe that guards it.
-
-    Parameters
-    ----------
-    text : str
-    """
-    return text[1:] if text[:1] == "'" and _FORMULA.match(text) else text
-
-
-def is_number(text: str) -> bool:
-    """Return True for text that Python reads as a number."""
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
 
 
 def sniff_table(head: bytes, aliases: Aliases, needed: Sequence[str] = ()) -> bool:
