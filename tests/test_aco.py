@@ -9,7 +9,8 @@ import pytest
 
 import termsel
 from termsel.measurements.features import BoolArray, FloatArray
-from termsel.problems.base import Genome, Segment
+from termsel.problems.genome import Genome
+from termsel.problems.segments import Bits
 from termsel.solvers.aco import AntColony, deposit, grafts, renew, settled
 from termsel.solvers.base import Generation
 from termsel.solvers.exact import gap
@@ -47,7 +48,7 @@ def test_settled_by_the_rarer_states() -> None:
 
 
 def test_grafts_take_one_segment_each() -> None:
-    genome = Genome([Segment("a", ("1", "2")), Segment("b", ("3", "4", "5"))])
+    genome = Genome([Bits("a", ("1", "2")), Bits("b", ("3", "4", "5"))])
     assert grafts(bits("11000")[0], bits("01101")[0], genome).tolist() == bits(
         "01000", "11101").tolist()
 
@@ -90,7 +91,7 @@ def test_finds_of_different_starts_come_together() -> None:
         seen.append(cost.min())
         return cost[:, None], np.zeros(len(genes))
 
-    segments = [Segment(name, tuple(f"{name}{i}" for i in range(6))) for name in "abcde"]
+    segments = [Bits(name, tuple(f"{name}{i}" for i in range(6))) for name in "abcde"]
     in_one_start = 0
     for seed in range(1, 6):
         found = generations(Toy(Genome(segments), judge), 120, seed)

@@ -22,7 +22,9 @@ from termsel.measurements.features import BoolArray, FeatureSet, FloatArray, Poi
 from termsel.measurements.roles import by_roles
 from termsel.measurements.scaling import scaling_of
 from termsel.models.projective import DLT3D
-from termsel.problems.base import Evaluation, Genome, Problem, Segment, Selection
+from termsel.problems.base import Evaluation, Problem, Selection
+from termsel.problems.genome import Genome
+from termsel.problems.segments import Bits
 from termsel.results.checksums import of_features
 from termsel.runs.recommend import recommended
 from termsel.runs.task import ask, observe, prepare
@@ -231,7 +233,7 @@ class Listed(Problem):
     """A problem of two objectives with a value of each for every number of genes."""
 
     def __init__(self, first: list[float], second: list[float]) -> None:
-        self.genome = Genome([Segment("terms", tuple(map(str, range(len(first)))))])
+        self.genome = Genome([Bits("terms", tuple(map(str, range(len(first)))))])
         self.objectives = ("rmse", "size")
         self.values = np.column_stack([first, second])
 

@@ -492,7 +492,7 @@ BROKEN_SOLVERS = [
     (GlobalPython, "chance_from_rng_alone", "same seed differ"),
     (Remembers, "chance_from_rng_alone", "same seed differ"),
     (Choosy, "any_problem", "refuses a problem: two segments are needed"),
-    (Integers, "genome_kept", r"evaluate\(\) got int64, not an array of bool"),
+    (Integers, "genome_kept", r"evaluate\(\) got genes of the type int64 and the shape \(20, 18\)"),
     (Unrepaired, "genome_kept", "forced ones are switched"),
     (Cuts, "narrow_genomes", "ValueError was raised"),
     (Bypass, "evaluation_budget", "given 1 evaluations it takes 501"),

@@ -24,7 +24,9 @@ from termsel.models.base import SensorModel
 from termsel.models.polynomial import Affine, Polynomial2D, Polynomial3D
 from termsel.models.quotient import Blocks, RationalModel
 from termsel.models.rational import RationalFunctions
-from termsel.problems.base import Evaluation, Genome, Inputs, Problem, Segment
+from termsel.problems.base import Evaluation, Inputs, Problem
+from termsel.problems.genome import Genome
+from termsel.problems.segments import Bits
 from termsel.problems.selection import SelectionProblem
 from termsel.solvers.base import Generation, Solver
 from termsel.solvers.ledger import BudgetSpent, Ledger
@@ -431,7 +433,7 @@ def genomes(draw: st.DrawFn) -> Genome:
         least, most = forced.count("on"), len(labels) - forced.count("off")
         maximum = draw(st.one_of(st.none(), st.integers(least, len(labels))))
         top = most if maximum is None else min(most, maximum)
-        segments.append(Segment(name, labels, draw(st.integers(0, top)), maximum))
+        segments.append(Bits(name, labels, draw(st.integers(0, top)), maximum))
         on += [x for x, kind in zip(labels, forced, strict=True) if kind == "on"]
         off += [x for x, kind in zip(labels, forced, strict=True) if kind == "off"]
     return Genome(segments, on=on, off=off)

@@ -12,7 +12,7 @@ import termsel
 import termsel.report.text
 from termsel.criteria import CheckRmse, Fits
 from termsel.errors import TermselError
-from termsel.runs.assess import assess
+from termsel.runs.assess import assessed
 from termsel.solvers.exact import Exact, count, gap
 from termsel.solvers.ga import GeneticAlgorithm
 from termsel.testing import check_criterion
@@ -60,7 +60,7 @@ def test_forced_genes_and_cardinality_hold() -> None:
     problem = task.problem
     line, sample = problem.genome.segments
     problem.genome = termsel.Genome(
-        [termsel.Segment(line.name, line.labels, minimum=2, maximum=3), sample],
+        [termsel.Bits(line.name, line.labels, minimum=2, maximum=3), sample],
         on=["line.num:Y2"], off=["sample.num:X"])
     genes, objectives = brute_force(problem)
     kept = (genes == problem.genome.repair(genes, np.random.default_rng(0))).all(axis=1)
@@ -95,7 +95,7 @@ def test_an_interrupted_proof_proves_nothing_but_has_the_best_so_far() -> None:
     assert found.violation == 0
     assert not found.certificate["optimal"]
     assert found.certificate["subsets"] < found.certificate["of"]
-    result = assess(task, found)
+    result = assessed(task, found)
     assert result.certificate == found.certificate
 
 

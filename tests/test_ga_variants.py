@@ -12,7 +12,9 @@ import termsel
 from termsel.errors import TermselError
 from termsel.measurements.features import BoolArray, FloatArray
 from termsel.models.base import LINE, SAMPLE
-from termsel.problems.base import WORST, Evaluation, Genome, Problem, Segment
+from termsel.problems.base import WORST, Evaluation, Problem
+from termsel.problems.genome import Genome
+from termsel.problems.segments import Bits, random_subsets
 from termsel.solvers.base import Solver
 from termsel.solvers.ga import GeneticAlgorithm
 from termsel.solvers.ga_correlation import (
@@ -24,11 +26,9 @@ from termsel.solvers.ga_correlation import (
 from termsel.solvers.ga_steady import (
     SteadyStateGA,
     coding,
-    random_tuples,
-    replace_one,
-    set_crossover,
 )
 from termsel.solvers.ga_transgenic import TransgenicGA, qualification
+from termsel.solvers.operators import replace_one, set_crossover
 from termsel.solvers.search import search
 from termsel.testing.problems import narrow
 
@@ -48,7 +48,7 @@ def judged(cost: FloatArray, violation: FloatArray | None = None) -> Evaluation:
 
 def fixed(labels: int, m: int, on: tuple[str, ...] = (), off: tuple[str, ...] = ()) -> Genome:
     names = tuple(f"g{i + 1}" for i in range(labels))
-    return Genome([Segment("features", names, m, m)], on=on, off=off)
+    return Genome([Bits("features", names, m, m)], on=on, off=off)
 
 
 # Correlations of the design matrix
@@ -162,15 +162,15 @@ def distinct(tuples: np.ndarray, n: int) -> bool:
     return bool((np.diff(tuples, axis=1) > 0).all() and tuples.min() >= 0 and tuples.max() < n)
 
 
-def test_random_tuples_are_sets_and_meet_every_number() -> None:
-    tuples = random_tuples(4000, 10, 3, rng())
+def test_random_subsets_are_sets_and_meet_every_number() -> None:
+    tuples = random_subsets(4000, 10, 3, rng())
     assert tuples.shape == (4000, 3)
     assert distinct(tuples, 10)
     assert np.bincount(tuples.ravel()) / 4000 == pytest.approx([0.3] * 10, abs=0.03)
 
 
 def test_children_keep_what_both_parents_have_and_add_what_one_has() -> None:
-    parents = random_tuples(401, 12, 6, rng())
+    parents = random_subsets(401, 12, 6, rng())
     children = set_crossover(parents, 1.0, rng(2))
     assert distinct(children, 12)
     for i in range(0, 400, 2):
@@ -205,7 +205,7 @@ def test_coding_leaves_forced_genes_alone() -> None:
     genome = fixed(9, 4, ("g2",), ("g5", "g6"))
     code = coding(genome)
     assert (code.free.tolist(), code.m) == ([0, 2, 3, 6, 7, 8], 3)
-    tuples = random_tuples(50, len(code.free), code.m, rng())
+    tuples = random_subsets(50, len(code.free), code.m, rng())
     genes = code.genes(tuples)
     assert np.array_equal(genome.repair(genes, rng()), genes)
     assert np.array_equal(code.tuples(genes), tuples)
@@ -214,9 +214,9 @@ def test_coding_leaves_forced_genes_alone() -> None:
 @pytest.mark.parametrize(("least", "most"), [(2, 5), (0, None), (0, 3), (4, None)])
 def test_coding_of_a_range_of_numbers(least: int, most: int | None) -> None:
     labels = tuple(f"g{i}" for i in range(9))
-    genome = Genome([Segment("features", labels, least, most)], on=("g2",), off=("g5", "g6"))
+    genome = Genome([Bits("features", labels, least, most)], on=("g2",), off=("g5", "g6"))
     code = coding(genome)
-    genes = code.genes(random_tuples(500, code.numbers, code.m, rng()))
+    genes = code.genes(random_subsets(500, code.numbers, code.m, rng()))
     assert np.array_equal(genome.repair(genes, rng()), genes)
     assert {max(least, 1) + 1, (most or 7) - 1} <= set(genes.sum(axis=1))
     assert np.array_equal(code.genes(code.tuples(genes)), genes)

@@ -10,7 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import termsel
-from termsel.problems.base import Genome, Segment
+from termsel.problems.genome import Genome
+from termsel.problems.segments import Bits
 from termsel.solvers import search as searching
 from termsel.solvers import swap as local
 from termsel.solvers.exact import prove
@@ -22,9 +23,9 @@ from termsel.testing.problems import kept
 def test_neighbours_are_all_selections_one_step_away(seed: int, a: int, b: int) -> None:
     rng = np.random.default_rng(seed)
     least = int(rng.integers(0, a + 1))
-    genome = Genome([Segment("a", tuple(f"a{i}" for i in range(a)), least,
+    genome = Genome([Bits("a", tuple(f"a{i}" for i in range(a)), least,
                              int(rng.integers(least, a + 1))),
-                     Segment("b", tuple(f"b{i}" for i in range(b)))], on=("b0",))
+                     Bits("b", tuple(f"b{i}" for i in range(b)))], on=("b0",))
     genes = genome.random(rng, 1)[0]
     found = {tuple(one) for batch in local.neighbours(genes, genome) for one in batch}
     everything = (np.arange(2**genome.size)[:, None] >> np.arange(genome.size)) & 1 > 0
@@ -39,14 +40,14 @@ def test_neighbours_are_all_selections_one_step_away(seed: int, a: int, b: int) 
 
 
 def test_neighbours_of_many_genes_come_in_batches() -> None:
-    genome = Genome([Segment("features", tuple(map(str, range(200))))])
+    genome = Genome([Bits("features", tuple(map(str, range(200))))])
     sizes = [len(b) for b in local.neighbours(np.arange(200) % 2 == 0, genome)]
     assert sum(sizes) == 200 + 100 * 100
     assert max(sizes) == local.BATCH
 
 
 def test_neighbours_of_very_many_genes_take_no_memory_before_their_turn() -> None:
-    genome = Genome([Segment("features", tuple(map(str, range(20_000))))])
+    genome = Genome([Bits("features", tuple(map(str, range(20_000))))])
     tracemalloc.start()
     batches = local.neighbours(np.arange(20_000) % 2 == 0, genome)
     assert len(next(batches)) == local.BATCH

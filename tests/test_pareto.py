@@ -139,7 +139,7 @@ def test_unknown_objectives_are_refused() -> None:
 class Hopeless(termsel.Problem):
     """Nothing is feasible."""
 
-    genome = termsel.Genome([termsel.Segment("all", tuple("abcdef"))])
+    genome = termsel.Genome([termsel.Bits("all", tuple("abcdef"))])
     objectives = ("one", "two")
 
     def evaluate(self, genes: np.ndarray) -> termsel.Evaluation:

@@ -607,7 +607,7 @@ def test_forced_genes_and_cardinality_hold(solver: type[termsel.Solver]) -> None
     line, sample = problem.genome.segments
     for least, most in ((2, 4), (9, 12), (15, 15)):
         problem.genome = termsel.Genome(
-            [termsel.Segment(line.name, line.labels, minimum=least, maximum=most), sample],
+            [termsel.Bits(line.name, line.labels, minimum=least, maximum=most), sample],
             on=["line.num:Y4", "sample.num:X2"], off=["sample.num:1", "sample.num:Y3"])
         assert [part.constant.sum() for part in regressions(problem)] == [1, 0]
         genes = termsel.search(problem, solver()).genes[None]
@@ -620,7 +620,7 @@ def test_cardinality_is_kept_without_chance(solver: type[termsel.Solver]) -> Non
     problem = termsel.prepare("poly-terms", options={"degree": 4}).problem
     line, sample = problem.genome.segments
     problem.genome = termsel.Genome(
-        [termsel.Segment(line.name, line.labels, minimum=9, maximum=9), sample])
+        [termsel.Bits(line.name, line.labels, minimum=9, maximum=9), sample])
     first, second = (termsel.search(problem, solver(), seed=seed).genes for seed in (1, 2))
     np.testing.assert_array_equal(first, second)
 

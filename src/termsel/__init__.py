@@ -50,10 +50,22 @@ if TYPE_CHECKING:
     from termsel.models.rpc import Rpc
     from termsel.options import Option
     from termsel.plugins.hookspecs import hookimpl
-    from termsel.problems.base import Evaluation, Genome, Inputs, Problem, Segment, Selection
+    from termsel.plugins.registry import register
+    from termsel.problems.base import Evaluation, Inputs, Problem, Selection
+    from termsel.problems.genome import Genome
     from termsel.problems.recipes import Recipe, feature_options
+    from termsel.problems.segments import (
+        Bits,
+        Categories,
+        Integers,
+        Permutation,
+        Reals,
+        Segment,
+        Subset,
+    )
     from termsel.problems.selection import SelectionProblem
     from termsel.results.result import Result
+    from termsel.runs.assess import assess
     from termsel.runs.fit import fit
     from termsel.runs.run import run
     from termsel.runs.task import Task, prepare
@@ -63,7 +75,9 @@ if TYPE_CHECKING:
 
 _HOME = {
     "Affine": "termsel.models",
+    "Bits": "termsel.problems.segments",
     "Blocks": "termsel.models",
+    "Categories": "termsel.problems.segments",
     "Criterion": "termsel.criteria",
     "DLT2D": "termsel.models",
     "DLT3D": "termsel.models",
@@ -76,11 +90,13 @@ _HOME = {
     "Fit": "termsel.fits.fit",
     "Fits": "termsel.criteria",
     "Generation": "termsel.solvers",
-    "Genome": "termsel.problems.base",
+    "Genome": "termsel.problems.genome",
     "Helmert2D": "termsel.models",
     "Inputs": "termsel.problems.base",
+    "Integers": "termsel.problems.segments",
     "Lines": "termsel.measurements.features",
     "Option": "termsel.options",
+    "Permutation": "termsel.problems.segments",
     "Points": "termsel.measurements.features",
     "Polynomial2D": "termsel.models",
     "Polynomial3D": "termsel.models",
@@ -89,21 +105,24 @@ _HOME = {
     "RationalFunctions": "termsel.models",
     "RationalModel": "termsel.models",
     "Reader": "termsel.formats.base",
+    "Reals": "termsel.problems.segments",
     "Recipe": "termsel.problems.recipes",
     "Result": "termsel.results.result",
     "Rpc": "termsel.models.rpc",
     "Scaling": "termsel.measurements.scaling",
     "Search": "termsel.solvers.search",
-    "Segment": "termsel.problems.base",
+    "Segment": "termsel.problems.segments",
     "Selection": "termsel.problems.base",
     "SelectionProblem": "termsel.problems.selection",
     "SensorModel": "termsel.models",
     "Solver": "termsel.solvers",
+    "Subset": "termsel.problems.segments",
     "Task": "termsel.runs.task",
     "Term": "termsel.models",
     "TermselError": "termsel.errors",
     "ThinPlate": "termsel.models",
     "Writer": "termsel.formats.base",
+    "assess": "termsel.runs.assess",
     "allow_remote": "termsel.files.remote",
     "ce90": "termsel.fits.accuracy",
     "export": "termsel.io.export",
@@ -114,6 +133,7 @@ _HOME = {
     "line_normals": "termsel.adjustment",
     "prepare": "termsel.runs.task",
     "read": "termsel.io.read",
+    "register": "termsel.plugins.registry",
     "read_result": "termsel.io.result_folder",
     "read_rpc": "termsel.formats.rpc_files",
     "rectify": "termsel.io.rectify",
@@ -129,7 +149,9 @@ __all__ = [
     "DLT2D",
     "DLT3D",
     "Affine",
+    "Bits",
     "Blocks",
+    "Categories",
     "Criterion",
     "DatasetSpec",
     "Equations",
@@ -143,8 +165,10 @@ __all__ = [
     "Genome",
     "Helmert2D",
     "Inputs",
+    "Integers",
     "Lines",
     "Option",
+    "Permutation",
     "Points",
     "Polynomial2D",
     "Polynomial3D",
@@ -153,6 +177,7 @@ __all__ = [
     "RationalFunctions",
     "RationalModel",
     "Reader",
+    "Reals",
     "Recipe",
     "Result",
     "Rpc",
@@ -163,6 +188,7 @@ __all__ = [
     "SelectionProblem",
     "SensorModel",
     "Solver",
+    "Subset",
     "Task",
     "Term",
     "TermselError",
@@ -170,6 +196,7 @@ __all__ = [
     "Writer",
     "__version__",
     "allow_remote",
+    "assess",
     "ce90",
     "export",
     "feature_options",
@@ -182,6 +209,7 @@ __all__ = [
     "read_result",
     "read_rpc",
     "rectify",
+    "register",
     "row_weights",
     "run",
     "search",

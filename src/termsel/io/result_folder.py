@@ -276,7 +276,8 @@ def result_from(record: Mapping[str, Any], features: FeatureSet) -> Result:
             "judgement", "objectives", "evaluations", "lookups", "generations", "seconds",
             "interrupted", "polish", "versions", "certificate", "strategy")},
         plugins=record.get("plugins", {}),
-        selection=Selection(tuple(chosen["terms"]), tuple(chosen["features"])),
+        selection=Selection(tuple(chosen["terms"]), tuple(chosen["features"]),
+                            chosen.get("parameters", {})),
         rmse=_rmse(record["rmse"]),
         baselines=tuple(Baseline(b["name"], b["n_terms"], tuple(b["fitted_to"]), b["determined"],
                                  _rmse(b["rmse"]), b["predicted"]) for b in record["baselines"]),
@@ -290,9 +291,9 @@ def result_from(record: Mapping[str, Any], features: FeatureSet) -> Result:
 
 
 def _fit(record: Mapping[str, Any], features: FeatureSet) -> Fit:
-    plugin = record.get("plugins", {}).get("model")
-    model_type = registry().get("models", plugin["name"] if plugin else record["model"])
-    model: SensorModel = model_type(**record["options"]["model"])
+    model_type = _model_type(record.get("plugins", {}).get("model"), record["model"])
+    asked: SensorModel = model_type(**record["options"]["model"])
+    model = asked.with_parameters(record["selection"].get("parameters", {}))
     scaling = Scaling.from_dict(record["scaling"])
     coefficients, deviations = np.zeros(len(model.terms)), np.zeros(len(model.terms))
     for name, value in record["coefficients"].items():
@@ -322,6 +323,19 @@ def _fit(record: Mapping[str, Any], features: FeatureSet) -> Fit:
     used = ~np.isin(both.ids, list(set(control.ids) - set(record["selection"]["features"])))
     return replace(fitted, made=replace(fitted, control=both, estimator=chosen.estimator,
                                         used=used))
+
+
+def _model_type(plugin: Mapping[str, str] | None, name: str) -> type[SensorModel]:
+    """Return the class of a model, as a plugin or this session provides it."""
+    known = registry()
+    if plugin and "class" in plugin and not any(
+            entry.answers_to(plugin["name"]) for entry in known.entries("models")):
+        raise TermselError(
+            f"the model {name!r} of this result is the class {plugin['class']}, which no plugin "
+            "provides", hint="In Python, call termsel.register with this class before reading the "
+                             "result. To use it on the command line, put it into a plugin.")
+    found: type[SensorModel] = known.get("models", plugin["name"] if plugin else name)
+    return found
 
 
 def _refuse_other_model(record: Mapping[str, Any], fitted: Fit,

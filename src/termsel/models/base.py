@@ -111,6 +111,26 @@ class SensorModel(Configurable, ABC):
         ready.scaling, ready.crs = scaling, crs
         return ready
 
+    def with_parameters(self, parameters: Mapping[str, Any]) -> Self:
+        """Return the model with parameters of a selection as values of its options.
+
+        Parameters
+        ----------
+        parameters : mapping
+            Values by name; those that are no option of the model are left out.
+
+        Raises
+        ------
+        TermselError
+            For a value that the option does not accept.
+        """
+        own = {option.name for option in self.declared_options}
+        chosen = {name: value for name, value in parameters.items() if name in own}
+        if not chosen:
+            return self
+        other = type(self)(**{**self.options, **chosen})
+        return other if self.scaling is None else other.prepared(self.scaling, self.crs)
+
     def fit(self, features: FeatureSet) -> Fit:
         """Fit all terms to control features by least squares.
 

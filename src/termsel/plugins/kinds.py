@@ -42,6 +42,11 @@ class Kind:
     base: str
     tried: bool = False
 
+    def is_of(self, thing: Any) -> bool:
+        """Return whether a thing is a class or an instance of the kind."""
+        base: type = getattr(import_module(self.home), self.base)
+        return issubclass(thing, base) if isinstance(thing, type) else isinstance(thing, base)
+
     def made(self, thing: Any) -> Any:
         """Return what a hook returned in the form the registry keeps.
 

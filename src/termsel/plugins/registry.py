@@ -8,9 +8,9 @@ from copy import deepcopy
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
 from importlib.metadata import EntryPoint
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
-from termsel.errors import printable, unknown_name
+from termsel.errors import TermselError, printable, unknown_name
 from termsel.options import Configurable
 from termsel.plugins.calling import Answers, call, listed
 from termsel.plugins.commands import COMMANDS
@@ -28,6 +28,12 @@ _PACKAGES = {
     "termsel-rpc": ("rpc-gcps", "rpc-shift", "rpc-drift", "rpc-affine", "pushbroom-refine"),
 }
 """What the optional packages provide, for an error that names the missing package."""
+
+
+SESSION = "session"
+"""What stands for a distribution with things that are registered in this process."""
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -149,6 +155,64 @@ class Registry:
                 return entry.object
         raise unknown_name(KINDS[kind].word, name, self.names(kind), self.hint(name, kind))
 
+    def taken(self, kind: str, given: Any) -> Any:
+        """Return the thing of a kind that is given: by its name, or itself.
+
+        Parameters
+        ----------
+        kind : str
+            One of `KINDS`.
+        given : object
+            As for `get`; or a class or an instance of the kind.
+
+        Raises
+        ------
+        TermselError
+            If there is none of that name, or it is no such thing.
+        """
+        if isinstance(given, str):
+            return self.get(kind, given)
+        try:
+            KINDS[kind].made(given)
+        except TypeError as error:
+            raise TermselError(f"{given!r} is no {KINDS[kind].word}: {_given(error)}",
+                               hint=f"Give a name (termsel list {kind}), or what a plugin would "
+                                    "return.") from error
+        return given
+
+    def register(self, thing: Any) -> Any:
+        """Make a thing known by its name in this process, as if a plugin provided it.
+
+        Parameters
+        ----------
+        thing : type, Recipe, DatasetSpec or Objective
+            What a hook may return: a class of models, criteria, solvers, readers or writers; or a
+            description. It replaces an earlier one of its name.
+
+        Returns
+        -------
+        object
+            The same thing.
+
+        Raises
+        ------
+        TermselError
+            If it is no such thing.
+        """
+        for kind in KINDS:
+            if not KINDS[kind].is_of(thing):
+                continue
+            thing = self.taken(kind, thing)
+            provided = self._collect(kind)
+            entry = _entry(kind, Plugin(SESSION, SESSION, ""), thing)
+            provided.entries[:] = [one for one in provided.entries
+                                   if one.full_name != entry.full_name]
+            _add(provided.entries, entry, kind,
+                 {one.name: one.provided_by for one in provided.entries})
+            return thing
+        raise TermselError(f"{thing!r} is nothing that termsel has names for",
+                           hint="Register a class of " + ", ".join(KINDS) + "; or a description.")
+
     def find(self, name: str) -> list[tuple[str, Entry]]:
         """Return kind and entry of everything that has a name."""
         return [(kind, entry) for kind in KINDS for entry in self.entries(kind)
@@ -160,9 +224,9 @@ class Registry:
                      if entry.object is thing), None)
 
     def version(self, distribution: str) -> str:
-        """Return the version of a distribution that provides a plugin."""
-        return next(one.version for one in self._loader.plugins
-                    if one.distribution == distribution)
+        """Return the version of a distribution that provides a plugin; none of this session."""
+        return next((one.version for one in self._loader.plugins
+                     if one.distribution == distribution), "")
 
     def failures(self, *kinds: str) -> list[Remark]:
         """Return what does not work: plugins that cannot be loaded, then things of the kinds.
@@ -264,10 +328,52 @@ Offered = tuple[list[tuple[Plugin, Entry]], list[tuple[Plugin, str]]]
 """Entries with their plugins, and plugins with their faults."""
 
 
+def register(thing: T) -> T:
+    """Make a model, solver, criterion, problem or anything else known by its name.
+
+    For a notebook or a script: what is registered has its name until the process ends, as if a
+    plugin provided it. If something else has the name, ``session:name`` selects this one.
+
+    Parameters
+    ----------
+    thing : type, Recipe, DatasetSpec or Objective
+        What a hook may return: a class of models, criteria, solvers, readers or writers; or a
+        description. It replaces what was registered by its name.
+
+    Returns
+    -------
+    object
+        The same thing, so that it serves as a decorator.
+
+    Raises
+    ------
+    TermselError
+        If it is no such thing.
+
+    Examples
+    --------
+    >>> import termsel
+    >>> @termsel.register
+    ... class Shift(termsel.Polynomial2D):
+    ...     "A polynomial of degree 1 by default."
+    ...     name = "poly-1"
+    ...     declared_options = (termsel.Option("degree", 1, "Total degree.", int, 1, 8),)
+    >>> termsel.run("poly-terms", model="poly-1", solver="all-terms").selection.terms[:3]
+    ('line.num:1', 'line.num:X', 'line.num:Y')
+    """
+    registered: T = registry().register(thing)
+    return registered
+
+
 @cache
 def registry() -> Registry:
     """Return the registry of this process, with all installed plugins."""
     return Registry()
+
+
+def _given(error: TypeError) -> str:
+    """Return what is wrong with a thing, whoever gave it."""
+    return str(error).removeprefix("returned ")
 
 
 def _entry(kind: str, plugin: Plugin, thing: Any) -> Entry:

@@ -3,129 +3,26 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
 from termsel.criteria import Criterion
-from termsel.errors import TermselError, unknown_name
+from termsel.errors import TermselError
 from termsel.guard.arrays import of_shape, of_type
 from termsel.guard.calls import Check, Guarded
-from termsel.measurements.features import BoolArray, FeatureSet, FloatArray, IntArray, Points
+from termsel.measurements.features import FeatureSet, FloatArray, IntArray, Points
 from termsel.models.base import SensorModel
+from termsel.problems.genome import Genome
+from termsel.problems.segments import Genes
 
 if TYPE_CHECKING:
     from termsel.adjustment.subset_system import SubsetSystem
 
 WORST = 1e9
 """Objective of an individual without a figure; finite, so that it can be compared."""
-
-
-@dataclass(frozen=True)
-class Segment:
-    """A named run of genes.
-
-    Parameters
-    ----------
-    name : str
-        Such as "terms.line" or "features".
-    labels : tuple of str
-        What each gene switches.
-    minimum, maximum : int
-        How many genes may be on; all of them where maximum is None.
-    """
-
-    name: str
-    labels: tuple[str, ...]
-    minimum: int = 0
-    maximum: int | None = None
-
-
-class Genome:
-    """The genes of a problem: segments, forced genes and cardinality.
-
-    Parameters
-    ----------
-    segments : iterable of Segment
-    on, off : iterable of str
-        Labels of genes that are always on, or always off.
-
-    Raises
-    ------
-    TermselError
-        For a label that no segment has, a gene both on and off, or a cardinality out of reach.
-    """
-
-    def __init__(self, segments: Iterable[Segment], *, on: Iterable[str] = (),
-                 off: Iterable[str] = ()) -> None:
-        self.segments = tuple(segments)
-        self.labels = tuple(label for s in self.segments for label in s.labels)
-        self.size = len(self.labels)
-        self.on = self._mark(on)
-        self.off = self._mark(off)
-        self.free = ~(self.on | self.off)
-        both = self.on & self.off
-        if both.any():
-            raise TermselError(f"gene {self.labels[int(np.argmax(both))]!r} is forced both on and "
-                               "off", hint="Remove it from force_on or from force_off.")
-        self._refuse_unreachable()
-
-    def _refuse_unreachable(self) -> None:
-        for segment, where in zip(self.segments, self.slices().values(), strict=True):
-            most = len(segment.labels) if segment.maximum is None else segment.maximum
-            least_on, most_on = int(self.on[where].sum()), int((~self.off[where]).sum())
-            if segment.minimum > min(most, most_on) or least_on > most:
-                raise TermselError(
-                    f"{segment.minimum} to {most} of the {len(segment.labels)} genes "
-                    f"{segment.name!r} must be on; forced genes or their number do not allow it",
-                    hint="Lower the minimum, raise the maximum (of terms: max_share) or force "
-                         "fewer genes.")
-
-    def _mark(self, labels: Iterable[str]) -> BoolArray:
-        marked = np.zeros(self.size, dtype=bool)
-        for label in labels:
-            if label not in self.labels:
-                raise unknown_name("gene", label, self.labels)
-            marked[self.labels.index(label)] = True
-        return marked
-
-    def slices(self) -> dict[str, slice]:
-        """Return where each segment lies among the genes."""
-        ends = np.cumsum([len(s.labels) for s in self.segments])
-        return {s.name: slice(int(end) - len(s.labels), int(end))
-                for s, end in zip(self.segments, ends, strict=True)}
-
-    def random(self, rng: np.random.Generator, n: int) -> BoolArray:
-        """Return n individuals, each with its own random share of genes on.
-
-        The share is uniform between 0 and 1, so that small and large selections are equally
-        frequent. With one half for all, a genome of 78 would hardly ever have 20 on.
-        """
-        share = rng.uniform(0.0, 1.0, (n, 1))
-        return self.repair(rng.uniform(size=(n, self.size)) < share, rng)
-
-    def repair(self, genes: BoolArray, rng: np.random.Generator) -> BoolArray:
-        """Return genes that satisfy the forced genes and each segment's cardinality.
-
-        Parameters
-        ----------
-        genes : ndarray of bool, shape (p, size)
-        rng : numpy.random.Generator
-            Draws which genes are switched where too many or too few are on.
-        """
-        genes = (genes | self.on) & ~self.off
-        for segment, where in zip(self.segments, self.slices().values(), strict=True):
-            most = len(segment.labels) if segment.maximum is None else segment.maximum
-            count = genes[:, where].sum(axis=1)
-            for i in np.flatnonzero((count < segment.minimum) | (count > most)):
-                part = genes[i, where]
-                short = count[i] < segment.minimum
-                movable = np.flatnonzero((part != short) & self.free[where])
-                wanted = segment.minimum - count[i] if short else count[i] - most
-                part[rng.permutation(movable)[:wanted]] = short
-        return genes
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,10 +56,20 @@ class Selection:
     ----------
     terms, features : tuple of str
         Names of the model terms and ids of the control features in use.
+    parameters : mapping
+        Values by name: numbers, text or bool. Those that the model has an option for are the values
+        of these options; `terms` are those of that model. Others are recorded.
     """
 
     terms: tuple[str, ...]
     features: tuple[str, ...]
+    parameters: Mapping[str, Any] = field(default_factory=dict)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return what is selected, for JSON."""
+        return {"terms": list(self.terms), "features": list(self.features),
+                "n_terms": len(self.terms), "n_features": len(self.features),
+                "parameters": dict(self.parameters)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -192,12 +99,16 @@ class EnumerablePart:
     pixels: float = 1.0
 
 
-def evaluation_fault(problem: Problem, value: Any, genes: BoolArray) -> str | None:
+def evaluation_fault(problem: Problem, value: Any, genes: Genes) -> str | None:
     """Return what is wrong with the evaluation of a population, if anything."""
     n, names = len(genes), problem.objectives
     return (of_type(value, Evaluation)
             or of_shape(value.objectives, (n, len(names)), what="returned as objectives")
             or of_shape(value.violation, (n,), what="returned as violation"))
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and bool(np.isfinite(value))
 
 
 def _selection_fault(_problem: Problem, value: Any, *_args: Any) -> str | None:
@@ -207,6 +118,11 @@ def _selection_fault(_problem: Problem, value: Any, *_args: Any) -> str | None:
         for part, names in (("terms", value.terms), ("features", value.features)):
             if not isinstance(names, tuple) or not all(isinstance(name, str) for name in names):
                 return f"returned as {part} {names!r:.200}; expected a tuple of names"
+        if not isinstance(value.parameters, Mapping) or not all(
+                isinstance(name, str) and (isinstance(one, str) or _is_number(one))
+                for name, one in value.parameters.items()):
+            return (f"returned as parameters {value.parameters!r:.200}; expected finite numbers, "
+                    "text or bool by name")
     return what
 
 
@@ -221,12 +137,13 @@ class Problem(Guarded, ABC):
     objectives: tuple[str, ...]
 
     @abstractmethod
-    def evaluate(self, genes: BoolArray) -> Evaluation:
+    def evaluate(self, genes: Genes) -> Evaluation:
         """Return objectives and violations.
 
         Parameters
         ----------
-        genes : ndarray of bool, shape (p, genome.size)
+        genes : ndarray, shape (p, genome.size)
+            Of the dtype of the genome, bool for a selection.
 
         Returns
         -------
@@ -235,7 +152,7 @@ class Problem(Guarded, ABC):
         """
 
     @abstractmethod
-    def decode(self, genes: BoolArray) -> Selection:
+    def decode(self, genes: Genes) -> Selection:
         """Return what one chromosome, shape (genome.size,), selects."""
 
     def parts(self) -> tuple[EnumerablePart, ...]:

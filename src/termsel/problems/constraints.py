@@ -12,7 +12,7 @@ from termsel.errors import TermselError, unknown_name
 from termsel.measurements.features import BoolArray, FloatArray, IntArray
 from termsel.models.terms import Term
 from termsel.options import Option
-from termsel.problems.base import Segment
+from termsel.problems.segments import Bits
 
 FORCE_OPTIONS = (
     Option("force_on", None, "Terms and features that every selection has, separated by commas. "
@@ -136,8 +136,8 @@ def excess(parts: tuple[Part, ...], terms: BoolArray, features: BoolArray | None
     return total
 
 
-def capped(segments: Iterable[Segment], gene_of_term: IntArray, parts: tuple[Part, ...],
-           share: float) -> list[Segment]:
+def capped(segments: Iterable[Bits], gene_of_term: IntArray, parts: tuple[Part, ...],
+           share: float) -> list[Bits]:
     """Return the segments of terms with a maximum that no selection without excess is above.
 
     The maximum keeps a search from most of what `excess` would count. `excess` counts more where
@@ -145,7 +145,7 @@ def capped(segments: Iterable[Segment], gene_of_term: IntArray, parts: tuple[Par
 
     Parameters
     ----------
-    segments : iterable of Segment
+    segments : iterable of Bits
         All those of terms, in the order of the genes.
     gene_of_term : ndarray of int, shape (k,)
     parts : tuple of Part

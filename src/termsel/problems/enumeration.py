@@ -21,7 +21,8 @@ from termsel.measurements.features import (
 )
 from termsel.models.base import LINE, SAMPLE
 from termsel.models.quotient import RationalModel
-from termsel.problems.base import EnumerablePart, Genome
+from termsel.problems.base import EnumerablePart
+from termsel.problems.genome import Genome
 
 if TYPE_CHECKING:
     from termsel.problems.base import Inputs

@@ -15,20 +15,13 @@ from termsel.measurements.places import centres
 from termsel.models.base import LINE, SAMPLE
 from termsel.models.poles import POLE_MARGIN, guard_points, pole_violation
 from termsel.models.terms import Term
-from termsel.problems.base import (
-    WORST,
-    EnumerablePart,
-    Evaluation,
-    Genome,
-    Inputs,
-    Problem,
-    Segment,
-    Selection,
-)
+from termsel.problems.base import WORST, EnumerablePart, Evaluation, Inputs, Problem, Selection
 from termsel.problems.constraints import capped, excess, forced, listed, orphans, parents
 from termsel.problems.coverage import uncovered_share
 from termsel.problems.enumeration import enumerable_parts
+from termsel.problems.genome import Genome
 from termsel.problems.objectives import OBJECTIVES, PopulationSelection
+from termsel.problems.segments import Bits, Genes, Subset
 
 
 class SelectionProblem(Problem):
@@ -41,6 +34,9 @@ class SelectionProblem(Problem):
         What the chromosome selects. All of what it does not select is in use.
     mask : {"per-axis", "shared"}
         Whether line and sample have separate genes for a monomial, or share one.
+    subset : bool
+        Whether features of a fixed number, where min_features and max_features are the same, are a
+        `Subset`: m whole numbers instead of n bits.
 
     Raises
     ------
@@ -49,7 +45,7 @@ class SelectionProblem(Problem):
     """
 
     def __init__(self, inputs: Inputs, *, terms: bool, features: bool,
-                 mask: str = "per-axis") -> None:
+                 mask: str = "per-axis", subset: bool = False) -> None:
         model, control = inputs.model, inputs.control
         self.inputs = inputs
         self.objectives = _objectives(inputs)
@@ -57,7 +53,7 @@ class SelectionProblem(Problem):
         self._guard = guard_points(control, inputs.check)
         self._parts = independent_parts(self.equations, model.axis)
         names = model.terms
-        segments = []
+        segments: list[Bits | Subset] = []
         self._gene_of_term: IntArray | None = None
         share = inputs.options.get("max_share")
         self._share = 1.0 if share is None else float(share)
@@ -73,7 +69,9 @@ class SelectionProblem(Problem):
                     f"features cannot be selected with model {model.name!r}: it corrects its "
                     "predictions by all control features",
                     hint="Choose a model without such a correction, such as --model poly3d.")
-            segments.append(Segment("features", control.ids, *_feature_counts(inputs)))
+            least, most = _feature_counts(inputs)
+            segments.append(Subset("features", control.ids, least) if subset and least == most
+                            else Bits("features", control.ids, least, most))
         self._terms_in_use = _terms_in_use(inputs)
         labels = tuple(label for segment in segments for label in segment.labels
                        if segment.name != "features")
@@ -83,27 +81,29 @@ class SelectionProblem(Problem):
         self._pairs = parents(names) if inputs.options.get("hierarchy") else None
         self._require_solvable(terms)
 
-    def frozen(self, genes: BoolArray, which: BoolArray) -> SelectionProblem:
+    def frozen(self, chosen: BoolArray, which: BoolArray) -> SelectionProblem:
         """Return the problem with some genes no longer free.
 
         Parameters
         ----------
-        genes : ndarray of bool, shape (genome.size,)
-            What the frozen genes are.
-        which : ndarray of bool, shape (genome.size,)
-            Which genes are frozen. A segment that is frozen whole need no longer keep its
+        chosen : ndarray of bool, shape (number of labels,)
+            What the frozen terms and features are, by the labels of the genome.
+        which : ndarray of bool, shape (number of labels,)
+            Which labels are frozen. A segment that is frozen whole need no longer keep its
             minimum and maximum. If all terms are frozen and are more than max_share allows,
             that limit no longer holds.
         """
         old = self.genome
         segments = [
-            replace(segment, minimum=0, maximum=None) if which[where].all() else segment
-            for segment, where in zip(old.segments, old.slices().values(), strict=True)]
+            Bits(segment.name, segment.labels)
+            if which[where].all() and not (isinstance(segment, Subset)
+                                           and chosen[where].sum() == segment.m) else segment
+            for segment, where in zip(old.segments, old.label_slices().values(), strict=True)]
         problem = copy(self)
-        problem.genome = Genome(segments, on=select(old.labels, np.where(which, genes, old.on)),
-                                off=select(old.labels, np.where(which, ~genes, old.off)))
+        problem.genome = Genome(segments, on=select(old.labels, np.where(which, chosen, old.on)),
+                                off=select(old.labels, np.where(which, ~chosen, old.off)))
         if which[:self._n_term_genes].all() and excess(
-                self._parts, self.masks(genes[None])[0], None, self._share).any():
+                self._parts, self._masks(chosen[None])[0], None, self._share).any():
             problem._share = 1.0
         return problem
 
@@ -116,7 +116,7 @@ class SelectionProblem(Problem):
 
     def _require_solvable(self, selects_terms: bool) -> None:
         """Refuse control that no selection could solve the model from."""
-        most = self.genome.segments[-1].maximum if self._selects_features else None
+        most = _feature_counts(self.inputs)[1] if self._selects_features else None
         # A user may ask for so few features that the model is just determined.
         self._least_freedom = 1 if most is None or selects_terms else 0
         for part in self._parts:
@@ -133,7 +133,7 @@ class SelectionProblem(Problem):
                     + ", lower the order or degree of the model (--set order=1, "
                       "--set degree=1), or select terms.")
 
-    def evaluate(self, genes: BoolArray) -> Evaluation:
+    def evaluate(self, genes: Genes) -> Evaluation:
         """Return the criterion and the violation of a population (see `Problem.evaluate`).
 
         The violation is the sum of:
@@ -187,13 +187,17 @@ class SelectionProblem(Problem):
         return np.column_stack([score, *(OBJECTIVES[name](selected)
                                          for name in self.objectives[1:])])
 
-    def masks(self, genes: BoolArray) -> tuple[BoolArray, BoolArray | None]:
+    def masks(self, genes: Genes) -> tuple[BoolArray, BoolArray | None]:
         """Return masks of terms, shape (p, k), and of features, shape (p, f) or None for all."""
-        terms = (np.repeat(self._terms_in_use[None], len(genes), axis=0)
-                 if self._gene_of_term is None else genes[:, self._gene_of_term])
-        return terms, genes[:, self._n_term_genes:] if self._selects_features else None
+        return self._masks(self.genome.chosen(genes))
 
-    def decode(self, genes: BoolArray) -> Selection:
+    def _masks(self, chosen: BoolArray) -> tuple[BoolArray, BoolArray | None]:
+        """Return the masks of what is chosen by the labels of the genome."""
+        terms = (np.repeat(self._terms_in_use[None], len(chosen), axis=0)
+                 if self._gene_of_term is None else chosen[:, self._gene_of_term])
+        return terms, chosen[:, self._n_term_genes:] if self._selects_features else None
+
+    def decode(self, genes: Genes) -> Selection:
         """Return the names of the terms and features in use."""
         terms, features = self.masks(np.atleast_2d(genes))
         ids = self.inputs.control.ids
@@ -269,20 +273,20 @@ def _feature_counts(inputs: Inputs) -> tuple[int, int | None]:
 
 
 def _term_segments(names: tuple[str, ...], axis: IntArray, mask: str,
-                   ) -> tuple[list[Segment], IntArray]:
+                   ) -> tuple[list[Bits], IntArray]:
     """Return the segments of term genes and the gene that switches each term."""
     if mask == "shared":
         # "line.num:X2Y" and "sample.num:X2Y" share the gene "num:X2Y".
         shared = [str(Term.parse(name).shared) for name in names]
         labels = tuple(dict.fromkeys(shared))
-        return ([Segment("terms", labels)],
+        return ([Bits("terms", labels)],
                 np.array([labels.index(name) for name in shared], dtype=np.intp))
-    segments: list[Segment] = []
+    segments: list[Bits] = []
     order: list[int] = []
     for side, title in ((0, "terms.line"), (1, "terms.sample"), (2, "terms.shared")):
         where = np.flatnonzero(axis == side)
         if where.size:
-            segments.append(Segment(title, tuple(names[i] for i in where)))
+            segments.append(Bits(title, tuple(names[i] for i in where)))
             order.extend(int(i) for i in where)
     gene = np.empty(len(names), dtype=np.intp)
     gene[order] = np.arange(len(names))

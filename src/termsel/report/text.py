@@ -65,6 +65,10 @@ def _head(record: Record) -> Iterator[str]:
     yield (f"Selected: {_share(selection['n_features'], features)} control features, "
            f"{_share(selection['n_terms'], terms)} terms; "
            f"redundancy {record['adjustment']['redundancy']}")
+    if parameters := selection.get("parameters"):  # not in older records
+        yield from textwrap.wrap("Parameters: " + ", ".join(
+            f"{name} {value:.6g}" if isinstance(value, float) else f"{name} {value}"
+            for name, value in parameters.items()), _WIDTH, subsequent_indent="  ")
     share = record["options"]["problem"].get("max_share", 1.0)
     if share < 1:
         yield (f"Terms are {100 * share:.0f} % of their equations at most; --set max_share=1 lifts "

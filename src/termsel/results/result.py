@@ -178,10 +178,7 @@ class Result:
             "problem": self.problem, "model": self.model, "solver": self.solver,
             "criterion": self.criterion, "seed": self.seed, "options": dict(self.options),
             "data": dict(self.data),
-            "selection": {
-                "terms": list(self.selection.terms), "features": list(self.selection.features),
-                "n_terms": len(self.selection.terms),
-                "n_features": len(self.selection.features)},
+            "selection": self.selection.to_dict(),
             "offered": {"n_terms": len(terms), "n_features": len(self.fit.control)},
             "feasible": self.feasible,
             "objectives": {k: finite_or_none(v) for k, v in self.objectives.items()},

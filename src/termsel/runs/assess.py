@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import Any
 
 import numpy as np
@@ -19,16 +19,68 @@ from termsel.fits.least_squares import fit
 from termsel.measurements.features import BoolArray
 from termsel.models.poles import guard_points, pole_violation
 from termsel.problems.base import Selection
+from termsel.problems.segments import Genes
 from termsel.results.result import Outlier, Result
 from termsel.runs.data_notes import notes_on_data
 from termsel.runs.judge import judge, name_conventional, notes_on
-from termsel.runs.provenance import data_of, plugins_of, versions
+from termsel.runs.provenance import data_of, notes_on_sessions, plugins_of, versions
 from termsel.runs.task import Task
 from termsel.solvers.exact import gap
 from termsel.solvers.search import Search
 
+GIVEN = "given"
+"""What stands for the solver where genes were given."""
 
-def assess(task: Task, found: Search) -> Result:
+
+def assess(task: Task, genes: Genes) -> Result:
+    """Return the result of genes that an optimiser of one's own has found.
+
+    Independent points are looked at here alone: assess what the optimiser ends with, and nothing
+    that it decides by.
+
+    Parameters
+    ----------
+    task : Task
+        As `termsel.prepare` returns it; the optimiser minimises ``task.problem.evaluate``.
+    genes : ndarray, shape (size,)
+        Valid genes of ``task.problem.genome``; its `repair` makes such of any numbers.
+
+    Returns
+    -------
+    Result
+        With "given" as its solver.
+
+    Raises
+    ------
+    TermselError
+        For genes of another dtype or shape, or out of bounds.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import termsel
+    >>> task = termsel.prepare("poly-terms", options={"degree": 2})
+    >>> genes = task.problem.genome.random(np.random.default_rng(1), 100)
+    >>> order = task.problem.evaluate(genes).order()
+    >>> result = termsel.assess(task, genes[order[0]])
+    >>> result.solver
+    'given'
+    """
+    one = np.asarray(genes)[None]
+    if fault := task.problem.genome.fault(one):
+        raise TermselError(f"termsel.assess got {fault}",
+                           hint="Give one chromosome, as task.problem.genome.repair returns them.")
+    found = task.problem.evaluate(one)
+    result = assessed(task, Search(
+        one[0], found.objectives[0], float(found.violation[0]), seed=0, evaluations=1,
+        generations=0, lookups=0, seconds=0.0, interrupted=False,
+        notes=("The genes were given to termsel.assess; how they were found is not recorded.",)))
+    return replace(result, solver=GIVEN, options={**result.options, "solver": {}},
+                   plugins={part: one for part, one in result.plugins.items()
+                            if part != "solver"})
+
+
+def assessed(task: Task, found: Search) -> Result:
     """Return the figures of what a search found.
 
     This is where independent points are looked at, for the first and only time.
@@ -66,7 +118,8 @@ def assess(task: Task, found: Search) -> Result:
                         task.features.noise, candidate=comparison.candidate,
                         blunders=len(comparison.blunders)),
         notes=(*notes_on_data(task.features, observations, task.model.uses_height),
-               *notes_on(observations, task.criterion, found, chosen)),
+               *notes_on(observations, task.criterion, found, chosen),
+               *notes_on_sessions(plugins_of(task))),
         objectives=dict(zip(task.problem.objectives, objectives, strict=False)),
         evaluations=found.evaluations, lookups=found.lookups, generations=found.generations,
         seconds=found.seconds, interrupted=found.interrupted,
@@ -93,7 +146,7 @@ def _estimated(task: Task, selection: Selection, found: Search) -> Fit:
     """Return the fit of a selection, by the estimator that the task or the solver asks for."""
     chosen = fit_of(task, selection)
     if task.options["problem"].get("shrink"):
-        return RidgeByOrder().fit(task.model, chosen.control, task.scaling, chosen.terms,
+        return RidgeByOrder().fit(chosen.model, chosen.control, task.scaling, chosen.terms,
                                   chosen.used)
     return chosen if found.coefficients is None else chosen.with_coefficients(found.coefficients)
 
@@ -130,10 +183,7 @@ def _front(task: Task, found: Search) -> Iterable[Mapping[str, Any]]:
         size = len(selection.features if task.recipe.second == "n_features" else selection.terms)
         yield {"objectives": {task.recipe.second: size,
                               **dict(zip(task.problem.objectives, values, strict=True))},
-               "selection": {"terms": list(selection.terms),
-                             "features": list(selection.features),
-                             "n_terms": len(selection.terms),
-                             "n_features": len(selection.features)},
+               "selection": selection.to_dict(),
                "rmse": plain_rmse({"control": member.control_rmse(),
                                  "check": member.rmse(observations.check),
                                  "independent": member.rmse(observations.independent)})}
@@ -146,10 +196,11 @@ def fit_of(task: Task, selection: Selection) -> Fit:
     the solution it began with, which the search judged, is taken.
     """
     control = task.observations.control
-    terms = _mask(task.model.terms, selection.terms, "term")
+    model = task.model.with_parameters(selection.parameters)
+    terms = _mask(model.terms, selection.terms, "term")
     used = _mask(control.ids, selection.features, "control feature")
-    chosen = fit(task.model, control, task.scaling, terms, used)
-    return fit(task.model, control, task.scaling, terms, used, iterated=False) \
+    chosen = fit(model, control, task.scaling, terms, used)
+    return fit(model, control, task.scaling, terms, used, iterated=False) \
         if _has_pole(task, chosen) else chosen
 
 
@@ -157,7 +208,7 @@ def _has_pole(task: Task, chosen: Fit) -> bool:
     """Return whether a denominator falls short somewhere in the scene."""
     guard = guard_points(task.scaling.features(task.observations.control),
                          task.scaling.points(task.observations.check))
-    return bool(pole_violation(task.model, chosen.adjustment.coefficients[None], guard).any())
+    return bool(pole_violation(chosen.model, chosen.adjustment.coefficients[None], guard).any())
 
 
 def _mask(names: tuple[str, ...], chosen: Iterable[str], what: str) -> BoolArray:

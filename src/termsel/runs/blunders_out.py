@@ -15,7 +15,7 @@ import numpy as np
 from termsel.errors import counted
 from termsel.fits.diagnosis import doubts
 from termsel.measurements.features import BoolArray
-from termsel.problems.base import Segment
+from termsel.problems.segments import Bits, Subset
 from termsel.problems.selection import SelectionProblem
 from termsel.runs.assess import fit_of
 from termsel.runs.recommend import recommended
@@ -50,7 +50,7 @@ def search_without_blunders(task: Task, **how: Any) -> Search:
     if not isinstance(problem, SelectionProblem) \
             or task.options["problem"].get("blunders") != "leave-out":
         return found
-    where, segment = problem.genome.slices()[FEATURES], problem.genome.segments[-1]
+    where = problem.genome.label_slices()[FEATURES]
     forced = problem.genome.on[where]
     out = np.zeros(len(names), dtype=bool)
     while not (found.violation or found.interrupted):
@@ -62,7 +62,7 @@ def search_without_blunders(task: Task, **how: Any) -> Search:
             return replace(found, notes=(*found.notes, in_use + "There was no time to search "
                                          "without them; raise --seconds."))
         more = out | (_among(names, named.wrong) & ~forced)
-        again = _without(task, problem, more, segment, where, **{
+        again = _without(task, problem, more, where, **{
             **how, "seconds": None if seconds is None else seconds - found.seconds})
         if again is None or again.violation:
             return replace(found, notes=(*found.notes, in_use + "Without them no selection "
@@ -84,12 +84,14 @@ def _among(names: tuple[str, ...], wanted: Any) -> BoolArray:
     return np.array([name in wanted for name in names], dtype=bool)
 
 
-def _without(task: Task, problem: SelectionProblem, out: BoolArray, segment: Segment, where: slice,
+def _without(task: Task, problem: SelectionProblem, out: BoolArray, where: slice,
              **how: Any) -> Search | None:
     """Return a search without some features; None if too few are left to select."""
+    segment = problem.genome.segments[-1]
+    assert isinstance(segment, Bits | Subset)  # the features
     if (~out & ~problem.genome.off[where]).sum() < segment.minimum:
         return None
-    which = np.zeros(problem.genome.size, dtype=bool)
+    which = np.zeros(len(problem.genome.labels), dtype=bool)
     which[where] = out
     less = replace(task, problem=problem.frozen(np.zeros_like(which), which))
     return recommended(less, search_in_steps(less, **how))

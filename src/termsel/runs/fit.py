@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, cast
 
 from termsel.candidates.candidate import CANDIDATES, named
 from termsel.errors import TermselError, unknown_name
@@ -63,10 +63,11 @@ def fit(features: FeatureSet, model: str | type[SensorModel] | SensorModel = "rf
                                registry().hint(model, "models"))
         model_type: type[SensorModel] = registry().get("models", model)
         return model_type(**options).fit(features)
-    if isinstance(model, SensorModel):
-        _refuse(options, f"model {model.name!r}, which has its options already,")
-        return model.fit(features)
-    return model(**options).fit(features)
+    given = registry().taken("models", model)
+    if isinstance(given, SensorModel):
+        _refuse(options, f"model {given.name!r}, which has its options already,")
+        return given.fit(features)
+    return cast(type[SensorModel], given)(**options).fit(features)
 
 
 def _refuse(options: dict[str, Any], what: str) -> None:

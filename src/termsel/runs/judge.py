@@ -16,7 +16,7 @@ from termsel.fits.fit import Fit
 from termsel.fits.least_squares import fit
 from termsel.fits.rmse import Rmse
 from termsel.measurements.roles import Observations
-from termsel.problems.base import Genome
+from termsel.problems.genome import Genome
 from termsel.solvers.search import Search
 
 _ROUNDING = 1e-9  # px: smaller errors are those of arithmetic

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import platform
+from collections.abc import Iterator, Mapping
 from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
 from termsel.measurements.crs import height_reference
 from termsel.measurements.features import FeatureSet
 from termsel.measurements.roles import Observations
-from termsel.plugins.registry import registry
+from termsel.plugins.hookspecs import PROJECT
+from termsel.plugins.registry import SESSION, registry
 from termsel.results.checksums import of_features
 
 if TYPE_CHECKING:
@@ -60,10 +62,34 @@ def plugins_of(asked: Request | Task) -> dict[str, dict[str, str]]:
     -------
     dict
         By "problem", "model", "solver" and "criterion": ``name`` as ``distribution:name``, and
-        ``version`` of the distribution. Parts of termsel itself are left out.
+        ``version`` of the distribution. Parts of termsel itself are left out. What no plugin
+        provides has the distribution "session" and its ``class``, as "module.Class".
     """
     parts = {"problem": asked.recipe, "model": type(asked.model), "solver": type(asked.solver),
              "criterion": type(asked.criterion)}
-    found = {word: registry().origin(thing) for word, thing in parts.items()}
-    return {word: {"name": entry.full_name, "version": registry().version(entry.provided_by)}
-            for word, entry in found.items() if entry and entry.provided_by != "termsel"}
+    return {word: found for word, thing in parts.items() if (found := _origin(thing))}
+
+
+def _origin(thing: Any) -> dict[str, str]:
+    """Return what identifies a thing; nothing for one of termsel itself."""
+    entry = registry().origin(thing)
+    if entry is not None and entry.provided_by != SESSION:
+        return {} if entry.provided_by == PROJECT else {
+            "name": entry.full_name, "version": registry().version(entry.provided_by)}
+    made_by = thing if isinstance(thing, type) else thing.build
+    name = getattr(made_by, "__qualname__", type(made_by).__qualname__)
+    return {"name": f"{SESSION}:{thing.name}", "version": "",
+            "class": f"{made_by.__module__}.{name}"}
+
+
+def notes_on_sessions(plugins: Mapping[str, Mapping[str, str]]) -> Iterator[str]:
+    """Yield what is needed to read a result of a model again that no plugin provides.
+
+    Parameters
+    ----------
+    plugins : mapping
+        As `plugins_of` returns them.
+    """
+    if "class" in (model := plugins.get("model", {})):
+        yield (f"No plugin provides the model: call termsel.register({model['class']}) before "
+               "reading this result again.")

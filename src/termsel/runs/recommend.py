@@ -42,7 +42,8 @@ def recommended(task: Task, found: Search) -> Search:
     genes = np.array(found.front)
     evaluation = task.problem.evaluate(genes)
     first = evaluation.objectives[:, 0]
-    second = genes.sum(axis=1).astype(float) if alone else evaluation.objectives[:, 1]
+    second = (task.problem.genome.chosen(genes).sum(axis=1).astype(float) if alone
+              else evaluation.objectives[:, 1])
     index = int(np.argmin(first))
     if rule == "one-standard-error":
         judged = (task.observations.check if task.criterion.needs_check

@@ -9,15 +9,20 @@ from pathlib import Path
 from typing import Any
 
 from termsel.adjustment.kernels import needs_compilation
+from termsel.criteria import Criterion
 from termsel.errors import TermselError
 from termsel.io.result_folder import claim_folder, write_result
+from termsel.measurements.datasets import DatasetSpec
 from termsel.measurements.features import FeatureSet
+from termsel.models.base import SensorModel
 from termsel.plugins.registry import registry
+from termsel.problems.recipes import Recipe
 from termsel.results.result import Result
-from termsel.runs.assess import assess
+from termsel.runs.assess import assessed
 from termsel.runs.auto import LEAST, choose_for, wanted
 from termsel.runs.blunders_out import search_without_blunders
 from termsel.runs.task import DATA_OPTIONS, Task, ask, observe, prepare
+from termsel.solvers.base import Solver
 from termsel.solvers.search import Observer
 from termsel.threads import one_blas_thread
 
@@ -26,14 +31,14 @@ log = logging.getLogger(__name__)
 
 @one_blas_thread
 def run(
-    problem: str | Task | None = None,
+    problem: str | Recipe | Task | None = None,
     *,
     features: FeatureSet | None = None,
-    dataset: str | None = None,
+    dataset: str | DatasetSpec | None = None,
     source: str | None = None,
-    model: str | None = None,
-    solver: str | None = None,
-    criterion: str | None = None,
+    model: str | type[SensorModel] | SensorModel | None = None,
+    solver: str | type[Solver] | Solver | None = None,
+    criterion: str | type[Criterion] | Criterion | None = None,
     options: Mapping[str, Any] | None = None,
     strategy: str | None = None,
     seed: int = 1,
@@ -48,10 +53,10 @@ def run(
 
     Parameters
     ----------
-    problem : str or Task, optional
-        A recipe's name, or what `prepare` made of it; by default that of `problem_for`.
+    problem : str, Recipe or Task, optional
+        A recipe, its name, or what `prepare` made of it; by default that of `problem_for`.
     features, dataset, source, model, solver, criterion, options
-        As for `prepare`; for a name alone.
+        As for `prepare`; not for a task.
     strategy : {"auto", "as-asked"}, optional
         "auto" chooses the model itself, among plain and shrunken ones, by what it predicts for
         points that took no part; "as-asked" runs the problem's solver. By default "auto" where
@@ -99,7 +104,7 @@ def run(
             raise TermselError(f"a prepared task takes no {', '.join(sorted(asked))}",
                                hint="Give them to termsel.prepare.")
         task = problem
-    elif wanted(strategy, registry().get("problems", problem), _method(
+    elif wanted(strategy, registry().taken("problems", problem), _method(
             asked, generations, evaluations, seconds), unnamed=unnamed):
         return _chosen(problem, asked, seed, observers, out, overwrite)
     else:
@@ -107,7 +112,7 @@ def run(
     _begin(out, overwrite)
     found = search_without_blunders(task, seed=seed, generations=generations,
                                     evaluations=evaluations, seconds=seconds, observers=observers)
-    return _finished(assess(task, found), out)
+    return _finished(assessed(task, found), out)
 
 
 def problem_for(features: FeatureSet | None) -> str:
@@ -140,12 +145,12 @@ def _method(asked: Mapping[str, Any], generations: int | None, evaluations: int 
             "a budget": any(budget is not None for budget in (generations, evaluations, seconds))}
 
 
-def _chosen(problem: str, asked: Mapping[str, Any], seed: int, observers: Iterable[Observer],
-            out: Path | str | None, overwrite: bool) -> Result:
+def _chosen(problem: str | Recipe, asked: Mapping[str, Any], seed: int,
+            observers: Iterable[Observer], out: Path | str | None, overwrite: bool) -> Result:
     """Return the result of the strategy "auto", which builds no problem."""
     # It fits to check points as to control, and yet shows their figures; points go with lines.
     options = {"check_as": "judge", **asked.get("options", {})}
-    if registry().get("problems", problem).control == "lines":
+    if registry().taken("problems", problem).control == "lines":
         options["mixed"] = True
     request = ask(problem, **{**asked, "criterion": "press", "solver": "all-terms",
                               "options": options})

@@ -46,11 +46,12 @@ def search_in_steps(task: Task, **how: Any) -> Search:
         raise TermselError(f"steps={order} is for one objective, and there are "
                            f"{len(problem.objectives)}: {', '.join(problem.objectives)}",
                            hint="Choose --set steps=joint, or a solver for one objective.")
-    is_feature = np.zeros(problem.genome.size, dtype=bool)
-    is_feature[problem.genome.slices()["features"]] = True
+    is_feature = np.zeros(len(problem.genome.labels), dtype=bool)
+    is_feature[problem.genome.label_slices()["features"]] = True
     later = is_feature if order == "terms-first" else ~is_feature
     everything: BoolArray = problem.genome.on | ~problem.genome.off
-    first = search(problem.frozen(everything, later), task.solver, **how)
+    beginning = problem.frozen(everything, later)
+    first = search(beginning, task.solver, **how)
     word = order.split("-")[0]
     if first.violation:
         raise TermselError(
@@ -60,10 +61,11 @@ def search_in_steps(task: Task, **how: Any) -> Search:
     if first.interrupted:
         return first
     solver = task.then or task.solver
-    second = search(problem.frozen(first.genes, ~later), solver, **how)
+    chosen = beginning.genome.chosen(first.genes[None])[0]
+    second = search(problem.frozen(chosen, ~later), solver, **how)
     by = [f" by {each.name}" if task.then else "" for each in (task.solver, solver)]
     note = (f"In two steps: {word} first{by[0]}, {problem.objectives[0]} "
-            f"{first.objectives[0]:.4g} with {int(first.genes[~later].sum())} of "
+            f"{first.objectives[0]:.4g} with {int(chosen[~later].sum())} of "
             f"{int((~later).sum())} and everything else in use; then the rest{by[1]}, "
             f"{second.objectives[0]:.4g}.")
     return replace(second, evaluations=first.evaluations + second.evaluations,

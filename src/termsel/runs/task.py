@@ -13,6 +13,7 @@ from termsel.errors import TermselError, counted, printable
 from termsel.fits.diagnosis import orientation_spread
 from termsel.guard.arrays import of_type
 from termsel.guard.faults import blamed, wrong
+from termsel.measurements.datasets import DatasetSpec
 from termsel.measurements.features import FeatureSet, Points
 from termsel.measurements.roles import (
     Observations,
@@ -31,6 +32,7 @@ from termsel.problems.base import Inputs, Problem
 from termsel.problems.constraints import MAX_SHARE
 from termsel.problems.recipes import Recipe
 from termsel.runs.fit_crs import FIT_CRS, with_fit_crs
+from termsel.runs.given import class_of, with_options
 from termsel.solvers.base import Solver
 from termsel.solvers.search import require_able
 
@@ -134,27 +136,27 @@ def prepare(
     problem: str | Recipe,
     *,
     features: FeatureSet | None = None,
-    dataset: str | None = None,
+    dataset: str | DatasetSpec | None = None,
     source: str | None = None,
-    model: str | None = None,
-    solver: str | None = None,
-    criterion: str | None = None,
+    model: str | type[SensorModel] | SensorModel | None = None,
+    solver: str | type[Solver] | Solver | None = None,
+    criterion: str | type[Criterion] | Criterion | None = None,
     options: Mapping[str, Any] | None = None,
 ) -> Task:
-    """Make a problem ready from names.
+    """Make a problem ready from names, or from the things themselves.
 
     Parameters
     ----------
     problem : str or Recipe
-        A recipe, or its name, such as "owdis-lines".
+        A recipe or its name, such as "owdis-lines".
     features : FeatureSet, optional
         Measured features; without them those of `dataset`, or of the recipe's data set.
-    dataset : str, optional
-        Name of a data set.
+    dataset : str or DatasetSpec, optional
+        A data set or its name.
     source : str, optional
         Where `features` come from, for the record.
-    model, solver, criterion : str, optional
-        Names; the recipe's own by default.
+    model, solver, criterion : str, class or instance, optional
+        The recipe's own by default. Instances have their options already.
     options : mapping, optional
         Options of problem, data, model, criterion and solver together, as with ``--set``.
 
@@ -177,11 +179,11 @@ def ask(
     problem: str | Recipe,
     *,
     features: FeatureSet | None = None,
-    dataset: str | None = None,
+    dataset: str | DatasetSpec | None = None,
     source: str | None = None,
-    model: str | None = None,
-    solver: str | None = None,
-    criterion: str | None = None,
+    model: str | type[SensorModel] | SensorModel | None = None,
+    solver: str | type[Solver] | Solver | None = None,
+    criterion: str | type[Criterion] | Criterion | None = None,
     options: Mapping[str, Any] | None = None,
 ) -> Request:
     """Return what is asked for, with every name resolved and every option checked.
@@ -192,42 +194,41 @@ def ask(
         As for `prepare`.
     """
     names = registry()
-    recipe: Recipe = (problem if isinstance(problem, Recipe)
-                      else names.get("problems", problem))
-    model_type: type[SensorModel] = names.get("models", model or recipe.model)
-    criterion_type: type[Criterion] = names.get("criteria", criterion or recipe.criterion)
+    recipe: Recipe = names.taken("problems", problem)
+    the_model = names.taken("models", recipe.model if model is None else model)
     # Where terms have no influence there is nothing to search.
-    usual = "all-terms" if issubclass(model_type, Interpolating) else recipe.solver
-    solver_type: type[Solver] = names.get("solvers", solver or usual)
-    declared = {
-        "problem": recipe.options, "data": DATA_OPTIONS, "model": model_type.declared_options,
-        "criterion": criterion_type.declared_options, "solver": solver_type.declared_options}
+    usual = "all-terms" if issubclass(class_of(the_model), Interpolating) else recipe.solver
+    parts = {"model": the_model,
+             "criterion": names.taken("criteria",
+                                      recipe.criterion if criterion is None else criterion),
+             "solver": names.taken("solvers", usual if solver is None else solver)}
     given = options or {}
-    name_of_then = given.get("then", given.get("problem.then"))
-    then_type = None if name_of_then is None else names.get("solvers", name_of_then)
-    if then_type is not None:
-        declared["then"] = then_type.declared_options
-    chosen = by_part(given, declared)
-    own = recipe.model_options if model in (None, recipe.model) else {}
-    the_criterion = criterion_type(**chosen["criterion"])
-    of_problem = _of_problem(recipe, chosen["problem"], the_criterion, solver_type,
-                             published=solver is not None and solver_type.as_published)
+    then = given.get("then", given.get("problem.then"))
+    if then is not None:
+        parts["then"] = names.get("solvers", then)
+    chosen = by_part(given, {
+        "problem": recipe.options, "data": DATA_OPTIONS,
+        **{word: part.declared_options for word, part in parts.items()}})
+    if model in (None, recipe.model):
+        chosen["model"] = {**recipe.model_options, **chosen["model"]}
+    made = {word: with_options(word, part, chosen[word]) for word, part in parts.items()}
+    of_problem = _of_problem(recipe, chosen["problem"], made["criterion"], made["solver"],
+                             published=solver is not None and made["solver"].as_published)
     of_data = resolve(DATA_OPTIONS, chosen["data"])
     named = asked_roles(of_data["off"], of_data["role"])
     if of_data["roles"] != "file" and of_data["role"]:
         raise TermselError(f"the options role and roles={of_data['roles']} exclude each other",
                            hint="Leave one of them out; off goes with both.")
     if features is None:
-        spec = names.get("datasets", dataset or recipe.dataset)
+        spec = names.taken("datasets", recipe.dataset if dataset is None else dataset)
         with blamed(spec.load, "load"):
             features = spec.load()
         _require_type(spec.load, "load", features, FeatureSet)
         source = f"{spec.name} (simulated)" if spec.simulated else spec.name
     features = with_roles(features, named)
-    return Request(recipe, model_type(**{**own, **chosen["model"]}), the_criterion,
-                   solver_type(**chosen["solver"]), features,
+    return Request(recipe, made["model"], made["criterion"], made["solver"], features,
                    printable(source or "given in Python"), {"problem": of_problem, "data": of_data},
-                   None if then_type is None else then_type(**chosen["then"]))
+                   made.get("then"))
 
 
 def observe(request: Request, least: int = MIN_CONTROL) -> Observations:
@@ -315,7 +316,7 @@ def _require_type(function: Callable[..., Any], name: str, value: Any, wanted: t
 
 
 def _of_problem(recipe: Recipe, given: Mapping[str, Any], criterion: Criterion,
-                solver: type[Solver], *, published: bool) -> dict[str, Any]:
+                solver: Solver, *, published: bool) -> dict[str, Any]:
     """Return the options of a problem, those decided that depend on criterion and solver."""
     options = resolve(recipe.options, given)
     if solver.max_objectives > 1 and "objectives" in options:
@@ -336,7 +337,7 @@ def _check_as(request: Request, observations: Observations) -> str:
     return request.options["data"]["check_as"] or ("judge" if judging else "control")
 
 
-def _rule(asked: str | None, criterion: Criterion, solver: type[Solver]) -> str:
+def _rule(asked: str | None, criterion: Criterion, solver: Solver) -> str:
     """Return the rule by which a member of a front is recommended."""
     if asked == "one-standard-error" and not criterion.is_rmse:
         raise TermselError(f"criterion {criterion.name!r} is no RMSE, so it has no standard error "

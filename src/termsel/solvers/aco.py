@@ -8,7 +8,8 @@ import numpy as np
 
 from termsel.measurements.features import BoolArray, FloatArray
 from termsel.options import COUNT, Option
-from termsel.problems.base import Evaluation, Genome, Problem
+from termsel.problems.base import Evaluation, Problem
+from termsel.problems.genome import Genome
 from termsel.solvers.base import POLISH, Generation, Solver
 
 

@@ -11,9 +11,9 @@ import numpy as np
 
 from termsel.guard.arrays import of_type
 from termsel.guard.calls import Check
-from termsel.measurements.features import BoolArray
 from termsel.options import Configurable, Option
 from termsel.problems.base import Evaluation, Problem, evaluation_fault
+from termsel.problems.segments import AnySegment, Bits, Genes
 
 POLISH = Option("polish", True, "Local refinement after the search: add, drop and swap genes "
                 "as long as that helps, from many starts. The result records what it added. Its "
@@ -30,14 +30,14 @@ class Generation:
     ----------
     index : int
         From 0, the initial population.
-    genes : ndarray of bool, shape (p, size)
+    genes : ndarray, shape (p, size)
     evaluation : Evaluation
     details : mapping
         Further values for observers, such as the empires of the ICA.
     """
 
     index: int
-    genes: BoolArray
+    genes: Genes
     evaluation: Evaluation
     details: Mapping[str, Any] = field(default_factory=dict)
 
@@ -51,10 +51,8 @@ def _generation_fault(_solver: Solver, value: Any, problem: Problem, *_args: Any
         return f"yielded the index {value.index!r:.100}; expected a whole number from 0"
     if not isinstance(value.details, Mapping):
         return "yielded details that are no mapping"
-    size = problem.genome.size
-    if not isinstance(value.genes, np.ndarray) or value.genes.shape[1:] != (size,):
-        return (f"yielded genes of shape {np.shape(value.genes)}; expected an array of shape "
-                f"(n, {size})")
+    if fault := problem.genome.fault(value.genes):
+        return f"yielded {fault}"
     return evaluation_fault(problem, value.evaluation, value.genes)
 
 
@@ -66,6 +64,9 @@ class Solver(Configurable, ABC):
 
     min_objectives: ClassVar[int] = 1
     max_objectives: ClassVar[int] = 1
+    segments: ClassVar[tuple[type[AnySegment], ...]] = (Bits,)
+    """Types of segments it handles; a run refuses genomes with others."""
+
     default_generations: ClassVar[int | None] = 100
     """Generations of a run without a budget; None for a solver that ends by itself."""
 

@@ -17,6 +17,7 @@ from termsel.errors import TermselError
 from termsel.measurements.features import BoolArray
 from termsel.options import COUNT, Option
 from termsel.problems.base import EnumerablePart, Evaluation, Problem
+from termsel.problems.segments import Bits
 from termsel.solvers.base import Generation, Solver
 from termsel.solvers.swap import neighbours
 
@@ -154,6 +155,7 @@ def _limits(problem: Problem, part: EnumerablePart, max_terms: int | None) -> tu
     slices = problem.genome.slices()
     segment = next(s for s in problem.genome.segments
                    if slices[s.name].start <= part.genes[0] < slices[s.name].stop)
+    assert isinstance(segment, Bits)  # what the solver declares
     most = [n for n in (segment.maximum, max_terms, len(part.genes),
                         len(part.system.design) - 1) if n is not None]
     return segment.minimum, min(most)

@@ -8,10 +8,12 @@ from typing import ClassVar
 import numpy as np
 from deap import base
 
-from termsel.measurements.features import BoolArray, IntArray
+from termsel.measurements.features import IntArray
 from termsel.options import COUNT, Option
 from termsel.problems.base import Evaluation, Problem
+from termsel.problems.segments import SEGMENTS, AnySegment, Genes
 from termsel.solvers.base import POLISH, Generation, Solver
+from termsel.solvers.operators import crossover, mutation
 
 
 def tournament(order: IntArray, n: int, size: int, rng: np.random.Generator) -> IntArray:
@@ -41,42 +43,18 @@ def two_best(order: IntArray, n: int) -> IntArray:
     return np.resize(order[:2], n)
 
 
-def uniform_crossover(genes: BoolArray, probability: float, rng: np.random.Generator) -> BoolArray:
-    """Return children of neighbours; each gene of a mating pair is swapped with chance 1/2.
-
-    Parameters
-    ----------
-    genes : ndarray of bool, shape (p, g)
-        Parents; rows 0 and 1 are a pair, 2 and 3, and so on.
-    probability : float
-        Chance that a pair mates.
-    rng : numpy.random.Generator
-    """
-    pairs = len(genes) // 2
-    first, second = genes[0:2 * pairs:2], genes[1:2 * pairs:2]
-    swap = rng.random(first.shape) < 0.5
-    swap &= rng.random((pairs, 1)) < probability
-    children = genes.copy()
-    children[0:2 * pairs:2] = np.where(swap, second, first)
-    children[1:2 * pairs:2] = np.where(swap, first, second)
-    return children
-
-
-def flip_bits(genes: BoolArray, probability: float, rng: np.random.Generator) -> BoolArray:
-    """Return genes, each flipped with the given chance."""
-    return genes ^ (rng.random(genes.shape) < probability)
-
-
 class GeneticAlgorithm(Solver):
     """Generational GA: tournament, uniform crossover, bit flips, elitism.
 
-    Chromosome, selection and crossover are those of Akhoundi Khezrabad et al. 2020, table 2.
+    Chromosome, selection and crossover are those of Akhoundi Khezrabad et al. 2020, table 2. Genes
+    that are not bits have operators of their own (`termsel.solvers.operators`).
     The operators act on the whole population at once and are registered in a DEAP toolbox,
     where they can be replaced. DEAP's own operators are not used, as they draw one individual
     at a time from the global random state. Infeasible individuals rank behind all feasible ones.
     """
 
     name = "ga"
+    segments: ClassVar[tuple[type[AnySegment], ...]] = SEGMENTS
     as_published = True
     default_generations = 80
     declared_options: ClassVar[tuple[Option, ...]] = (
@@ -85,7 +63,7 @@ class GeneticAlgorithm(Solver):
                "two best, as in Valadan Zoej et al. 2002.", choices=("tournament", "two-best")),
         Option("tournament", 3, "Chromosomes drawn for each tournament.", int, 1, 1000),
         Option("crossover", 0.9, "Chance that a pair of parents mates.", float, 0.0, 1.0),
-        Option("mutation", None, "Chance that a gene flips; by default 1 over the number of "
+        Option("mutation", None, "Chance that a gene changes; by default 1 over the number of "
                "genes. Akhoundi Khezrabad et al. 2020 use 0.001.", float, 0.0, 1.0),
         Option("elite", 2, "Best chromosomes that survive unchanged.", int, 0, COUNT),
         POLISH,
@@ -101,23 +79,23 @@ class GeneticAlgorithm(Solver):
             box.register("select", two_best)
         else:
             box.register("select", tournament, size=o["tournament"], rng=rng)
-        box.register("mate", uniform_crossover, probability=o["crossover"], rng=rng)
+        box.register("mate", crossover, genome=problem.genome, probability=o["crossover"], rng=rng)
         rate = 1.0 / problem.genome.size if o["mutation"] is None else o["mutation"]
-        box.register("mutate", flip_bits, probability=rate, rng=rng)
+        box.register("mutate", mutation, genome=problem.genome, probability=rate, rng=rng)
         return box
 
-    def survivors(self, genes: BoolArray, evaluation: Evaluation) -> IntArray:
+    def survivors(self, genes: Genes, evaluation: Evaluation) -> IntArray:
         """Return which chromosomes survive unchanged, at most all but one."""
         return evaluation.order()[:min(self.options["elite"], len(genes) - 1)]
 
-    def children(self, box: base.Toolbox, genes: BoolArray, evaluation: Evaluation,
-                 n: int) -> BoolArray:
+    def children(self, box: base.Toolbox, genes: Genes, evaluation: Evaluation,
+                 n: int) -> Genes:
         """Return n new chromosomes, before their repair.
 
         Parameters
         ----------
         box : deap.base.Toolbox
-        genes : ndarray of bool, shape (p, g)
+        genes : ndarray, shape (p, g)
             The population.
         evaluation : Evaluation
             Of the population.
@@ -125,9 +103,9 @@ class GeneticAlgorithm(Solver):
 
         Returns
         -------
-        ndarray of bool, shape (n, g)
+        ndarray, shape (n, g)
         """
-        children: BoolArray = box.mutate(box.mate(genes[box.select(evaluation.order(), n)]))
+        children: Genes = box.mutate(box.mate(genes[box.select(evaluation.order(), n)]))
         return children
 
     def generations(self, problem: Problem, rng: np.random.Generator) -> Iterator[Generation]:

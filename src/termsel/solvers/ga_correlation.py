@@ -11,6 +11,7 @@ from termsel.errors import TermselError
 from termsel.measurements.features import BoolArray, FloatArray
 from termsel.options import Option
 from termsel.problems.base import Problem
+from termsel.problems.segments import Bits
 from termsel.solvers.ga import GeneticAlgorithm
 
 PRESETS = {"case-1": (1.19, 0.15), "case-2": (1.69, 0.0), "case-3": (1.0, 0.0)}
@@ -116,6 +117,7 @@ class CorrelationSeededGA(GeneticAlgorithm):
     """
 
     name = "ga-correlation"
+    segments = (Bits,)
     declared_options = (
         *GeneticAlgorithm.declared_options,
         Option("preset", "case-3", "Scale and offset: own, or a case of Akhoundi Khezrabad et al. "

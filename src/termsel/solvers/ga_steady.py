@@ -11,85 +11,12 @@ from deap import base
 from termsel.errors import TermselError
 from termsel.measurements.features import BoolArray, IntArray
 from termsel.options import Option
-from termsel.problems.base import Evaluation, Genome, Problem
+from termsel.problems.base import Evaluation, Problem
+from termsel.problems.genome import Genome
+from termsel.problems.segments import AnySegment, Bits, Genes, Subset, random_subsets
 from termsel.solvers.base import POLISH
 from termsel.solvers.ga import GeneticAlgorithm, tournament
-
-
-def random_tuples(count: int, n: int, m: int, rng: np.random.Generator) -> IntArray:
-    """Return chromosomes of m different numbers below n, each row ascending.
-
-    Parameters
-    ----------
-    count : int
-        Number of chromosomes.
-    n, m : int
-    rng : numpy.random.Generator
-
-    Returns
-    -------
-    ndarray of int, shape (count, m)
-    """
-    return np.sort(rng.random((count, n)).argsort(axis=1)[:, :m], axis=1)
-
-
-def set_crossover(tuples: IntArray, probability: float, rng: np.random.Generator) -> IntArray:
-    """Return children that keep what both parents have and draw the rest from what one has.
-
-    Parameters
-    ----------
-    tuples : ndarray of int, shape (p, m)
-        Parents, each row ascending; rows 0 and 1 are a pair, 2 and 3, and so on.
-    probability : float
-        Chance that a pair mates.
-    rng : numpy.random.Generator
-
-    Returns
-    -------
-    ndarray of int, shape (p, m)
-        Each row ascending, without repetition; two children per pair.
-    """
-    pairs, m = len(tuples) // 2, tuples.shape[1]
-    both = np.sort(tuples[:2 * pairs].reshape(pairs, 2 * m), axis=1)
-    twin = np.zeros(both.shape, dtype=bool)
-    twin[:, 1:] = both[:, 1:] == both[:, :-1]
-    mates = rng.random(pairs) < probability
-    children = tuples.copy()
-    for child in (0, 1):
-        # Shared numbers come first, once; then numbers of one parent, shuffled.
-        key = rng.random(both.shape)
-        key[twin] = -1.0
-        key[:, :-1][twin[:, 1:]] = 2.0
-        chosen = np.take_along_axis(both, key.argsort(axis=1)[:, :m], axis=1)
-        children[child:2 * pairs:2][mates] = np.sort(chosen[mates], axis=1)
-    return children
-
-
-def replace_one(tuples: IntArray, n: int, probability: float,
-                rng: np.random.Generator) -> IntArray:
-    """Return chromosomes, some with one number replaced by one they did not have.
-
-    Parameters
-    ----------
-    tuples : ndarray of int, shape (p, m)
-        Each row ascending.
-    n : int
-        Numbers are below it.
-    probability : float
-        Chance that a chromosome mutates.
-    rng : numpy.random.Generator
-    """
-    p, m = tuples.shape
-    mutants = np.flatnonzero(rng.random(p) < probability)
-    if not m or m == n:
-        return tuples
-    gone = rng.integers(0, m, len(mutants))
-    # The r-th number that is not in a row: r moves up by one for each member before it.
-    rank = rng.integers(0, n - m, len(mutants))
-    before = tuples[mutants] - np.arange(m) <= rank[:, None]
-    changed = tuples.copy()
-    changed[mutants, gone] = rank + before.sum(axis=1)
-    return np.sort(changed, axis=1)
+from termsel.solvers.operators import replace_one, set_crossover
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,38 +28,42 @@ class Coding:
     Parameters
     ----------
     free : ndarray of int, shape (n,)
-        Which gene each of the first n numbers stands for; forced genes have none.
+        Which label each of the first n numbers stands for; forced ones have none.
     m : int
         How many of them are on at most.
     blanks : int
         How many fewer there may be: the number of blank numbers, which start at n.
-    forced : ndarray of bool, shape (size,)
-        Genes that are always on.
+    forced : ndarray of bool, shape (n of all,)
+        Labels that are always on.
+    subset : Subset, optional
+        The segment, where its genes are tuples themselves.
     """
 
     free: IntArray
     m: int
     blanks: int
     forced: BoolArray
+    subset: Subset | None = None
 
     @property
     def numbers(self) -> int:
         """How many numbers there are to draw from."""
         return len(self.free) + self.blanks
 
-    def tuples(self, genes: BoolArray) -> IntArray:
+    def tuples(self, genes: Genes) -> IntArray:
         """Return chromosomes, shape (p, m), each row ascending, from genes (p, size)."""
-        on = genes[:, self.free]
+        on = (self.subset.mask(genes) if self.subset else genes)[:, self.free]
         blank = np.arange(self.blanks) < self.m - on.sum(axis=1, keepdims=True)
         return np.nonzero(np.concatenate([on, blank], axis=1))[1].reshape(len(genes), self.m)
 
-    def genes(self, tuples: IntArray) -> BoolArray:
+    def genes(self, tuples: IntArray) -> Genes:
         """Return genes, shape (p, size), from chromosomes (p, m)."""
         size = len(self.forced)
-        genes = np.zeros((len(tuples), size + 1), dtype=bool)
-        gene = np.concatenate([self.free, np.full(self.blanks, size)])
-        np.put_along_axis(genes, gene[tuples], True, axis=1)
-        return np.asarray(genes[:, :size] | self.forced)
+        chosen = np.zeros((len(tuples), size + 1), dtype=bool)
+        label = np.concatenate([self.free, np.full(self.blanks, size)])
+        np.put_along_axis(chosen, label[tuples], True, axis=1)
+        chosen = chosen[:, :size] | self.forced
+        return self.subset.members(chosen) if self.subset else chosen
 
 
 def coding(genome: Genome) -> Coding:
@@ -150,9 +81,11 @@ def coding(genome: Genome) -> Coding:
             hint="Choose only features, as with --problem owdis-points --set min_features=12 --set "
                  "max_features=12, or use --solver ga.")
     segment = genome.segments[0]
+    assert isinstance(segment, Bits | Subset)  # what the solver declares
     free, forced = np.flatnonzero(genome.free), int(genome.on.sum())
-    most = len(free) if segment.maximum is None else min(segment.maximum - forced, len(free))
-    return Coding(free, most, most - max(segment.minimum - forced, 0), genome.on)
+    most = min(segment.most - forced, len(free))
+    return Coding(free, most, most - max(segment.minimum - forced, 0), genome.on,
+                  segment if isinstance(segment, Subset) else None)
 
 
 class SteadyStateGA(GeneticAlgorithm):
@@ -176,6 +109,7 @@ class SteadyStateGA(GeneticAlgorithm):
     """
 
     name = "ga-steady"
+    segments: ClassVar[tuple[type[AnySegment], ...]] = (Bits, Subset)
     default_generations = 200
     declared_options: ClassVar[tuple[Option, ...]] = (
         Option("population", 100, "Number of chromosomes; 10 in Konugurthi et al. 2016.", int, 2,
@@ -198,7 +132,7 @@ class SteadyStateGA(GeneticAlgorithm):
         box = base.Toolbox()
         box.register("tuples", code.tuples)
         box.register("genes", code.genes)
-        box.register("immigrants", random_tuples, n=n, m=code.m, rng=rng)
+        box.register("immigrants", random_subsets, n=n, m=code.m, rng=rng)
         box.register("population", lambda: code.genes(box.immigrants(o["population"])))
         box.register("evaluate", problem.evaluate)
         box.register("select", tournament, size=o["tournament"], rng=rng)
@@ -206,17 +140,17 @@ class SteadyStateGA(GeneticAlgorithm):
         box.register("mutate", replace_one, n=n, probability=o["mutation"], rng=rng)
         return box
 
-    def survivors(self, genes: BoolArray, evaluation: Evaluation) -> IntArray:
+    def survivors(self, genes: Genes, evaluation: Evaluation) -> IntArray:
         """Return which chromosomes survive: the best that differ from each other."""
         order = evaluation.order()
         first = np.sort(np.unique(genes[order], axis=0, return_index=True)[1])
         return order[first][:min(round(self.options["overlap"] * len(genes)), len(genes) - 1)]
 
-    def children(self, box: base.Toolbox, genes: BoolArray, evaluation: Evaluation,
-                 n: int) -> BoolArray:
+    def children(self, box: base.Toolbox, genes: Genes, evaluation: Evaluation,
+                 n: int) -> Genes:
         """Return n new chromosomes: bred ones, then immigrants."""
         fresh = round(self.options["immigrants"] * n)
         parents = box.tuples(genes[box.select(evaluation.order(), n - fresh)])
         bred = box.mutate(box.mate(parents))
-        children: BoolArray = box.genes(np.concatenate([bred, box.immigrants(fresh)]))
+        children: Genes = box.genes(np.concatenate([bred, box.immigrants(fresh)]))
         return children

@@ -11,6 +11,7 @@ from deap import base
 from termsel.measurements.features import BoolArray, FloatArray
 from termsel.options import Option
 from termsel.problems.base import Evaluation
+from termsel.problems.segments import Bits
 from termsel.solvers.ga import GeneticAlgorithm
 
 _LEAST = 1e-9  # variance of a rank sum below which it is rounding
@@ -64,6 +65,7 @@ class TransgenicGA(GeneticAlgorithm):
     """
 
     name = "ga-transgenic"
+    segments = (Bits,)
     declared_options: ClassVar[tuple[Option, ...]] = (
         *GeneticAlgorithm.declared_options,
         Option("alpha", 0.05, "Level of the test that qualifies a gene: share of genes without "

@@ -9,10 +9,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from termsel.errors import TermselError
+from termsel.guard.faults import wrong
 from termsel.guard.isolation import Returned
-from termsel.measurements.features import BoolArray, FloatArray
+from termsel.measurements.features import FloatArray
 from termsel.problems.base import EnumerablePart, Evaluation, Problem, Selection
-from termsel.solvers.base import Generation
+from termsel.problems.genome import Genome
+from termsel.problems.segments import Genes
+from termsel.solvers.base import Generation, Solver
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,7 +33,7 @@ class Progress:
         Best first objective so far.
     violation : float
         Its violation; 0 is feasible.
-    genes : ndarray of bool, shape (size,)
+    genes : ndarray, shape (size,)
         The best individual so far.
     what : str
         What is being done, where it is no generation of the solver: the local refinement, or a step
@@ -43,7 +46,7 @@ class Progress:
     share: float | None
     best: float
     violation: float
-    genes: BoolArray
+    genes: Genes
     what: str = ""
 
 
@@ -61,11 +64,14 @@ class Ledger(Problem):
         Individuals that may be evaluated.
     deadline : float, optional
         Time by `time.perf_counter` after which nothing is evaluated.
+    solver : Solver, optional
+        Who asks for the evaluations.
     """
 
     def __init__(self, problem: Problem, *, evaluations: int | None = None,
-                 deadline: float | None = None) -> None:
+                 deadline: float | None = None, solver: Solver | None = None) -> None:
         self.problem = problem
+        self.solver = solver
         self.genome = problem.genome
         self.objectives = problem.objectives
         self.limit = evaluations
@@ -75,13 +81,13 @@ class Ledger(Problem):
         self.count = 0
         self.lookups = 0
         self.best: tuple[float, float] = (np.inf, np.inf)
-        self.best_genes: BoolArray | None = None
+        self.best_genes: Genes | None = None
         self.best_objectives = np.full(len(problem.objectives), np.inf)
         self._row_of: dict[bytes, int] = {}
         self._objectives: list[np.ndarray[tuple[int], np.dtype[np.float64]]] = []
         self._violation: list[float] = []
 
-    def evaluate(self, genes: BoolArray) -> Evaluation:
+    def evaluate(self, genes: Genes) -> Evaluation:
         """Return the evaluation, computing only what is not known."""
         self.busy = True
         try:
@@ -90,10 +96,12 @@ class Ledger(Problem):
         finally:
             self.busy = False
 
-    def _evaluate(self, genes: BoolArray) -> Evaluation:
+    def _evaluate(self, genes: Genes) -> Evaluation:
         if self.deadline is not None and self.count and time.perf_counter() > self.deadline:
             raise BudgetSpent
-        self._require_bits(genes)
+        if fault := self.genome.fault(genes):
+            raise wrong(self.solver or type(self), "generations",
+                        f"asks for an evaluation of {fault}")
         allowed = len(genes) if self.limit is None else self.limit - self.count
         evaluation = self._look_up(genes[:allowed])
         self.after_evaluation()
@@ -101,7 +109,7 @@ class Ledger(Problem):
             raise BudgetSpent
         return evaluation
 
-    def decode(self, genes: BoolArray) -> Selection:
+    def decode(self, genes: Genes) -> Selection:
         """Return the selection of one chromosome."""
         return self.problem.decode(genes)
 
@@ -118,7 +126,7 @@ class Ledger(Problem):
         genes = generation.genes[0] if self.best_genes is None else self.best_genes
         return Progress(generation, self.count, share, self.best[1], self.best[0], genes, what)
 
-    def front(self) -> list[BoolArray]:
+    def front(self) -> list[Genes]:
         """Return the feasible non-dominated individuals, by first objective."""
         if not self._objectives:
             return []
@@ -131,10 +139,9 @@ class Ledger(Problem):
             if not (objectives[kept] <= objectives[row]).all(axis=1).any():
                 kept.append(int(row))
         keys = list(self._row_of)
-        packed = np.array([np.frombuffer(keys[row], dtype=np.uint8) for row in kept])
-        return [np.unpackbits(one, count=self.genome.size).astype(bool) for one in packed]
+        return [_genes(keys[row], self.genome) for row in kept]
 
-    def _look_up(self, genes: BoolArray) -> Evaluation:
+    def _look_up(self, genes: Genes) -> Evaluation:
         keys = _keys(genes)
         new: dict[bytes, int] = {}
         for i, key in enumerate(keys):
@@ -156,15 +163,6 @@ class Ledger(Problem):
             np.array([self._objectives[i] for i in where]).reshape(-1, len(self.objectives)),
             np.array([self._violation[i] for i in where]))
 
-    def _require_bits(self, genes: BoolArray) -> None:
-        """Refuse anything but chromosomes of bits: others would be looked up as if they were."""
-        if not isinstance(genes, np.ndarray) or genes.dtype != np.bool_ or genes.ndim != 2 \
-                or genes.shape[1] != self.genome.size:
-            raise TermselError(
-                f"the solver asks for an evaluation of {getattr(genes, 'dtype', type(genes))} of "
-                f"shape {np.shape(genes)}, not of bool of shape (n, {self.genome.size})",
-                hint="This is a bug in the solver: tell its author.")
-
     def _check(self, evaluation: Evaluation, n: int) -> None:
         if (evaluation.objectives.shape != (n, len(self.objectives))
                 or evaluation.violation.shape != (n,)
@@ -175,7 +173,7 @@ class Ledger(Problem):
                 f"shapes ({n}, {len(self.objectives)}) and ({n},)",
                 hint="This is a bug in the problem: tell its author.")
 
-    def _remember(self, genes: BoolArray, evaluation: Evaluation) -> None:
+    def _remember(self, genes: Genes, evaluation: Evaluation) -> None:
         first = int(evaluation.order()[0])
         found = (float(evaluation.violation[first]), float(evaluation.objectives[first, 0]))
         if found < self.best:
@@ -184,6 +182,18 @@ class Ledger(Problem):
             self.best_objectives = evaluation.objectives[first].copy()
 
 
-def _keys(genes: BoolArray) -> list[bytes]:
-    packed = np.ascontiguousarray(np.packbits(genes, axis=1))
-    return [row.tobytes() for row in packed]
+def _keys(genes: Genes) -> list[bytes]:
+    """Return a key for each individual; only equal ones have the same."""
+    if genes.dtype == np.bool_:
+        rows = np.ascontiguousarray(np.packbits(genes, axis=1))
+    else:
+        rows = np.ascontiguousarray(genes + genes.dtype.type(0))  # no negative zero
+    return [row.tobytes() for row in rows]
+
+
+def _genes(key: bytes, genome: Genome) -> Genes:
+    """Return the individual that has a key."""
+    if genome.dtype == np.bool_:
+        packed = np.frombuffer(key, dtype=np.uint8)
+        return np.unpackbits(packed, count=genome.size).astype(bool)
+    return np.frombuffer(key, dtype=genome.dtype).copy()

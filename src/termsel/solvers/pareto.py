@@ -12,6 +12,8 @@ from pymoo.algorithms.moo.nsga2 import NSGA2
 from pymoo.algorithms.moo.sms import SMSEMOA
 from pymoo.algorithms.moo.spea2 import SPEA2
 from pymoo.core.algorithm import Algorithm
+from pymoo.core.crossover import Crossover
+from pymoo.core.mutation import Mutation
 from pymoo.core.problem import Problem as PymooProblem
 from pymoo.core.repair import Repair
 from pymoo.core.sampling import Sampling
@@ -19,10 +21,13 @@ from pymoo.core.termination import NoTermination
 from pymoo.operators.crossover.ux import UX
 from pymoo.operators.mutation.bitflip import BitflipMutation
 
-from termsel.measurements.features import BoolArray, FloatArray
+from termsel.measurements.features import FloatArray
 from termsel.options import Option
-from termsel.problems.base import Evaluation, Genome, Problem
+from termsel.problems.base import Evaluation, Problem
+from termsel.problems.genome import Genome
+from termsel.problems.segments import SEGMENTS, AnySegment, Genes
 from termsel.solvers.base import POLISH, Generation, Solver
+from termsel.solvers.operators import crossover, mutation
 
 
 class _Keep(Repair):  # type: ignore[misc]
@@ -32,8 +37,8 @@ class _Keep(Repair):  # type: ignore[misc]
         super().__init__()
         self.genome, self.rng = genome, rng
 
-    def _do(self, problem: PymooProblem, X: BoolArray, **_: Any) -> BoolArray:
-        return self.genome.repair(X.astype(bool), self.rng)
+    def _do(self, problem: PymooProblem, X: Genes, **_: Any) -> Genes:
+        return self.genome.repair(X.astype(self.genome.dtype), self.rng)
 
 
 class _Start(Sampling):  # type: ignore[misc]
@@ -43,24 +48,52 @@ class _Start(Sampling):  # type: ignore[misc]
         super().__init__()
         self.genome, self.rng = genome, rng
 
-    def _do(self, problem: PymooProblem, n_samples: int, **_: Any) -> BoolArray:
+    def _do(self, problem: PymooProblem, n_samples: int, **_: Any) -> Genes:
         return self.genome.random(self.rng, n_samples)
+
+
+class _Mate(Crossover):  # type: ignore[misc]
+    """Crossover of a genome that has other genes than bits."""
+
+    def __init__(self, genome: Genome) -> None:
+        super().__init__(2, 2)
+        self.genome = genome
+
+    def _do(self, problem: PymooProblem, X: Genes, *_: Any, random_state: np.random.Generator,
+            **__: Any) -> Genes:
+        pairs = X.swapaxes(0, 1).reshape(-1, self.genome.size)
+        children = crossover(pairs, self.genome, 1.0, random_state)
+        return children.reshape(-1, 2, self.genome.size).swapaxes(0, 1)
+
+
+class _Mutate(Mutation):  # type: ignore[misc]
+    """Mutation of a genome that has other genes than bits."""
+
+    def __init__(self, genome: Genome, rate: float) -> None:
+        super().__init__()
+        self.genome, self.rate = genome, rate
+
+    def _do(self, problem: PymooProblem, X: Genes, *_: Any, random_state: np.random.Generator,
+            **__: Any) -> Genes:
+        return mutation(X, self.genome, self.rate, random_state)
 
 
 class PymooSolver(Solver):
     """Base of the solvers that use pymoo: they differ in the survival.
 
-    Start, uniform crossover, bit flips and repair are the same for all. The violation is a
+    Start, uniform crossover, bit flips and repair are the same for all; genes that are not bits
+    have operators of their own (`termsel.solvers.operators`). The violation is a
     constraint, so that feasible selections come first.
     """
 
     min_objectives: ClassVar[int] = 2
     max_objectives: ClassVar[int] = 8
+    segments: ClassVar[tuple[type[AnySegment], ...]] = SEGMENTS
     default_generations = 100
     declared_options = (
         # pymoo compares all pairs of twice as many.
         Option("population", 100, "Number of selections.", int, 4, 5000),
-        Option("mutation", None, "Chance that a gene flips; by default 1 over the number of "
+        Option("mutation", None, "Chance that a gene changes; by default 1 over the number of "
                "genes.", float, 0.0, 1.0),
         POLISH,
     )
@@ -73,13 +106,15 @@ class PymooSolver(Solver):
         """Yield generations without end (see `Solver.generations`)."""
         size = problem.genome.size
         rate = 1.0 / size if self.options["mutation"] is None else self.options["mutation"]
+        genome, bits = problem.genome, problem.genome.dtype == np.bool_
         algorithm = self.algorithm(
-            pop_size=self.options["population"], sampling=_Start(problem.genome, rng),
-            crossover=UX(), mutation=BitflipMutation(prob=1.0, prob_var=rate),
-            repair=_Keep(problem.genome, rng))
+            pop_size=self.options["population"], sampling=_Start(genome, rng),
+            crossover=UX() if bits else _Mate(genome),
+            mutation=BitflipMutation(prob=1.0, prob_var=rate) if bits else _Mutate(genome, rate),
+            repair=_Keep(genome, rng))
         algorithm.setup(
             PymooProblem(n_var=size, n_obj=len(problem.objectives), n_ieq_constr=1, xl=0, xu=1,
-                         vtype=bool),
+                         vtype=bool if bits else None),
             termination=NoTermination())
         algorithm.random_state = rng
         index = 0
@@ -87,14 +122,14 @@ class PymooSolver(Solver):
             asked = algorithm.ask()
             if asked is None or not len(asked):
                 return  # every offspring is a duplicate: there is nothing left to try
-            evaluation = problem.evaluate(asked.get("X").astype(bool))
+            evaluation = problem.evaluate(asked.get("X").astype(genome.dtype))
             asked.set("F", evaluation.objectives)
             asked.set("G", evaluation.violation[:, None])
             for one in asked:
                 one.evaluated.update({"F", "G"})
             algorithm.tell(infills=asked)
             kept = algorithm.pop
-            yield Generation(index, kept.get("X").astype(bool),
+            yield Generation(index, kept.get("X").astype(genome.dtype),
                              Evaluation(kept.get("F"), np.maximum(kept.get("G")[:, 0], 0.0)))
             index += 1
 

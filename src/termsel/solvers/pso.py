@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import itertools
+from collections.abc import Iterator, Mapping
+from typing import Any
 
 import numpy as np
 
 from termsel.measurements.features import BoolArray, FloatArray, IntArray
 from termsel.options import COUNT, Option
 from termsel.problems.base import Evaluation, Problem
+from termsel.problems.segments import SEGMENTS, Genes
 from termsel.solvers.base import POLISH, Generation, Solver
+from termsel.solvers.operators import from_keys, n_keys
 
 
 def improved(found: Evaluation, own: Evaluation) -> BoolArray:
@@ -69,25 +73,31 @@ class BinarySwarm(Solver):
     - Feasible selections rank before others, for own bests and for leaders. The velocity is not
       changed where forced genes or cardinality switch a gene.
 
-    ``Generation.details`` holds the ``velocity``, shape (p, size), that led to the genes.
+    - Where genes are not bits, particles are random keys of them (Bean 1994) with the constriction
+      of Clerc and Kennedy 2002.
+
+    ``Generation.details`` holds the ``velocity`` that led to the genes: of each gene, or key.
     """
 
     name = "pso"
+    segments = SEGMENTS
     as_published = True
     default_generations = 200
     declared_options = (
         Option("population", 50, "Number of particles.", int, 2, 100_000),
-        Option("inertia", 1.0, "Share of its velocity that a particle keeps at first, w.", float,
-               0.0, 1.0),
-        Option("inertia_last", 1.0, "Share of its velocity that a particle keeps at the end, "
-                                    "w.", float,
-               0.0, 1.0),
+        Option("inertia", None, "Share of its velocity that a particle keeps at first, w; by "
+               "default 1 with bits and 0.73 with other genes.", float, 0.0, 1.0),
+        Option("inertia_last", None, "Share of its velocity that a particle keeps at the end, w; "
+               "by default 1 with bits and 0.73 with other genes.", float, 0.0, 1.0),
         Option("iterations", 200, "Generations over which the inertia changes from first to last.",
                int, 1, COUNT),
-        Option("cognition", 2.0, "Pull of a particle's own best selection, c1.", float, 0.0, 10.0),
-        Option("society", 2.0, "Pull of the leader's best selection, c2.", float, 0.0, 10.0),
-        Option("velocity", 4.0, "Limit of velocities, v_max; at 4 a settled gene still flips once "
-               "in 56 times.", float, 0.0, 20.0),
+        Option("cognition", None, "Pull of a particle's own best selection, c1; by default 2 with "
+               "bits and 1.5 with other genes.", float, 0.0, 10.0),
+        Option("society", None, "Pull of the leader's best selection, c2; by default 2 with bits "
+               "and 1.5 with other genes.", float, 0.0, 10.0),
+        Option("velocity", None, "Limit of velocities, v_max. By default 4 with bits, where a "
+               "settled gene still flips once in 56 times; half of the range with other genes.",
+               float, 0.0, 20.0),
         Option("neighbours", 3, "Neighbours on each side in the ring among which a leader is "
                                 "sought; 0 for the whole swarm.", int, 0, COUNT),
         POLISH,
@@ -95,28 +105,68 @@ class BinarySwarm(Solver):
 
     def generations(self, problem: Problem, rng: np.random.Generator) -> Iterator[Generation]:
         """Yield generations without end (see `Solver.generations`)."""
-        o = self.options
+        if problem.genome.dtype != np.bool_:
+            yield from self._with_keys(problem, rng)
+            return
+        o = {**_FOR_BITS, **self._given()}
         limit = o["velocity"]
         genes = problem.genome.random(rng, o["population"])
         velocity = np.where(genes, limit, -limit) * rng.random(genes.shape)
         evaluation = problem.evaluate(genes)
         own, of_own = genes, evaluation
         yield Generation(0, genes, evaluation, {"velocity": velocity})
-        index = 0
-        while True:
-            index += 1
-            share = min(index / o["iterations"], 1.0)
-            inertia = o["inertia"] + share * (o["inertia_last"] - o["inertia"])
+        for index in itertools.count(1):
             x = genes.astype(np.float64)
-            pull = o["cognition"] * rng.random(x.shape) * (own - x)
-            pull += (o["society"] * rng.random(x.shape)
-                     * (own[leaders(of_own.order(), o["neighbours"])] - x))
-            velocity = np.clip(inertia * velocity + pull, -limit, limit)
+            velocity = _moved(o, index, velocity, x, own, of_own, rng)
             genes = problem.genome.repair(rng.random(x.shape) < sigmoid(velocity), rng)
             evaluation = problem.evaluate(genes)
-            gain = improved(evaluation, of_own)
-            own = np.where(gain[:, None], genes, own)
-            of_own = Evaluation(
-                np.where(gain[:, None], evaluation.objectives, of_own.objectives),
-                np.where(gain, evaluation.violation, of_own.violation))
+            own, of_own = _best_of_own(own, of_own, genes, evaluation)
             yield Generation(index, genes, evaluation, {"velocity": velocity})
+
+    def _given(self) -> dict[str, Any]:
+        return {name: value for name, value in self.options.items() if value is not None}
+
+    def _with_keys(self, problem: Problem, rng: np.random.Generator) -> Iterator[Generation]:
+        """Yield generations of particles that move among random keys."""
+        o = {**_FOR_KEYS, **self._given()}
+        shape = (o["population"], n_keys(problem.genome))
+        keys = rng.random(shape)
+        velocity = (rng.random(shape) - keys) * o["velocity"]
+        genes = problem.genome.repair(from_keys(keys, problem.genome), rng)
+        evaluation = problem.evaluate(genes)
+        own, of_own = keys, evaluation
+        yield Generation(0, genes, evaluation, {"velocity": velocity})
+        for index in itertools.count(1):
+            velocity = _moved(o, index, velocity, keys, own, of_own, rng)
+            keys = np.clip(keys + velocity, 0.0, 1.0)
+            genes = problem.genome.repair(from_keys(keys, problem.genome), rng)
+            evaluation = problem.evaluate(genes)
+            own, of_own = _best_of_own(own, of_own, keys, evaluation)
+            yield Generation(index, genes, evaluation, {"velocity": velocity})
+
+
+_FOR_BITS = {"inertia": 1.0, "inertia_last": 1.0, "cognition": 2.0, "society": 2.0,
+             "velocity": 4.0}
+_FOR_KEYS = {"inertia": 0.7298, "inertia_last": 0.7298, "cognition": 1.4962, "society": 1.4962,
+             "velocity": 0.5}
+"""Defaults; of keys the constriction of Clerc and Kennedy 2002, and half of their range."""
+
+
+def _moved(o: Mapping[str, Any], index: int, velocity: FloatArray, x: FloatArray, own: Genes,
+           of_own: Evaluation, rng: np.random.Generator) -> FloatArray:
+    """Return the velocities of the next step."""
+    share = min(index / o["iterations"], 1.0)
+    inertia = o["inertia"] + share * (o["inertia_last"] - o["inertia"])
+    pull = o["cognition"] * rng.random(x.shape) * (own - x)
+    pull += (o["society"] * rng.random(x.shape)
+             * (own[leaders(of_own.order(), o["neighbours"])] - x))
+    return np.asarray(np.clip(inertia * velocity + pull, -o["velocity"], o["velocity"]))
+
+
+def _best_of_own(own: Genes, of_own: Evaluation, found: Genes,
+                 evaluation: Evaluation) -> tuple[Genes, Evaluation]:
+    """Return the best place of each particle so far, and its evaluation."""
+    gain = improved(evaluation, of_own)
+    return np.where(gain[:, None], found, own), Evaluation(
+        np.where(gain[:, None], evaluation.objectives, of_own.objectives),
+        np.where(gain, evaluation.violation, of_own.violation))

@@ -12,8 +12,9 @@ import numpy as np
 
 from termsel.errors import TermselError
 from termsel.interrupts import answered
-from termsel.measurements.features import BoolArray, FloatArray
+from termsel.measurements.features import FloatArray
 from termsel.problems.base import Evaluation, Problem
+from termsel.problems.segments import Genes
 from termsel.solvers.base import Generation, Solver
 from termsel.solvers.budget import Budget
 from termsel.solvers.ledger import BudgetSpent, Ledger, Progress
@@ -60,7 +61,7 @@ class Search:
 
     Parameters
     ----------
-    genes : ndarray of bool, shape (size,)
+    genes : ndarray, shape (size,)
         The best individual found.
     objectives : ndarray, shape (m,)
         Its objectives.
@@ -80,7 +81,7 @@ class Search:
         What the solver proved, if anything.
     coefficients : ndarray, shape (k,), optional
         From a solver that finds coefficients, as ridge does; others find only genes.
-    front : tuple of ndarray of bool
+    front : tuple of ndarray
         With several objectives all feasible, non-dominated individuals evaluated, each point of
         the front once, by the first objective; with one objective, the front that the solver
         yields, if any.
@@ -88,7 +89,7 @@ class Search:
         What a reader of the result must know about the search.
     """
 
-    genes: BoolArray
+    genes: Genes
     objectives: np.ndarray[tuple[int], np.dtype[np.float64]]
     violation: float
     seed: int
@@ -99,7 +100,7 @@ class Search:
     interrupted: bool
     polish: Polish | None = None
     certificate: Mapping[str, Any] | None = None
-    front: tuple[BoolArray, ...] = ()
+    front: tuple[Genes, ...] = ()
     coefficients: FloatArray | None = None
     notes: tuple[str, ...] = ()
 
@@ -152,7 +153,8 @@ def search(
         generations = solver.default_generations
     start = time.perf_counter()
     ledger = Ledger(problem, evaluations=evaluations,
-                    deadline=None if seconds is None else start + seconds)
+                    deadline=None if seconds is None else start + seconds,
+                    solver=solver)
     budget = Budget(generations, evaluations, seconds, start)
     generation: Generation | None = None
     polish = None
@@ -194,7 +196,7 @@ def search(
 
 def require_able(problem: Problem, solver: Solver,
                  others: Iterable[type[Solver]] = ()) -> None:
-    """Refuse a solver that cannot handle the number of objectives of the problem.
+    """Refuse a solver that cannot handle the objectives or the genes of the problem.
 
     Parameters
     ----------
@@ -208,14 +210,23 @@ def require_able(problem: Problem, solver: Solver,
     TermselError
     """
     wanted = len(problem.objectives)
-    if solver.min_objectives <= wanted <= solver.max_objectives:
+    types = {type(segment) for segment in problem.genome.segments}
+    many = solver.min_objectives <= wanted <= solver.max_objectives
+    if many and types <= set(solver.segments):
         return
     able = [other.name for other in others
-            if other.min_objectives <= wanted <= other.max_objectives]
+            if other.min_objectives <= wanted <= other.max_objectives
+            and types <= set(other.segments)]
+    others_hint = f"Choose one of: {', '.join(able)}." if able else None
+    if not many:
+        raise TermselError(
+            f"solver {solver.name!r} cannot handle {wanted} objective{'s' if wanted > 1 else ''}: "
+            f"{', '.join(problem.objectives)}", hint=others_hint)
+    segment = next(s for s in problem.genome.segments if type(s) not in solver.segments)
+    handled = ", ".join(one.__name__ for one in solver.segments)
     raise TermselError(
-        f"solver {solver.name!r} cannot handle {wanted} objective{'s' if wanted > 1 else ''}: "
-        f"{', '.join(problem.objectives)}",
-        hint=f"Choose one of: {', '.join(able)}." if able else None)
+        f"solver {solver.name!r} handles genes of the type {handled}; those of {segment.name!r} "
+        f"are {type(segment).__name__}", hint=others_hint)
 
 
 def _require_names(problem: Problem) -> None:

@@ -18,6 +18,7 @@ from termsel.errors import TermselError
 from termsel.measurements.features import BoolArray, FloatArray, IntArray
 from termsel.options import COUNT, Option
 from termsel.problems.base import EnumerablePart, Problem
+from termsel.problems.segments import Bits
 from termsel.solvers.base import Generation, Solver
 
 EXPLAINED = 1e-12
@@ -110,6 +111,7 @@ def _regression(problem: Problem, part: EnumerablePart) -> Regression:
     slices = problem.genome.slices()
     segment = next(s for s in problem.genome.segments
                    if slices[s.name].start <= part.genes[0] < slices[s.name].stop)
+    assert isinstance(segment, Bits)  # what the solver declares
     kept = forced | constant
     most = min(k if segment.maximum is None else segment.maximum, m - 1)
     return Regression(part.genes, system.design, system.target, system.denominator, constant,

@@ -7,42 +7,75 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from termsel.measurements.features import BoolArray, IntArray
+from termsel.measurements.features import BoolArray, IntArray, select
 from termsel.options import COUNT, Option
-from termsel.problems.base import Evaluation, Genome, Problem
+from termsel.problems.base import Evaluation, Problem
+from termsel.problems.genome import Genome
+from termsel.problems.segments import SEGMENTS, AnySegment, Bits, Genes, Subset
 from termsel.solvers.base import Generation, Solver
+from termsel.solvers.operators import mutation, steps
 
 BATCH = 2000
 """Most neighbours evaluated before a step: all of a small genome; all of a large one would not
 fit into memory."""
 
 
-def neighbours(genes: BoolArray, genome: Genome) -> Iterator[BoolArray]:
-    """Yield all selections one step away, in batches of up to BATCH.
+def neighbours(genes: Genes, genome: Genome) -> Iterator[Genes]:
+    """Yield all individuals one step away, in batches of up to BATCH.
 
-    First come the selections with one gene more or less, then those in which a gene that is on
-    is replaced by another of its segment. Forced genes stay and each segment keeps its
-    cardinality.
+    Of bits, first come the selections with one gene more or less, then those in which a gene that
+    is on is replaced by another of its segment. Forced genes stay and each segment keeps its
+    cardinality. Of other genes see `termsel.solvers.operators.steps`.
 
     Parameters
     ----------
-    genes : ndarray of bool, shape (size,)
+    genes : ndarray, shape (size,)
     genome : Genome
 
     Yields
     ------
-    ndarray of bool, shape (n, size)
+    ndarray, shape (n, size)
     """
+    if genome.dtype == np.bool_:
+        yield from _of_bits(genes, genome)
+        return
+    for segment, where in zip(genome.segments, genome.slices().values(), strict=True):
+        for changed in _of_segment(genes[where], genome, segment):
+            for start in range(0, len(changed), BATCH):
+                part = changed[start:start + BATCH]
+                around = np.repeat(genes[None], len(part), axis=0)
+                around[:, where] = part
+                yield around
+
+
+def _of_segment(genes: Genes, genome: Genome, segment: AnySegment) -> Iterator[Genes]:
+    """Yield the genes of a segment one step away, forced ones as they are."""
+    where = genome.label_slices()[segment.name]
+    if isinstance(segment, Bits):
+        alone = Genome([segment], on=select(segment.labels, genome.on[where]),
+                       off=select(segment.labels, genome.off[where]))
+        yield from _of_bits(genes.astype(bool), alone)
+    else:
+        for around in steps(segment, genes):
+            if isinstance(segment, Subset):
+                # One member gives way to another: neither may be forced.
+                moved = segment.mask(around) ^ segment.mask(genes[None])
+                around = around[~(moved & ~genome.free[where]).any(axis=1)]
+            yield around
+
+
+def _of_bits(genes: BoolArray, genome: Genome) -> Iterator[BoolArray]:
+    """Yield the neighbours in a genome of bits alone."""
     flips: list[IntArray] = []
     # Pairs of one gene of the first and one of the second, of which there may be very many: they
     # are numbered, and made when their batch is. A flip is a pair of the gene with itself.
     pairs: list[tuple[IntArray, IntArray]] = []
     for segment, where in zip(genome.segments, genome.slices().values(), strict=True):
-        most = len(segment.labels) if segment.maximum is None else segment.maximum
+        assert isinstance(segment, Bits)
         count = int(genes[where].sum())
         free = np.flatnonzero(genome.free[where]) + where.start
         on, off = free[genes[free]], free[~genes[free]]
-        flips += [off] if count < most else []
+        flips += [off] if count < segment.most else []
         flips += [on] if count > segment.minimum else []
         pairs.append((on, off))
     single = np.concatenate([*flips, np.empty(0, dtype=np.intp)])
@@ -62,7 +95,7 @@ def neighbours(genes: BoolArray, genome: Genome) -> Iterator[BoolArray]:
         yield around
 
 
-def descend(problem: Problem, genes: BoolArray, evaluation: Evaluation, index: int = 0,
+def descend(problem: Problem, genes: Genes, evaluation: Evaluation, index: int = 0,
             ) -> Iterator[Generation]:
     """Step to better neighbours until there is none.
 
@@ -74,7 +107,7 @@ def descend(problem: Problem, genes: BoolArray, evaluation: Evaluation, index: i
     Parameters
     ----------
     problem : Problem
-    genes : ndarray of bool, shape (1, size)
+    genes : ndarray, shape (1, size)
         Where to start.
     evaluation : Evaluation
         Of the start.
@@ -99,19 +132,19 @@ def descend(problem: Problem, genes: BoolArray, evaluation: Evaluation, index: i
                 break
 
 
-def climb(problem: Problem, genes: BoolArray, evaluation: Evaluation,
+def climb(problem: Problem, genes: Genes, evaluation: Evaluation,
           rng: np.random.Generator, index: int = 0) -> Iterator[list[Generation]]:
     """Descend from a selection, then repeatedly from others.
 
     Every second descent starts from a random selection, the others from the best with a random
-    share of its genes flipped, at most half. If segments of its end improve the best, they are
+    share of its genes changed, at most half. If segments of its end improve the best, they are
     copied to it, and a descent from there follows. termsel's own formulation: the first kind
     finds the optimum of small problems, the second improves large ones.
 
     Parameters
     ----------
     problem : Problem
-    genes : ndarray of bool, shape (1, size)
+    genes : ndarray, shape (1, size)
         Where to start.
     evaluation : Evaluation
         Of the start.
@@ -125,28 +158,34 @@ def climb(problem: Problem, genes: BoolArray, evaluation: Evaluation,
         The steps of one start, without end; the last is the best so far.
     """
     genome = problem.genome
-    steps = list(descend(problem, genes, evaluation, index))
+    climbed = list(descend(problem, genes, evaluation, index))
     for start in itertools.count():
-        best = steps[-1]
-        yield steps
+        best = climbed[-1]
+        yield climbed
         if start % 2:
-            flipped = rng.uniform(size=(1, genome.size)) < rng.uniform(0.0, 0.5)
-            elsewhere = genome.repair(best.genes ^ flipped, rng)
+            elsewhere = genome.repair(_shaken(best.genes, genome, rng), rng)
         else:
             elsewhere = genome.random(rng, 1)
-        steps = list(descend(problem, elsewhere, problem.evaluate(elsewhere), best.index + 1))
-        reached = steps[-1]
+        climbed = list(descend(problem, elsewhere, problem.evaluate(elsewhere), best.index + 1))
+        reached = climbed[-1]
         parts = np.repeat(best.genes, len(genome.segments) + 1, axis=0)
         for i, where in enumerate(genome.slices().values()):
             parts[i, where] = reached.genes[0, where]
         parts[-1] = reached.genes[0]
         combined, judged = _combined(problem, best.genes, best.evaluation, parts,
                                      problem.evaluate(parts))
-        steps += descend(problem, combined, judged, reached.index + 1)
+        climbed += descend(problem, combined, judged, reached.index + 1)
 
 
-def _combined(problem: Problem, genes: BoolArray, evaluation: Evaluation, around: BoolArray,
-              judged: Evaluation) -> tuple[BoolArray, Evaluation]:
+def _shaken(genes: Genes, genome: Genome, rng: np.random.Generator) -> Genes:
+    """Return genes, a random share of which is changed, at most half."""
+    if genome.dtype == np.bool_:
+        return genes ^ (rng.uniform(size=(1, genome.size)) < rng.uniform(0.0, 0.5))
+    return mutation(genes, genome, rng.uniform(0.0, 0.5), rng)
+
+
+def _combined(problem: Problem, genes: Genes, evaluation: Evaluation, around: Genes,
+              judged: Evaluation) -> tuple[Genes, Evaluation]:
     """Return the best of a selection, its neighbours, and the best change of each segment."""
     order = judged.order()
     best = _better(genes, evaluation, around[order[:1]], judged.take(order[:1]))
@@ -159,8 +198,8 @@ def _combined(problem: Problem, genes: BoolArray, evaluation: Evaluation, around
     return _better(*best, together, problem.evaluate(together)) if changes > 1 else best
 
 
-def _better(genes: BoolArray, evaluation: Evaluation, others: BoolArray,
-            judged: Evaluation) -> tuple[BoolArray, Evaluation]:
+def _better(genes: Genes, evaluation: Evaluation, others: Genes,
+            judged: Evaluation) -> tuple[Genes, Evaluation]:
     return (others, judged) if _rank(judged) < _rank(evaluation) else (genes, evaluation)
 
 
@@ -175,6 +214,7 @@ class Swap(Solver):
     """
 
     name = "swap"
+    segments = SEGMENTS
     default_generations = None
     declared_options = (Option("starts", 20, "Selections to start from.", int, 1, COUNT),)
 
@@ -182,5 +222,5 @@ class Swap(Solver):
         """Yield one generation per step of each descent (see `Solver.generations`)."""
         genes = problem.genome.random(rng, 1)
         climbing = climb(problem, genes, problem.evaluate(genes), rng)
-        for steps in itertools.islice(climbing, self.options["starts"]):
-            yield from steps
+        for climbed in itertools.islice(climbing, self.options["starts"]):
+            yield from climbed

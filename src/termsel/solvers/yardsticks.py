@@ -8,6 +8,7 @@ import numpy as np
 
 from termsel.options import Option
 from termsel.problems.base import Problem
+from termsel.problems.segments import SEGMENTS
 from termsel.solvers.base import Generation, Solver
 
 
@@ -15,6 +16,7 @@ class RandomSearch(Solver):
     """Random selections: what any search must beat at the same number of evaluations."""
 
     name = "random"
+    segments = SEGMENTS
     default_generations = 80
     declared_options = (
         Option("population", 200, "Selections drawn at a time.", int, 1, 100_000),)

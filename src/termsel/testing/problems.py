@@ -9,16 +9,9 @@ import numpy as np
 from termsel.criteria import CheckRmse
 from termsel.measurements.features import BoolArray, FeatureSet, FloatArray, Points, select
 from termsel.models.polynomial import Polynomial2D
-from termsel.problems.base import (
-    WORST,
-    EnumerablePart,
-    Evaluation,
-    Genome,
-    Inputs,
-    Problem,
-    Segment,
-    Selection,
-)
+from termsel.problems.base import WORST, EnumerablePart, Evaluation, Inputs, Problem, Selection
+from termsel.problems.genome import Genome
+from termsel.problems.segments import Bits, Genes, Subset
 from termsel.problems.selection import SelectionProblem
 from termsel.testing.checks import require
 from termsel.testing.scenes import imaged
@@ -118,23 +111,22 @@ def require_genes(genome: Genome, genes: object, who: str) -> None:
     who : str
         Start of the message: where the genes come from.
     """
-    require(isinstance(genes, np.ndarray) and genes.dtype == np.bool_,
-            f"{who} {getattr(genes, 'dtype', type(genes).__name__)}, not an array of bool")
+    fault = genome.fault(genes)
+    require(fault is None, f"{who} {fault}")
     assert isinstance(genes, np.ndarray)
-    require(genes.ndim == 2 and genes.shape[1] == genome.size,
-            f"{who} genes of shape {genes.shape}, not (individuals, {genome.size})")
     require(kept(genome, genes).all(),
             f"{who} genes in which forced ones are switched, or too few or too many of a segment "
             "are on; send them through problem.genome.repair()")
 
 
-def kept(genome: Genome, genes: BoolArray) -> BoolArray:
+def kept(genome: Genome, genes: Genes) -> BoolArray:
     """Return which individuals keep forced genes and cardinality, shape (p,)."""
-    good = genes[:, genome.on].all(axis=1) & ~genes[:, genome.off].any(axis=1)
-    for segment, where in zip(genome.segments, genome.slices().values(), strict=True):
-        count = genes[:, where].sum(axis=1)
-        most = len(segment.labels) if segment.maximum is None else segment.maximum
-        good &= (count >= segment.minimum) & (count <= most)
+    chosen = genome.chosen(genes)
+    good = chosen[:, genome.on].all(axis=1) & ~chosen[:, genome.off].any(axis=1)
+    for segment, where in zip(genome.segments, genome.label_slices().values(), strict=True):
+        if isinstance(segment, Bits | Subset):
+            count = chosen[:, where].sum(axis=1)
+            good &= (count >= segment.minimum) & (count <= segment.most)
     return np.asarray(good)
 
 
@@ -180,8 +172,8 @@ def bound() -> Toy:
     of 6; segment "c" is free but for c1, which is always on. The cost counts the genes that
     differ from a1, a5, a6, b4, b5, b6, c1 and c3: the optimum is 0.
     """
-    segments = (Segment("a", _labels("a", 8), 2, 4), Segment("b", _labels("b", 6), 3, 3),
-                Segment("c", _labels("c", 4)))
+    segments = (Bits("a", _labels("a", 8), 2, 4), Bits("b", _labels("b", 6), 3, 3),
+                Bits("c", _labels("c", 4)))
     genome = Genome(segments, on=("a1", "c1"), off=("a2",))
     best = np.isin(genome.labels, ("a1", "a5", "a6", "b4", "b5", "b6", "c1", "c3"))
     return Toy(genome, lambda genes: (
@@ -197,7 +189,7 @@ def two_aims(size: int = SIZE) -> Toy:
 
 def narrow(size: int, on: tuple[str, ...] = ()) -> Toy:
     """Return the problem of switching few genes on, some or all of them forced on."""
-    return Toy(Genome([Segment("terms", _labels("g", size))], on=on),
+    return Toy(Genome([Bits("terms", _labels("g", size))], on=on),
                lambda genes: (_off(genes), np.zeros(len(genes))))
 
 
@@ -214,8 +206,8 @@ def optimum(problem: Problem) -> float:
 
 def _plain(size: int) -> Genome:
     half = size // 2
-    return Genome([Segment("terms.line", _labels("l", half)),
-                   Segment("terms.sample", _labels("s", size - half))])
+    return Genome([Bits("terms.line", _labels("l", half)),
+                   Bits("terms.sample", _labels("s", size - half))])
 
 
 def _labels(letter: str, n: int) -> tuple[str, ...]:

@@ -15,7 +15,7 @@ from termsel.formats.base import Writer
 from termsel.measurements.features import FeatureSet, Points
 from termsel.models.rational import RationalFunctions
 from termsel.results.result import Result
-from termsel.runs.assess import assess
+from termsel.runs.assess import assessed
 from termsel.runs.task import prepare
 from termsel.solvers.search import search
 from termsel.testing.checks import (
@@ -173,7 +173,7 @@ def example_results() -> tuple[Result, ...]:
     results = []
     for problem, features in (("rfm-terms", geographic), ("poly-terms", plane)):
         task = prepare(problem, features=features, solver="random", options={"population": 50})
-        results.append(assess(task, search(task.problem, task.solver, generations=1)))
+        results.append(assessed(task, search(task.problem, task.solver, generations=1)))
     return tuple(results)
 
 

@@ -1,0 +1,386 @@
+"""Segments of genomes: named genes of one type, and what is valid for them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from termsel.errors import TermselError
+from termsel.measurements.features import BoolArray, FloatArray, select
+
+Genes = NDArray[Any]
+"""Chromosomes, one a row, in the dtype of their genome."""
+
+
+@dataclass(frozen=True)
+class Bits:
+    """Genes that are on or off.
+
+    Parameters
+    ----------
+    name : str
+        Such as "terms.line" or "features".
+    labels : tuple of str
+        What each gene switches.
+    minimum, maximum : int
+        How many genes may be on; all of them where maximum is None.
+    """
+
+    name: str
+    labels: tuple[str, ...]
+    minimum: int = 0
+    maximum: int | None = None
+
+    dtype: ClassVar[type] = np.bool_
+
+    @property
+    def size(self) -> int:
+        """Number of genes."""
+        return len(self.labels)
+
+    @property
+    def most(self) -> int:
+        """How many genes may be on."""
+        return len(self.labels) if self.maximum is None else self.maximum
+
+    def random(self, rng: np.random.Generator, n: int) -> BoolArray:
+        """Return the genes of n individuals, each with its own random share of genes on.
+
+        The share is uniform between 0 and 1, so that small and large selections are equally
+        frequent. With one half for all, a genome of 78 would hardly ever have 20 on.
+        """
+        share = rng.uniform(0.0, 1.0, (n, 1))
+        return np.asarray(rng.uniform(size=(n, self.size)) < share)
+
+    def repaired(self, genes: Genes) -> BoolArray:
+        """Return genes of this type; numbers above one half are on."""
+        return genes if genes.dtype == np.bool_ else np.asarray(genes > 0.5)
+
+    def fault(self, genes: Genes) -> str:
+        """Return what is wrong with genes of any dtype, or nothing."""
+        return "" if ((genes == 0) | (genes == 1)).all() else "are not all 0 or 1"
+
+    def value(self, genes: Genes) -> tuple[str, ...]:
+        """Return the labels of the genes that are on."""
+        return select(self.labels, genes.astype(bool))
+
+
+@dataclass(frozen=True)
+class Integers:
+    """Genes that are whole numbers.
+
+    Parameters
+    ----------
+    name : str
+    labels : tuple of str
+        What each gene is.
+    low, high : int or sequence of int
+        Least and greatest value of each gene, both included; one for all or one for each.
+
+    Raises
+    ------
+    TermselError
+        For bounds that are not in order, or not one for each gene.
+    """
+
+    name: str
+    labels: tuple[str, ...]
+    low: Any
+    high: Any
+
+    dtype: ClassVar[type] = np.intp
+
+    def __post_init__(self) -> None:
+        _spread_bounds(self, int)
+
+    @property
+    def size(self) -> int:
+        """Number of genes."""
+        return len(self.labels)
+
+    def random(self, rng: np.random.Generator, n: int) -> Genes:
+        """Return uniform values, shape (n, size)."""
+        return rng.integers(self.low, self.high, (n, self.size), endpoint=True)
+
+    def repaired(self, genes: Genes) -> Genes:
+        """Return the nearest valid genes."""
+        return np.asarray(np.clip(np.rint(genes), self.low, self.high).astype(np.intp))
+
+    def fault(self, genes: Genes) -> str:
+        """Return what is wrong with genes of any dtype, or nothing."""
+        return _out_of_bounds(self, genes) or _not_whole(genes)
+
+    def value(self, genes: Genes) -> dict[str, int]:
+        """Return the value of each gene by its label."""
+        return dict(zip(self.labels, genes.astype(int).tolist(), strict=True))
+
+
+@dataclass(frozen=True)
+class Reals:
+    """Genes that are real numbers.
+
+    Parameters
+    ----------
+    name : str
+    labels : tuple of str
+        What each gene is.
+    low, high : float or sequence of float
+        Least and greatest value of each gene, both included; one for all or one for each.
+
+    Raises
+    ------
+    TermselError
+        For bounds that are not finite, not in order, or not one for each gene.
+    """
+
+    name: str
+    labels: tuple[str, ...]
+    low: Any
+    high: Any
+
+    dtype: ClassVar[type] = np.float64
+
+    def __post_init__(self) -> None:
+        _spread_bounds(self, float)
+
+    @property
+    def size(self) -> int:
+        """Number of genes."""
+        return len(self.labels)
+
+    def random(self, rng: np.random.Generator, n: int) -> FloatArray:
+        """Return uniform values, shape (n, size)."""
+        return rng.uniform(self.low, self.high, (n, self.size))
+
+    def repaired(self, genes: Genes) -> FloatArray:
+        """Return the nearest valid genes."""
+        return np.asarray(np.clip(genes, self.low, self.high), dtype=np.float64)
+
+    def fault(self, genes: Genes) -> str:
+        """Return what is wrong with genes of any dtype, or nothing."""
+        return _out_of_bounds(self, genes)
+
+    def value(self, genes: Genes) -> dict[str, float]:
+        """Return the value of each gene by its label."""
+        return dict(zip(self.labels, genes.astype(float).tolist(), strict=True))
+
+
+@dataclass(frozen=True)
+class Categories:
+    """Genes that each take one of several values without an order.
+
+    Parameters
+    ----------
+    name : str
+    labels : tuple of str
+        What each gene is.
+    choices : tuple
+        The values; a gene is the index of one.
+    """
+
+    name: str
+    labels: tuple[str, ...]
+    choices: tuple[Any, ...]
+
+    dtype: ClassVar[type] = np.intp
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "labels", tuple(self.labels))
+        object.__setattr__(self, "choices", tuple(self.choices))
+        if not self.choices:
+            raise TermselError(f"segment {self.name!r} has no choices")
+
+    @property
+    def size(self) -> int:
+        """Number of genes."""
+        return len(self.labels)
+
+    def random(self, rng: np.random.Generator, n: int) -> Genes:
+        """Return uniform choices, shape (n, size)."""
+        return rng.integers(0, len(self.choices), (n, self.size))
+
+    def repaired(self, genes: Genes) -> Genes:
+        """Return the nearest valid genes."""
+        return np.asarray(np.clip(np.rint(genes), 0, len(self.choices) - 1).astype(np.intp))
+
+    def fault(self, genes: Genes) -> str:
+        """Return what is wrong with genes of any dtype, or nothing."""
+        inside = (genes >= 0) & (genes < len(self.choices))
+        return _not_whole(genes) if inside.all() else (
+            f"are not all from 0 to {len(self.choices) - 1}, numbers of choices")
+
+    def value(self, genes: Genes) -> dict[str, Any]:
+        """Return the choice of each gene by its label."""
+        return {label: self.choices[int(i)] for label, i in zip(self.labels, genes, strict=True)}
+
+
+@dataclass(frozen=True)
+class Permutation:
+    """An order of things: every number from 0 to n - 1 once.
+
+    Parameters
+    ----------
+    name : str
+    labels : tuple of str
+        The n things.
+    """
+
+    name: str
+    labels: tuple[str, ...]
+
+    dtype: ClassVar[type] = np.intp
+
+    @property
+    def size(self) -> int:
+        """Number of genes, n."""
+        return len(self.labels)
+
+    def random(self, rng: np.random.Generator, n: int) -> Genes:
+        """Return random orders, shape (n, size)."""
+        return rng.random((n, self.size)).argsort(axis=1)
+
+    def repaired(self, genes: Genes) -> Genes:
+        """Return the ranks of the genes; those of a permutation are itself."""
+        return genes.argsort(axis=1, kind="stable").argsort(axis=1)
+
+    def fault(self, genes: Genes) -> str:
+        """Return what is wrong with genes of any dtype, or nothing."""
+        good = (np.sort(genes, axis=1) == np.arange(self.size)).all()
+        return "" if good else f"are no permutation of 0 to {self.size - 1}"
+
+    def value(self, genes: Genes) -> tuple[str, ...]:
+        """Return the labels in the order of the genes."""
+        return tuple(self.labels[int(i)] for i in genes)
+
+
+@dataclass(frozen=True)
+class Subset:
+    """m of n things: m different numbers below n, ascending.
+
+    Parameters
+    ----------
+    name : str
+    labels : tuple of str
+        The n things.
+    m : int
+        How many are chosen.
+
+    Raises
+    ------
+    TermselError
+        If m is not from 0 to n.
+    """
+
+    name: str
+    labels: tuple[str, ...]
+    m: int
+
+    dtype: ClassVar[type] = np.intp
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.m <= len(self.labels):
+            raise TermselError(f"segment {self.name!r} cannot choose {self.m} of "
+                               f"{len(self.labels)}")
+
+    @property
+    def size(self) -> int:
+        """Number of genes, m."""
+        return self.m
+
+    @property
+    def minimum(self) -> int:
+        """How many are chosen at least."""
+        return self.m
+
+    @property
+    def most(self) -> int:
+        """How many are chosen at most."""
+        return self.m
+
+    def random(self, rng: np.random.Generator, n: int) -> Genes:
+        """Return random subsets, shape (n, m)."""
+        return random_subsets(n, len(self.labels), self.m, rng)
+
+    def repaired(self, genes: Genes) -> Genes:
+        """Return the nearest numbers; the genome replaces those that occur twice."""
+        return np.asarray(np.clip(np.rint(genes), 0, len(self.labels) - 1).astype(np.intp))
+
+    def fault(self, genes: Genes) -> str:
+        """Return what is wrong with genes of any dtype, or nothing."""
+        good = (genes >= 0) & (genes < len(self.labels))
+        if not good.all() or _not_whole(genes) or (np.diff(genes, axis=1) <= 0).any():
+            return (f"are not {self.m} different whole numbers from 0 to {len(self.labels) - 1}, "
+                    "ascending")
+        return ""
+
+    def value(self, genes: Genes) -> tuple[str, ...]:
+        """Return the labels of what is chosen."""
+        return tuple(self.labels[int(i)] for i in genes)
+
+    def mask(self, genes: Genes) -> BoolArray:
+        """Return what is chosen, shape (p, n), from genes (p, m)."""
+        chosen = np.zeros((len(genes), len(self.labels)), dtype=bool)
+        np.put_along_axis(chosen, genes.astype(np.intp), True, axis=1)
+        return chosen
+
+    def members(self, mask: BoolArray) -> Genes:
+        """Return genes, shape (p, m), from a mask of what is chosen (p, n)."""
+        return np.nonzero(mask)[1].reshape(len(mask), self.m)
+
+
+Segment = Bits
+"""Earlier name of `Bits`."""
+
+AnySegment = Bits | Integers | Reals | Categories | Permutation | Subset
+
+SEGMENTS: tuple[type[AnySegment], ...] = (Bits, Integers, Reals, Categories, Permutation, Subset)
+"""All types of segments."""
+
+
+def random_subsets(count: int, n: int, m: int, rng: np.random.Generator) -> Genes:
+    """Return sets of m different numbers below n, each row ascending.
+
+    Parameters
+    ----------
+    count : int
+        Number of sets.
+    n, m : int
+    rng : numpy.random.Generator
+
+    Returns
+    -------
+    ndarray of int, shape (count, m)
+    """
+    return np.sort(rng.random((count, n)).argsort(axis=1)[:, :m], axis=1)
+
+
+def _spread_bounds(segment: Integers | Reals, kind: type) -> None:
+    """Make the bounds of a segment one for each gene; refuse those that are in disorder."""
+    n = len(segment.labels)
+    object.__setattr__(segment, "labels", tuple(segment.labels))
+    for side in ("low", "high"):
+        given = getattr(segment, side)
+        each = tuple(given) if isinstance(given, Sequence | np.ndarray) else (given,) * n
+        object.__setattr__(segment, side, tuple(kind(one) for one in each))
+    low, high = np.array(segment.low), np.array(segment.high)
+    if low.shape != (n,) or high.shape != (n,) or not (np.isfinite(low) & np.isfinite(high)
+                                                       & (low <= high)).all():
+        raise TermselError(f"the bounds of segment {segment.name!r} are not {n} pairs of finite "
+                           "numbers, the lower one first")
+
+
+def _out_of_bounds(segment: Integers | Reals, genes: Genes) -> str:
+    bad = ~((genes >= np.array(segment.low)) & (genes <= np.array(segment.high)))
+    if not bad.any():
+        return ""
+    row, column = (int(i) for i in np.argwhere(bad)[0])
+    return (f"have {genes[row, column]:g} for {segment.labels[column]!r}, which is from "
+            f"{segment.low[column]:g} to {segment.high[column]:g}")
+
+
+def _not_whole(genes: Genes) -> str:
+    return "" if (genes == np.rint(genes)).all() else "are not all whole numbers"

@@ -1,0 +1,365 @@
+"""Operators on populations of any genome: crossover, mutation, neighbours, random keys.
+
+Solvers take what varies genes from here, whatever the segments. All operators act on valid genes
+and return valid ones, but for forced genes and the number of bits that are on: these
+`Genome.repair` restores.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from termsel.measurements.features import BoolArray, FloatArray, IntArray
+from termsel.problems.genome import Genome
+from termsel.problems.segments import (
+    AnySegment,
+    Bits,
+    Categories,
+    Genes,
+    Integers,
+    Permutation,
+    Reals,
+    Subset,
+)
+
+SPREAD_OF_CHILDREN, SPREAD_OF_MUTANTS = 15.0, 20.0
+"""Distribution indices of simulated binary crossover and polynomial mutation, as usual."""
+
+HALVINGS = 20
+"""Neighbours of a number are a half, a quarter, ... of its range away, this many times."""
+
+
+def crossover(genes: Genes, genome: Genome, probability: float,
+              rng: np.random.Generator) -> Genes:
+    """Return children of neighbours.
+
+    Bits and categories are swapped with chance 1/2. Numbers are crossed by simulated binary
+    crossover (Deb, Agrawal 1995), whole ones rounded; permutations by order crossover (Davis 1985).
+    Subsets keep what both parents have.
+
+    Parameters
+    ----------
+    genes : ndarray, shape (p, g)
+        Parents; rows 0 and 1 are a pair, 2 and 3, and so on.
+    genome : Genome
+    probability : float
+        Chance that a pair mates.
+    rng : numpy.random.Generator
+    """
+    if genome.dtype == np.bool_:
+        return uniform_crossover(genes, probability, rng)
+    pairs = len(genes) // 2
+    first, second = slice(0, 2 * pairs, 2), slice(1, 2 * pairs, 2)
+    mates = rng.random((pairs, 1)) < probability
+    children = genes.copy()
+    for segment, where in zip(genome.segments, genome.slices().values(), strict=True):
+        one, other = _crossed(segment, genes[first, where], genes[second, where], rng)
+        children[first, where] = np.where(mates, one, genes[first, where])
+        children[second, where] = np.where(mates, other, genes[second, where])
+    return children
+
+
+def mutation(genes: Genes, genome: Genome, probability: float,
+             rng: np.random.Generator) -> Genes:
+    """Return genes, each changed with the given chance.
+
+    Bits flip. Categories become another one. Numbers change by polynomial mutation (Deb, Goyal
+    1996), whole ones by 1 at least. A part of a permutation is reversed, and one member of a subset
+    replaced, with the chance that one of its genes would change, at most 1.
+
+    Parameters
+    ----------
+    genes : ndarray, shape (p, g)
+    genome : Genome
+    probability : float
+    rng : numpy.random.Generator
+    """
+    if genome.dtype == np.bool_:
+        return flip_bits(genes, probability, rng)
+    mutants = genes.copy()
+    for segment, where in zip(genome.segments, genome.slices().values(), strict=True):
+        mutants[:, where] = _mutated(segment, genes[:, where], probability, rng)
+    return mutants
+
+
+def _crossed(segment: AnySegment, one: Genes, other: Genes,
+             rng: np.random.Generator) -> tuple[Genes, Genes]:
+    """Return two children of each pair of parents."""
+    match segment:
+        case Integers() | Reals():
+            return _blended(segment, one, other, rng)
+        case Permutation():
+            return _ordered(one, other, rng)
+        case Subset():
+            both = np.stack([one, other], axis=1).reshape(2 * len(one), segment.m)
+            children = set_crossover(both, 1.0, rng)
+            return children[::2], children[1::2]
+        case _:
+            swap = rng.random(one.shape) < 0.5
+            return np.where(swap, other, one), np.where(swap, one, other)
+
+
+def _blended(segment: Integers | Reals, one: Genes, other: Genes,
+             rng: np.random.Generator) -> tuple[Genes, Genes]:
+    from pymoo.operators.crossover.sbx import cross_sbx
+
+    n = (len(one), 1)
+    children = cross_sbx(
+        np.stack([one, other]).astype(np.float64), np.array(segment.low, dtype=np.float64),
+        np.array(segment.high, dtype=np.float64), np.full(n, SPREAD_OF_CHILDREN), 0.5,
+        np.full(n, 0.5), random_state=rng)
+    return segment.repaired(children[0]), segment.repaired(children[1])
+
+
+def _ordered(one: Genes, other: Genes, rng: np.random.Generator) -> tuple[Genes, Genes]:
+    from pymoo.operators.crossover.ox import ox, random_sequence
+
+    children = one.copy(), other.copy()
+    if one.shape[1] > 1:
+        for i, (a, b) in enumerate(zip(one, other, strict=True)):
+            ends = random_sequence(len(a), random_state=rng)
+            children[0][i], children[1][i] = ox(a, b, seq=ends), ox(b, a, seq=ends)
+    return children
+
+
+def _mutated(segment: AnySegment, genes: Genes, probability: float,
+             rng: np.random.Generator) -> Genes:
+    match segment:
+        case Bits():
+            return flip_bits(genes.astype(bool), probability, rng)
+        case Categories():
+            other = (genes + rng.integers(1, max(len(segment.choices), 2), genes.shape)
+                     ) % len(segment.choices)
+            return np.where(rng.random(genes.shape) < probability, other, genes)
+        case Integers() | Reals():
+            return _polynomial(segment, genes, probability, rng)
+        case Permutation():
+            return _reversed_parts(genes, min(probability * segment.size, 1.0), rng)
+        case Subset():
+            return replace_one(genes.astype(np.intp), len(segment.labels),
+                               min(probability * segment.m, 1.0), rng)
+
+
+def _polynomial(segment: Integers | Reals, genes: Genes, probability: float,
+                rng: np.random.Generator) -> Genes:
+    from pymoo.operators.mutation.pm import mut_pm
+
+    p = len(genes)
+    mutants = mut_pm(genes.astype(np.float64), np.array(segment.low, dtype=np.float64),
+                     np.array(segment.high, dtype=np.float64), np.full(p, SPREAD_OF_MUTANTS),
+                     np.full(p, probability), at_least_once=False, random_state=rng)
+    if isinstance(segment, Integers):
+        step = np.where(mutants > genes, 1, np.where(mutants < genes, -1, 0))
+        whole = np.rint(mutants)
+        mutants = np.where(whole == genes, genes + step, whole)
+    return segment.repaired(mutants)
+
+
+def _reversed_parts(genes: Genes, probability: float, rng: np.random.Generator) -> Genes:
+    mutants, n = genes.copy(), genes.shape[1]
+    if n > 1:
+        for row in mutants[rng.random(len(genes)) < probability]:
+            start, end = np.sort(rng.choice(n, 2, replace=False))
+            row[start:end + 1] = row[start:end + 1][::-1].copy()
+    return mutants
+
+
+def uniform_crossover(genes: Genes, probability: float, rng: np.random.Generator) -> Genes:
+    """Return children of neighbours; each gene of a mating pair is swapped with chance 1/2.
+
+    Parameters
+    ----------
+    genes : ndarray, shape (p, g)
+        Parents; rows 0 and 1 are a pair, 2 and 3, and so on.
+    probability : float
+        Chance that a pair mates.
+    rng : numpy.random.Generator
+    """
+    pairs = len(genes) // 2
+    first, second = genes[0:2 * pairs:2], genes[1:2 * pairs:2]
+    swap = rng.random(first.shape) < 0.5
+    swap &= rng.random((pairs, 1)) < probability
+    children = genes.copy()
+    children[0:2 * pairs:2] = np.where(swap, second, first)
+    children[1:2 * pairs:2] = np.where(swap, first, second)
+    return children
+
+
+def flip_bits(genes: BoolArray, probability: float, rng: np.random.Generator) -> BoolArray:
+    """Return genes, each flipped with the given chance."""
+    return genes ^ (rng.random(genes.shape) < probability)
+
+
+def set_crossover(tuples: IntArray, probability: float, rng: np.random.Generator) -> IntArray:
+    """Return children that keep what both parents have and draw the rest from what one has.
+
+    Parameters
+    ----------
+    tuples : ndarray of int, shape (p, m)
+        Parents, each row ascending; rows 0 and 1 are a pair, 2 and 3, and so on.
+    probability : float
+        Chance that a pair mates.
+    rng : numpy.random.Generator
+
+    Returns
+    -------
+    ndarray of int, shape (p, m)
+        Each row ascending, without repetition; two children per pair.
+    """
+    pairs, m = len(tuples) // 2, tuples.shape[1]
+    both = np.sort(tuples[:2 * pairs].reshape(pairs, 2 * m), axis=1)
+    twin = np.zeros(both.shape, dtype=bool)
+    twin[:, 1:] = both[:, 1:] == both[:, :-1]
+    mates = rng.random(pairs) < probability
+    children = tuples.copy()
+    for child in (0, 1):
+        # Shared numbers come first, once; then numbers of one parent, shuffled.
+        key = rng.random(both.shape)
+        key[twin] = -1.0
+        key[:, :-1][twin[:, 1:]] = 2.0
+        chosen = np.take_along_axis(both, key.argsort(axis=1)[:, :m], axis=1)
+        children[child:2 * pairs:2][mates] = np.sort(chosen[mates], axis=1)
+    return children
+
+
+def replace_one(tuples: IntArray, n: int, probability: float,
+                rng: np.random.Generator) -> IntArray:
+    """Return chromosomes, some with one number replaced by one they did not have.
+
+    Parameters
+    ----------
+    tuples : ndarray of int, shape (p, m)
+        Each row ascending.
+    n : int
+        Numbers are below it.
+    probability : float
+        Chance that a chromosome mutates.
+    rng : numpy.random.Generator
+    """
+    p, m = tuples.shape
+    mutants = np.flatnonzero(rng.random(p) < probability)
+    if not m or m == n:
+        return tuples
+    gone = rng.integers(0, m, len(mutants))
+    # The r-th number that is not in a row: r moves up by one for each member before it.
+    rank = rng.integers(0, n - m, len(mutants))
+    before = tuples[mutants] - np.arange(m) <= rank[:, None]
+    changed = tuples.copy()
+    changed[mutants, gone] = rank + before.sum(axis=1)
+    return np.sort(changed, axis=1)
+
+
+def steps(segment: AnySegment, genes: Genes) -> Iterator[Genes]:
+    """Yield the neighbours of one chromosome's genes of a segment that are not bits.
+
+    Integers and real numbers are a half, a quarter, ... of their range away, or at a bound;
+    categories are all others; a permutation has two of its things exchanged; a subset has one
+    member replaced.
+
+    Parameters
+    ----------
+    segment : Integers, Reals, Categories, Permutation or Subset
+    genes : ndarray, shape (segment's size,)
+
+    Yields
+    ------
+    ndarray, shape (n, segment's size)
+        Valid genes that differ from the given ones.
+    """
+    n = segment.size
+    match segment:
+        case Integers() | Reals():
+            low, high = np.array(segment.low), np.array(segment.high)
+            for i in range(n):
+                reach = (high[i] - low[i]) * 0.5 ** np.arange(1, HALVINGS + 1)
+                if isinstance(segment, Integers):
+                    reach = np.unique(np.maximum(np.rint(reach), 1))[::-1]
+                values = np.clip(genes[i] + np.concatenate([reach, -reach]), low[i], high[i])
+                values = values[np.sort(np.unique(values, return_index=True)[1])]
+                yield _with(genes, i, values[values != genes[i]])
+        case Categories():
+            for i in range(n):
+                values = np.arange(len(segment.choices))
+                yield _with(genes, i, values[values != genes[i]])
+        case Permutation():
+            for i in range(n - 1):
+                around = np.repeat(genes[None], n - 1 - i, axis=0)
+                around[:, i] = genes[i + 1:]
+                around[np.arange(n - 1 - i), np.arange(i + 1, n)] = genes[i]
+                yield around
+        case Subset():
+            others = np.setdiff1d(np.arange(len(segment.labels)), genes)
+            for i in range(n):
+                yield np.sort(_with(genes, i, others), axis=1)
+        case Bits():
+            raise TypeError("the neighbours of bits depend on their cardinality")
+
+
+def _with(genes: Genes, i: int, values: Genes) -> Genes:
+    """Return copies of genes with other values at one place."""
+    around = np.repeat(genes[None], len(values), axis=0)
+    around[:, i] = values
+    return around
+
+
+def n_keys(genome: Genome) -> int:
+    """Return how many random keys a chromosome of the genome has."""
+    return sum(map(_keys_of, genome.segments))
+
+
+def from_keys(keys: FloatArray, genome: Genome) -> Genes:
+    """Return the genes that random keys stand for (Bean 1994), before their repair.
+
+    Keys are what a solver in a continuous space moves. A bit is on above one half; a number is at
+    that share of its range; of categories the greatest key is taken; keys in their order are a
+    permutation; the m greatest are a subset.
+
+    Parameters
+    ----------
+    keys : ndarray, shape (p, n_keys(genome))
+        From 0 to 1.
+    genome : Genome
+
+    Returns
+    -------
+    ndarray, shape (p, genome.size)
+    """
+    genes = np.empty((len(keys), genome.size), dtype=genome.dtype)
+    start = 0
+    for segment, where in zip(genome.segments, genome.slices().values(), strict=True):
+        count = _keys_of(segment)
+        genes[:, where] = _unlocked(segment, keys[:, start:start + count])
+        start += count
+    return genes
+
+
+def _keys_of(segment: AnySegment) -> int:
+    match segment:
+        case Categories():
+            return segment.size * len(segment.choices)
+        case Subset():
+            return len(segment.labels)
+        case _:
+            return segment.size
+
+
+def _unlocked(segment: AnySegment, keys: FloatArray) -> Genes:
+    match segment:
+        case Bits():
+            return keys > 0.5
+        case Reals():
+            low, high = np.array(segment.low), np.array(segment.high)
+            return segment.repaired(low + keys * (high - low))
+        case Integers():
+            low, high = np.array(segment.low), np.array(segment.high)
+            return segment.repaired(np.floor(low + keys * (high - low + 1)))
+        case Categories():
+            of_each = keys.reshape(len(keys), segment.size, -1)
+            return np.asarray(of_each.argmax(axis=2))
+        case Permutation():
+            return keys.argsort(axis=1)
+        case Subset():
+            chosen: IntArray = np.argsort(-keys, axis=1)[:, :segment.m]
+            return np.sort(chosen, axis=1)
