@@ -50,7 +50,7 @@ if TYPE_CHECKING:
     from termsel.models.rpc import Rpc
     from termsel.options import Option
     from termsel.plugins.hookspecs import hookimpl
-    from termsel.plugins.registry import register
+    from termsel.plugins.session import register
     from termsel.problems.base import Evaluation, Inputs, Problem, Selection
     from termsel.problems.genome import Genome
     from termsel.problems.recipes import Recipe, feature_options
@@ -133,7 +133,7 @@ _HOME = {
     "line_normals": "termsel.adjustment",
     "prepare": "termsel.runs.task",
     "read": "termsel.io.read",
-    "register": "termsel.plugins.registry",
+    "register": "termsel.plugins.session",
     "read_result": "termsel.io.result_folder",
     "read_rpc": "termsel.formats.rpc_files",
     "rectify": "termsel.io.rectify",

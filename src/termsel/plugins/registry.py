@@ -8,7 +8,7 @@ from copy import deepcopy
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
 from importlib.metadata import EntryPoint
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 from termsel.errors import TermselError, printable, unknown_name
 from termsel.options import Configurable
@@ -32,8 +32,6 @@ _PACKAGES = {
 
 SESSION = "session"
 """What stands for a distribution with things that are registered in this process."""
-
-T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -326,43 +324,6 @@ class Registry:
 
 Offered = tuple[list[tuple[Plugin, Entry]], list[tuple[Plugin, str]]]
 """Entries with their plugins, and plugins with their faults."""
-
-
-def register(thing: T) -> T:
-    """Make a model, solver, criterion, problem or anything else known by its name.
-
-    For a notebook or a script: what is registered has its name until the process ends, as if a
-    plugin provided it. If something else has the name, ``session:name`` selects this one.
-
-    Parameters
-    ----------
-    thing : type, Recipe, DatasetSpec or Objective
-        What a hook may return: a class of models, criteria, solvers, readers or writers; or a
-        description. It replaces what was registered by its name.
-
-    Returns
-    -------
-    object
-        The same thing, so that it serves as a decorator.
-
-    Raises
-    ------
-    TermselError
-        If it is no such thing.
-
-    Examples
-    --------
-    >>> import termsel
-    >>> @termsel.register
-    ... class Shift(termsel.Polynomial2D):
-    ...     "A polynomial of degree 1 by default."
-    ...     name = "poly-1"
-    ...     declared_options = (termsel.Option("degree", 1, "Total degree.", int, 1, 8),)
-    >>> termsel.run("poly-terms", model="poly-1", solver="all-terms").selection.terms[:3]
-    ('line.num:1', 'line.num:X', 'line.num:Y')
-    """
-    registered: T = registry().register(thing)
-    return registered
 
 
 @cache

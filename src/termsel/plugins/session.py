@@ -1,0 +1,46 @@
+"""What is registered in one process, for a notebook or a script."""
+
+from __future__ import annotations
+
+from typing import TypeVar
+
+from termsel.plugins.registry import registry
+
+T = TypeVar("T")
+
+
+def register(thing: T) -> T:
+    """Make a model, solver, criterion, problem or anything else known by its name.
+
+    For a notebook or a script: what is registered has its name until the process ends, as if a
+    plugin provided it. If something else has the name, ``session:name`` selects this one.
+
+    Parameters
+    ----------
+    thing : type, Recipe, DatasetSpec or Objective
+        What a hook may return: a class of models, criteria, solvers, readers or writers; or a
+        description. It replaces what was registered by its name.
+
+    Returns
+    -------
+    object
+        The same thing, so that it serves as a decorator.
+
+    Raises
+    ------
+    TermselError
+        If it is no such thing.
+
+    Examples
+    --------
+    >>> import termsel
+    >>> @termsel.register
+    ... class Shift(termsel.Polynomial2D):
+    ...     "A polynomial of degree 1 by default."
+    ...     name = "poly-1"
+    ...     declared_options = (termsel.Option("degree", 1, "Total degree.", int, 1, 8),)
+    >>> termsel.run("poly-terms", model="poly-1", solver="all-terms").selection.terms[:3]
+    ('line.num:1', 'line.num:X', 'line.num:Y')
+    """
+    registered: T = registry().register(thing)
+    return registered
