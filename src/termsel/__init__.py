@@ -72,6 +72,8 @@ if TYPE_CHECKING:
     from termsel.simulate import simulate_scene
     from termsel.solvers import Generation, Solver
     from termsel.solvers.search import Search, search
+    from termsel.studies.compare import compare
+    from termsel.studies.study import Study
 
 _HOME = {
     "Affine": "termsel.models",
@@ -118,12 +120,14 @@ _HOME = {
     "Solver": "termsel.solvers",
     "Subset": "termsel.problems.segments",
     "Task": "termsel.runs.task",
+    "Study": "termsel.studies.study",
     "Term": "termsel.models",
     "TermselError": "termsel.errors",
     "ThinPlate": "termsel.models",
     "Writer": "termsel.formats.base",
     "assess": "termsel.runs.assess",
     "allow_remote": "termsel.files.remote",
+    "compare": "termsel.studies.compare",
     "ce90": "termsel.fits.accuracy",
     "export": "termsel.io.export",
     "feature_options": "termsel.problems.recipes",
@@ -188,6 +192,7 @@ __all__ = [
     "SelectionProblem",
     "SensorModel",
     "Solver",
+    "Study",
     "Subset",
     "Task",
     "Term",
@@ -198,6 +203,7 @@ __all__ = [
     "allow_remote",
     "assess",
     "ce90",
+    "compare",
     "export",
     "feature_options",
     "fit",

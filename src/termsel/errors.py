@@ -26,7 +26,8 @@ class TermselError(Exception):
     hint : str, optional
         What to do about it.
     file, line, column : optional
-        Where: the file's name, the line counted from 1, the column's name.
+        Where: the file's name, the line counted from 1, the column's name or, of text without
+        named columns, its number.
     ids : iterable of str, optional
         The features concerned, from which a reader finds the line of its file.
     """
@@ -38,7 +39,7 @@ class TermselError(Exception):
         hint: str | None = None,
         file: object = None,
         line: int | None = None,
-        column: str | None = None,
+        column: str | int | None = None,
         ids: Iterable[str] = (),
     ) -> None:
         super().__init__(what)
@@ -54,7 +55,8 @@ class TermselError(Exception):
         where = [
             printable(str(self.file), kept="") if self.file is not None else "",
             f"line {self.line}" if self.line is not None else "",
-            f"column {cut(self.column, _LONGEST_COLUMN)!r}" if self.column is not None else "",
+            f"column {cut(self.column, _LONGEST_COLUMN)!r}" if isinstance(self.column, str)
+            else f"column {self.column}" if self.column is not None else "",
         ]
         place = ", ".join(part for part in where if part)
         what = cut(self.what, _LONGEST)

@@ -10,6 +10,7 @@ ROOMS = {
     "__main__": "entry of the command line",
     "cli": "commands, one module each",
     "testing": "conformance suites for every kind of thing that plugins provide",
+    "studies": "many runs: cells, journal, executors, statistics, tables",
     "runs": "one run: task, search, choice, assessment, judgement; stability over many",
     "io": "verbs on files: read, export, project, rectify, the folder of a result",
     "plugins": "hooks, kinds of things, loading, registry, what is built in",

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from rich.progress import ProgressColumn
 
     from termsel.solvers.ledger import Progress
+    from termsel.studies.progress import Progress as StudyProgress
 
 
 @contextmanager
@@ -63,7 +64,31 @@ def share_bar(title: str, quiet: bool) -> Iterator[Callable[[float], None] | Non
 
 
 @contextmanager
-def _bar(*more: ProgressColumn) -> Iterator[RichProgress]:
+def study_bar(quiet: bool) -> Iterator[Callable[[StudyProgress], None] | None]:
+    """Yield an observer that shows how far a study is, or None where nobody would see it.
+
+    Parameters
+    ----------
+    quiet : bool
+    """
+    if quiet or not sys.stderr.isatty():
+        yield None
+        return
+    from rich.progress import TextColumn
+
+    with _bar(TextColumn("{task.fields[state]}", markup=False), remaining=False) as bar:
+        task = bar.add_task("cells", total=None, state="")
+
+        def observe(progress: StudyProgress) -> None:
+            worst = f"; worst {printable(progress.worst)}" if progress.worst else ""
+            bar.update(task, completed=progress.finished, total=progress.total,
+                       state=f"{progress.time_left()}; {progress.text()}{worst}")
+
+        yield observe
+
+
+@contextmanager
+def _bar(*more: ProgressColumn, remaining: bool = True) -> Iterator[RichProgress]:
     """Yield a bar that leaves no trace; what is printed meanwhile appears above it."""
     from rich.console import Console
     from rich.progress import (
@@ -77,6 +102,7 @@ def _bar(*more: ProgressColumn) -> Iterator[RichProgress]:
 
     # Text of names and files is no markup.
     columns = (TextColumn("{task.description}", markup=False), BarColumn(bar_width=20),
-               TaskProgressColumn(), *more, TimeElapsedColumn(), TimeRemainingColumn())
+               TaskProgressColumn(), *more, TimeElapsedColumn(),
+               *[TimeRemainingColumn()] * remaining)
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         yield bar

@@ -92,11 +92,9 @@ def assessed(task: Task, found: Search) -> Result:
     """
     observations = task.observations
     selection = task.problem.decode(found.genes)
-    chosen = _estimated(task, selection, found)
+    chosen = estimated(task, selection, found)
     judged = chosen.estimator.least_squares
-    # The coefficients may be others than those the search saw, so poles are looked for again.
-    feasible = (found.violation == 0 if judged else chosen.determined) \
-        and not _has_pole(task, chosen)
+    feasible = is_feasible(task, found, chosen)
     # The objectives of least squares are not those of other coefficients.
     objectives = found.objectives.tolist() if judged else []
     rmse, diagnosis = figures(chosen, observations), diagnose(chosen)
@@ -142,8 +140,31 @@ def _outliers(chosen: Fit, found: Doubts | None) -> Iterable[Outlier]:
         yield Outlier(name, kind, "control", error, name not in found.in_use)
 
 
-def _estimated(task: Task, selection: Selection, found: Search) -> Fit:
-    """Return the fit of a selection, by the estimator that the task or the solver asks for."""
+def is_feasible(task: Task, found: Search, chosen: Fit) -> bool:
+    """Return whether the fit of a selection satisfies all conditions.
+
+    The coefficients may be others than those the search saw, so poles are looked for again.
+
+    Parameters
+    ----------
+    task : Task
+    found : Search
+    chosen : Fit
+        As `estimated` returns it.
+    """
+    return (found.violation == 0 if chosen.estimator.least_squares else chosen.determined) \
+        and not _has_pole(task, chosen)
+
+
+def estimated(task: Task, selection: Selection, found: Search) -> Fit:
+    """Return the fit of a selection, by the estimator that the task or the solver asks for.
+
+    Parameters
+    ----------
+    task : Task
+    selection : Selection
+    found : Search
+    """
     chosen = fit_of(task, selection)
     if task.options["problem"].get("shrink"):
         return RidgeByOrder().fit(chosen.model, chosen.control, task.scaling, chosen.terms,

@@ -74,6 +74,9 @@ class Solver(Configurable, ABC):
     """Whether it is the method of a paper, or a yardstick: requested by name, it selects from all
     terms that are determined, while others keep to a fraction of the equations."""
 
+    uses_chance: ClassVar[bool] = True
+    """Whether another seed may give another result. A study runs solvers without chance once."""
+
     @abstractmethod
     def generations(self, problem: Problem, rng: np.random.Generator) -> Iterator[Generation]:
         """Yield one generation after another, the initial population first.

@@ -233,6 +233,7 @@ class Exact(Solver):
     """
 
     name = "exact"
+    uses_chance = False
     default_generations = None
     declared_options = (
         Option("max_terms", None, "Most terms of an axis; by default all, or as many as give at "

@@ -250,6 +250,7 @@ class Ridge(Solver):
     """
 
     name = "ridge"
+    uses_chance = False
     as_published = True
     default_generations: ClassVar[int | None] = None
     declared_options = (

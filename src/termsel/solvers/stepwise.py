@@ -158,6 +158,7 @@ class TermRegression(Solver):
 
     default_generations: ClassVar[int | None] = None
     as_published = True
+    uses_chance = False
 
     @abstractmethod
     def choose(self, part: Regression) -> BoolArray:

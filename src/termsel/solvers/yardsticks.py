@@ -34,6 +34,7 @@ class AllTerms(Solver):
     """The conventional approach: every term and every feature in use, no search."""
 
     name = "all-terms"
+    uses_chance = False
     as_published = True
     default_generations = None
 

@@ -1,0 +1,196 @@
+"""The command `termsel compare`."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import click
+
+from termsel.cli.asked import parse_settings
+from termsel.cli.bars import study_bar
+from termsel.cli.completion import complete
+from termsel.cli.messages import echo, say_written, show_messages
+from termsel.cli.remote import allow_remote
+from termsel.cli.tables import print_table
+from termsel.errors import TermselError, counted
+from termsel.interrupts import INTERRUPTED
+from termsel.options import COUNT
+
+
+@click.command()
+@click.argument("files", nargs=-1, type=click.Path(path_type=Path), metavar="[STUDY.toml]")
+@click.option("--problem", metavar="NAMES", shell_complete=complete("problems"),
+              help="Problems, with commas between them.")
+@click.option("--dataset", metavar="NAMES", shell_complete=complete("datasets"),
+              help="Data sets, likewise; each problem's own by default.")
+@click.option("--points", metavar="FILES", multiple=True,
+              help="Files of points, an image each; patterns such as 'gcp/*.csv' may be quoted.")
+@click.option("--lines", metavar="FILES", multiple=True,
+              help="Files of lines; they go with the points of the same name.")
+@click.option("--crs", metavar="CRS", help="CRS of the ground coordinates of all files.")
+@click.option("--model", metavar="NAMES", shell_complete=complete("models"),
+              help="Sensor models, with commas between them.")
+@click.option("--solver", metavar="NAMES", shell_complete=complete("solvers"),
+              help="Solvers, likewise.")
+@click.option("--criterion", metavar="NAMES", shell_complete=complete("criteria"),
+              help="Criteria, likewise.")
+@click.option("--strategy", metavar="NAMES",
+              help="auto, as-asked or both. By default auto where neither models, solvers, "
+                   "criteria nor a budget are given.")
+@click.option("--set", "settings", metavar="KEY=VALUE", multiple=True,
+              help="An option for every cell that has it; may be repeated.")
+@click.option("--seeds", type=click.IntRange(1, COUNT), help="Seeds 1 to N.")
+@click.option("--splits", type=click.IntRange(1, COUNT),
+              help="Draws of control, check and independent points, for points without a role.")
+@click.option("--evaluations", type=click.IntRange(1, 10**12), help="Budget of each search.")
+@click.option("--generations", type=click.IntRange(1, 10**12), help="Likewise.")
+@click.option("--seconds", type=click.FloatRange(0, 1e9, min_open=True), help="Likewise.")
+@click.option("--timeout", type=click.FloatRange(0, 1e9, min_open=True),
+              help="A cell that takes longer than S seconds fails.")
+@click.option("--export", "exports", metavar="FORMAT", multiple=True,
+              shell_complete=complete("writers"),
+              help="With the strategy auto, export each image's model; may be repeated.")
+@click.option("--measure", type=click.Choice(["fitness", "check", "independent"]),
+              help="What methods are compared by. By default the fitness where they differ in the "
+                   "solver alone, else the RMSE on independent points.")
+@click.option("--out", metavar="DIR", type=click.Path(path_type=Path),
+              help="Folder of the journal and the tables. The same command goes on where an "
+                   "earlier one stopped.")
+@click.option("--workers", type=click.IntRange(1, 1024), default=1, show_default=True,
+              help="Processes at a time on this machine.")
+@click.option("--scheduler", metavar="ADDRESS",
+              help="Dask scheduler whose workers run the cells, such as tcp://host:8786.")
+@click.option("--dry-run", is_flag=True,
+              help="Show the cells, and the time they take by one cell of each kind.")
+@click.option("--status", metavar="DIR", type=click.Path(path_type=Path),
+              help="Show how far the study of a folder is.")
+@click.option("--quiet", is_flag=True, help="No progress bar.")
+@allow_remote
+def compare(files: tuple[Path, ...], out: Path | None, workers: int, scheduler: str | None,
+            dry_run: bool, status: Path | None, quiet: bool, **given: Any) -> None:
+    """Compare problems, models and solvers over many seeds, or run many images.
+
+    A study file or the options say what is combined. Every combination is a cell, and every
+    finished cell is kept at once: whatever ends the command, the same command goes on.
+
+    \b
+    Examples:
+      termsel compare study.toml --out study --workers 2
+      termsel compare study.toml --dry-run
+      termsel compare --problem rfm-terms --solver ga,ica,pso --seeds 30 \\
+          --evaluations 10000 --out study
+      termsel compare --points 'images/*.csv' --crs EPSG:4979 --out images
+      termsel compare --status study
+    """
+    if status is not None:
+        _show_status(status)
+        return
+    study, keys = _asked(files, given)
+    if dry_run:
+        _show_plan(study, keys, workers)
+        return
+    if out is None:
+        raise TermselError("--out is missing",
+                           hint="Give a folder for journal and tables: --out DIR.")
+    show_messages()
+
+    from termsel.studies import compare as comparing
+    from termsel.studies.outputs import write_outputs
+    from termsel.studies.pages import summary
+
+    with study_bar(quiet) as observe:
+        found = comparing.compare(study, out=out, workers=workers, scheduler=scheduler,
+                                  observers=(observe,) if observe else (), **keys)
+    if not found.complete:
+        done = len(found.records)
+        echo(f"Interrupted: {done} of {counted(len(found.cells), 'cell')} are finished and kept. "
+             "The same command goes on.", err=True)
+        sys.exit(INTERRUPTED)
+    written = write_outputs(found, out)
+    echo(summary(found), nl=False)
+    say_written(written)
+
+
+def _asked(files: tuple[Path, ...], given: dict[str, Any]) -> tuple[Path | None, dict[str, Any]]:
+    """Return the study file, or what the options say, as the keys of one."""
+    keys = _keys_of(given)
+    points = given["points"]
+    if points:  # the shell has written out --points *.csv
+        if files and given["lines"]:
+            raise TermselError(f"{files[0]} is neither an option nor its value",
+                               hint="Quote the patterns: --points 'a/*.csv' --lines 'b/*.csv'.")
+        keys["data"][0]["points"] = [*points, *map(str, files)]
+        return None, keys
+    if len(files) > 1:
+        raise TermselError("there are two study files", hint="Give one study file at a time.")
+    if files and keys:
+        raise TermselError(f"{files[0]} and the option --{_first(given)} exclude each other",
+                           hint="Write it into the study file.")
+    if not files and not keys:
+        raise TermselError("there is nothing to compare",
+                           hint="Give a study file, --points FILES or --problem NAMES.")
+    return (files[0] if files else None), keys
+
+
+def _first(given: dict[str, Any]) -> str:
+    return next("set" if name == "settings" else name for name, value in given.items()
+                if value not in (None, ()))
+
+
+def _keys_of(given: dict[str, Any]) -> dict[str, Any]:
+    """Return the keys of a study file that options stand for."""
+    lists = {"problems": "problem", "models": "model", "solvers": "solver",
+             "criteria": "criterion", "strategies": "strategy"}
+    keys: dict[str, Any] = {
+        key: [word.strip() for word in given[name].split(",")] for key, name in lists.items()
+        if given[name] is not None}
+    files = {kind: list(given[kind]) for kind in ("points", "lines") if given[kind]}
+    if given["dataset"] is not None and files:
+        raise TermselError("--dataset cannot be combined with files",
+                           hint="Give --dataset NAMES, or --points FILES.")
+    if given["crs"] is not None and not files:
+        raise TermselError("--crs requires --points or --lines",
+                           hint="Give --points FILES, or leave --crs out.")
+    if given["dataset"] is not None:
+        keys["data"] = [word.strip() for word in given["dataset"].split(",")]
+    if files:
+        keys["data"] = [{**files, **({"crs": given["crs"]} if given["crs"] else {})}]
+    budget = {name: given[name] for name in ("evaluations", "generations", "seconds", "timeout")
+              if given[name] is not None}
+    more = {"budget": budget, "options": parse_settings(given["settings"]),
+            "exports": list(given["exports"]), "seeds": given["seeds"],
+            "splits": given["splits"], "measure": given["measure"]}
+    return {**keys, **{key: value for key, value in more.items() if value}}
+
+
+def _show_status(folder: Path) -> None:
+    from termsel.studies.compare import status
+
+    progress, holder = status(folder)
+    echo(f"{progress.finished} of {counted(progress.total, 'cell')}: {progress.text()}.")
+    if progress.finished < progress.total:
+        echo(f"{progress.time_left()[0].upper()}{progress.time_left()[1:]}.")
+    if progress.worst:
+        echo(f"Worst so far: {progress.worst}.")
+    echo(f"At work: {holder}." if holder else "Nobody is at work on it.")
+
+
+def _show_plan(study: Path | None, keys: dict[str, Any], workers: int) -> None:
+    from termsel.studies.compare import estimate
+    from termsel.studies.progress import duration
+
+    total, cells, rows = 0.0, 0, []
+    for kind, number, seconds, reason in estimate(study, **keys):
+        rows.append((*kind, str(number), "-" if seconds is None else f"{seconds:.2f}", reason))
+        total += (seconds or 0.0) * number
+        cells += number
+    print_table(("problem", "strategy", "model", "criterion", "solver", "cells", "s each", ""),
+                rows)
+    echo(f"\n{counted(cells, 'cell')}; about {duration(total / workers)} with "
+         f"{counted(workers, 'worker')}.")
+    if workers == 1 and total > 60:
+        echo("--workers N runs N of them at a time.")
+
+

@@ -1,0 +1,95 @@
+"""What the tests of a study allow to claim, in plain words."""
+
+from __future__ import annotations
+
+from termsel.errors import counted
+from termsel.studies.groups import Groups
+from termsel.studies.significance import FEWEST, LEVEL, Comparison, effect_size
+from termsel.studies.summaries import quantiles
+from termsel.studies.table import Row
+
+MEASURES = {"fitness": "the fitness", "check": "the RMSE on check points",
+            "independent": "the RMSE on independent points"}
+_SIZES = ((0.71, "large"), (0.64, "medium"), (0.56, "small"))
+
+
+def claims(groups: Groups, comparison: Comparison | None, rows: list[Row]) -> list[str]:
+    """Return sentences on what may be claimed, and what not.
+
+    Parameters
+    ----------
+    groups : Groups
+    comparison : Comparison or None
+        Over all instances; None where there are too few.
+    rows : list of dict
+    """
+    said = [f"Compared by {MEASURES[groups.measure]}; lower is better."]
+    if len(groups.methods) < 2:
+        said.append("There is one method, so nothing is compared.")
+    elif comparison is None:
+        said += _single(groups)
+    else:
+        said += _over_instances(comparison)
+    failed = sum(row["state"] not in ("done", "waiting") for row in rows)
+    if failed:
+        said.append(f"{counted(failed, 'cell')} of {len(rows)} have no result and count as worst.")
+    if groups.measure == "fitness":
+        said.append("The fitness chose the selections, so it is not the accuracy: compare the "
+                    "column independent.")
+    return said
+
+
+def _single(groups: Groups) -> list[str]:
+    """Return what can be said without a test over instances."""
+    number = len(groups.common)
+    said = [f"All methods ran on {counted(number, 'instance')}; a test over instances needs at "
+            f"least {FEWEST}. What follows holds for {'this one' if number == 1 else 'these'} "
+            "alone."]
+    for name in groups.common:
+        by_method = groups.instances[name]
+        # A single run, such as one of a solver without chance, says nothing of the next one.
+        repeated = [method for method in groups.methods if len(by_method[method].values) > 1]
+        if len(repeated) < 2:
+            continue
+        best = min(repeated, key=lambda method: quantiles(by_method[method].values, (0.5,)))
+        sizes = {other: effect_size(by_method[best].values, by_method[other].values)
+                 for other in repeated if other != best}
+        words = [f"{size_in_words(value)} difference from {other} ({value:.2f})"
+                 for other, value in sizes.items()]
+        said.append(f"On {name}, {best} has the lowest median of those with several runs: "
+                    f"{'; '.join(words)}.")
+    return said
+
+
+def size_in_words(value: float) -> str:
+    """Return an effect size in the words of Vargha and Delaney 2000.
+
+    Parameters
+    ----------
+    value : float
+        As `effect_size` returns it.
+    """
+    return next((word for least, word in _SIZES if max(value, 1 - value) >= least), "negligible")
+
+
+def _over_instances(found: Comparison) -> list[str]:
+    said = []
+    if found.p is not None:
+        word = "differ" if found.p < LEVEL else "cannot be told apart"
+        said.append(f"Over {found.instances} instances the methods {word} (Friedman, "
+                    f"p = {found.p:.2g}).")
+    proven = [pair for pair in found.pairs if pair.corrected < LEVEL] \
+        if found.p is None or found.p < LEVEL else []
+    for pair in proven:
+        better, worse = (pair.one, pair.other) if pair.wins > pair.losses \
+            else (pair.other, pair.one)
+        won = max(pair.wins, pair.losses)
+        said.append(f"It may be claimed that {better} is better than {worse}: on {won} of "
+                    f"{found.instances} instances (Wilcoxon with Holm's correction, "
+                    f"p = {pair.corrected:.2g}).")
+    others = len(found.pairs) - len(proven)
+    if others:
+        said.append(f"Of {counted(others, 'pair')} no difference may be claimed. That does not "
+                    "show that they are equally good.")
+    said.append("This holds for instances like these, with these options and budgets.")
+    return said

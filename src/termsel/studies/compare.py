@@ -1,0 +1,289 @@
+"""Many runs as one study: plan, run what is not finished, tell what came out."""
+
+from __future__ import annotations
+
+import json
+import logging
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+from termsel.adjustment.kernels import needs_compilation
+from termsel.errors import TermselError
+from termsel.files.atomic import private_folder, write_text
+from termsel.formats.base import parse_json, read_text
+from termsel.io.export import writer_of
+from termsel.measurements.features import FeatureSet
+from termsel.plugins.registry import registry
+from termsel.runs.provenance import versions
+from termsel.studies.cells import LABELS, Cell, cells_of
+from termsel.studies.data import data_of
+from termsel.studies.executors import processes, serial
+from termsel.studies.images import write_files
+from termsel.studies.interruption import deferred
+from termsel.studies.journal import Journal, read_journal
+from termsel.studies.lock import holder, locked
+from termsel.studies.progress import Progress, Tally, tally_of
+from termsel.studies.spec import Spec, read_study, spec_of
+from termsel.studies.study import Study
+from termsel.studies.work import Outcome, Work, do, failed
+
+log = logging.getLogger(__name__)
+
+PLAN = "plan.json"
+
+Observer = Callable[[Progress], None]
+
+
+def compare(
+    study: Path | str | Mapping[str, Any] | None = None,
+    *,
+    out: Path | str | None = None,
+    workers: int = 1,
+    scheduler: str | None = None,
+    observers: tuple[Observer, ...] = (),
+    **keys: Any,
+) -> Study:
+    """Run every combination of problems, data, models, solvers and seeds, and compare them.
+
+    Parameters
+    ----------
+    study : path or mapping, optional
+        A study file, or its content.
+    out : path, optional
+        Folder of the journal and the tables. The same call goes on where an earlier one stopped.
+        Without it nothing is kept.
+    workers : int
+        Processes at a time; 1 runs the cells in this process.
+    scheduler : str, optional
+        Address of a dask scheduler, such as "tcp://host:8786"; its workers run the cells.
+    observers : tuple of callable
+        Called with `Progress` when the study begins and after every cell.
+    **keys
+        Keys of a study file, in place of `study` or of what it says: problems, models, solvers,
+        criteria, strategies, data, seeds, splits, budget, options, exports, measure, title. Models,
+        solvers and criteria may be objects of classes that have a name here; data may be a mapping
+        of feature sets by name.
+
+    Returns
+    -------
+    Study
+        Also where Ctrl-C ended it early.
+
+    Raises
+    ------
+    TermselError
+        Before anything is run, for a study that cannot be; or if `out` cannot be written or
+        another process is at work there.
+
+    Examples
+    --------
+    >>> import termsel
+    >>> study = termsel.compare(problems=["poly-terms"], solvers=["random", "swap"], seeds=2,
+    ...                         budget={"evaluations": 200}, options={"degree": 2})
+    >>> len(study.rows)
+    4
+    """
+    if workers < 1:
+        raise TermselError(f"{workers} workers cannot run anything", hint="Give 1 or more.")
+    spec, folder = asked(study, keys)
+    cells = plan_cells(spec, folder)
+    with ExitStack() as stack:
+        place = Path(out) if out is not None else stack.enter_context(private_folder())
+        plugins = _plugins(cells, spec)
+        journal = _begun(stack, place, {**versions(), **plugins})
+        _write_plan(place, spec, cells, workers)
+        finished = {cell.key: journal.records[cell.key] for cell in cells
+                    if cell.key in journal.records}
+        tally = tally_of(_plan(spec, cells, workers), finished)
+        for remark in (*journal.remarks, *_aside(journal, finished)):
+            log.warning(remark)
+        _tell(observers, tally)
+        waiting = [cell for cell in cells if cell.key not in finished]
+        stopped = stack.enter_context(deferred(lambda: log.warning(FINISHING)))
+        by_key = {cell.key: cell for cell in cells}
+        for outcome in _outcomes(waiting, stopped, workers, scheduler, plugins):
+            cell, key = by_key[outcome.record["cell"]], outcome.record["cell"]
+            if out is not None:
+                write_files(place, cell.labels, outcome.files)
+            journal.append(outcome.record)
+            finished[key] = outcome.record
+            tally.count(outcome.record)
+            _tell(observers, tally)
+        return Study(spec, tuple(cells), finished, Path(out) if out is not None else None)
+
+
+FINISHING = "The cells under way are being finished. Ctrl-C once more ends at once."
+
+
+def asked(study: Path | str | Mapping[str, Any] | None, keys: Mapping[str, Any]
+          ) -> tuple[Spec, Path]:
+    """Return what a study asks for, and the folder that its file names are relative to.
+
+    Parameters
+    ----------
+    study : path or mapping, optional
+    keys : mapping
+        As for `compare`.
+    """
+    if isinstance(study, str | Path):
+        if keys:
+            raise TermselError(f"{min(keys)} is given next to a study file",
+                               hint="Write it into the file.")
+        return read_study(Path(study)), Path(study).parent
+    return spec_of({**(study or {}), **keys}), Path()
+
+
+def plan_cells(spec: Spec, folder: Path) -> list[Cell]:
+    """Return the cells of a study, everything about them checked.
+
+    Parameters
+    ----------
+    spec : Spec
+    folder : pathlib.Path
+        File names are relative to it.
+    """
+    for i, name in enumerate(spec.exports):
+        try:
+            writer_of(name)
+        except TermselError as error:
+            raise spec.places.error(("exports", i), error.what, error.hint) from error
+    return cells_of(spec, data_of(spec, folder))
+
+
+def works_of(cells: list[Cell]) -> tuple[list[Work], dict[str, FeatureSet]]:
+    """Return what workers are given of cells that can run, and the features by their key.
+
+    Parameters
+    ----------
+    cells : list of Cell
+    """
+    works = [Work(cell.key, cell.call, cell.data.key, cell.data.source)
+             for cell in cells if cell.data.features is not None]
+    return works, {cell.data.key: cell.data.features for cell in cells
+                   if cell.data.features is not None}
+
+
+def estimate(study: Path | str | Mapping[str, Any] | None = None, **keys: Any
+             ) -> Iterator[tuple[tuple[str, ...], int, float | None, str]]:
+    """Yield every kind of cell with its number, and how long one of them takes.
+
+    Parameters
+    ----------
+    study, **keys
+        As for `compare`.
+
+    Yields
+    ------
+    kind : tuple of str
+        Labels of problem, strategy, model, criterion and solver.
+    number : int
+        Cells of this kind.
+    seconds : float or None
+        Of the first of them; None if it failed.
+    reason : str
+        Why it failed.
+    """
+    spec, folder = asked(study, keys)
+    kinds: dict[tuple[str, ...], list[Cell]] = {}
+    for cell in plan_cells(spec, folder):
+        kinds.setdefault(cell.kind, []).append(cell)
+    for kind, cells in kinds.items():
+        works, features = works_of(cells)
+        if not works:
+            yield kind, len(cells), None, cells[0].data.reason
+            continue
+        record = do(works[0], features[works[0].data]).record
+        yield kind, len(cells), record["figures"].get("seconds"), record["reason"]
+
+
+def status(folder: Path) -> tuple[Progress, str | None]:
+    """Return how far the study of a folder is, and who is at work on it.
+
+    Parameters
+    ----------
+    folder : pathlib.Path
+
+    Raises
+    ------
+    TermselError
+        If there is no study.
+    """
+    file = folder / PLAN
+    if not file.is_file():
+        raise TermselError("there is no study in this folder", file=folder,
+                           hint="Give the folder of --out.")
+    plan = parse_json(read_text(file), "Repeat the command that began the study.")
+    return tally_of(plan, read_journal(folder).records).progress(), holder(folder)
+
+
+def _begun(stack: ExitStack, place: Path, now: Mapping[str, str]) -> Journal:
+    """Return the open journal of a folder that this process alone works in."""
+    try:
+        place.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise TermselError(f"cannot make the folder {place}: {error.strerror}",
+                           hint="Choose another --out.") from error
+    stack.enter_context(locked(place))
+    journal = read_journal(place)
+    journal.open(now)
+    stack.callback(journal.close)
+    return journal
+
+
+def _plugins(cells: list[Cell], spec: Spec) -> dict[str, str]:
+    """Return the versions of the plugins that provide something the study names."""
+    kinds = {"problem": "problems", "model": "models", "criterion": "criteria",
+             "solver": "solvers"}
+    named = {(kinds[word], cell.call[word]) for cell in cells for word in kinds
+             if cell.call[word]}
+    named |= {("writers", name) for name in spec.exports}
+    origins = {entry.provided_by for kind, name in named for entry in registry().entries(kind)
+               if entry.answers_to(name)} - {"termsel"}
+    return {one: registry().version(one) for one in sorted(origins)}
+
+
+def _plan(spec: Spec, cells: list[Cell], workers: int) -> dict[str, Any]:
+    return {"title": spec.title, "workers": workers, "began": time.time(), "cells": [
+        {"cell": cell.key, "kind": list(cell.kind), "name": ", ".join(
+            str(cell.labels[name]) for name in LABELS if cell.labels[name] not in ("", None))}
+        for cell in cells]}
+
+
+def _write_plan(place: Path, spec: Spec, cells: list[Cell], workers: int) -> None:
+    write_text(place / PLAN, json.dumps(_plan(spec, cells, workers), indent=1) + "\n")
+
+
+def _aside(journal: Journal, finished: Mapping[str, Any]) -> list[str]:
+    foreign = len(journal.records) - len(finished)
+    return [f"{foreign} finished cells of an earlier form of the study are kept in the journal and "
+            "take no part."] if foreign else []
+
+
+def _tell(observers: tuple[Observer, ...], tally: Tally) -> None:
+    for observe in observers:
+        observe(tally.progress())
+
+
+def _outcomes(cells: list[Cell], stopped: Callable[[], bool], workers: int,
+              scheduler: str | None, plugins: Mapping[str, str]) -> Iterator[Outcome]:
+    """Yield the outcomes of cells as they end, by the executor that is asked for."""
+    for cell in cells:
+        if cell.data.features is None:
+            yield failed(cell.key, cell.data.reason)
+    works, features = works_of(cells)
+    if scheduler is not None:
+        from termsel.studies.cluster import on_cluster
+
+        yield from on_cluster(works, features, stopped, scheduler, plugins)
+        return
+    if workers == 1:
+        yield from serial(works, features, stopped)
+        return
+    if works and needs_compilation():
+        # Compiled code is kept on disk: the first cell makes it once for all processes.
+        yield from serial(works[:1], features, stopped)
+        works = works[1:]
+    yield from processes(works, features, stopped, workers)

@@ -1,0 +1,198 @@
+"""The journal of a study: one line for each finished cell, which no interruption takes away.
+
+Every line is JSON with a checksum. A line is written with a single call and never changed. What was
+being written when a disk was full or a process killed is cut off when the journal is opened again.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, BinaryIO
+
+from termsel.errors import TermselError, counted
+
+JOURNAL = "journal.jsonl"
+SCHEMA = "termsel-study-1"
+
+_SYNC = 1.0
+"""Seconds between waits for the disk: a power failure costs at most the cells of that time."""
+
+
+@dataclass
+class Journal:
+    """Records of finished cells by their key, and the file they are appended to.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+    records : dict
+        Of all cells in the file, whether they belong to the study or not.
+    versions : mapping
+        Of termsel and what it computes with, when the study was begun; empty in a new journal.
+    remarks : list of str
+        What was wrong with the file.
+    """
+
+    path: Path
+    records: dict[str, Mapping[str, Any]] = field(default_factory=dict)
+    versions: Mapping[str, str] = field(default_factory=dict)
+    remarks: list[str] = field(default_factory=list)
+    _file: BinaryIO | None = None
+    _end: int = 0
+    _synced: float = 0.0
+
+    def open(self, versions: Mapping[str, str]) -> None:
+        """Cut off a torn last line, and begin the file if it is new.
+
+        Parameters
+        ----------
+        versions : mapping
+            Of this process.
+
+        Raises
+        ------
+        TermselError
+            If the study was begun with other versions, or the file cannot be written.
+        """
+        if self.versions and dict(self.versions) != dict(versions):
+            both = {name: (self.versions.get(name, "none"), versions.get(name, "none"))
+                    for name in sorted({*self.versions, *versions})}
+            changed = [f"{name} {before} (now {now})" for name, (before, now) in both.items()
+                       if before != now]
+            raise TermselError(f"this study was begun with {', '.join(changed)}", file=self.path,
+                               hint="Results may differ between versions. Use those versions, or "
+                                    "choose another --out.")
+        try:
+            self._file = open(self.path, "ab")  # noqa: SIM115 (closed by `close`)
+            self._file.truncate(self._end)
+        except OSError as error:
+            raise self._unwritable(error) from error
+        if not self.versions:
+            self.versions = dict(versions)
+            self._write({"schema": SCHEMA, "versions": self.versions})
+
+    def append(self, record: Mapping[str, Any]) -> None:
+        """Add the record of a cell.
+
+        Raises
+        ------
+        TermselError
+            If the disk does not take it; the journal is then as it was.
+        """
+        self._write(record)
+        self.records[record["cell"]] = record
+
+    def close(self) -> None:
+        """Wait until all is on the disk."""
+        if self._file is not None:
+            os.fsync(self._file.fileno())
+            self._file.close()
+            self._file = None
+
+    def _write(self, record: Mapping[str, Any]) -> None:
+        assert self._file is not None
+        line = _sealed(record)
+        try:
+            # Without a buffer in between, so that a killed process leaves a torn line at worst.
+            written = os.write(self._file.fileno(), line)
+            if written < len(line):
+                os.write(self._file.fileno(), line[written:])
+            if time.monotonic() - self._synced > _SYNC:
+                os.fsync(self._file.fileno())
+                self._synced = time.monotonic()
+        except OSError as error:
+            os.ftruncate(self._file.fileno(), self._end)
+            raise self._unwritable(error) from error
+        self._end += len(line)
+
+    def _unwritable(self, error: OSError) -> TermselError:
+        return TermselError(
+            f"cannot write the journal: {error.strerror or error}", file=self.path,
+            hint=f"{counted(len(self.records), 'finished cell')} are kept. Make space, then repeat "
+                 "the command to go on.")
+
+
+def read_journal(folder: Path) -> Journal:
+    """Return the journal of a folder, empty if there is none. Nothing is changed.
+
+    Parameters
+    ----------
+    folder : pathlib.Path
+
+    Raises
+    ------
+    TermselError
+        If the file cannot be read or is no journal.
+    """
+    journal = Journal(folder / JOURNAL)
+    try:
+        content = journal.path.read_bytes()
+    except FileNotFoundError:
+        return journal
+    except OSError as error:
+        raise TermselError(f"cannot read the journal: {error.strerror}", file=journal.path
+                           ) from error
+    lines = content.splitlines(keepends=True)
+    damaged = []
+    for number, line in enumerate(lines, 1):
+        record = _opened(line)
+        if record is None:
+            if number == len(lines):
+                break
+            damaged.append(number)
+        elif "schema" in record:
+            if record["schema"] != SCHEMA:
+                raise TermselError(f"this journal has the schema {record['schema']!r}, not "
+                                   f"{SCHEMA!r}", file=journal.path,
+                                   hint="Use the version of termsel that wrote it.")
+            journal.versions = record["versions"]
+        else:
+            journal.records[record["cell"]] = record
+        journal._end += len(line)
+    if journal._end < len(content):
+        journal.remarks.append(f"The last line of {journal.path} was torn and is cut off.")
+    if damaged:
+        journal.remarks.append(
+            f"{journal.path} is damaged in {counted(len(damaged), 'line')}, the first of them "
+            f"line {damaged[0]}. Those cells run again.")
+    if content and not journal.versions and not _torn_at_once(lines):
+        raise TermselError("this is not the journal of a study", file=journal.path,
+                           hint="Choose another --out.")
+    return journal
+
+
+def _torn_at_once(lines: list[bytes]) -> bool:
+    """Return whether a process was killed while it wrote the very first line."""
+    return len(lines) == 1 and b'{"record":{"schema"'.startswith(lines[0][:19])
+
+
+def _sealed(record: Mapping[str, Any]) -> bytes:
+    """Return a record as a line with its checksum."""
+    text = _text(record)
+    return f'{{"record":{text},"sha256":"{_sum(text)}"}}\n'.encode()
+
+
+def _opened(line: bytes) -> Mapping[str, Any] | None:
+    """Return the record of a line; None if it is torn or damaged."""
+    if not line.endswith(b"\n"):
+        return None
+    try:
+        whole = json.loads(line)
+        record = whole["record"]
+        return record if _sum(_text(record)) == whole["sha256"] else None
+    except (ValueError, TypeError, KeyError, RecursionError):
+        return None
+
+
+def _text(record: Mapping[str, Any]) -> str:
+    return json.dumps(record, separators=(",", ":"), allow_nan=False)
+
+
+def _sum(text: str) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()[:16]

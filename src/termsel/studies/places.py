@@ -1,0 +1,156 @@
+"""Where the keys and values of a TOML text are, which the parser does not tell."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, field
+from typing import Any
+
+from termsel.errors import TermselError, unknown_name
+
+Path = tuple[str | int, ...]
+"""Keys and positions in lists that lead to a value."""
+
+_TOKEN = re.compile(
+    r'(?P<skip>[ \t\r]+|\#[^\n]*)|(?P<line>\n)|(?P<mark>[\[\]{},=.])'
+    r'|(?P<long>"""(?:\\.|[^\\])*?"{3,5}|\'\'\'.*?\'{3,5})'
+    r'|(?P<text>"(?:\\.|[^"\\\n])*"|\'[^\'\n]*\')|(?P<bare>[^\s\[\]{},="\'.#]+)', re.DOTALL)
+
+
+@dataclass(frozen=True)
+class Places:
+    """The file that a study was read from, and where each of its values is.
+
+    Parameters
+    ----------
+    file : object, optional
+        None for what is given by options or in Python.
+    known : mapping
+        Line and column, both from 1, by path of keys.
+    """
+
+    file: object = None
+    known: dict[Path, tuple[int, int]] = field(default_factory=dict)
+
+    def error(self, path: Path, what: str, hint: str | None = None) -> TermselError:
+        """Return an error that names the place of a value, or of what holds it."""
+        while path and path not in self.known:
+            path = path[:-1]
+        line, column = self.known.get(path, (None, None))
+        return TermselError(what, hint=hint, file=self.file, line=line, column=column)
+
+    def unknown(self, path: Path, kind: str, known: Any, hint: str = "") -> TermselError:
+        """Return the error for a name that is not known."""
+        said = unknown_name(kind, str(path[-1]), known, hint)
+        return self.error(path, said.what, said.hint)
+
+
+def places_of(text: str, file: object) -> Places:
+    """Return the places of all keys and list items of a text.
+
+    Parameters
+    ----------
+    text : str
+        TOML that the parser accepts.
+    file : object
+        Its name, for messages.
+    """
+    reader = _Reader(text)
+    reader.document()
+    return Places(file, reader.known)
+
+
+class _Reader:
+    """Walks through the tokens of valid TOML and notes where each key and item begins."""
+
+    def __init__(self, text: str) -> None:
+        starts = [0, *(match.end() for match in re.finditer("\n", text))]
+        self._tokens: list[tuple[str, str, tuple[int, int]]] = []
+        line = 0
+        for match in _TOKEN.finditer(text):
+            while line + 1 < len(starts) and starts[line + 1] <= match.start():
+                line += 1
+            if match.lastgroup != "skip":
+                self._tokens.append((str(match.lastgroup), match[0],
+                                     (line + 1, match.start() - starts[line] + 1)))
+        self._tokens.append(("line", "\n", (line + 1, 1)))
+        self._at = 0
+        self._counts: dict[Path, int] = {}
+        self.known: dict[Path, tuple[int, int]] = {}
+
+    def document(self) -> None:
+        table: Path = ()
+        while self._at < len(self._tokens) - 1:
+            kind, word, _ = self._tokens[self._at]
+            if kind == "line":
+                self._at += 1
+            elif word == "[":
+                table = self._header()
+            else:
+                self._pair(table)
+
+    def _header(self) -> Path:
+        """Pass ``[table]`` or ``[[list]]`` and return its path."""
+        self._at += 1
+        several = self._tokens[self._at][1] == "["
+        self._at += several
+        place = self._tokens[self._at][2]
+        path: Path = ()
+        for name in self._key():
+            path = (*path, name)
+            if path in self._counts:
+                path = (*path, self._counts[path] - 1)
+        if several:
+            if path and isinstance(path[-1], int):
+                path = path[:-1]
+            self._counts[path] = self._counts.get(path, 0) + 1
+            path = (*path, self._counts[path] - 1)
+        self.known[path] = place
+        self._at += 1 + several
+        return path
+
+    def _key(self) -> list[str]:
+        """Pass a key, which may have dots, and return its parts."""
+        parts = [""]
+        while (word := self._tokens[self._at][1]) not in ("=", "]"):
+            if word == ".":
+                parts.append("")
+            else:
+                parts[-1] = word.strip("\"'")
+            self._at += 1
+        return parts
+
+    def _pair(self, table: Path) -> None:
+        place = self._tokens[self._at][2]
+        path = (*table, *self._key())
+        self.known[path] = place
+        self._at += 1
+        self._value(path)
+
+    def _value(self, path: Path) -> None:
+        self._pass_lines()
+        word = self._tokens[self._at][1]
+        if word in ("[", "{"):
+            self._at += 1
+            item = 0
+            while self._next() not in ("]", "}"):
+                if word == "{":
+                    self._pair(path)
+                else:
+                    self.known[(*path, item)] = self._tokens[self._at][2]
+                    self._value((*path, item))
+                    item += 1
+                if self._next() == ",":
+                    self._at += 1
+            self._at += 1
+            return
+        while self._tokens[self._at][1] not in (",", "]", "}", "\n"):
+            self._at += 1
+
+    def _next(self) -> str:
+        self._pass_lines()
+        return self._tokens[self._at][1]
+
+    def _pass_lines(self) -> None:
+        while self._tokens[self._at][0] == "line" and self._at < len(self._tokens) - 1:
+            self._at += 1

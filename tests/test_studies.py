@@ -1,0 +1,240 @@
+"""Studies: what a file or options ask for, what is refused, what comes out."""
+
+from __future__ import annotations
+
+import csv
+import itertools
+import json
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import termsel
+from termsel import TermselError
+from termsel.formats.readers.csv_tables import write_points_csv
+from termsel.studies.images import IMAGES
+from termsel.studies.places import places_of
+from termsel.studies.table import TIMES
+
+Call = Callable[..., SimpleNamespace]
+
+SMALL = """title = "Small"
+problems = [{name = "poly-terms", degree = 2}]
+solvers = ["random", "swap", "exact"]
+seeds = 2
+[budget]
+evaluations = 60
+"""
+
+
+def _file(folder: Path, text: str = SMALL) -> Path:
+    path = folder / "study.toml"
+    path.write_text(text)
+    return path
+
+
+def rows_of(folder: Path) -> list[dict[str, str]]:
+    """Return the rows of study.csv without what differs from run to run."""
+    with (folder / "study.csv").open(newline="") as file:
+        return [{key: value for key, value in row.items() if key not in TIMES}
+                for row in csv.DictReader(file)]
+
+
+def test_a_study_file_gives_a_row_a_cell(call: Call, tmp_path: Path) -> None:
+    done = call("compare", _file(tmp_path), "--out", tmp_path / "out")
+    assert done.exit_code == 0, done.stderr
+    rows = rows_of(tmp_path / "out")
+    # The solver without chance runs once.
+    assert [(row["solver"], row["seed"]) for row in rows] == [
+        ("random", "1"), ("random", "2"), ("swap", "1"), ("swap", "2"), ("exact", "1")]
+    assert {row["state"] for row in rows} == {"done"}
+    optimum = float(rows[-1]["fitness"])
+    assert all(float(row["fitness"]) >= optimum * (1 - 1e-9) for row in rows)
+    assert all(float(row["optimum"]) == pytest.approx(optimum) for row in rows)
+    assert "proven optimum" in done.stdout
+    page = (tmp_path / "out" / "summary.md").read_text()
+    assert page.startswith("# Small\n")
+    assert "What may be claimed" in page
+    assert r"\toprule" in (tmp_path / "out" / "summary.tex").read_text()
+
+
+def test_a_cell_is_what_a_run_gives(tmp_path: Path) -> None:
+    study = termsel.compare(problems=["rfm-terms"], solvers=["ga"], seeds=[3],
+                            budget={"evaluations": 300}, options={"polish": False})
+    result = termsel.run("rfm-terms", solver="ga", seed=3, evaluations=300,
+                         options={"polish": False})
+    row = study.rows[0]
+    assert row["fitness"] == result.objectives["check-rmse"]
+    independent = result.rmse["independent"]
+    assert independent is not None
+    assert row["independent"] == independent.total
+    assert (row["n_terms"], row["evaluations"]) == (len(result.selection.terms), 300)
+    trace = study.records[row["cell"]]["trace"]
+    assert trace[-1][1] == row["fitness"]
+    assert all(a[0] <= b[0] and a[1] > b[1] for a, b in itertools.pairwise(trace))
+
+
+def test_options_say_the_same_as_a_file(call: Call, tmp_path: Path) -> None:
+    assert call("compare", _file(tmp_path), "--out", tmp_path / "a").exit_code == 0
+    done = call("compare", "--problem", "poly-terms", "--solver", "random,swap,exact", "--seeds",
+                2, "--evaluations", 60, "--set", "degree=2", "--out", tmp_path / "b")
+    assert done.exit_code == 0, done.stderr
+    names = ("solver", "seed", "fitness", "independent")
+    a, b = ([[row[name] for name in names] for row in rows_of(tmp_path / one)] for one in "ab")
+    assert a == b
+
+
+def test_python_takes_objects_and_features() -> None:
+    scene = termsel.prepare("poly-terms").features
+    study = termsel.compare(
+        problems=["poly-terms"], data={"mine": scene, "again": scene},
+        models=[termsel.Polynomial2D(degree=1), "poly2d"], solvers=["random"],
+        budget={"evaluations": 40})
+    assert [row["model"] for row in study.rows] == ["poly2d, degree=1", "poly2d"] * 2
+    assert [row["data"] for row in study.rows] == ["mine"] * 2 + ["again"] * 2
+    table = study.to_pandas()
+    assert list(table.columns) == list(study.columns)
+    assert len(table) == 4
+
+
+@pytest.mark.parametrize(("text", "place", "said"), [
+    (SMALL.replace("solvers", "solver"), "line 3, column 1", "unknown key of a study 'solver'"),
+    (SMALL.replace('"swap"', '"swop"'), "line 3, column 22", "unknown solver 'swop'"),
+    (SMALL.replace("degree", "degre"), "line 2, column 35", "unknown option 'degre'"),
+    (SMALL.replace("evaluations = 60", "evaluation = 60"), "line 6, column 1",
+     "unknown key of the budget 'evaluation'"),
+    (SMALL.replace("= 60", "= -1"), "line 6, column 1", "not positive"),
+    (SMALL.replace("seeds = 2", 'seeds = "two"'), "line 4, column 1", "neither a whole number"),
+    (SMALL.replace("seeds = 2", "seeds = 0"), "line 4, column 1", "0 seeds"),
+    (SMALL + "[options]\npopulaton = 3\n", "line 8, column 1", "no cell of the study has"),
+    (SMALL + '[[data]]\npoints = "none*.csv"\n', "line 8, column 1", "no file matches 'none*.csv'"),
+    (SMALL.replace("seeds = 2", "seeds = = 2"), "line 4, column 9", "this is not TOML"),
+    (SMALL.replace('"swap"', '"random"'), "line 3, column 22", "has 'random' twice"),
+    (SMALL.replace('["random", "swap", "exact"]', '[{name = "ga", population = "many"}]'),
+     "line 3, column 26", "does not accept 'many'"),
+    (SMALL + 'measure = "speed"\n', "line 7, column 1", "unknown key of the budget 'measure'"),
+    (SMALL.replace("seeds", 'strategies = ["auto"]\nseeds'), "line 3, column 1",
+     "the strategy auto chooses the method itself"),
+])
+def test_what_is_wrong_is_told_with_its_place(
+        text: str, place: str, said: str, call: Call, tmp_path: Path) -> None:
+    done = call("compare", _file(tmp_path, text), "--out", tmp_path / "out")
+    assert done.exit_code == 2
+    assert f"study.toml, {place}: " in done.stderr
+    assert said in done.stderr
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_solver_that_cannot_handle_the_objectives_is_refused_before_anything_runs(
+        call: Call, tmp_path: Path) -> None:
+    text = SMALL.replace("degree = 2", 'degree = 2, objectives = "n_terms"')
+    done = call("compare", _file(tmp_path, text), "--out", tmp_path / "out")
+    assert done.exit_code == 2
+    assert "cannot handle 2 objectives" in done.stderr
+    assert "line 3, column 12" in done.stderr
+
+
+@pytest.mark.parametrize(("words", "said"), [
+    ([], "there is nothing to compare"),
+    (["--problem", "poly-terms"], "--out is missing"),
+    (["--problem", "poly-term", "--out", "x"], "unknown problem 'poly-term'"),
+    (["--problem", "poly-terms", "--crs", "local", "--out", "x"], "--crs requires"),
+    (["--points", "no.csv", "--out", "x"], "no file matches 'no.csv'"),
+    (["nothing.toml", "--out", "x"], "No such file"),
+    (["a.toml", "b.toml", "--out", "x"], "two study files"),
+    (["a.toml", "--seeds", "3", "--out", "x"], "exclude each other"),
+    (["--status", "."], "no study in this folder"),
+    (["--problem", "poly-terms", "--solver", "ga", "--export", "gif", "--out", "x"], "'gif'"),
+])
+def test_options_that_cannot_be_are_refused(words: list[str], said: str, call: Call, tmp_path: Path,
+                                            monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    done = call("compare", *words)
+    assert done.exit_code == 2
+    assert said in done.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_places_are_found_in_all_forms_of_toml() -> None:
+    text = ('a = [1, [2, 3.5]] # "x = 1"\n"b c" = """\nd = 1\n"""\n[t.u]\nv.w = {x = 1, y = [\n'
+            '  "z",\n]}\n[[l]]\nm = 1\n[[l]]\n  m = \'#\'\n[l.n]\no = 1\n')
+    known = places_of(text, None).known
+    assert known[("a", 1, 1)] == (1, 13)
+    assert known[("b c",)] == (2, 1)
+    assert ("d",) not in known
+    assert known[("t", "u", "v", "w", "y")] == (6, 15)
+    assert known[("t", "u", "v", "w", "y", 0)] == (7, 3)
+    assert known[("l", 1, "m")] == (12, 3)
+    assert known[("l", 1, "n", "o")] == (14, 1)
+
+
+def test_a_dry_run_shows_cells_and_time(call: Call, tmp_path: Path) -> None:
+    done = call("compare", _file(tmp_path), "--dry-run")
+    assert done.exit_code == 0
+    lines = done.stdout.splitlines()
+    assert [line.split()[-2] for line in lines[1:4]] == ["2", "2", "1"]
+    assert "5 cells; about" in lines[-1]
+
+
+def _images(folder: Path, number: int) -> None:
+    """Write points of several images, the last of them with a blunder and an unreadable file."""
+    points = termsel.prepare("poly-terms").features.points
+    for i in range(number):
+        rng = np.random.default_rng(i)
+        chosen = points.take(np.sort(rng.permutation(len(points))[:30]))
+        write_points_csv(chosen, folder / f"image{i}.csv", crs="local")
+    (folder / "image9.csv").write_text("id,line,sample,x,y\nP1,1,2,abc,4\n")
+
+
+@pytest.mark.slow
+def test_a_collection_has_a_row_and_a_folder_an_image_the_worst_first(
+        call: Call, tmp_path: Path) -> None:
+    _images(tmp_path, 3)
+    done = call("compare", "--points", tmp_path / "image*.csv", "--crs", "local", "--out",
+                tmp_path / "out", "--problem", "poly-terms")
+    assert done.exit_code == 0, done.stderr
+    rows = rows_of(tmp_path / "out")
+    assert rows[0]["state"] == "failed"
+    assert "there is no column" in rows[0]["reason"]
+    predicted = [float(row["predicted"]) for row in rows[1:]]
+    assert predicted == sorted(predicted, reverse=True)
+    for row in rows[1:]:
+        folder = next(path for path in (tmp_path / "out" / IMAGES).iterdir()
+                      if Path(row["data"]).name in path.name)
+        record = json.loads((folder / "result.json").read_text())
+        assert record["predicted"]["rmse"] == float(row["predicted"])
+        assert termsel.read_result(folder).selection.terms
+
+
+def test_a_failing_cell_is_a_row_with_its_reason(monkeypatch: pytest.MonkeyPatch) -> None:
+    def explode(*_: Any, **__: Any) -> Any:
+        raise ValueError("a plugin's fault")
+
+    from termsel.studies import work
+
+    monkeypatch.setattr(work, "search_without_blunders", explode)
+    study = termsel.compare(problems=["poly-terms"], solvers=["random"],
+                            budget={"evaluations": 40}, options={"degree": 2})
+    assert study.complete
+    assert [(row["state"], row["reason"]) for row in study.rows] == [
+        ("failed", "ValueError: a plugin's fault")]
+
+
+def test_a_cell_out_of_time_fails() -> None:
+    study = termsel.compare(problems=["poly-terms"], solvers=["ga"], seeds=1,
+                            budget={"generations": 100_000, "timeout": 0.05})
+    assert study.rows[0]["state"] == "failed"
+    assert "out of time" in study.rows[0]["reason"]
+
+
+def test_bad_calls_from_python_are_refused() -> None:
+    with pytest.raises(TermselError, match="0 workers"):
+        termsel.compare(problems=["poly-terms"], workers=0)
+    with pytest.raises(TermselError, match="unknown key of a study 'solver'"):
+        termsel.compare(problems=["poly-terms"], solver="ga")
+    with pytest.raises(TermselError, match="neither data nor a problem"):
+        termsel.compare(solvers=["ga"])

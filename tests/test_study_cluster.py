@@ -1,0 +1,131 @@
+"""Studies on a cluster: a real scheduler and real workers, some of which are lost."""
+
+from __future__ import annotations
+
+import os
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import pytest
+
+import termsel
+from termsel import TermselError
+from termsel.studies.progress import Progress
+from termsel.studies.table import TIMES
+
+pytest.importorskip("distributed")
+
+ASKED = {"problems": [{"name": "poly-terms", "degree": 3}], "solvers": ["random", "ga"],
+         "options": {"polish": False}}
+
+
+def _free_port() -> int:
+    with socket.socket() as one:
+        one.bind(("127.0.0.1", 0))
+        return int(one.getsockname()[1])
+
+
+@dataclass
+class Cluster:
+    """A scheduler and workers, each a process started by dask's own command."""
+
+    folder: Path
+    port: int = field(default_factory=_free_port)
+    scheduler: subprocess.Popen[bytes] | None = None
+    workers: list[subprocess.Popen[bytes]] = field(default_factory=list)
+
+    @property
+    def address(self) -> str:
+        return f"tcp://127.0.0.1:{self.port}"
+
+    def _start(self, name: str, *words: str) -> subprocess.Popen[bytes]:
+        with (self.folder / f"{name}.log").open("ab") as log:
+            return subprocess.Popen([sys.executable, "-m", "dask", name, *words], stdout=log,
+                                    stderr=log, env={**os.environ, "OMP_NUM_THREADS": "1"})
+
+    def start_scheduler(self) -> None:
+        self.scheduler = self._start("scheduler", "--host", "127.0.0.1", "--port", str(self.port),
+                                     "--no-dashboard")
+
+    def start_worker(self) -> None:
+        self.workers.append(self._start(
+            "worker", self.address, "--nthreads", "1", "--no-dashboard", "--no-nanny",
+            "--local-directory", str(self.folder), "--death-timeout", "60"))
+
+    def end(self) -> None:
+        for process in (*self.workers, self.scheduler):
+            if process is not None:
+                process.kill()
+                process.wait()
+
+
+@pytest.fixture(scope="module")
+def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cluster]:
+    made = Cluster(tmp_path_factory.mktemp("cluster"))
+    made.start_scheduler()
+    for _ in range(4):
+        made.start_worker()
+    yield made
+    made.end()
+
+
+def _plain(study: termsel.Study) -> list[dict[str, object]]:
+    return [{key: value for key, value in row.items() if key not in TIMES} for row in study.rows]
+
+
+@pytest.mark.slow
+def test_a_cluster_gives_what_one_process_gives_whatever_is_lost(cluster: Cluster) -> None:
+    asked = {**ASKED, "seeds": 12, "budget": {"evaluations": 2000}}
+    alone = termsel.compare(**asked)
+    lost: list[str] = []
+
+    def interfere(progress: Progress) -> None:
+        if progress.finished == 4 and "worker" not in lost:
+            lost.append("worker")
+            cluster.workers[0].kill()
+        if progress.finished == 10 and "scheduler" not in lost:
+            lost.append("scheduler")
+            assert cluster.scheduler is not None
+            cluster.scheduler.kill()
+            cluster.scheduler.wait()
+            # Workers of a lost scheduler end; a cluster's queue starts others.
+            cluster.start_scheduler()
+            for _ in range(4):
+                cluster.start_worker()
+
+    found = termsel.compare(**asked, scheduler=cluster.address, observers=(interfere,))
+    assert lost == ["worker", "scheduler"]
+    assert found.complete
+    assert _plain(found) == _plain(alone)
+
+
+@pytest.mark.slow
+def test_a_scheduler_that_does_not_answer_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    from termsel.studies import cluster
+
+    monkeypatch.setattr(cluster, "PATIENCE", 1.0)
+    asked = {**ASKED, "budget": {"evaluations": 50}}
+    start = time.monotonic()
+    with pytest.raises(TermselError, match="does not answer or has no workers"):
+        termsel.compare(**asked, scheduler=f"tcp://127.0.0.1:{_free_port()}")
+    assert time.monotonic() - start < 30
+    with pytest.raises(TermselError, match="no address of a scheduler"):
+        termsel.compare(**asked, scheduler="nonsense://x")
+
+
+def test_a_worker_that_differs_is_named_with_its_address() -> None:
+    from termsel.studies.cluster import require_alike, versions_here
+
+    here = versions_here(["termsel", "numpy"])
+    assert here["termsel"] == termsel.__version__
+    require_alike({"termsel": termsel.__version__}, here, "tcp://10.0.0.7:1")
+    with pytest.raises(TermselError, match=r"worker tcp://10.0.0.7:1 lacks termsel-other"):
+        require_alike({"termsel-other": "1.0"}, versions_here(["termsel-other"]),
+                      "tcp://10.0.0.7:1")
+    with pytest.raises(TermselError, match=r"tcp://10.0.0.7:1 has numpy .*, this machine 1.0"):
+        require_alike({"numpy": "1.0"}, here, "tcp://10.0.0.7:1")

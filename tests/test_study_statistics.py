@@ -1,0 +1,270 @@
+"""Statistics of studies against published examples, other libraries and counting by hand."""
+
+from __future__ import annotations
+
+import json
+import math
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import termsel
+from termsel.studies.claims import claims, size_in_words
+from termsel.studies.fronts import indicators, non_dominated
+from termsel.studies.groups import Groups, Runs, group
+from termsel.studies.ioh import ioh_files
+from termsel.studies.pages import latex, markdown
+from termsel.studies.significance import (
+    compare_methods,
+    critical_difference,
+    effect_size,
+    holm,
+    performance_profile,
+    signed_rank,
+)
+from termsel.studies.summaries import (
+    bands,
+    ecdf,
+    expected_running_time,
+    hit,
+    quantiles,
+    wilson,
+)
+
+# Demšar 2006, table 6: AUC of C4.5, C4.5+m, C4.5+cf and C4.5+m+cf on 14 data sets. The paper ranks
+# the two that it prints as 0.975 as if they differed.
+DEMSAR = np.array([
+    [.763, .768, .771, .798], [.599, .591, .590, .569], [.954, .971, .968, .967],
+    [.628, .661, .654, .657], [.882, .888, .886, .898], [.936, .931, .916, .931],
+    [.661, .668, .609, .685], [.583, .583, .563, .625], [.775, .838, .866, .875],
+    [1.00, 1.00, 1.00, 1.00], [.940, .962, .965, .962], [.619, .666, .614, .669],
+    [.972, .981, .97501, .975], [.957, .978, .946, .970]])
+NAMES = ("C4.5", "C4.5+m", "C4.5+cf", "C4.5+m+cf")
+
+
+def test_ranks_and_critical_difference_are_those_of_demsar() -> None:
+    found = compare_methods(NAMES, -DEMSAR)
+    assert found is not None
+    assert found.ranks == pytest.approx((3.143, 2.000, 2.893, 1.964), abs=5e-4)
+    assert found.difference == pytest.approx(1.25, abs=0.005)
+    # The paper's 9.28 is without the correction for ties.
+    ranks, n, k = np.array(found.ranks), 14, 4
+    plain = 12 * n / (k * (k + 1)) * ((ranks**2).sum() - k * (k + 1) ** 2 / 4)
+    assert plain == pytest.approx(9.28, abs=0.01)
+    assert found.statistic is not None
+    assert found.statistic > plain
+    assert found.p is not None
+    assert found.p < 0.05
+
+
+def test_friedman_and_nemenyi_agree_with_scikit_posthocs() -> None:
+    posthocs = pytest.importorskip("scikit_posthocs")
+    found = compare_methods(NAMES, -DEMSAR)
+    assert found is not None
+    assert found.difference is not None
+    p = posthocs.posthoc_nemenyi_friedman(-DEMSAR).to_numpy()
+    for i in range(4):
+        for j in range(i):
+            apart = abs(found.ranks[i] - found.ranks[j]) > found.difference
+            assert apart == (p[i, j] < 0.05)
+
+
+def test_critical_values_are_those_of_demsar() -> None:
+    # Table 5a: q of Nemenyi's test at 0.05 for 2 to 10 methods.
+    table = [1.960, 2.343, 2.569, 2.728, 2.850, 2.949, 3.031, 3.102, 3.164]
+    for k, q in enumerate(table, 2):
+        assert critical_difference(k, 6) == pytest.approx(q * math.sqrt(k * (k + 1) / 36), abs=2e-3)
+
+
+def test_holm_corrects_step_by_step() -> None:
+    assert holm([0.01, 0.04, 0.03, 0.005]) == pytest.approx([0.03, 0.06, 0.06, 0.02])
+    assert holm([0.9, 0.8]) == pytest.approx([1.0, 1.0])
+    assert holm([]) == []
+
+
+def test_holm_agrees_with_statsmodels() -> None:
+    multitest = pytest.importorskip("statsmodels.stats.multitest")
+    p = np.random.default_rng(1).uniform(size=12) ** 3
+    assert holm(p.tolist()) == pytest.approx(multitest.multipletests(p, method="holm")[1])
+
+
+def test_signed_rank_counts_a_method_without_result_as_worst() -> None:
+    # Six differences of one sign: p = 2 / 2^6.
+    one = np.array([1.0, 2, 3, 4, 5, 6])
+    assert signed_rank(one, one + np.arange(1, 7)) == pytest.approx(2 / 64)
+    assert signed_rank(one, np.full(6, np.inf)) < 0.05
+    assert signed_rank(one, one) == 1.0
+    both = np.full(6, np.inf)
+    assert signed_rank(both, both) == 1.0
+
+
+def test_effect_size_counts_pairs() -> None:
+    # 1 < 2, 1 < 3, 2 = 2, 2 < 3, 4 > 2, 4 > 3
+    assert effect_size([1, 2, 4], [2, 3]) == pytest.approx((3 + 0.5) / 6)
+    assert effect_size([1], [2]) == 1.0
+    assert effect_size([math.inf], [math.inf]) == 0.5
+    assert [size_in_words(value) for value in (0.5, 0.57, 0.35, 0.2, 0.72)] == [
+        "negligible", "small", "medium", "large", "large"]
+
+
+def test_wilson_is_the_published_interval() -> None:
+    # Newcombe 1998, Stat. Med. 17, table I, method 3: 81 of 263, 15 of 148, 0 of 20, 1 of 29.
+    for successes, runs, low, high in ((81, 263, .2553, .3662), (15, 148, .0624, .1605),
+                                       (0, 20, 0.0, .1611), (1, 29, .0061, .1718)):
+        assert wilson(successes, runs) == pytest.approx((low, high), abs=5e-5)
+
+
+def test_expected_running_time_counts_the_runs_that_failed() -> None:
+    assert expected_running_time([100, math.inf, 300], [500, 1000, 600]) == (100 + 1000 + 300) / 2
+    assert expected_running_time([math.inf], [1000]) == math.inf
+    assert expected_running_time([10, 20], [50, 50]) == 15
+
+
+TRACES = [[[10, 5.0, 0.1], [20, 3.0, 0.2]], [[15, 4.0, 0.3]], []]
+
+
+def test_traces_give_hits_distributions_and_bands() -> None:
+    assert hit(TRACES[0], 4.0) == 20
+    assert hit(TRACES[0], 4.0, 2) == 0.2
+    assert hit(TRACES[1], 3.9) == math.inf
+    budgets, shares = ecdf(TRACES, [4.5, 3.0])
+    assert budgets == [15, 20]
+    assert shares == pytest.approx([1 / 6, 3 / 6])
+    assert ecdf(TRACES, [4.0], 2) == ([0.2, 0.3], pytest.approx([1 / 3, 2 / 3]))
+    assert bands(TRACES[:2], [5, 10, 20]) == [
+        (5, math.inf, math.inf, math.inf), (10, math.inf, math.inf, math.inf),
+        (20, 3.25, 3.5, 3.75)]
+
+
+def test_quantiles_accept_what_is_infinite() -> None:
+    assert quantiles([1, 2, math.inf], (0, 0.25, 0.5, 1)) == [1, 1.5, 2, math.inf]
+    assert quantiles([math.inf] * 3, (0.5,)) == [math.inf]
+
+
+def test_a_performance_profile_is_that_of_its_definition() -> None:
+    values = np.array([[1.0, 2.0], [4.0, 1.0], [3.0, 3.0], [2.0, np.inf]])
+    profile = performance_profile(values, [1, 2, 4])
+    assert profile.tolist() == [[0.75, 0.5], [0.75, 0.75], [1.0, 0.75]]
+
+
+def test_indicators_of_fronts_by_hand() -> None:
+    reference = np.array([[0.0, 10.0], [1.0, 0.0]])
+    volume, distance = indicators(reference, reference)
+    # Two corners, (0, 1) and (1, 0), below the reference point (1.1, 1.1).
+    assert volume == pytest.approx(1.1 * 0.1 + 1.0 * 0.1)
+    assert distance == 0
+    volume, distance = indicators(np.array([[0.5, 5.0]]), reference)
+    assert volume == pytest.approx(0.36)
+    assert distance == pytest.approx(0.5)  # each target is missed by 0.5 in one objective
+    points = np.array([[1.0, 2.0], [2.0, 1.0], [2.0, 2.0], [1.0, 2.0]])
+    assert non_dominated(points).tolist() == [[1.0, 2.0], [2.0, 1.0]]
+
+
+def _groups(medians: np.ndarray) -> Groups:  # type: ignore[type-arg]
+    names = [f"m{i}" for i in range(medians.shape[1])]
+    return Groups("independent", {
+        f"i{j}": {name: Runs([], [value]) for name, value in zip(names, row, strict=True)}
+        for j, row in enumerate(medians)}, tuple(names))
+
+
+def test_claims_say_what_the_tests_allow() -> None:
+    rng = np.random.default_rng(3)
+    base = rng.uniform(1, 2, (20, 1))
+    clear = np.hstack([base, base + rng.uniform(0.5, 1, (20, 1)), base + rng.uniform(
+        0.5, 1, (20, 1))])
+    said = " ".join(claims(_groups(clear), compare_methods(["m0", "m1", "m2"], clear), []))
+    assert "It may be claimed that m0 is better than m1: on 20 of 20 instances" in said
+    assert "Of 1 pair no difference may be claimed" in said
+    chance = rng.uniform(1, 2, (20, 3))
+    said = " ".join(claims(_groups(chance), compare_methods(["m0", "m1", "m2"], chance), []))
+    assert "cannot be told apart" in said
+    assert "It may be claimed" not in said
+    few = clear[:4]
+    assert compare_methods(["m0", "m1", "m2"], few) is None
+    assert "needs at least 5" in " ".join(claims(_groups(few), None, []))
+
+
+@pytest.fixture(scope="module")
+def study() -> termsel.Study:
+    return termsel.compare(
+        title="Two & three", problems=[{"name": "poly-terms", "degree": 3}],
+        solvers=["random", "nsga2", "exact"], seeds=3, splits=2, budget={"evaluations": 150},
+        options={"polish": False})
+
+
+def test_tables_have_optimum_success_and_fronts(study: termsel.Study) -> None:
+    page = markdown(study)
+    assert page.count("proven optimum") == page.count("expected evaluations")
+    assert "| exact | 1 |" in page
+    assert "## Fronts" in page
+    figures = [line.split(" | ") for line in page.splitlines() if line.endswith("| proven |")]
+    by_method = {(row[0], row[1]): float(row[3]) for row in figures}
+    assert all(distance == 0 for (_, method), distance in by_method.items() if method == "exact")
+    assert all(distance > 0 for (_, method), distance in by_method.items() if method == "nsga2")
+    text = latex(study)
+    assert text.count(r"\begin{table}") == text.count(r"\end{table}") == page.count("\n## ") - 1
+    assert "_" not in text.replace(r"\_", "")
+
+
+def test_ioh_data_have_the_runs(study: termsel.Study, tmp_path: Path) -> None:
+    groups = group(study.rows, study.records)
+    for name, content in ioh_files(groups):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text(content)
+    described = [json.loads(path.read_text()) for path in tmp_path.rglob("*.json")]
+    assert len(described) == len(groups.methods) * len(groups.instances)
+    for path in tmp_path.rglob("*.json"):
+        record = json.loads(path.read_text())
+        scenario = record["scenarios"][0]
+        lines = (path.parent / scenario["path"]).read_text().splitlines()
+        assert lines[0].split() == record["attributes"] == ["evaluations", "raw_y"]
+        rows = [(int(a), float(b)) for a, b in (line.split() for line in lines[1:])]
+        starts = [i for i, row in enumerate(rows) if row[0] == 1]
+        ends = [*starts[1:], len(rows)]
+        assert len(starts) == len(scenario["runs"])
+        for start, end, run in zip(starts, ends, scenario["runs"], strict=True):
+            mine = rows[start:end]
+            assert [row[0] for row in mine] == sorted(row[0] for row in mine)
+            assert mine[-1] == (run["evals"], run["best"]["y"])
+
+
+def test_iohinspector_reads_the_data(study: termsel.Study, tmp_path: Path) -> None:
+    iohinspector = pytest.importorskip("iohinspector")
+    groups = group(study.rows, study.records)
+    for name, content in ioh_files(groups):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text(content)
+    manager = iohinspector.DataManager()
+    manager.add_folder(str(tmp_path))
+    best = sorted(manager.overview["best_y"].to_list())
+    assert best == sorted(row["fitness"] for row in study.rows)
+    table = manager.load(monotonic=True)
+    assert table["raw_y"].min() == best[0]
+
+
+def test_parquet_and_csv_hold_the_same(study: termsel.Study, tmp_path: Path) -> None:
+    pd = pytest.importorskip("pandas")
+    pytest.importorskip("pyarrow")
+    from termsel.studies.outputs import write_outputs
+
+    written = write_outputs(study, tmp_path)
+    assert [path.name for path in written] == [
+        "study.csv", "study.parquet", "summary.md", "summary.tex", "ioh"]
+    csv, parquet = pd.read_csv(tmp_path / "study.csv"), pd.read_parquet(tmp_path / "study.parquet")
+    assert list(csv.columns) == list(parquet.columns) == list(study.columns)
+    assert len(csv) == len(parquet) == len(study.cells)
+    assert csv.fitness.tolist() == parquet.fitness.tolist()
+
+
+@pytest.mark.parametrize("command", ["pdflatex", "tectonic"])
+def test_latex_compiles(command: str, study: termsel.Study, tmp_path: Path) -> None:
+    import shutil
+
+    if shutil.which(command) is None:
+        pytest.skip(f"{command} is not here")
+    (tmp_path / "study.tex").write_text(
+        "\\documentclass{article}\\usepackage{booktabs}\\begin{document}\n" + latex(study)
+        + "\\end{document}\n")
+    subprocess.run([command, "study.tex"], cwd=tmp_path, check=True, stdout=subprocess.DEVNULL)
