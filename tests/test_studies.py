@@ -199,7 +199,7 @@ def test_a_collection_has_a_row_and_a_folder_an_image_the_worst_first(
     assert done.exit_code == 0, done.stderr
     rows = rows_of(tmp_path / "out")
     assert rows[0]["state"] == "failed"
-    assert "there is no column" in rows[0]["reason"]
+    assert "abc" in rows[0]["reason"]
     predicted = [float(row["predicted"]) for row in rows[1:]]
     assert predicted == sorted(predicted, reverse=True)
     for row in rows[1:]:

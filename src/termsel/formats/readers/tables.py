@@ -75,7 +75,7 @@ class Table:
         The error has the meaning of a column, if any.
         """
         rows = [row for row, name in enumerate(self.ids()) if name in error.ids[:1]]
-        error.column = self.names.get(error.column or "")
+        error.column = self.names.get(str(error.column or ""))
         return located(error, self.path, self.lines[rows[0]] if len(rows) == 1 else None)
 
     def ids(self) -> list[str]:
