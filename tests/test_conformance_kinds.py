@@ -17,8 +17,10 @@ from termsel.cli.list import list_
 from termsel.criteria import CheckRmse
 from termsel.measurements.datasets import DatasetSpec
 from termsel.measurements.features import FeatureSet, Points
-from termsel.problems.base import Evaluation, Genome, Problem, Segment, Selection
+from termsel.problems.base import Evaluation, Problem, Selection
+from termsel.problems.genome import Genome
 from termsel.problems.recipes import RECIPES, Recipe
+from termsel.problems.segments import Bits
 from termsel.simulate.maps import MAP
 from termsel.simulate.scenes import DATASETS
 from termsel.testing import (
@@ -53,7 +55,7 @@ class Sound(Problem):
     """As many genes on as possible."""
 
     objectives: Any = ("off",)
-    genome = Genome([Segment("s", tuple("abcdef"))])
+    genome = Genome([Bits("s", tuple("abcdef"))])
 
     def evaluate(self, genes: np.ndarray) -> Evaluation:
         return Evaluation((~genes).sum(axis=1)[:, None].astype(float), np.zeros(len(genes)))

@@ -21,7 +21,9 @@ from termsel.errors import TermselError
 from termsel.guard.calls import unguarded
 from termsel.guard.faults import PluginFault
 from termsel.models.polynomial import Affine
-from termsel.problems.base import Evaluation, Genome, Problem, Segment, Selection
+from termsel.problems.base import Evaluation, Problem, Selection
+from termsel.problems.genome import Genome
+from termsel.problems.segments import Bits
 from termsel.solvers import silence
 from termsel.solvers.base import Generation, Solver
 from termsel.solvers.search import Search, search
@@ -32,7 +34,7 @@ class Ones(Problem):
     """As many genes on as possible."""
 
     objectives = ("off",)
-    genome = Genome([Segment("s", tuple("abcdef"))])
+    genome = Genome([Bits("s", tuple("abcdef"))])
     change: Callable[[], Any] = staticmethod(lambda: None)
 
     def evaluate(self, genes: np.ndarray) -> Evaluation:

@@ -9,6 +9,7 @@ from __future__ import annotations
 ROOMS = {
     "__main__": "entry of the command line",
     "cli": "commands, one module each",
+    "sklearn": "estimators for scikit-learn",
     "testing": "conformance suites for every kind of thing that plugins provide",
     "studies": "many runs: cells, journal, executors, statistics, tables",
     "runs": "one run: task, search, choice, assessment, judgement; stability over many",

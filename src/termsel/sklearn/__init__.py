@@ -1,0 +1,10 @@
+"""Sensor models and the selection of terms as estimators of scikit-learn.
+
+Requires ``pip install termsel[sklearn]``.
+"""
+
+from termsel.sklearn.blocks import spatial_blocks
+from termsel.sklearn.regressor import SensorModelRegressor
+from termsel.sklearn.selector import TermSelector
+
+__all__ = ["SensorModelRegressor", "TermSelector", "spatial_blocks"]

@@ -1,0 +1,54 @@
+"""Groups of points by place, for cross-validation that does not flatter neighbours."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from termsel.measurements.features import FloatArray, IntArray
+
+
+def spatial_blocks(X: Any, across: int = 3) -> IntArray:
+    """Return the block of each point, as `groups` of `GroupKFold` and other splitters.
+
+    Points near each other predict each other too well; whole blocks are held out instead.
+
+    Parameters
+    ----------
+    X : array_like, shape (n, 2) or (n, 3)
+        Ground coordinates.
+    across : int
+        Blocks in x, and in y; each has about as many points as the others.
+
+    Returns
+    -------
+    ndarray of int, shape (n,)
+        From 0 to across**2 - 1.
+
+    Raises
+    ------
+    ValueError
+        If `across` is below 2, or X has too few columns.
+
+    Examples
+    --------
+    >>> spatial_blocks([[0, 0], [0, 9], [9, 0], [9, 9]], across=2).tolist()
+    [0, 1, 2, 3]
+    """
+    places = np.asarray(X, dtype=np.float64)
+    if places.ndim != 2 or places.shape[1] < 2 or across < 2:
+        raise ValueError("blocks need x and y of each point, and at least 2 blocks each way")
+    column = _strips(places[:, 0], across)
+    row = np.zeros(len(places), dtype=np.intp)
+    for one in range(across):
+        row[column == one] = _strips(places[column == one, 1], across)
+    return column * across + row
+
+
+def _strips(values: FloatArray, count: int) -> IntArray:
+    """Return in which of `count` strips of equally many values each value is."""
+    strips = np.zeros(len(values), dtype=np.intp)
+    strips[np.argsort(values, kind="stable")] = np.arange(len(values)) * count // max(
+        len(values), 1)
+    return strips
