@@ -135,6 +135,20 @@ def test_blunders_stand_first_and_are_marked(lines: Path) -> None:
     assert all(row["blunder"] for row in view.worst[:len(view.blunders)])
 
 
+def test_blunders_that_auto_leaves_out_are_shown() -> None:
+    features = termsel.simulate_scene("ikonos-hamedan", n_lines=0)
+    points = features.points
+    image = points.image.copy()
+    image[[3, 30]] += 40.0
+    result = termsel.run("poly-terms", features=features.with_(points=termsel.Points(
+        points.ids, image, points.ground, points.sigma, points.roles)))
+    out = {one.id for one in result.outliers}
+    assert {points.ids[3], points.ids[30]} <= out
+    shown = {row["id"]: row for row in result.view.worst if row["blunder"]}
+    assert set(shown) == out
+    assert min(row["distance"] for row in shown.values()) > 20
+
+
 @pytest.mark.parametrize(("suffix", "head"), [
     ("svg", b"<svg"), ("png", b"\x89PNG"), ("pdf", b"%PDF")])
 def test_a_picture_is_written(call: Call, searched: Path, tmp_path: Path, suffix: str,

@@ -19,7 +19,7 @@ KINDS = ("residuals", "ground", "worst", "baselines", "candidates", "front", "co
               help="The picture to write; its name ends in .svg, .png or .pdf.")
 @click.option("--overwrite", is_flag=True, help="Replace an existing file.")
 def plot(folder: Path, kind: str, output: Path, overwrite: bool) -> None:
-    """Draw a chart of a result.
+    """Draw a chart of a result as SVG, PNG or PDF.
 
     DIR is the folder that a run wrote with --out. KIND is one of:
 

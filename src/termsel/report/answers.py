@@ -199,7 +199,7 @@ def _repeated(view: View) -> Iterator[Block]:
         *record["versions"].items(),
         *((part["name"], part["version"]) for part in record["plugins"].values()),
         ("system of this report", platform.system())])
-    sums = [("data as read", record["data"]["sha256"]), *record.get("checksums", {}).items()]
+    sums = [("data as read", record["data"]["sha256"]), *record["checksums"].items()]
     yield Table("Checksums (SHA-256)", ("of", "checksum"), sums, folded=True)
 
 

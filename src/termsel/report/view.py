@@ -39,6 +39,7 @@ class View:
         The fit whose figures they are.
     features : FeatureSet
     residuals : Residuals
+        With those of blunders that have no role, as they were left out.
     """
 
     record: Mapping[str, Any]

@@ -27,7 +27,7 @@ from termsel.fits.figures import (
 )
 from termsel.fits.fit import Fit
 from termsel.fits.locate import Surface
-from termsel.fits.residuals import Residuals
+from termsel.fits.residuals import Residuals, point_residuals
 from termsel.measurements.features import FeatureSet, FloatArray
 from termsel.measurements.roles import by_roles
 from termsel.problems.base import Selection
@@ -308,7 +308,12 @@ class Result:
     @property
     def view(self) -> View:
         """What charts and pages read of the result."""
-        return View(self.to_dict(), self.fit, self.features, self.residuals)
+        points = self.features.points
+        names = {one.id for one in self.outliers} - {r.id for r in self.residuals}
+        out = points.take([name in names for name in points.ids])  # blunders that have no role
+        return View(sealed(self.to_dict(), self.features), self.fit, self.features, Residuals((
+            *self.residuals,
+            *point_residuals(out, self.fit.errors(out), "left out", [False] * len(out)))))
 
     @property
     def plot(self) -> Plots:

@@ -1,0 +1,239 @@
+"""Pages in a real browser: drawn, silent, offline, linked, and safe whatever ids they show."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import termsel
+
+pytest.importorskip("altair")
+pytest.importorskip("vl_convert")
+
+HOSTILE = ("</script><img src=x onerror=document.title='run'>", "{{7*7}} ${document.title='run'}",
+           "\u0627\u0644\u0646\u0642\u0637\u0629 42", "a \"quoted\" & 'single' id", "x" * 200,
+           "datum['id'] + toString.constructor('document.title=1')()", "<b>bold</b>")
+SWITCHES = ("--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",
+            "--disable-background-networking", "--disable-component-update", "--disable-sync",
+            "--force-device-scale-factor=1", "--hide-scrollbars")
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
+    """Return headless Chromium, driven by its driver."""
+    programs = [shutil.which(name) for name in ("chromium", "chromedriver")]
+    if not all(programs):
+        # Where browsers were installed for the tests, none may skip.
+        (pytest.fail if os.environ.get("TERMSEL_BROWSER") == "required" else pytest.skip)(
+            "chromium and chromedriver are not installed")
+    webdriver = pytest.importorskip("selenium.webdriver")
+    service = pytest.importorskip("selenium.webdriver.chrome.service")
+    options = webdriver.ChromeOptions()
+    options.binary_location = programs[0]
+    for switch in (*SWITCHES, f"--user-data-dir={tmp_path_factory.mktemp('profile')}"):
+        options.add_argument(switch)
+    options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
+    driver = webdriver.Chrome(options=options, service=service.Service(programs[1]))
+    driver.get("about:blank")
+    yield driver
+    driver.quit()
+
+
+@pytest.fixture(scope="module")
+def opened(browser: Any) -> Callable[[Path, int], Any]:
+    """Return a function that opens a page, waits until it is drawn, and refuses any complaint."""
+
+    def open_page(page: Path, width: int = 1400) -> Any:
+        for log in ("browser", "performance"):
+            browser.get_log(log)
+        browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", {
+            "width": width, "height": 900, "deviceScaleFactor": 1, "mobile": False})
+        browser.get(page.as_uri())
+        wait(lambda: browser.execute_script("return document.documentElement.dataset.drawn"))
+        asked = [message["params"]["request"]["url"] for message in (
+            json.loads(entry["message"])["message"] for entry in browser.get_log("performance"))
+            if message["method"] == "Network.requestWillBeSent"]
+        assert [url for url in asked if not url.startswith(("data:", "chrome"))] == [page.as_uri()]
+        silent(browser)
+        return browser
+
+    return open_page
+
+
+def silent(browser: Any) -> None:
+    """Refuse whatever the console says."""
+    assert [entry["message"] for entry in browser.get_log("browser")] == []
+
+
+def wait(found: Callable[[], Any]) -> Any:
+    """Return what a function finds, within a minute."""
+    end = time.monotonic() + 60
+    while time.monotonic() < end:
+        if value := found():
+            return value
+        time.sleep(0.05)
+    return pytest.fail("the page does not come to it within a minute")
+
+
+def rings(browser: Any, chart: str) -> int:
+    """Return how many features of a map have the ring of the choice."""
+    return len(browser.find_elements("css selector", f"#{chart} svg path[stroke-width='2.6']"))
+
+
+@pytest.fixture(scope="module")
+def pages(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """Return a page of each kind of result."""
+    folder = tmp_path_factory.mktemp("pages")
+    results = {
+        "front": termsel.run("rfm-terms", solver="nsga2", evaluations=2000),
+        "lines": termsel.run("owdis-lines", evaluations=2000),
+        "auto": termsel.run("poly-terms"),
+        "hostile": termsel.run("poly-terms", features=hostile())}
+    for name, result in results.items():
+        result.report(folder / f"{name}.html")
+    return {name: folder / f"{name}.html" for name in results}
+
+
+def hostile() -> termsel.FeatureSet:
+    """Return points with ids that a page could take for something else."""
+    features = termsel.simulate_scene("ikonos-hamedan", n_lines=0)
+    points = features.points
+    image = points.image.copy()
+    image[:len(HOSTILE)] += 30.0  # so that they are among the worst, which the charts name
+    return features.with_(points=termsel.Points(
+        (*HOSTILE, *points.ids[len(HOSTILE):]), image, points.ground, points.sigma, points.roles))
+
+
+@pytest.mark.parametrize("width", [400, 1400])
+@pytest.mark.parametrize("kind", ["front", "lines", "auto", "hostile"])
+def test_a_page_is_drawn_offline_and_in_silence(
+        opened: Callable[[Path, int], Any], pages: dict[str, Path], kind: str, width: int) -> None:
+    browser = opened(pages[kind], width)
+    charts = browser.find_elements("css selector", ".chart")
+    assert int(browser.execute_script("return document.documentElement.dataset.drawn")) \
+        == len(charts) >= 5
+    for chart in charts:
+        marks = chart.find_elements("css selector", "svg .mark-symbol path, svg .mark-rect path")
+        assert len(marks) > 3, chart.get_attribute("data-chart")
+    wait(lambda: browser.execute_script(
+        "return document.documentElement.scrollWidth <= window.innerWidth && "
+        "[...document.querySelectorAll('.chart svg')].every("
+        "svg => svg.getBoundingClientRect().right <= window.innerWidth)"))
+
+
+def test_hostile_ids_appear_as_text_and_run_nothing(
+        opened: Callable[..., Any], pages: dict[str, Path]) -> None:
+    browser = opened(pages["hostile"])
+    title = browser.title
+    browser.execute_script("document.querySelectorAll('details').forEach(d => d.open = true)")
+    shown = [button.text for button in browser.find_elements(
+        "css selector", "table[data-choice=picked] button")]
+    assert {" ".join(name.split()) for name in HOSTILE} <= set(shown)
+    for button in browser.find_elements("css selector", "table[data-choice=picked] button")[:8]:
+        browser.execute_script("arguments[0].click()", button)
+        wait(lambda: rings(browser, "residuals") == 1)
+    assert browser.title == title != "run"
+    assert not browser.find_elements("css selector", "img, b, iframe, object")
+    silent(browser)
+
+
+def test_a_tooltip_shows_a_hostile_id_as_text(
+        opened: Callable[..., Any], pages: dict[str, Path]) -> None:
+    browser = opened(pages["hostile"])
+    from selenium.webdriver import ActionChains
+
+    bar = browser.find_element("css selector", "#worst .mark-rect path[aria-label*='onerror']")
+    browser.execute_script("arguments[0].scrollIntoView({block: 'center'})", bar)
+    ActionChains(browser).move_to_element(bar).perform()
+    tip = wait(lambda: browser.find_elements("css selector", "#vg-tooltip-element.visible"))[0]
+    assert HOSTILE[0] in tip.text
+    assert not tip.find_elements("css selector", "img, b")
+    silent(browser)
+
+
+def test_a_point_chosen_in_one_chart_is_seen_in_the_others(
+        opened: Callable[..., Any], pages: dict[str, Path]) -> None:
+    browser = opened(pages["lines"])
+    assert rings(browser, "residuals") == rings(browser, "ground") == 0
+    bar = browser.find_element("css selector", "#worst .mark-rect path")
+    browser.execute_script("arguments[0].scrollIntoView({block: 'center'})", bar)
+    bar.click()
+    wait(lambda: rings(browser, "residuals") == rings(browser, "ground") == 2)  # both vertices
+    row = browser.find_element("css selector", "table[data-choice=picked] tr.chosen")
+    name = row.find_element("css selector", "button").get_attribute("textContent")
+    assert bar.get_attribute("aria-label") is None or name in bar.get_attribute("aria-label")
+    assert browser.find_element("id", "chosen").text.startswith(name)
+    # And back: the row chosen again is let go.
+    browser.execute_script("arguments[0].querySelector('button').click()", row)
+    wait(lambda: rings(browser, "residuals") == 0)
+    assert not browser.find_element("id", "chosen").text
+
+
+def test_a_point_on_the_map_can_be_chosen(
+        opened: Callable[..., Any], pages: dict[str, Path]) -> None:
+    browser = opened(pages["auto"])
+    symbol = browser.find_elements(
+        "css selector", "#residuals path[aria-label*='residual'][aria-label*='independent']")[0]
+    browser.execute_script("arguments[0].scrollIntoView({block: 'center'})", symbol)
+    symbol.click()
+    wait(lambda: rings(browser, "residuals") == rings(browser, "ground") == 1)
+    chosen = browser.find_element("css selector", "table[data-choice=picked] tr.chosen")
+    assert "independent" in chosen.get_attribute("textContent")
+
+
+def test_a_baseline_is_chosen_in_chart_and_table(
+        opened: Callable[..., Any], pages: dict[str, Path]) -> None:
+    browser = opened(pages["auto"])
+    large = "return [...document.querySelectorAll('#baselines .mark-symbol path')]" \
+            ".filter(p => p.getBBox().width > 11 && p.getBBox().height > 9).length"
+    before = browser.execute_script(large)
+    button = next(one for one in browser.find_elements(
+        "css selector", "table[data-choice=fit] button") if one.text == "cubic")
+    button.click()
+    wait(lambda: browser.execute_script(large) == before + 2)
+    assert browser.find_element("id", "chosen").text.startswith("cubic; check")
+    symbol = browser.find_elements("css selector", "#baselines .mark-symbol path")[0]
+    browser.execute_script("arguments[0].scrollIntoView({block: 'center'})", symbol)
+    symbol.click()
+    wait(lambda: browser.find_element("id", "chosen").text.startswith("this result"))
+
+
+def test_a_member_of_the_front_shows_its_residuals_and_terms(
+        opened: Callable[..., Any], pages: dict[str, Path]) -> None:
+    browser = opened(pages["front"])
+    rows = browser.find_elements("css selector", "table[data-choice=member] tbody tr")
+    assert [row for row in rows if "chosen" in row.get_attribute("class")]  # the recommended one
+    arrows = "return [...document.querySelectorAll('#members .mark-rule line')]" \
+             ".map(l => l.getAttribute('x2') + l.getAttribute('transform')).join()"
+    before = browser.execute_script(arrows)
+    other = next(row for row in rows if "chosen" not in row.get_attribute("class"))
+    other.find_element("css selector", "button").click()
+    wait(lambda: browser.execute_script(arrows) != before)
+    assert "chosen" in other.get_attribute("class")
+    point = browser.find_elements(
+        "css selector", "#front .role-mark path[aria-label*='points:']")[-1]
+    browser.execute_script("arguments[0].scrollIntoView({block: 'center'})", point)
+    point.click()
+    wait(lambda: "chosen" not in other.get_attribute("class"))
+    shown = browser.find_element("css selector", "table[data-choice=member] tr.chosen")
+    assert ".num:" in shown.text
+    silent(browser)
+
+
+def test_arrows_lengthen_with_the_slider(
+        opened: Callable[..., Any], pages: dict[str, Path]) -> None:
+    browser = opened(pages["auto"])
+    length = "return [...document.querySelectorAll('#residuals .mark-rule line')]" \
+             ".reduce((sum, l) => sum + Math.abs(l.x2.baseVal.value), 0)"
+    before = browser.execute_script(length)
+    browser.execute_script(
+        "const s = document.querySelector('#residuals input[type=range]');"
+        "s.value = 2 * s.value; s.dispatchEvent(new Event('input'));")
+    wait(lambda: browser.execute_script(length) > 1.5 * before)
