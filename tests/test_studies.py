@@ -117,6 +117,7 @@ def test_python_takes_objects_and_features() -> None:
     (SMALL.replace('["random", "swap", "exact"]', '[{name = "ga", population = "many"}]'),
      "line 3, column 26", "does not accept 'many'"),
     (SMALL + 'measure = "speed"\n', "line 7, column 1", "unknown key of the budget 'measure'"),
+    (SMALL.replace("seeds = 2", "splits = 3"), "line 4, column 1", "all splits are the same"),
     (SMALL.replace("seeds", 'strategies = ["auto"]\nseeds'), "line 3, column 1",
      "the strategy auto chooses the method itself"),
 ])

@@ -30,6 +30,7 @@ from termsel.studies.summaries import (
     expected_running_time,
     hit,
     quantiles,
+    targets_of,
     wilson,
 )
 
@@ -129,10 +130,12 @@ def test_traces_give_hits_distributions_and_bands() -> None:
     assert hit(TRACES[0], 4.0) == 20
     assert hit(TRACES[0], 4.0, 2) == 0.2
     assert hit(TRACES[1], 3.9) == math.inf
-    budgets, shares = ecdf(TRACES, [4.5, 3.0])
+    budgets, shares = ecdf([hit(trace, target) for trace in TRACES for target in (4.5, 3.0)])
     assert budgets == [15, 20]
     assert shares == pytest.approx([1 / 6, 3 / 6])
-    assert ecdf(TRACES, [4.0], 2) == ([0.2, 0.3], pytest.approx([1 / 3, 2 / 3]))
+    assert ecdf([math.inf]) == ([], [])
+    assert targets_of(2.0, [], 3) == pytest.approx([4.0, 2.02, 2.0002])
+    assert targets_of(None, [Runs([], [3.0, math.inf])], 2) == pytest.approx([6.0, 3.0003])
     assert bands(TRACES[:2], [5, 10, 20]) == [
         (5, math.inf, math.inf, math.inf), (10, math.inf, math.inf, math.inf),
         (20, 3.25, 3.5, 3.75)]
@@ -191,7 +194,7 @@ def study() -> termsel.Study:
     return termsel.compare(
         title="Two & three", problems=[{"name": "poly-terms", "degree": 3}],
         solvers=["random", "nsga2", "exact"], seeds=3, splits=2, budget={"evaluations": 150},
-        options={"polish": False})
+        options={"polish": False, "roles": "random"})
 
 
 def test_tables_have_optimum_success_and_fronts(study: termsel.Study) -> None:
@@ -250,12 +253,30 @@ def test_parquet_and_csv_hold_the_same(study: termsel.Study, tmp_path: Path) -> 
     from termsel.studies.outputs import write_outputs
 
     written = write_outputs(study, tmp_path)
-    assert [path.name for path in written] == [
+    assert [path.name for path in written if path.suffix != ".svg"] == [
         "study.csv", "study.parquet", "summary.md", "summary.tex", "ioh"]
     csv, parquet = pd.read_csv(tmp_path / "study.csv"), pd.read_parquet(tmp_path / "study.parquet")
     assert list(csv.columns) == list(parquet.columns) == list(study.columns)
     assert len(csv) == len(parquet) == len(study.cells)
     assert csv.fitness.tolist() == parquet.fitness.tolist()
+
+
+def test_figures_are_those_that_the_runs_allow(study: termsel.Study) -> None:
+    pytest.importorskip("altair")
+    from termsel.studies.figures import alike, critical_differences, figures_of
+
+    found = figures_of(study)
+    assert set(found) == {"ecdf-evaluations", "ecdf-cpu-seconds", "convergence",
+                          "performance-profile"}
+    rows = found["ecdf-evaluations"].to_dict()["data"]["values"]
+    # The solver that proves the optimum reaches every target.
+    assert max(row["share"] for row in rows if row["method"] == "exact") == 1
+    comparison = compare_methods(NAMES, -DEMSAR)
+    assert comparison is not None
+    assert critical_differences(comparison).to_dict()["layer"]
+    # Figure 1 of Demšar 2006 has the same shape: two bars that overlap.
+    assert alike([1.0, 1.5, 2.4, 3.0], 1.6) == [(1.0, 2.4), (1.5, 3.0)]
+    assert alike([1.0, 4.0], 1.0) == []
 
 
 @pytest.mark.parametrize("command", ["pdflatex", "tectonic"])

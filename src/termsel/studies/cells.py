@@ -75,6 +75,9 @@ def cells_of(spec: Spec, data: list[Data]) -> list[Cell]:
             for split in spec.splits:
                 cells += list(_of_data(spec, kinds, problem, name, one, own, split))
     kinds.require_used()
+    if len(spec.splits) > 1 and len({cell.labels["split"] for cell in cells}) == 1:
+        raise spec.places.error(("splits",), "every point has a role, so all splits are the same",
+                                'Add roles = "random" to [options], or leave splits out.')
     if len({cell.key for cell in cells}) < len(cells):
         raise TermselError("two cells of the study are the same",
                            hint="Remove the problem, model or solver that is named twice.")
@@ -102,9 +105,18 @@ def _of_data(spec: Spec, kinds: _Kinds, problem: Part | None, name: str | None, 
         for model, criterion, solver in methods:
             parts = {"problem": asked, "model": model, "criterion": criterion, "solver": solver}
             kind = kinds.kind(strategy, parts, data, others)
+            if split != spec.splits[0] and not _drawn(kind.options, data):
+                continue
             seeds = spec.seeds if kind.chance else spec.seeds[:1]
             for seed in seeds:
                 yield _cell(spec, strategy, parts, kind, data, split, seed)
+
+
+def _drawn(options: Mapping[str, Any], data: Data) -> bool:
+    """Return whether a split assigns any roles; without that all splits are one instance."""
+    how = next((value for key, value in options.items()
+                if key.rpartition(".")[2] == "roles"), "file")
+    return how != "file" or (data.features is not None and "" in data.features.points.roles)
 
 
 @dataclass(frozen=True)

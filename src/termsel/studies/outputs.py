@@ -6,6 +6,8 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from termsel.files.atomic import atomic_path, write_text
+from termsel.report.plots import save
+from termsel.studies.figures import figures_of
 from termsel.studies.groups import group
 from termsel.studies.ioh import ioh_files
 from termsel.studies.pages import latex, markdown
@@ -17,7 +19,8 @@ def write_outputs(study: Study, out: Path) -> list[Path]:
     """Write the tables of a study, and return which files were written.
 
     study.csv has a row a cell; study.parquet the same, where pyarrow is installed; summary.md and
-    summary.tex tables for people; ioh/ the runs for IOHprofiler.
+    summary.tex tables for people; ioh/ the runs for IOHprofiler; figures/ charts, where altair is
+    installed.
 
     Parameters
     ----------
@@ -45,4 +48,9 @@ def write_outputs(study: Study, out: Path) -> list[Path]:
     for name, text in files.items():
         (out / "ioh" / name).parent.mkdir(parents=True, exist_ok=True)
         write_text(out / "ioh" / name, text)
+    if find_spec("altair") and find_spec("vl_convert"):
+        (out / "figures").mkdir(exist_ok=True)
+        for name, drawn in figures_of(study).items():
+            save(drawn, out / "figures" / f"{name}.svg")
+            written.append(out / "figures" / f"{name}.svg")
     return [*written, *[out / "ioh"] * bool(files)]

@@ -79,7 +79,7 @@ class Tally:
     names: Mapping[str, str]
     _states: Counter[str] = field(default_factory=Counter)
     _left: Counter[Any] = field(default_factory=Counter)
-    _times: dict[Any, list[float]] = field(default_factory=dict)
+    _times: dict[Any, tuple[int, float]] = field(default_factory=dict)
     _worst: tuple[float, str] = (0.0, "")
 
     def __post_init__(self) -> None:
@@ -91,7 +91,8 @@ class Tally:
         self._states[record["state"]] += 1
         self._left[kind] -= 1
         if "seconds" in figures:
-            self._times.setdefault(kind, []).append(figures["seconds"])
+            count, total = self._times.get(kind, (0, 0.0))
+            self._times[kind] = (count + 1, total + figures["seconds"])
         value = next((figures[name] for name in ("predicted", "independent", "check")
                       if figures.get(name) is not None), None)
         if value is not None and value > self._worst[0]:
@@ -105,7 +106,7 @@ class Tally:
 
     def _seconds_left(self) -> float | None:
         """Return the time of what is left: of each kind by its own mean, or by that of all."""
-        means = {kind: sum(times) / len(times) for kind, times in self._times.items()}
+        means = {kind: total / count for kind, (count, total) in self._times.items()}
         if not means:
             return None
         usual = sum(means.values()) / len(means)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -196,28 +196,44 @@ def expected_running_time(hits: Sequence[float], lengths: Sequence[float]) -> fl
     return spent / successes if successes else math.inf
 
 
-def ecdf(traces: Sequence[Sequence[Sequence[float]]], targets: Sequence[float],
-         column: int = 0) -> tuple[list[float], list[float]]:
+def ecdf(hits: Sequence[float]) -> tuple[list[float], list[float]]:
     """Return which share of runs and targets is reached within which budget.
 
     Parameters
     ----------
-    traces : sequence
-        One a run.
-    targets : sequence of float
-    column : {0, 2}
-        Whether budgets are evaluations or CPU seconds.
+    hits : sequence of float
+        When each run reached each target, as `hit` returns it.
 
     Returns
     -------
     budgets, shares : list of float
         The share is that up to and including the budget; a step at each.
     """
-    at = sorted(moment for trace in traces for target in targets
-                if math.isfinite(moment := hit(trace, target, column)))
-    pairs = len(traces) * len(targets)
-    steps = {moment: (i + 1) / pairs for i, moment in enumerate(at)}
+    steps = {moment: (i + 1) / len(hits)
+             for i, moment in enumerate(sorted(filter(math.isfinite, hits)))}
     return list(steps), list(steps.values())
+
+
+def targets_of(optimum: float | None, runs: Iterable[Runs], number: int = 21) -> list[float]:
+    """Return targets for an ECDF: above the optimum by 100 % to 0.01 %, evenly in the logarithm.
+
+    Parameters
+    ----------
+    optimum : float or None
+        Where it is not known, the best value of all runs stands for it.
+    runs : iterable of Runs
+    number : int
+
+    References
+    ----------
+    Hansen, Auger, Ros, Mersmann, Tušar and Brockhoff 2021, COCO, Optim. Methods Softw. 36(1),
+    section 5, on runtimes over many targets; these targets are termsel's own.
+    """
+    found = [value for one in runs for value in one.values if math.isfinite(value)]
+    if optimum is None and not found:
+        return []
+    least = min(found) if optimum is None else optimum
+    return [least + float(gap) * abs(least) for gap in np.logspace(0, -4, number)]
 
 
 def bands(traces: Sequence[Sequence[Sequence[float]]], budgets: Sequence[float]

@@ -1,0 +1,161 @@
+"""What studies cost and survive: overhead and memory of cells, kills, executors, many images.
+
+``python -m benchmarks.studies overhead|kills|executors|images [--cells N] [--workers N]`` prints
+one table. `kills` ends a study with SIGKILL at random moments, again and again, and compares its
+final table with that of an undisturbed one.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import random
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import termsel
+from termsel.formats.readers.csv_tables import write_points_csv
+from termsel.studies.journal import JOURNAL, read_journal
+from termsel.studies.progress import Progress
+from termsel.studies.table import TIMES
+
+STUDY = """problems = [{name = "poly-terms", degree = 3}]
+solvers = ["random", "ga"]
+seeds = 40
+[budget]
+evaluations = 2000
+[options]
+polish = false
+"""
+
+
+def memory() -> float:
+    """Return the memory that this process has in use [MB]; NaN where the system does not tell."""
+    try:
+        pages = int(Path("/proc/self/statm").read_text().split()[1])
+    except OSError:
+        return float("nan")
+    return pages * 4096 / 1e6
+
+
+def overhead(cells: int, workers: int) -> None:
+    """Print time and memory of a study of very small cells, next to those of their runs alone."""
+    marks: dict[int, float] = {}
+
+    def watch(progress: Progress) -> None:
+        if progress.finished % max(cells // 10, 1) == 0:
+            marks[progress.finished] = memory()
+
+    with tempfile.TemporaryDirectory() as folder:
+        start = time.perf_counter()
+        study = termsel.compare(
+            problems=[{"name": "poly-terms", "degree": 1}], solvers=["random"], seeds=cells,
+            budget={"evaluations": 1}, workers=workers,
+            out=Path(folder) / "out", observers=(watch,))
+        seconds = time.perf_counter() - start
+        size = (Path(folder) / "out" / JOURNAL).stat().st_size
+    alone = sum(record["figures"]["seconds"] for record in study.records.values())
+    print(f"{cells} cells, {workers} workers: {seconds:.1f} s, runs alone {alone:.1f} s")
+    print(f"overhead {1000 * (seconds - alone / workers) / cells:.2f} ms a cell; journal "
+          f"{size / cells:.0f} bytes a cell")
+    print("memory [MB] by finished cells: "
+          + ", ".join(f"{count}: {used:.0f}" for count, used in marks.items()))
+
+
+def table_of(folder: Path) -> list[list[str]]:
+    """Return study.csv without what differs from run to run."""
+    with (folder / "study.csv").open(newline="") as file:
+        return [[value for key, value in row.items() if key not in TIMES]
+                for row in csv.DictReader(file)]
+
+
+def kills(number: int, workers: int) -> None:
+    """Kill studies at random moments, and compare what they end with."""
+    rng = random.Random(1)
+    with tempfile.TemporaryDirectory() as place:
+        file = Path(place) / "study.toml"
+        file.write_text(STUDY)
+
+        def command(out: str) -> list[str]:
+            return [sys.executable, "-m", "termsel", "compare", str(file), "--out",
+                    str(Path(place) / out), "--workers", str(workers), "--quiet"]
+
+        quiet: dict[str, Any] = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+        start = time.perf_counter()
+        subprocess.run(command("whole"), check=True, **quiet)
+        whole, length = table_of(Path(place) / "whole"), time.perf_counter() - start
+        done, studies, torn, equal = 0, 0, 0, 0
+        while done < number:
+            studies += 1
+            out = f"out{studies}"
+            while done < number:
+                running = subprocess.Popen(command(out), **quiet)
+                try:
+                    running.wait(rng.uniform(0, 0.6 * length))
+                    break
+                except subprocess.TimeoutExpired:
+                    running.kill()
+                    running.wait()
+                    done += 1
+                    torn += bool(read_journal(Path(place) / out).remarks)
+            subprocess.run(command(out), check=True, **quiet)
+            equal += table_of(Path(place) / out) == whole
+            print(f"{done} kills, {studies} studies, {torn} torn lines, {equal} tables equal",
+                  flush=True)
+
+
+def executors(workers: int) -> None:
+    """Print how much faster several processes are than one, for runs of about a second."""
+    asked: dict[str, Any] = {
+        "problems": [{"name": "rfm-terms"}], "solvers": ["ga"], "seeds": 24,
+        "budget": {"evaluations": 40_000}, "options": {"polish": False}}
+    times, rows = [], []
+    for count in (1, workers):
+        start = time.perf_counter()
+        study = termsel.compare(**asked, workers=count)
+        times.append(time.perf_counter() - start)
+        rows.append([{key: value for key, value in row.items() if key not in TIMES}
+                     for row in study.rows])
+    print(f"1 process {times[0]:.1f} s, {workers} processes {times[1]:.1f} s: "
+          f"{times[0] / times[1]:.2f} times; the same rows: {rows[0] == rows[1]}")
+
+
+def images(number: int, workers: int) -> None:
+    """Print how long the strategy auto takes for images of 50 simulated points each."""
+    with tempfile.TemporaryDirectory() as folder:
+        for i in range(number):
+            scene = termsel.simulate_scene("ikonos-hamedan")
+            chosen = np.sort(np.random.default_rng(i).permutation(len(scene.points))[:50])
+            write_points_csv(scene.points.take(chosen), Path(folder) / f"image{i:03}.csv",
+                             crs=scene.crs)
+        start, cpu = time.perf_counter(), 0.0
+        study = termsel.compare(data=[{"points": f"{folder}/*.csv"}], workers=workers,
+                                out=Path(folder) / "out")
+        seconds = time.perf_counter() - start
+        cpu = sum(row["cpu_seconds"] or 0.0 for row in study.rows)
+    print(f"{number} images of 50 points, {workers} workers: {seconds:.0f} s, CPU {cpu:.0f} s, "
+          f"{cpu / number:.2f} s an image")
+
+
+def main() -> None:
+    """Run what is asked for."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("what", choices=["overhead", "kills", "executors", "images"])
+    parser.add_argument("--number", type=int, default=100, help="cells, kills or images")
+    parser.add_argument("--workers", type=int, default=2)
+    asked = parser.parse_args()
+    if asked.what == "executors":
+        executors(asked.workers)
+        return
+    {"overhead": overhead, "kills": kills, "images": images}[asked.what](
+        asked.number, asked.workers)
+
+
+if __name__ == "__main__":
+    main()
