@@ -269,16 +269,16 @@ def test_a_broken_plugin_is_a_command_that_says_why(call, with_plugins):
         helped.stdout.split())
 
 
-def test_a_fault_is_one_paragraph_and_exit_code_1(plugin_folder):
+def test_a_fault_of_a_plugin_is_one_paragraph_and_exit_code_2(plugin_folder):
     done = shell("greet", "fault", folder=plugin_folder)
-    assert (done.returncode, done.stdout) == (1, "")
-    assert done.stderr.startswith("Error: termsel has failed: ZeroDivisionError: no luck. ")
-    assert "Please report it" in done.stderr
+    assert (done.returncode, done.stdout) == (2, "")
+    assert re.search(r", line \d+: the command 'greet' of greeter-package 2.5 failed: "
+                     r"ZeroDivisionError: no luck\. ", done.stderr)
+    assert "tell its author" in done.stderr
     assert "Traceback" not in done.stderr
     shown = shell("greet", "fault", folder=plugin_folder, TERMSEL_DEBUG="1")
-    assert shown.returncode == 1
+    assert shown.returncode == 2
     assert "Traceback (most recent call last)" in shown.stderr
-    assert "Please report it" in shown.stderr
 
 
 @pytest.mark.skipif(os.name == "nt", reason="closed pipes are told otherwise on Windows")

@@ -146,12 +146,33 @@ def _plugin_command(name: str) -> click.Command | None:
     names = registry()
     for entry in names.entries("commands"):
         if entry.answers_to(name):
-            command: click.Command = entry.object
-            return command
+            return _blaming(entry.object)
     for failure in names.failures("commands"):
         if failure.plugin == name:
             return _broken_command(name, str(failure))
     return None
+
+
+def _blaming(command: click.Command) -> click.Command:
+    """Return a command of a plugin whose faults name the plugin; it may choose its exit code."""
+    invoke = command.invoke
+
+    def blaming(ctx: click.Context) -> Any:
+        try:
+            return invoke(ctx)
+        except (click.ClickException, click.exceptions.Exit, click.Abort, TermselError):
+            raise
+        except Exception as error:
+            if isinstance(error, OSError) and error.errno in _UNWRITABLE:
+                raise  # stdout, which is closed or full
+            from termsel.guard.faults import distribution_of, failed, package_of
+
+            package = package_of(command.callback)
+            what = f"the command {command.name!r} of {distribution_of(package)} failed"
+            raise failed(error, what, package) from error
+
+    command.invoke = blaming  # type: ignore[method-assign]
+    return command
 
 
 def _broken_command(name: str, why: str) -> click.Command:

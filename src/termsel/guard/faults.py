@@ -112,12 +112,25 @@ def blamed(thing: Any, method: str) -> Iterator[None]:
     except (Exception, SystemExit) as error:
         if is_own(type(error)) or is_marked(error):
             raise
-        if os.environ.get("TERMSEL_DEBUG") == "1":
-            traceback.print_exc()
-        file, line = _raised(error.__traceback__, package)
-        raised = f"{type(error).__name__}: {' '.join(str(error).split())}".rstrip(": ")
-        raise PluginFault(f"{name_of(thing)} failed in {method}(): {raised}", file=file, line=line,
-                          hint=HINT) from error
+        raise failed(error, f"{name_of(thing)} failed in {method}()", package) from error
+
+
+def failed(error: BaseException, what: str, package: str) -> PluginFault:
+    """Return the fault of code that raised an exception, which is being handled.
+
+    Parameters
+    ----------
+    error : BaseException
+    what : str
+        What failed.
+    package : str
+        The top-level module of the plugin, whose innermost line is named.
+    """
+    if os.environ.get("TERMSEL_DEBUG") == "1":
+        traceback.print_exc()
+    file, line = _raised(error.__traceback__, package)
+    raised = f"{type(error).__name__}: {' '.join(str(error).split())}".rstrip(": ")
+    return PluginFault(f"{what}: {raised}", file=file, line=line, hint=HINT)
 
 
 def _raised(trace: TracebackType | None, package: str) -> tuple[str | None, int | None]:

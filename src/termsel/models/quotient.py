@@ -108,6 +108,10 @@ class RationalModel(SensorModel):
                 raise TermselError(
                     f"model {self.name!r} names {len(names)} of {width} columns of {block!r}",
                     hint="Report this to the author of the model.")
+            if len(set(names)) < width:
+                raise TermselError(
+                    f"model {self.name!r} gives two columns of {block!r} one name",
+                    hint="Report this to the author of the model.")
             layout.append((block, slice(start, start + width), axis,
                            tuple(str(Term(AXES[axis], part, name)) for name in names)))
             start += width
