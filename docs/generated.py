@@ -18,7 +18,9 @@ from termsel.options import Option
 from termsel.plugins.kinds import KINDS
 from termsel.plugins.registry import Entry, registry
 from termsel.runs.task import DATA_OPTIONS
+from termsel.solvers.budget import SEARCH_OPTIONS
 
+OF_EVERY_RUN = {"data": DATA_OPTIONS, "search": SEARCH_OPTIONS}
 OWN = ("termsel", "termsel-hybrids", "termsel-rpc")
 """Packages of the repository: others that happen to be installed are not documented here."""
 
@@ -46,8 +48,8 @@ def part(name: str) -> str:
     if what == "schema":
         rows = keys(json.loads(SCHEMA.read_text(encoding="utf-8")))
         return "\n".join(["| key | type | meaning |", "|---|---|---|", *rows])
-    if kind == "data":
-        return "\n".join(table(DATA_OPTIONS))
+    if kind in OF_EVERY_RUN:
+        return "\n".join(table(OF_EVERY_RUN[kind]))
     if kind == "datasets":
         rows = [f"| `{entry.name}` | {entry.summary} | `{entry.provided_by}` |"
                 for entry in entries(kind)]
@@ -94,10 +96,11 @@ def about(kind: str, entry: Entry) -> list[tuple[str, str]]:
     if kind == "models":
         return [*package, ("Heights", "required" if thing.uses_height else "not used")]
     if kind == "solvers":
-        count = thing.default_generations
         return [*package, ("Objectives", f"at most {thing.max_objectives}"),
-                ("Ends", "without a budget" if count is None else
-                 f"with the budget; after {count} generations if none is given")]
+                ("Ends", "by itself" if thing.ends_by_itself else "with the budget"),
+                ("By name", ", ".join(f"`{key}={value}`" for key, value
+                                      in thing.published.items())),
+                ("Departures", " ".join(thing.departures))]
     return package
 
 

@@ -32,7 +32,8 @@ from termsel.solvers.base import Generation
 from termsel.solvers.budget import Budget
 from termsel.solvers.exact import _limits
 from termsel.solvers.ledger import Ledger
-from termsel.solvers.search import POLISH_SHARE, Search, search
+from termsel.solvers.refinement import POLISH_SHARE
+from termsel.solvers.search import Search, search
 
 CUBIC = graded_exponents(3, 3)
 
@@ -189,13 +190,16 @@ def test_the_share_of_a_budget_is_that_of_what_is_spent_first() -> None:
 
 def test_local_refinement_spends_its_share_and_the_hits_are_counted_with_it() -> None:
     task = prepare("rfm-terms", solver="ga")
-    found = search(task.problem, task.solver, evaluations=2000)
+    found = search(task.problem, task.solver, generations=9, polish=True)
     assert found.polish is not None
-    assert found.polish.evaluations >= POLISH_SHARE * found.evaluations
-    result = termsel.run("poly-terms", solver="ga", evaluations=500)
+    before = found.evaluations - found.polish.evaluations
+    assert before == 200 + 9 * 198
+    assert found.polish.evaluations >= POLISH_SHARE * before
+    result = termsel.run("poly-terms", evaluations=500)
+    assert result.evaluations == 500
     assert result.polish is not None
-    assert result.hit_rate == ((result.lookups + result.polish["lookups"])
-                               / (500 + result.polish["evaluations"]))
+    assert result.polish["evaluations"] == 375
+    assert result.hit_rate == result.lookups / 500
 
 
 def test_a_proof_stops_one_short_of_the_equations() -> None:

@@ -258,7 +258,7 @@ def test_steady_state_finds_the_best_22_of_24_points() -> None:
     np.put_along_axis(genes, dropped, False, axis=1)
     best = problem.evaluate(genes)
     optimum = best.objectives[best.order()[0], 0]
-    found = search(problem, SteadyStateGA(polish=False), seed=1, evaluations=2000)
+    found = search(problem, SteadyStateGA(), seed=1, evaluations=2000)
     assert found.objectives[0] == pytest.approx(optimum, rel=1e-12)
 
 
@@ -350,7 +350,7 @@ def test_without_transgenic_parents_it_is_the_ga() -> None:
 def test_whole_runs(solver: type[Solver]) -> None:
     task = termsel.prepare("poly-terms", options={"degree": 4, "mask": "shared"})
     exact = termsel.run("poly-terms", solver="exact", options={"degree": 4, "mask": "shared"})
-    found = search(task.problem, solver(), seed=1, evaluations=4000)
+    found = search(task.problem, solver(), seed=1, evaluations=16_000, polish=True)
     assert found.polish is not None
     assert found.objectives[0] == pytest.approx(exact.objectives["check-rmse"], rel=1e-9)
 

@@ -12,9 +12,10 @@ from hypothesis import strategies as st
 import termsel
 from termsel.problems.genome import Genome
 from termsel.problems.segments import Bits
-from termsel.solvers import search as searching
+from termsel.solvers import refinement
 from termsel.solvers import swap as local
 from termsel.solvers.exact import prove
+from termsel.solvers.ga import GeneticAlgorithm
 from termsel.solvers.ledger import Progress
 from termsel.testing.problems import kept
 
@@ -60,7 +61,9 @@ def test_the_local_refinement_keeps_to_its_budget_and_tells(monkeypatch: pytest.
                                                             ) -> None:
     task = termsel.prepare("owdis-points")
     told: list[Progress] = []
-    free = termsel.search(task.problem, task.solver, evaluations=10, observers=[told.append])
+    solver = GeneticAlgorithm(population=10)
+    free = termsel.search(task.problem, solver, generations=1, polish=True,
+                          observers=[told.append])
     assert free.polish
     assert free.polish.evaluations > 100
     shares = [one.share for one in told if one.what == "local refinement"]
@@ -68,10 +71,10 @@ def test_the_local_refinement_keeps_to_its_budget_and_tells(monkeypatch: pytest.
     assert shares == sorted(shares)
     assert shares[-1] == 1.0
     assert [one.evaluations for one in told] == sorted(one.evaluations for one in told)
-    monkeypatch.setattr(searching, "DESCENT", 50 * task.problem.genome.size)
-    kept = termsel.search(task.problem, task.solver, evaluations=10)
+    monkeypatch.setattr(refinement, "DESCENT", 70 * task.problem.genome.size)
+    kept = termsel.search(task.problem, solver, generations=1, polish=True)
     assert kept.polish is not None
-    assert kept.polish.evaluations == 50
+    assert kept.polish.evaluations == 70
     assert kept.polish.polished <= kept.polish.found
 
 
@@ -81,6 +84,8 @@ def test_polish_reaches_the_proven_optimum_of_15_terms(mask: str) -> None:
     *_, proof = prove(task.problem)
     best = task.problem.evaluate(proof.front()[-1][None]).objectives[0, 0]
     for seed in (1, 2, 3):
-        found = termsel.search(task.problem, task.solver, seed=seed, evaluations=10_000)
+        found = termsel.search(task.problem, task.solver, seed=seed, evaluations=40_000,
+                               polish=True)
         assert found.objectives[0] == pytest.approx(best, rel=1e-9)
-        assert found.polish.evaluations <= 30_000
+        assert found.evaluations <= 40_000
+        assert 0 < found.polish.evaluations <= 30_000

@@ -101,7 +101,7 @@ PATHS = {
     "ga": ("rfm-terms", {"solver": "ga", "options": SMALL, "generations": 4}),
     "ga, assigned again": ("rfm-terms", {"solver": "ga", "generations": 4,
                                           "options": {**SMALL, "roles": "random"}}),
-    "polish": ("poly-terms", {"solver": "ga", "generations": 2}),
+    "polish": ("poly-terms", {"generations": 2}),
     "press": ("poly-terms", {"criterion": "press", "options": SMALL, "generations": 3}),
     "nsga2": ("rfm-terms", {"solver": "nsga2", "options": SMALL, "generations": 4}),
     "knee": ("rfm-terms", {"solver": "nsga2", "options": {**SMALL, "recommend": "knee"},

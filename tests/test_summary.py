@@ -97,9 +97,9 @@ def test_the_page_of_an_ordinary_search() -> None:
     ({"options": {"problem": {"max_share": 0.67}}}, [
         "Terms are 67 % of their equations at most; --set max_share=1 lifts this"]),
     ({"polish": {"found": 1.23456, "polished": 1.1, "evaluations": 1500}}, [
-        "Local refinement: press 1.235 as ga found it, 1.1 after 1500 evaluations more"]),
+        "Local refinement: press 1.235 as ga found it, 1.1 after it (1500 evaluations)"]),
     ({"polish": {"found": 2.0, "polished": 2.0, "evaluations": 1}}, [
-        "Local refinement: press 2 as ga found it, 2 after 1 evaluation more"]),
+        "Local refinement: press 2 as ga found it, 2 after it (1 evaluation)"]),
     ({"notes": ["One note.", "Another."]}, ["Note: One note.", "Note: Another."])])
 def test_lines_about_the_search(changed: dict[str, Any], lines: list[str]) -> None:
     assert added(**changed) == lines

@@ -77,9 +77,11 @@ _OPTIONS = (
     click.option("--generations", type=click.IntRange(1, 10**12),
                  help="Stop after N generations beyond the first population."),
     click.option("--evaluations", type=click.IntRange(1, 10**12),
-                 help="Stop the solver after N evaluations; the local refinement has its own."),
+                 help="Stop after N evaluations, those of a local refinement included."),
     click.option("--seconds", type=click.FloatRange(0, 1e9, min_open=True),
                  help="Stop after S seconds."),
+    click.option("--patience", type=click.IntRange(1, 10**12),
+                 help="Stop after N generations without a gain above --set tolerance."),
     click.option("--export", "exports", metavar="FORMAT", multiple=True,
                  shell_complete=complete("writers"),
                  help="Write the result to --out in this format too; may be repeated."),
@@ -136,6 +138,7 @@ class Asked:
     generations: int | None
     evaluations: int | None
     seconds: float | None
+    patience: int | None
     out: Path | None
     exports: tuple[str, ...]
     overwrite: bool
@@ -186,7 +189,8 @@ class Asked:
     def budget(self) -> dict[str, Any]:
         """Seed and limits of a search."""
         return {"seed": self.seed, "generations": self.generations,
-                "evaluations": self.evaluations, "seconds": self.seconds}
+                "evaluations": self.evaluations, "seconds": self.seconds,
+                "patience": self.patience}
 
     def exported(self) -> dict[str, Path]:
         """Return the file in ``--out`` of each format; an unknown one is an error.

@@ -78,12 +78,24 @@ def _describe_model(entry: Entry) -> None:
 
 def _describe_solver(entry: Entry) -> None:
     _document(entry)
-    generations = entry.object.default_generations
+    from termsel.solvers.budget import EVALUATIONS, SEARCH_OPTIONS
+
+    solver = entry.object
     _pairs({
-        "objectives": f"at most {entry.object.max_objectives}",
-        "ends": "by itself" if generations is None else
-                f"with the budget; by default after {generations} generations"})
-    _options(entry.object.declared_options)
+        "objectives": f"at most {solver.max_objectives}",
+        "ends": "by itself" if solver.ends_by_itself else
+                f"with the budget; by default {EVALUATIONS:,} evaluations, as for every solver",
+        "most terms": "all" if solver.uses_all else
+                      "two thirds of the equations, as for every solver (--set max_share=1)",
+        "by name": "".join(f"--set {key}={value} " for key, value in solver.published.items())
+        + "as published" * bool(solver.published)})
+    if solver.departures:
+        echo("\nDepartures from the paper, by name too:")
+        for one in solver.departures:
+            echo(click.wrap_text(one, 88, "- ", "  "))
+    _options(solver.declared_options)
+    echo("\nOptions of every search:")
+    _option_table(SEARCH_OPTIONS)
 
 
 def _describe_criterion(entry: Entry) -> None:

@@ -27,8 +27,8 @@ TERM_OPTIONS = (
            "such as X2Y with XY and X2.", bool),
     Option("max_share", None, "Most terms per axis, as a share of its equations, 0 to 1; of both "
            "axes together where lines or a denominator couple them. At least one degree of freedom "
-           "is kept. By default two thirds; 1, which is no limit, if --solver names a published "
-           "method or a yardstick.", float, 0.0, 1.0),
+           "is kept. By default two thirds; 1, which is no limit, for a solver that uses all "
+           "terms.", float, 0.0, 1.0),
     Option("shrink", False, "Shrink the coefficients of the selection by ridge regression; terms "
            "of higher order more.", bool),
 )

@@ -77,8 +77,8 @@ def _head(record: Record) -> Iterator[str]:
            f"up), {counted(record['generations'], 'generation')}, {record['seconds']:.1f} s")
     if refined := record["polish"]:
         yield (f"Local refinement: {record['criterion']} {refined['found']:.4g} as "
-               f"{record['solver']} found it, {refined['polished']:.4g} after "
-               f"{counted(refined['evaluations'], 'evaluation')} more")
+               f"{record['solver']} found it, {refined['polished']:.4g} after it "
+               f"({counted(refined['evaluations'], 'evaluation')})")
     if record["certificate"]:
         exact = "--set recommend=best" if record["solver"] == "exact" else \
             "--solver exact" + " --set max_share=1" * (share == 1.0)

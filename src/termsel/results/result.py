@@ -92,11 +92,13 @@ class Result:
     objectives : mapping
         The search's objectives at the selection.
     evaluations, lookups, generations : int
+        Individuals evaluated, those of the local refinement included, how many of them were
+        looked up, and generations of the solver.
     seconds : float
     interrupted : bool
     polish : mapping, optional
-        First objective as the solver found it and after local refinement, and the evaluations of
-        the refinement, which come on top of the solver's.
+        First objective as the solver found it and after local refinement, and how many of the
+        evaluations are the refinement's.
     fit : Fit
         The fitted model.
     residuals : Residuals
@@ -125,6 +127,9 @@ class Result:
     strategy : mapping, optional
         Of a choice by the strategy "auto": what was chosen, the accuracy it predicts, and all
         candidates with theirs.
+    history : tuple of mapping
+        Of each generation of the search: evaluations so far, the best first objective so far, the
+        median and the share of feasible individuals.
     """
 
     problem: str
@@ -160,13 +165,12 @@ class Result:
     accuracy: Accuracy | None = None
     plugins: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
     final: Fit | None = None
+    history: tuple[Mapping[str, float | None], ...] = ()
 
     @property
     def hit_rate(self) -> float:
-        """Share of all evaluations, with those of local refinement, that were looked up."""
-        polish = self.polish or {"lookups": 0, "evaluations": 0}
-        return float((self.lookups + polish["lookups"])
-                     / (self.evaluations + polish["evaluations"]))
+        """Share of all evaluations that were looked up."""
+        return self.lookups / self.evaluations
 
     def to_dict(self) -> dict[str, Any]:
         """Return the content of result.json."""
@@ -199,6 +203,7 @@ class Result:
             "evaluations": self.evaluations, "lookups": self.lookups,
             "hit_rate": self.hit_rate,
             "generations": self.generations, "seconds": self.seconds,
+            "history": list(self.history),
             "interrupted": self.interrupted, "polish": self.polish,
             "coefficients": {terms[i]: float(adjustment.coefficients[i]) for i in chosen},
             "standard_deviations": {

@@ -203,7 +203,7 @@ def choose_for(request: Request, observations: Observations, seed: int,
     return Result(
         problem=request.recipe.name, model=model.name, solver="auto", criterion="press", seed=seed,
         options={"problem": {}, "data": request.options["data"], "model": model.options,
-                 "solver": {}, "criterion": {}},
+                 "solver": {}, "criterion": {}, "search": {}},
         data=data_of(request.features, request.source, observations),
         selection=Selection(select(model.terms, fitted.terms),
                             select(observations.control.ids, fitted.used)),

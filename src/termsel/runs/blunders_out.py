@@ -68,10 +68,7 @@ def search_without_blunders(task: Task, **how: Any) -> Search:
             return replace(found, notes=(*found.notes, in_use + "Without them no selection "
                                          "satisfies all conditions."))
         out = more
-        found = replace(again, evaluations=found.evaluations + again.evaluations,
-                        generations=found.generations + again.generations,
-                        lookups=found.lookups + again.lookups,
-                        seconds=found.seconds + again.seconds)
+        found = again.after(found)
     if out.any():
         left = ", ".join(name for name, gone in zip(names, out, strict=True) if gone)
         found = replace(found, notes=(*found.notes, (

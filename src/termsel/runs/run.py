@@ -45,6 +45,7 @@ def run(
     generations: int | None = None,
     evaluations: int | None = None,
     seconds: float | None = None,
+    patience: int | None = None,
     observers: Iterable[Observer] = (),
     out: Path | str | None = None,
     overwrite: bool = False,
@@ -69,6 +70,8 @@ def run(
         Budgets; see `termsel.search`.
     seconds : float, optional
         Budget of time.
+    patience : int, optional
+        End after so many generations without a gain above the option `tolerance`.
     observers : iterable of callable
         Called with `Progress` after each generation, or each candidate of the strategy "auto".
     out : path, optional
@@ -105,13 +108,14 @@ def run(
                                hint="Give them to termsel.prepare.")
         task = problem
     elif wanted(strategy, registry().taken("problems", problem), _method(
-            asked, generations, evaluations, seconds), unnamed=unnamed):
+            asked, generations, evaluations, seconds, patience), unnamed=unnamed):
         return _chosen(problem, asked, seed, observers, out, overwrite)
     else:
         task = prepare(problem, **asked)
     _begin(out, overwrite)
     found = search_without_blunders(task, seed=seed, generations=generations,
-                                    evaluations=evaluations, seconds=seconds, observers=observers)
+                                    evaluations=evaluations, seconds=seconds, patience=patience,
+                                    observers=observers)
     return _finished(assessed(task, found), out)
 
 
@@ -135,14 +139,13 @@ def problem_for(features: FeatureSet | None) -> str:
     return "poly-terms" if features.without_height() else "rfm-terms"
 
 
-def _method(asked: Mapping[str, Any], generations: int | None, evaluations: int | None,
-            seconds: float | None) -> dict[str, Any]:
+def _method(asked: Mapping[str, Any], *budgets: float | None) -> dict[str, Any]:
     """Return what is asked for of a method, which the strategy "auto" would choose itself."""
     of_data = {option.name for option in DATA_OPTIONS}
     return {**{key: asked.get(key) for key in ("model", "solver", "criterion")},
             **{f"the option {key}": True for key in asked.get("options", ())
                if key not in of_data},
-            "a budget": any(budget is not None for budget in (generations, evaluations, seconds))}
+            "a budget": any(budget is not None for budget in budgets)}
 
 
 def _chosen(problem: str | Recipe, asked: Mapping[str, Any], seed: int,

@@ -80,6 +80,7 @@ def stability(
     generations: int | None = None,
     evaluations: int | None = None,
     seconds: float | None = None,
+    patience: int | None = None,
     features: FeatureSet | None = None,
     dataset: str | None = None,
     model: str | None = None,
@@ -108,7 +109,9 @@ def stability(
         Seed of the shares and of the searches.
     generations, evaluations : int, optional
     seconds : float, optional
-        Budgets of each search; the solver's own by default.
+        Budgets of each search; see `termsel.search`.
+    patience : int, optional
+        End each search after so many generations without a gain.
     features, dataset, model, solver, criterion, options
         As for `termsel.prepare`.
     observers : iterable of callable
@@ -157,6 +160,7 @@ def stability(
                             options={**others, "roles": "file"})
             found = search(again.problem, again.solver, seed=seed + repetition,
                            generations=generations, evaluations=evaluations, seconds=seconds,
+                           patience=patience, **again.options["search"],
                            observers=[_of_all(observe, repetition, repeats)
                                       for observe in observers])
             interrupted = found.interrupted

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -41,7 +40,7 @@ def search_in_steps(task: Task, **how: Any) -> Search:
     problem = task.problem
     order = task.options["problem"].get("steps", "joint")
     if order == "joint" or not isinstance(problem, SelectionProblem):
-        return search(problem, task.solver, **how)
+        return search(problem, task.solver, **task.options["search"], **how)
     if len(problem.objectives) > 1:
         raise TermselError(f"steps={order} is for one objective, and there are "
                            f"{len(problem.objectives)}: {', '.join(problem.objectives)}",
@@ -51,7 +50,7 @@ def search_in_steps(task: Task, **how: Any) -> Search:
     later = is_feature if order == "terms-first" else ~is_feature
     everything: BoolArray = problem.genome.on | ~problem.genome.off
     beginning = problem.frozen(everything, later)
-    first = search(beginning, task.solver, **how)
+    first = search(beginning, task.solver, **task.options["search"], **how)
     word = order.split("-")[0]
     if first.violation:
         raise TermselError(
@@ -62,13 +61,10 @@ def search_in_steps(task: Task, **how: Any) -> Search:
         return first
     solver = task.then or task.solver
     chosen = beginning.genome.chosen(first.genes[None])[0]
-    second = search(problem.frozen(chosen, ~later), solver, **how)
+    second = search(problem.frozen(chosen, ~later), solver, **task.options["search"], **how)
     by = [f" by {each.name}" if task.then else "" for each in (task.solver, solver)]
     note = (f"In two steps: {word} first{by[0]}, {problem.objectives[0]} "
             f"{first.objectives[0]:.4g} with {int(chosen[~later].sum())} of "
             f"{int((~later).sum())} and everything else in use; then the rest{by[1]}, "
             f"{second.objectives[0]:.4g}.")
-    return replace(second, evaluations=first.evaluations + second.evaluations,
-                   generations=first.generations + second.generations,
-                   lookups=first.lookups + second.lookups,
-                   seconds=first.seconds + second.seconds, notes=(note,))
+    return second.after(first, note)

@@ -34,6 +34,7 @@ from termsel.problems.recipes import Recipe
 from termsel.runs.fit_crs import FIT_CRS, with_fit_crs
 from termsel.runs.given import class_of, with_options
 from termsel.solvers.base import Solver
+from termsel.solvers.budget import SEARCH_OPTIONS
 from termsel.solvers.search import require_able
 
 ALIKE = "1:1:1"
@@ -81,7 +82,7 @@ class Request:
     source : str
         Where the features come from.
     options : mapping
-        Options by part: problem, data.
+        Options by part: problem, data, search.
     then : Solver, optional
         Of the second of two steps, if it is another one.
     """
@@ -114,7 +115,7 @@ class Task:
     source : str
         Where the features come from.
     options : mapping
-        Options by part: problem, data.
+        Options by part: problem, data, search.
     then : Solver, optional
         Of the second of two steps, if it is another one.
     """
@@ -207,13 +208,17 @@ def ask(
     if then is not None:
         parts["then"] = names.get("solvers", then)
     chosen = by_part(given, {
-        "problem": recipe.options, "data": DATA_OPTIONS,
+        "problem": recipe.options, "data": DATA_OPTIONS, "search": SEARCH_OPTIONS,
         **{word: part.declared_options for word, part in parts.items()}})
     if model in (None, recipe.model):
         chosen["model"] = {**recipe.model_options, **chosen["model"]}
+    for word in ("solver", "then")[solver is None:]:
+        if isinstance(part := parts.get(word), type):
+            chosen[word] = {**part.published, **chosen[word]}
     made = {word: with_options(word, part, chosen[word]) for word, part in parts.items()}
-    of_problem = _of_problem(recipe, chosen["problem"], made["criterion"], made["solver"],
-                             published=solver is not None and made["solver"].as_published)
+    of_problem = _of_problem(recipe, chosen["problem"], made["criterion"], made["solver"])
+    own_run = solver is None and not made["solver"].ends_by_itself
+    of_search = resolve(SEARCH_OPTIONS, {"polish": own_run, **chosen["search"]})
     of_data = resolve(DATA_OPTIONS, chosen["data"])
     named = asked_roles(of_data["off"], of_data["role"])
     if of_data["roles"] != "file" and of_data["role"]:
@@ -227,8 +232,8 @@ def ask(
         source = f"{spec.name} (simulated)" if spec.simulated else spec.name
     features = with_roles(features, named)
     return Request(recipe, made["model"], made["criterion"], made["solver"], features,
-                   printable(source or "given in Python"), {"problem": of_problem, "data": of_data},
-                   made.get("then"))
+                   printable(source or "given in Python"),
+                   {"problem": of_problem, "data": of_data, "search": of_search}, made.get("then"))
 
 
 def observe(request: Request, least: int = MIN_CONTROL) -> Observations:
@@ -305,7 +310,7 @@ def build(request: Request, observations: Observations, scaling: Scaling,
     data = {**request.options["data"], "check_as": _check_as(request, observations)}
     return Task(request.recipe, problem, inputs.model, request.solver, request.criterion,
                 observations, scaling, request.features, request.source,
-                {"problem": inputs.options, "data": data}, request.then)
+                {**request.options, "problem": inputs.options, "data": data}, request.then)
 
 
 def _require_type(function: Callable[..., Any], name: str, value: Any, wanted: type) -> None:
@@ -316,13 +321,13 @@ def _require_type(function: Callable[..., Any], name: str, value: Any, wanted: t
 
 
 def _of_problem(recipe: Recipe, given: Mapping[str, Any], criterion: Criterion,
-                solver: Solver, *, published: bool) -> dict[str, Any]:
+                solver: Solver) -> dict[str, Any]:
     """Return the options of a problem, those decided that depend on criterion and solver."""
     options = resolve(recipe.options, given)
     if solver.max_objectives > 1 and "objectives" in options:
         options["objectives"] = options["objectives"] or recipe.second
     if "max_share" in options and options["max_share"] is None:
-        options["max_share"] = 1.0 if published else MAX_SHARE
+        options["max_share"] = 1.0 if solver.uses_all else MAX_SHARE
     if options.get("then") is not None and options["steps"] == "joint":
         raise TermselError("then names a solver for the second of two steps, and steps=joint has "
                            "one", hint="Add --set steps=features-first or steps=terms-first.")
@@ -353,10 +358,6 @@ def _count(observations: Observations) -> int:
     return len(observations.features.points) + len(observations.control.lines.features)
 
 
-def _are(count: int) -> str:
-    return f"{count} is" if count == 1 else f"{count} are"
-
-
 def _taking_part(observations: Observations) -> FeatureSet:
     """Return all features that have a role, together."""
     control = observations.control
@@ -372,7 +373,8 @@ def _require_enough(observations: Observations, recipe: Recipe, criterion: Crite
     control, check = observations.control, observations.check
     if len(control) < least:
         raise TermselError(
-            f"Of your {counted(_count(observations), 'feature')} {_are(len(control))} control; "
+            f"Of your {counted(_count(observations), 'feature')} {len(control)} "
+            f"{'is' if len(control) == 1 else 'are'} control; "
             f"{recipe.name} needs at least {least}",
             hint="Measure more, or give more of them the role control.")
     if criterion.needs_check and len(check) < MIN_CHECK:

@@ -10,7 +10,7 @@ from termsel.measurements.features import BoolArray, FloatArray
 from termsel.options import COUNT, Option
 from termsel.problems.base import Evaluation, Problem
 from termsel.problems.genome import Genome
-from termsel.solvers.base import POLISH, Generation, Solver
+from termsel.solvers.base import Generation, Solver
 
 
 def deposit(ants: BoolArray) -> FloatArray:
@@ -107,8 +107,8 @@ class AntColony(Solver):
     """
 
     name = "aco"
-    as_published = True
-    default_generations = 200
+    departures = (
+        "termsel's own formulation: Baghani 2012 could not be consulted.",)
     declared_options = (
         Option("population", 50, "Number of ants.", int, 2, 100_000),
         Option("evaporation", 0.2, "Share of pheromone that evaporates in a generation, rho.",
@@ -118,7 +118,6 @@ class AntColony(Solver):
         Option("tau_max", 0.98, "Most pheromone of a state, tau_max.", float, 0.5, 1.0),
         Option("restart", 0.05, "Restart when the mean chance of the rarer states of genes is "
                                 "below this; 0 never.", float, 0.0, 0.5),
-        POLISH,
     )
 
     def generations(self, problem: Problem, rng: np.random.Generator) -> Iterator[Generation]:

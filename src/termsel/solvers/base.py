@@ -11,15 +11,9 @@ import numpy as np
 
 from termsel.guard.arrays import of_type
 from termsel.guard.calls import Check
-from termsel.options import Configurable, Option
+from termsel.options import Configurable
 from termsel.problems.base import Evaluation, Problem, evaluation_fault
 from termsel.problems.segments import AnySegment, Bits, Genes
-
-POLISH = Option("polish", True, "Local refinement after the search: add, drop and swap genes "
-                "as long as that helps, from many starts. The result records what it added. Its "
-                "evaluations are not part of the budget.",
-                bool)
-"""Declared by solvers after which the run does a local refinement."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +51,11 @@ def _generation_fault(_solver: Solver, value: Any, problem: Problem, *_args: Any
 
 
 class Solver(Configurable, ABC):
-    """A search. Subclasses yield generations; budgets and records are kept by the run."""
+    """A search. Subclasses yield generations; budgets and records are kept by the run.
+
+    All solvers run alike: with the same most terms, the same default budget, and a local
+    refinement only where the run declares one.
+    """
 
     kind = "solver"
     guards: ClassVar[Mapping[str, Check | None]] = {"generations": _generation_fault}
@@ -67,12 +65,18 @@ class Solver(Configurable, ABC):
     segments: ClassVar[tuple[type[AnySegment], ...]] = (Bits,)
     """Types of segments it handles; a run refuses genomes with others."""
 
-    default_generations: ClassVar[int | None] = 100
-    """Generations of a run without a budget; None for a solver that ends by itself."""
+    ends_by_itself: ClassVar[bool] = False
+    """Whether it needs no budget: without one it runs to its end."""
 
-    as_published: ClassVar[bool] = False
-    """Whether it is the method of a paper, or a yardstick: requested by name, it selects from all
-    terms that are determined, while others keep to a fraction of the equations."""
+    uses_all: ClassVar[bool] = False
+    """Whether it uses all terms, so that the problem's limit on them (`max_share`) is none."""
+
+    published: ClassVar[Mapping[str, Any]] = {}
+    """Options as its paper has them, where they differ from the defaults; they hold where a user
+    asks for the solver by name."""
+
+    departures: ClassVar[tuple[str, ...]] = ()
+    """In which points it departs from its paper even then, a sentence each."""
 
     uses_chance: ClassVar[bool] = True
     """Whether another seed may give another result. A study runs solvers without chance once."""

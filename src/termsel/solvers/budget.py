@@ -5,8 +5,27 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass
 
+import numpy as np
+
+from termsel.options import Option
 from termsel.solvers.base import Generation
 from termsel.solvers.ledger import Ledger
+
+EVALUATIONS = 16_040
+"""Budget of a search that has none, whatever its solver: 80 generations of the genetic algorithm
+after its first population."""
+
+TOLERANCE = 1e-4
+"""Least gain that counts for `Patience`, relative to the objective."""
+
+SEARCH_OPTIONS = (
+    Option("polish", None, "Local refinement after any solver, with three quarters of the budget: "
+           "genes are added, dropped and swapped as long as that helps. By default on where a "
+           "problem runs with its own solver, off where --solver names one.", bool),
+    Option("tolerance", TOLERANCE, "Least gain that counts for --patience, relative to the "
+           "objective.", float, 0.0, 1.0),
+)
+"""Options of every search, whatever its solver."""
 
 
 @dataclass(frozen=True)
@@ -15,6 +34,11 @@ class Budget:
     evaluations: int | None
     seconds: float | None
     start: float
+
+    @property
+    def deadline(self) -> float | None:
+        """Time by `time.perf_counter` at which the budget of time is spent."""
+        return None if self.seconds is None else self.start + self.seconds
 
     def share(self, generation: Generation, ledger: Ledger) -> float | None:
         """Return the spent fraction of the budget that is spent first."""
@@ -31,3 +55,40 @@ class Budget:
                 or (self.evaluations is not None and ledger.count >= self.evaluations)
                 or (self.seconds is not None
                     and time.perf_counter() - self.start >= self.seconds))
+
+
+class Patience:
+    """Whether a search has converged: generation after generation without a gain.
+
+    A gain is an objective whose least value among feasible individuals falls by more than a
+    tolerance; as long as none is feasible, a smaller violation.
+
+    Parameters
+    ----------
+    generations : int, optional
+        How many without a gain are enough; None for no limit.
+    tolerance : float
+        Relative to the objective.
+    """
+
+    def __init__(self, generations: int | None, tolerance: float) -> None:
+        self.generations, self.tolerance = generations, tolerance
+        self.idle = 0
+        self.violation = np.inf
+        self.least: np.ndarray[tuple[int], np.dtype[np.float64]] | None = None
+
+    def lost(self, ledger: Ledger) -> bool:
+        """Return True if the generation that has just ended is the last to wait for."""
+        if self.generations is None:
+            return False
+        if self.least is None or ledger.best[0] < self.violation or self._gained(ledger):
+            self.violation, self.least, self.idle = ledger.best[0], ledger.least.copy(), 0
+        else:
+            self.idle += 1
+        return self.idle >= self.generations
+
+    def _gained(self, ledger: Ledger) -> bool:
+        assert self.least is not None
+        known = np.isfinite(self.least)
+        margin = self.tolerance * np.abs(np.where(known, self.least, 0.0))
+        return bool((ledger.least < self.least - margin).any())

@@ -234,7 +234,7 @@ class Exact(Solver):
 
     name = "exact"
     uses_chance = False
-    default_generations = None
+    ends_by_itself = True
     declared_options = (
         Option("max_terms", None, "Most terms of an axis; by default all, or as many as give at "
                                   "most 2^28 selections. The proof holds for selections up to this "

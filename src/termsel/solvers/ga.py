@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from typing import ClassVar
+from collections.abc import Iterator, Mapping
+from typing import Any, ClassVar
 
 import numpy as np
 from deap import base
@@ -12,7 +12,7 @@ from termsel.measurements.features import IntArray
 from termsel.options import COUNT, Option
 from termsel.problems.base import Evaluation, Problem
 from termsel.problems.segments import SEGMENTS, AnySegment, Genes
-from termsel.solvers.base import POLISH, Generation, Solver
+from termsel.solvers.base import Generation, Solver
 from termsel.solvers.operators import crossover, mutation
 
 
@@ -46,7 +46,8 @@ def two_best(order: IntArray, n: int) -> IntArray:
 class GeneticAlgorithm(Solver):
     """Generational GA: tournament, uniform crossover, bit flips, elitism.
 
-    Chromosome, selection and crossover are those of Akhoundi Khezrabad et al. 2020, table 2. Genes
+    Chromosome, selection and crossover are those of Akhoundi Khezrabad et al. 2020, table 2, and
+    by name also the mutation. Genes
     that are not bits have operators of their own (`termsel.solvers.operators`).
     The operators act on the whole population at once and are registered in a DEAP toolbox,
     where they can be replaced. DEAP's own operators are not used, as they draw one individual
@@ -54,9 +55,13 @@ class GeneticAlgorithm(Solver):
     """
 
     name = "ga"
+    published: ClassVar[Mapping[str, Any]] = {"mutation": 0.001}
+    departures: ClassVar[tuple[str, ...]] = (
+        "The best 2 chromosomes survive unchanged; the paper states no elitism (--set elite=0).",
+        "The paper states neither the size of a tournament nor the chance of a crossover: 3, 0.9.",
+        "It ends with its budget; the papers count generations until convergence (--patience).",
+        "The first chromosomes have random shares of genes on, not half of them.")
     segments: ClassVar[tuple[type[AnySegment], ...]] = SEGMENTS
-    as_published = True
-    default_generations = 80
     declared_options: ClassVar[tuple[Option, ...]] = (
         Option("population", 200, "Number of chromosomes.", int, 2, 100_000),
         Option("parents", "tournament", "Who are crossed: winners of tournaments, or always the "
@@ -64,9 +69,8 @@ class GeneticAlgorithm(Solver):
         Option("tournament", 3, "Chromosomes drawn for each tournament.", int, 1, 1000),
         Option("crossover", 0.9, "Chance that a pair of parents mates.", float, 0.0, 1.0),
         Option("mutation", None, "Chance that a gene changes; by default 1 over the number of "
-               "genes. Akhoundi Khezrabad et al. 2020 use 0.001.", float, 0.0, 1.0),
+               "genes; by name 0.001, as in Akhoundi Khezrabad et al. 2020.", float, 0.0, 1.0),
         Option("elite", 2, "Best chromosomes that survive unchanged.", int, 0, COUNT),
-        POLISH,
     )
 
     def toolbox(self, problem: Problem, rng: np.random.Generator) -> base.Toolbox:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from deap import base
@@ -117,6 +117,9 @@ class CorrelationSeededGA(GeneticAlgorithm):
     """
 
     name = "ga-correlation"
+    departures: ClassVar[tuple[str, ...]] = (
+        *GeneticAlgorithm.departures[:-1],
+        "The columns are those of all control; forced genes and numbers of genes are kept.")
     segments = (Bits,)
     declared_options = (
         *GeneticAlgorithm.declared_options,

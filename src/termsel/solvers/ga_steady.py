@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from deap import base
@@ -14,7 +15,6 @@ from termsel.options import Option
 from termsel.problems.base import Evaluation, Problem
 from termsel.problems.genome import Genome
 from termsel.problems.segments import AnySegment, Bits, Genes, Subset, random_subsets
-from termsel.solvers.base import POLISH
 from termsel.solvers.ga import GeneticAlgorithm, tournament
 from termsel.solvers.operators import replace_one, set_crossover
 
@@ -109,8 +109,14 @@ class SteadyStateGA(GeneticAlgorithm):
     """
 
     name = "ga-steady"
+    published: ClassVar[Mapping[str, Any]] = {}
+    departures: ClassVar[tuple[str, ...]] = (
+        "100 chromosomes instead of 10, and as many evaluations as every solver instead of 20 "
+        "generations (--set population=10 --generations 20).",
+        "Tournaments, crossover and mutation are termsel's own: only page 380 of Konugurthi et "
+        "al. 2016 could be consulted.",
+        "Of equal chromosomes only one survives.")
     segments: ClassVar[tuple[type[AnySegment], ...]] = (Bits, Subset)
-    default_generations = 200
     declared_options: ClassVar[tuple[Option, ...]] = (
         Option("population", 100, "Number of chromosomes; 10 in Konugurthi et al. 2016.", int, 2,
                100_000),
@@ -121,7 +127,6 @@ class SteadyStateGA(GeneticAlgorithm):
         Option("tournament", 2, "Chromosomes drawn for each tournament.", int, 1, 1000),
         Option("crossover", 0.9, "Chance that a pair of parents mates.", float, 0.0, 1.0),
         Option("mutation", 0.5, "Chance that a child has one feature replaced.", float, 0.0, 1.0),
-        POLISH,
     )
 
     def toolbox(self, problem: Problem, rng: np.random.Generator) -> base.Toolbox:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from statistics import NormalDist
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from deap import base
@@ -65,6 +66,10 @@ class TransgenicGA(GeneticAlgorithm):
     """
 
     name = "ga-transgenic"
+    published: ClassVar[Mapping[str, Any]] = {}
+    departures: ClassVar[tuple[str, ...]] = (
+        "The test that qualifies a gene is termsel's own, and so are all rates: those of Jannati "
+        "and Valadan Zoej 2015 could not be consulted.",)
     segments = (Bits,)
     declared_options: ClassVar[tuple[Option, ...]] = (
         *GeneticAlgorithm.declared_options,

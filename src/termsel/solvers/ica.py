@@ -10,7 +10,7 @@ import numpy as np
 from termsel.measurements.features import BoolArray, FloatArray, IntArray
 from termsel.options import COUNT, Option
 from termsel.problems.base import Evaluation, Problem
-from termsel.solvers.base import POLISH, Generation, Solver
+from termsel.solvers.base import Generation, Solver
 
 
 def costs(evaluation: Evaluation) -> FloatArray:
@@ -303,8 +303,11 @@ class ImperialistCompetition(Solver):
     """
 
     name = "ica"
-    as_published = True
-    default_generations = 100
+    departures = (
+        "A colony that revolts has each gene redrawn with chance 1/2 (--set redrawn); the paper "
+        "only shows an example.",
+        "Infeasible countries cost more than every feasible one; the paper has none.",
+        "It ends with its budget; the paper waits until one empire is left, which is rare.")
     declared_options = (
         Option("population", 100, "Number of countries, N_pop.", int, 4, 100_000),
         Option("imperialists", 0.1, "Share of imperialists among the countries, PR.", float,
@@ -320,7 +323,6 @@ class ImperialistCompetition(Solver):
                COUNT),
         Option("uniting", None, "Unite empires whose imperialists differ in at most this share of "
                "their genes, such as 0.02; by default never.", float, 0.0, 1.0),
-        POLISH,
     )
 
     def generations(self, problem: Problem, rng: np.random.Generator) -> Iterator[Generation]:

@@ -50,6 +50,28 @@ class Progress:
     what: str = ""
 
 
+@dataclass(frozen=True)
+class Tally:
+    """One generation in the history of a search.
+
+    Parameters
+    ----------
+    evaluations : int
+        Individuals evaluated so far.
+    best : float or None
+        Least first objective so far of a feasible individual; None if there is none.
+    median : float or None
+        Median first objective of the feasible individuals of this generation.
+    feasible : float
+        Their share of it.
+    """
+
+    evaluations: int
+    best: float | None
+    median: float | None
+    feasible: float
+
+
 class BudgetSpent(Exception):
     """Ends a search from within an evaluation."""
 
@@ -83,6 +105,7 @@ class Ledger(Problem):
         self.best: tuple[float, float] = (np.inf, np.inf)
         self.best_genes: Genes | None = None
         self.best_objectives = np.full(len(problem.objectives), np.inf)
+        self.least = np.full(len(problem.objectives), np.inf)
         self._row_of: dict[bytes, int] = {}
         self._objectives: list[np.ndarray[tuple[int], np.dtype[np.float64]]] = []
         self._violation: list[float] = []
@@ -125,6 +148,13 @@ class Ledger(Problem):
         """Return the state for observers."""
         genes = generation.genes[0] if self.best_genes is None else self.best_genes
         return Progress(generation, self.count, share, self.best[1], self.best[0], genes, what)
+
+    def tally(self, generation: Generation) -> Tally:
+        """Return the generation's entry in the history."""
+        feasible = generation.evaluation.violation == 0
+        scores = generation.evaluation.objectives[feasible, 0]
+        return Tally(self.count, None if self.best[0] else self.best[1],
+                     float(np.median(scores)) if len(scores) else None, float(feasible.mean()))
 
     def front(self) -> list[Genes]:
         """Return the feasible non-dominated individuals, by first objective."""
@@ -174,6 +204,8 @@ class Ledger(Problem):
                 hint="This is a bug in the problem: tell its author.")
 
     def _remember(self, genes: Genes, evaluation: Evaluation) -> None:
+        feasible = evaluation.objectives[evaluation.violation == 0]
+        self.least = np.minimum(self.least, feasible.min(axis=0, initial=np.inf))
         first = int(evaluation.order()[0])
         found = (float(evaluation.violation[first]), float(evaluation.objectives[first, 0]))
         if found < self.best:

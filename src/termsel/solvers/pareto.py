@@ -26,7 +26,7 @@ from termsel.options import Option
 from termsel.problems.base import Evaluation, Problem
 from termsel.problems.genome import Genome
 from termsel.problems.segments import SEGMENTS, AnySegment, Genes
-from termsel.solvers.base import POLISH, Generation, Solver
+from termsel.solvers.base import Generation, Solver
 from termsel.solvers.operators import crossover, mutation
 
 
@@ -89,13 +89,11 @@ class PymooSolver(Solver):
     min_objectives: ClassVar[int] = 2
     max_objectives: ClassVar[int] = 8
     segments: ClassVar[tuple[type[AnySegment], ...]] = SEGMENTS
-    default_generations = 100
     declared_options = (
         # pymoo compares all pairs of twice as many.
         Option("population", 100, "Number of selections.", int, 4, 5000),
         Option("mutation", None, "Chance that a gene changes; by default 1 over the number of "
                "genes.", float, 0.0, 1.0),
-        POLISH,
     )
 
     @abstractmethod

@@ -12,7 +12,7 @@ from termsel.measurements.features import BoolArray, FloatArray, IntArray
 from termsel.options import COUNT, Option
 from termsel.problems.base import Evaluation, Problem
 from termsel.problems.segments import SEGMENTS, Genes
-from termsel.solvers.base import POLISH, Generation, Solver
+from termsel.solvers.base import Generation, Solver
 from termsel.solvers.operators import from_keys, n_keys
 
 
@@ -80,9 +80,12 @@ class BinarySwarm(Solver):
     """
 
     name = "pso"
+    departures = (
+        "Kennedy and Eberhart 1997 without the modification of Yavari et al. 2012, which could "
+        "not be consulted.",
+        "Leaders are sought in a ring of neighbours (--set neighbours=0 gives the one leader).",
+        "Particles start with random speeds towards their own positions.")
     segments = SEGMENTS
-    as_published = True
-    default_generations = 200
     declared_options = (
         Option("population", 50, "Number of particles.", int, 2, 100_000),
         Option("inertia", None, "Share of its velocity that a particle keeps at first, w; by "
@@ -100,7 +103,6 @@ class BinarySwarm(Solver):
                float, 0.0, 20.0),
         Option("neighbours", 3, "Neighbours on each side in the ring among which a leader is "
                                 "sought; 0 for the whole swarm.", int, 0, COUNT),
-        POLISH,
     )
 
     def generations(self, problem: Problem, rng: np.random.Generator) -> Iterator[Generation]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import ClassVar
 
 import numpy as np
 from scipy import linalg
@@ -251,8 +250,8 @@ class Ridge(Solver):
 
     name = "ridge"
     uses_chance = False
-    as_published = True
-    default_generations: ClassVar[int | None] = None
+    ends_by_itself = True
+    uses_all = True
     declared_options = (
         Option("choice", "gcv", "Choice of the penalty: generalised cross-validation, or the "
                                 "corner of the L-curve.", choices=("gcv", "l-curve")),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -16,43 +16,16 @@ from termsel.measurements.features import FloatArray
 from termsel.problems.base import Evaluation, Problem
 from termsel.problems.segments import Genes
 from termsel.solvers.base import Generation, Solver
-from termsel.solvers.budget import Budget
-from termsel.solvers.ledger import BudgetSpent, Ledger, Progress
+from termsel.solvers.budget import EVALUATIONS, TOLERANCE, Budget, Patience
+from termsel.solvers.ledger import BudgetSpent, Ledger, Progress, Tally
+from termsel.solvers.refinement import POLISH_SHARE, Polish, refine
 from termsel.solvers.silence import heard
-from termsel.solvers.swap import climb, neighbours
 from termsel.threads import one_blas_thread
-
-POLISH_SHARE = 3
-"""Most evaluations of the local refinement, relative to those of the search: enough for most
-seeds to reach the proven optimum of the embedded problem with 21 terms per axis.
-See docs/evidence/solver-table.md."""
-
-DESCENT = 100_000_000
-"""Most genes that the first descent of the local refinement evaluates, in all its individuals: of
-thousands of points, one look at all neighbours of a selection would take hours."""
 
 NONE = Evaluation(np.full((1, 1), np.inf), np.zeros(1))
 """Of an individual, before a solver has evaluated any."""
 
 Observer = Callable[[Progress], None]
-
-
-@dataclass(frozen=True)
-class Polish:
-    """What the local refinement after a solver added.
-
-    Parameters
-    ----------
-    found, polished : float
-        First objective before and after.
-    evaluations, lookups : int
-        In addition to those of the solver.
-    """
-
-    found: float
-    polished: float
-    evaluations: int
-    lookups: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,8 +40,11 @@ class Search:
         Its objectives.
     violation : float
         Its violation; 0 is feasible.
-    seed, evaluations, generations : int
-        Of the solver, without the local refinement; generations after the first population.
+    seed : int
+    evaluations : int
+        Individuals evaluated, those of the local refinement included.
+    generations : int
+        Of the solver, after the first population.
     lookups : int
         How many of these evaluations were looked up, as the same individual was already
         evaluated.
@@ -76,7 +52,7 @@ class Search:
     interrupted : bool
         True if the user stopped it.
     polish : Polish, optional
-        None if there is no local refinement after the solver.
+        None if no local refinement was asked for.
     certificate : mapping, optional
         What the solver proved, if anything.
     coefficients : ndarray, shape (k,), optional
@@ -87,6 +63,8 @@ class Search:
         yields, if any.
     notes : tuple of str
         What a reader of the result must know about the search.
+    history : tuple of Tally
+        One for each generation.
     """
 
     genes: Genes
@@ -103,6 +81,24 @@ class Search:
     front: tuple[Genes, ...] = ()
     coefficients: FloatArray | None = None
     notes: tuple[str, ...] = ()
+    history: tuple[Tally, ...] = ()
+
+    def after(self, earlier: Search, *notes: str) -> Search:
+        """Return the search with the evaluations and the history of one before it.
+
+        Parameters
+        ----------
+        earlier : Search
+        *notes : str
+            What there is to say of both.
+        """
+        later = tuple(replace(one, evaluations=one.evaluations + earlier.evaluations)
+                      for one in self.history)
+        return replace(self, evaluations=earlier.evaluations + self.evaluations,
+                       generations=earlier.generations + self.generations,
+                       lookups=earlier.lookups + self.lookups,
+                       seconds=earlier.seconds + self.seconds,
+                       history=earlier.history + later, notes=(*self.notes, *notes))
 
 
 @one_blas_thread
@@ -114,9 +110,15 @@ def search(
     generations: int | None = None,
     evaluations: int | None = None,
     seconds: float | None = None,
+    patience: int | None = None,
+    tolerance: float = TOLERANCE,
+    polish: bool = False,
     observers: Iterable[Observer] = (),
 ) -> Search:
     """Search a problem with a solver.
+
+    Every solver has the same budget by default. A local refinement (`polish`), which may follow
+    any of them, is part of the budget and has three quarters of it.
 
     Parameters
     ----------
@@ -125,10 +127,18 @@ def search(
     seed : int
         Seed of the one random generator of the search.
     generations, evaluations : int, optional
-        Budgets; the search ends when the first is spent. Without any budget the solver's
-        default number of generations applies.
+        Budgets; the search ends when the first is spent. Without any, a solver that does not end
+        by itself has 16,040 evaluations. A local refinement takes part of `evaluations`, or up to
+        three times as many as the search before it.
     seconds : float, optional
         Budget of time; the current evaluation is finished.
+    patience : int, optional
+        The search ends after so many generations without a gain.
+    tolerance : float
+        Gains of an objective that are smaller do not count; relative to it.
+    polish : bool
+        Whether a local refinement follows: genes are added, dropped and swapped as long as that
+        helps, from many starts.
     observers : iterable of callable
         Called with `Progress` after each generation, and in the local refinement; in another thread
         while a solver of a plugin yields nothing for 10 s.
@@ -144,21 +154,22 @@ def search(
         For a budget that is not positive, or a solver that cannot handle the objectives.
     """
     for name, value in (("generations", generations), ("evaluations", evaluations),
-                        ("seconds", seconds)):
+                        ("seconds", seconds), ("generations of patience", patience)):
         if value is not None and not value > 0:
             raise TermselError(f"the budget of {value} {name} is not positive")
     _require_names(problem)
     require_able(problem, solver)
-    if generations is None and evaluations is None and seconds is None:
-        generations = solver.default_generations
+    part = 1 + POLISH_SHARE if polish else 1
+    own = None if evaluations is None else max(evaluations // part, 1)
+    if not solver.ends_by_itself and not any((generations, evaluations, seconds, patience)):
+        own = EVALUATIONS
     start = time.perf_counter()
-    ledger = Ledger(problem, evaluations=evaluations,
-                    deadline=None if seconds is None else start + seconds,
-                    solver=solver)
-    budget = Budget(generations, evaluations, seconds, start)
+    budget = Budget(generations, own, None if seconds is None else seconds / part, start)
+    ledger = Ledger(problem, evaluations=own, deadline=budget.deadline, solver=solver)
+    waiting = Patience(patience, tolerance)
     generation: Generation | None = None
-    polish = None
-    interrupted = False
+    refined, interrupted = None, False
+    history: list[Tally] = []
     rng = np.random.default_rng(seed)
 
     def tell(what: str) -> None:
@@ -171,27 +182,29 @@ def search(
         with closing(_until_spent(running)) as yielded:
             for generation in yielded:
                 progress = ledger.progress(generation, budget.share(generation, ledger))
+                history.append(ledger.tally(generation))
                 for observe in observers:
                     observe(progress)
-                if budget.spent(generation, ledger):
+                if budget.spent(generation, ledger) or waiting.lost(ledger):
                     break
-        done, lookups = ledger.count, ledger.lookups
-        if solver.options.get("polish"):
-            polish = _polish(ledger, rng, generation, observers)
+        if polish and ledger.best_genes is not None:
+            ledger.deadline = None if seconds is None else start + seconds
+            refined = refine(ledger, rng, generation, evaluations, observers)
     except KeyboardInterrupt:
         if ledger.best_genes is None:
             raise
         answered()
-        done, lookups, interrupted = ledger.count, ledger.lookups, True
+        interrupted = True
     if ledger.best_genes is None:
         raise TermselError(f"solver {solver.name!r} evaluated nothing", hint="Increase the budget.")
-    return Search(ledger.best_genes, ledger.best_objectives, ledger.best[0], seed, done,
-                  generation.index if generation else 0, lookups,
-                  time.perf_counter() - start, interrupted, polish,
+    return Search(ledger.best_genes, ledger.best_objectives, ledger.best[0], seed, ledger.count,
+                  generation.index if generation else 0, ledger.lookups,
+                  time.perf_counter() - start, interrupted, refined,
                   generation.details.get("certificate") if generation else None,
                   tuple(ledger.front() if len(problem.objectives) > 1
                         else generation.details.get("front", ()) if generation else ()),
-                  generation.details.get("coefficients") if generation else None)
+                  generation.details.get("coefficients") if generation else None,
+                  history=tuple(history))
 
 
 def require_able(problem: Problem, solver: Solver,
@@ -243,58 +256,3 @@ def _until_spent(running: Iterator[Generation]) -> Generator[Generation]:
         yield from running
     except BudgetSpent:
         return
-
-
-def _polish(ledger: Ledger, rng: np.random.Generator, generation: Generation | None,
-            observers: Iterable[Observer]) -> Polish | None:
-    """Climb from the best individual, or search around all members of a front.
-
-    The evaluations are additional to the solver's, up to POLISH_SHARE times as many; a budget of
-    time applies to both. The first descent may take more, up to DESCENT.
-    """
-    if ledger.best_genes is None:
-        return None
-    # A budget may be spent within the first generation.
-    reached = generation or Generation(0, ledger.best_genes[None], Evaluation(
-        ledger.best_objectives[None], np.array([ledger.best[0]])))
-    found, count, lookups = ledger.best[1], ledger.count, ledger.lookups
-    most = (1 + POLISH_SHARE) * count
-    ledger.limit = max(most, count + DESCENT // ledger.genome.size)
-
-    def tell() -> None:
-        share = min((ledger.count - count) / (most - count), 1.0)
-        progress = ledger.progress(reached, share, "local refinement")
-        for observe in observers:
-            observe(progress)
-
-    ledger.after_evaluation = tell
-    try:
-        if len(ledger.objectives) == 1:
-            start = ledger.best_genes[None]
-            for _ in climb(ledger, start, ledger.evaluate(start), rng):
-                ledger.limit = most
-                if ledger.count >= most:
-                    break
-        else:
-            _widen(ledger, 2 * count)
-    except BudgetSpent:  # the limits above, or the deadline
-        pass
-    return Polish(found, ledger.best[1], ledger.count - count, ledger.lookups - lookups)
-
-
-def _widen(ledger: Ledger, most: int) -> None:
-    """Evaluate all neighbours of all members of the front until no member is new.
-
-    A front of many objectives has very many members, so this ends at `most` evaluations.
-    """
-    seen: set[bytes] = set()
-    while True:
-        new = [genes for genes in ledger.front() if genes.tobytes() not in seen]
-        if not new:
-            return
-        for genes in new:
-            seen.add(genes.tobytes())
-            for around in neighbours(genes, ledger.genome):
-                if ledger.count + len(around) > most:
-                    return
-                ledger.evaluate(around)

@@ -7,7 +7,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from math import ceil
-from typing import ClassVar
 
 import numpy as np
 from scipy import special
@@ -156,8 +155,7 @@ def generation_of(problem: Problem, parts: list[Regression], chosen: list[BoolAr
 class TermRegression(Solver):
     """Base of solvers that choose the columns of each part only from its control rows."""
 
-    default_generations: ClassVar[int | None] = None
-    as_published = True
+    ends_by_itself = True
     uses_chance = False
 
     @abstractmethod

@@ -8,7 +8,6 @@ from collections.abc import Iterator
 import numpy as np
 
 from termsel.measurements.features import BoolArray, IntArray, select
-from termsel.options import COUNT, Option
 from termsel.problems.base import Evaluation, Problem
 from termsel.problems.genome import Genome
 from termsel.problems.segments import SEGMENTS, AnySegment, Bits, Genes, Subset
@@ -215,12 +214,10 @@ class Swap(Solver):
 
     name = "swap"
     segments = SEGMENTS
-    default_generations = None
-    declared_options = (Option("starts", 20, "Selections to start from.", int, 1, COUNT),)
 
     def generations(self, problem: Problem, rng: np.random.Generator) -> Iterator[Generation]:
-        """Yield one generation per step of each descent (see `Solver.generations`)."""
+        """Yield one generation per step of each descent, without end (see `Solver.generations`)."""
         genes = problem.genome.random(rng, 1)
         climbing = climb(problem, genes, problem.evaluate(genes), rng)
-        for climbed in itertools.islice(climbing, self.options["starts"]):
+        for climbed in climbing:
             yield from climbed

@@ -17,7 +17,6 @@ class RandomSearch(Solver):
 
     name = "random"
     segments = SEGMENTS
-    default_generations = 80
     declared_options = (
         Option("population", 200, "Selections drawn at a time.", int, 1, 100_000),)
 
@@ -35,8 +34,8 @@ class AllTerms(Solver):
 
     name = "all-terms"
     uses_chance = False
-    as_published = True
-    default_generations = None
+    ends_by_itself = True
+    uses_all = True
 
     def generations(self, problem: Problem, rng: np.random.Generator) -> Iterator[Generation]:
         """Yield the one full selection."""

@@ -144,7 +144,7 @@ def evaluation_budget(trial: Trial) -> None:
                 f"given {budget} evaluations it takes {max(problem.evaluated, found.evaluations)}")
         require(found.evaluations == budget or not trial.goes_on,
                 f"given {budget} evaluations it ends by itself after {found.evaluations}; declare "
-                "default_generations = None where that is meant")
+                "ends_by_itself = True where that is meant")
 
 
 def generation_budget(trial: Trial) -> None:
@@ -332,7 +332,7 @@ def solver_checks(
     >>> solver_checks(AllTerms)[1].name
     'generations_hold'
     """
-    cases = [Case(label(solver, o), partial(_trial, solver, o, problem)) for o in options]
+    cases = [Case(label(solver, o), partial(Trial, solver(**o), problem)) for o in options]
     return assemble(SOLVER_CHECKS, cases, expected_failures)
 
 
@@ -362,13 +362,6 @@ def check_solver(
     """
     run_all(solver_checks(solver, options=options, problem=problem,
                           expected_failures=expected_failures))
-
-
-def _trial(solver: type[Solver], options: Mapping[str, Any],
-           problem: Callable[[], Problem]) -> Trial:
-    """Return the solver without local refinement, which the run adds to any budget."""
-    polish = any(option.name == "polish" for option in solver.declared_options)
-    return Trial(solver(**{**({"polish": False} if polish else {}), **options}), problem)
 
 
 def _note_index(seen: list[int], budget: int, progress: Progress) -> None:

@@ -62,7 +62,7 @@ class Trial:
     @property
     def goes_on(self) -> bool:
         """True for a solver that continues until its budget is spent."""
-        return self.solver.default_generations is not None
+        return not self.solver.ends_by_itself
 
     def posed(self, problem: Problem) -> Problem:
         """Return a problem with as many objectives as the solver needs."""

@@ -1,0 +1,114 @@
+"""Local refinement after a search: a declared part of its budget, for any solver."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from termsel.errors import TermselError
+from termsel.problems.base import Evaluation
+from termsel.solvers.base import Generation
+from termsel.solvers.ledger import BudgetSpent, Ledger, Progress
+from termsel.solvers.swap import climb, neighbours
+
+POLISH_SHARE = 3
+"""Evaluations of the local refinement, relative to those of the search before it: enough for most
+seeds to reach the proven optimum of the embedded problem with 21 terms per axis.
+See docs/evidence/solver-table.md."""
+
+DESCENT = 100_000_000
+"""Most genes that the first descent of the local refinement evaluates, in all its individuals,
+where no budget of evaluations is given: of thousands of points, one look at all neighbours of a
+selection would take hours."""
+
+
+@dataclass(frozen=True)
+class Polish:
+    """What the local refinement after a solver added.
+
+    Parameters
+    ----------
+    found, polished : float
+        First objective before and after.
+    evaluations, lookups : int
+        Those of the search that are the refinement's.
+    """
+
+    found: float
+    polished: float
+    evaluations: int
+    lookups: int
+
+
+def refine(ledger: Ledger, rng: np.random.Generator, generation: Generation | None,
+           evaluations: int | None, observers: Iterable[Callable[[Progress], None]]) -> Polish:
+    """Climb from the best individual, or search around all members of a front.
+
+    Parameters
+    ----------
+    ledger : Ledger
+        Of the search, which has evaluated something.
+    rng : numpy.random.Generator
+    generation : Generation, optional
+        The last that the solver yielded.
+    evaluations : int, optional
+        Budget of search and refinement together. Without one the refinement takes up to
+        POLISH_SHARE times as many as the search; its first descent may take more, up to DESCENT.
+    observers : iterable of callable
+
+    Raises
+    ------
+    TermselError
+        For a solver that found coefficients, which a changed selection would not fit.
+    """
+    assert ledger.best_genes is not None
+    if generation is not None and "coefficients" in generation.details:
+        raise TermselError("a local refinement changes the selection, and this solver found "
+                           "coefficients for its own", hint="Leave out polish=true.")
+    # A budget may be spent within the first generation.
+    reached = generation or Generation(0, ledger.best_genes[None], Evaluation(
+        ledger.best_objectives[None], np.array([ledger.best[0]])))
+    found, count, lookups = ledger.best[1], ledger.count, ledger.lookups
+    most = (1 + POLISH_SHARE) * count if evaluations is None else evaluations
+    ledger.limit = most if evaluations is not None else \
+        max(most, count + DESCENT // ledger.genome.size)
+
+    def tell() -> None:
+        share = min((ledger.count - count) / max(most - count, 1), 1.0)
+        progress = ledger.progress(reached, share, "local refinement")
+        for observe in observers:
+            observe(progress)
+
+    ledger.after_evaluation = tell
+    try:
+        if len(ledger.objectives) == 1:
+            start = ledger.best_genes[None]
+            for _ in climb(ledger, start, ledger.evaluate(start), rng):
+                ledger.limit = most
+                if ledger.count >= most:
+                    break
+        else:
+            _widen(ledger, min(2 * count, most))
+    except BudgetSpent:  # the limits above, or the deadline
+        pass
+    return Polish(found, ledger.best[1], ledger.count - count, ledger.lookups - lookups)
+
+
+def _widen(ledger: Ledger, most: int) -> None:
+    """Evaluate all neighbours of all members of the front until no member is new.
+
+    A front of many objectives has very many members, so this ends at `most` evaluations.
+    """
+    seen: set[bytes] = set()
+    while True:
+        new = [genes for genes in ledger.front() if genes.tobytes() not in seen]
+        if not new:
+            return
+        for genes in new:
+            seen.add(genes.tobytes())
+            for around in neighbours(genes, ledger.genome):
+                if ledger.count + len(around) > most:
+                    return
+                ledger.evaluate(around)
