@@ -54,7 +54,7 @@ class Hundred(Solver):
     """A hundred random selections."""
 
     name = "hundred"
-    default_generations = None
+    ends_by_itself = True
 
     def generations(self, problem: Problem, rng: np.random.Generator) -> Iterator[Generation]:
         genes = problem.genome.random(rng, 100)

@@ -46,6 +46,8 @@ from termsel.options import COUNT
               help="Draws of control, check and independent points, for points without a role.")
 @click.option("--evaluations", type=click.IntRange(1, 10**12), help="Budget of each search.")
 @click.option("--generations", type=click.IntRange(1, 10**12), help="Likewise.")
+@click.option("--patience", type=click.IntRange(1, 10**12),
+              help="End a search after N generations without a gain above --set tolerance.")
 @click.option("--seconds", type=click.FloatRange(0, 1e9, min_open=True), help="Likewise.")
 @click.option("--timeout", type=click.FloatRange(0, 1e9, min_open=True),
               help="A cell that takes longer than S seconds fails.")
@@ -157,7 +159,8 @@ def _keys_of(given: dict[str, Any]) -> dict[str, Any]:
         keys["data"] = [word.strip() for word in given["dataset"].split(",")]
     if files:
         keys["data"] = [{**files, **({"crs": given["crs"]} if given["crs"] else {})}]
-    budget = {name: given[name] for name in ("evaluations", "generations", "seconds", "timeout")
+    budget = {name: given[name] for name in ("evaluations", "generations", "patience", "seconds",
+                                                  "timeout")
               if given[name] is not None}
     more = {"budget": budget, "options": parse_settings(given["settings"]),
             "exports": list(given["exports"]), "seeds": given["seeds"],

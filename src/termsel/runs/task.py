@@ -213,7 +213,7 @@ def ask(
     if model in (None, recipe.model):
         chosen["model"] = {**recipe.model_options, **chosen["model"]}
     for word in ("solver", "then")[solver is None:]:
-        if isinstance(part := parts.get(word), type):
+        if isinstance(part := parts.get(word), type) and issubclass(part, Solver):
             chosen[word] = {**part.published, **chosen[word]}
     made = {word: with_options(word, part, chosen[word]) for word, part in parts.items()}
     of_problem = _of_problem(recipe, chosen["problem"], made["criterion"], made["solver"])

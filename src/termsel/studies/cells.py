@@ -15,6 +15,7 @@ from termsel.runs.auto import LEAST, wanted
 from termsel.runs.run import problem_for
 from termsel.runs.task import DATA_OPTIONS, Request, ask, build, observe, scale
 from termsel.solvers.base import Solver
+from termsel.solvers.budget import SEARCH_OPTIONS
 from termsel.studies.data import Data, of_dataset
 from termsel.studies.spec import Part, Spec
 
@@ -216,7 +217,7 @@ class _Kinds:
             declared |= {"problem": tuple(request.recipe.options),
                          "model": request.model.declared_options,
                          "criterion": request.criterion.declared_options,
-                         "solver": request.solver.declared_options}
+                         "solver": request.solver.declared_options, "search": SEARCH_OPTIONS}
         chosen = {f"{word}.{key}": value for word, part in parts.items()
                   if part and word != "problem"
                   for key, value in part.options.items()}

@@ -19,7 +19,8 @@ KEYS = ("title", *PARTS, "strategies", "data", "seeds", "splits", "budget", "opt
         "measure")
 FILES = ("points", "lines", "areas")
 DATA_KEYS = ("dataset", *FILES, "crs", "format", "dem", "options")
-BUDGETS = {"evaluations": int, "generations": int, "seconds": float, "timeout": float}
+BUDGETS = {"evaluations": int, "generations": int, "patience": int, "seconds": float,
+           "timeout": float}
 STRATEGIES = ("auto", "as-asked")
 MEASURES = ("fitness", "check", "independent")
 MOST_SEEDS = 100_000
@@ -84,7 +85,8 @@ class Spec:
         Empty for the data set of each problem.
     seeds, splits : tuple of int
     budget : mapping
-        Evaluations, generations, seconds; and "timeout", the seconds after which a cell fails.
+        Evaluations, generations, patience, seconds; and "timeout", the seconds after which a cell
+        fails.
     options : mapping
         For every cell that has such an option.
     exports : tuple of str

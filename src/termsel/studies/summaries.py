@@ -165,7 +165,7 @@ def length(figures: Mapping[str, Any]) -> float:
     figures : mapping
         Of its record; empty for a run that failed.
     """
-    return float((figures.get("evaluations") or 0) + (figures.get("refinement_evaluations") or 0))
+    return float(figures.get("evaluations") or 0)
 
 
 def expected_running_time(hits: Sequence[float], lengths: Sequence[float]) -> float:

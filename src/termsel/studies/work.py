@@ -184,7 +184,8 @@ def _as_asked(work: Work, features: FeatureSet, trace: _Trace) -> tuple[
     task = prepare(**names, features=features, source=work.source, options=call["options"])
     found = search_without_blunders(
         task, seed=call["seed"], observers=[trace],
-        **{name: call.get(name) for name in ("generations", "evaluations", "seconds")})
+        **{name: call.get(name) for name in ("generations", "evaluations", "seconds",
+                                               "patience")})
     if found.interrupted:
         raise KeyboardInterrupt  # half a search is no result of a study
     selection = task.problem.decode(found.genes)
@@ -204,7 +205,7 @@ def _as_asked(work: Work, features: FeatureSet, trace: _Trace) -> tuple[
         "evaluations": found.evaluations,
         "refinement_evaluations": found.polish.evaluations if found.polish else 0,
         "generations": found.generations, "notes": list(found.notes)}
-    trace.end(figures["evaluations"] + figures["refinement_evaluations"], figures["fitness"])
+    trace.end(figures["evaluations"], figures["fitness"])
     front = [_member(task, genes) for genes in found.front]
     return DONE if feasible else INFEASIBLE, figures, front, {}
 
