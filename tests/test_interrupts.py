@@ -11,15 +11,19 @@ from __future__ import annotations
 
 import errno
 import os
+import shutil
 import signal
 import subprocess
 import sys
-from collections.abc import Callable
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
 from itertools import groupby
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from traceback import print_exc
 from typing import Any
 
 import numpy as np
@@ -29,7 +33,9 @@ import termsel
 from termsel.errors import TermselError
 from termsel.files import atomic
 from termsel.files.atomic import write_text
+from termsel.files.rasters import tiff_bytes
 from termsel.formats.writers.grids import GeolocationVrt
+from termsel.formats.writers.residuals import ResidualsGeopackage
 from termsel.io.result_folder import claim_folder, read_result, write_result
 from termsel.testing import example_results
 
@@ -89,6 +95,7 @@ def scenarios() -> dict[str, Scenario]:
                            tuple(map(str, range(20))), xy, np.column_stack([xy, 0 * xy[:, 0]])),
                            crs="local", image_size=(8001, 8001)))
     grids = [GeolocationVrt(step=step, height=0.0) for step in (2000, 1000)]
+    tables = [ResidualsGeopackage(exaggeration=times) for times in (1, 2)]
     return {
         "file": Scenario(
             lambda folder: write_text(folder / "mine.txt", "old"),
@@ -99,7 +106,56 @@ def scenarios() -> dict[str, Scenario]:
         "grid": Scenario(lambda folder: grids[0].write(flat, folder / "s.vrt"),
                          lambda folder: grids[1].write(flat, folder / "s.vrt"), _grid_in,
                          frozenset({"s.vrt", "s_xy.tif", "s_xy_2.tif"}), 2),
+        "GeoPackage": Scenario(lambda folder: tables[0].write(flat, folder / "r.gpkg"),
+                               lambda folder: tables[1].write(flat, folder / "r.gpkg"),
+                               _table_in, frozenset({"r.gpkg"}), 1),
+        "map": Scenario(_first_map, partial(_map, 9.0), _map_in,
+                        frozenset({"map.tif"}), 1),
     }
+
+
+@cache
+def _image() -> tuple[termsel.Result, bytes]:
+    """Return the result of a small image in a CRS, and the image."""
+    rng = np.random.default_rng(2)
+    pixels = rng.integers(1, 255, (1, 100, 100)).astype(np.uint8)
+    image = rng.uniform(0.0, 99.0, (20, 2))
+    ground = np.column_stack([5e5 + 10 * image[:, 1], 4e6 - 10 * image[:, 0], 0 * image[:, 0]])
+    features = termsel.FeatureSet(termsel.Points(tuple(map(str, range(20))), image, ground),
+                                  crs="EPSG:32639", image_size=(100, 100))
+    return termsel.run("poly-terms", strategy="as-asked", model="affine", solver="all-terms",
+                       features=features), tiff_bytes(pixels)
+
+
+def _first_map(folder: Path) -> None:
+    folder.with_suffix(".tif").write_bytes(_image()[1])
+    _map(6.0, folder)
+
+
+def _map(resolution: float, folder: Path) -> None:
+    termsel.rectify(_image()[0], folder.with_suffix(".tif"), folder / "map.tif",
+                    resolution=resolution, overwrite=True)
+
+
+def _map_in(folder: Path) -> str:
+    """Return which map is there, if all of its pixels can be read."""
+    import rasterio
+
+    with rasterio.open(folder / "map.tif") as raster:
+        if not raster.read(1).any():
+            return "an empty map"
+        return {6.0: "old", 9.0: "new"}[raster.res[0]]
+
+
+def _table_in(folder: Path) -> str:
+    """Return which GeoPackage is there, if it is whole."""
+    from pyogrio.raw import read
+
+    for layer in ("residuals", "vectors"):
+        names, _, _, columns = read(str(folder / "r.gpkg"), layer=layer)
+        if len(columns[0]) != 20:
+            return f"{len(columns[0])} rows of {layer}"
+    return {1.0: "old", 2.0: "new"}[columns[list(names["fields"]).index("exaggeration")][0]]
 
 
 def _grid_in(folder: Path) -> str:
@@ -127,8 +183,8 @@ def _child(work: Callable[[], bool]) -> int:
         code = 11
     except KeyboardInterrupt:
         code = 12
-    except BaseException as error:
-        print(repr(error), file=sys.stderr)
+    except BaseException:
+        print_exc()
         raise
     finally:
         os._exit(code)
@@ -194,7 +250,8 @@ def main(name: str, top: Path) -> None:
             point += 1
 
 
-POINTS = {"file": 8, "first result": 18, "next result": 26, "grid": 14}
+POINTS = {"file": 8, "first result": 18, "next result": 26, "grid": 14, "GeoPackage": 9,
+          "map": 9}
 """At how many points each scenario is at least interrupted by a signal."""
 
 on_posix = pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
@@ -202,7 +259,8 @@ on_posix = pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
 
 @on_posix
 @pytest.mark.parametrize("scenario", [
-    pytest.param(name, marks=pytest.mark.slow if "result" in name else ()) for name in POINTS])
+    pytest.param(name, marks=() if name in ("file", "grid") else pytest.mark.slow)
+    for name in POINTS])
 def test_an_interrupt_leaves_what_was_there_or_what_is_new(scenario: str) -> None:
     # In memory, as it is synced thousands of times.
     memory = "/dev/shm" if os.access("/dev/shm", os.W_OK) else None
@@ -224,6 +282,78 @@ def test_an_interrupt_leaves_what_was_there_or_what_is_new(scenario: str) -> Non
         if way.startswith("SIG") and way != "SIGXFSZ":
             assert len(found) > POINTS[scenario], way
     assert {line[0] for line in lines} == set(WAYS)
+
+
+@pytest.fixture
+def small_disk(tmp_path: Path) -> Iterator[Path]:
+    """A disk of one megabyte."""
+    words = ["mount", "-t", "tmpfs", "-o", "size=1m", "tmpfs", str(tmp_path)]
+    if not hasattr(os, "geteuid") or os.geteuid() or shutil.which("mount") is None \
+            or subprocess.run(words, capture_output=True, check=False).returncode:
+        pytest.skip("only root may mount a disk in memory")
+    yield tmp_path
+    subprocess.run(["umount", str(tmp_path)], check=True)
+
+
+def _fill(disk: Path, left: int) -> Path:
+    """Write a file until so many bytes are left on a disk."""
+    filler = disk / "filler"
+    with suppress(OSError), filler.open("wb", buffering=0) as file:
+        while True:
+            file.write(bytes(1024))
+    os.truncate(filler, filler.stat().st_size - left)
+    return filler
+
+
+@pytest.mark.parametrize("scenario", POINTS)
+def test_a_full_disk_leaves_what_was_there(scenario: str, small_disk: Path,
+                                           monkeypatch: pytest.MonkeyPatch) -> None:
+    one = scenarios()[scenario]
+    temporary = small_disk / "tmp"
+    temporary.mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(temporary))
+    endings = []
+    for number, pages in enumerate((0, 1, 2, 4, 9, 120)):
+        folder = small_disk / str(number)
+        folder.mkdir()
+        one.prepare(folder)
+        before = one.look(folder)
+        filler = _fill(small_disk, 4096 * pages)
+        try:
+            one.write(folder)
+        except TermselError:
+            endings.append("refused")
+            assert one.look(folder) == before
+            assert {path.name for path in folder.iterdir()} <= one.names
+        else:
+            endings.append("new")
+            assert one.look(folder) == "new"
+        assert not list(temporary.iterdir())
+        filler.unlink()
+        one.write(folder)
+        assert one.look(folder) == "new"
+        shutil.rmtree(folder)
+    assert endings == sorted(endings, reverse=True)
+    assert {"refused", "new"} == set(endings)
+
+
+def test_a_map_that_gdal_did_not_write_whole_is_refused(
+        tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    import rasterio.shutil
+
+    def loses(source: Path, target: Path, **how: Any) -> None:
+        copied(source, target, **how)
+        with rasterio.open(target, "r+", IGNORE_COG_LAYOUT_BREAK="YES") as raster:
+            raster.write(raster.read() // 2)
+
+    copied = rasterio.shutil.copy
+    folder = tmp_path / "folder"
+    folder.mkdir()
+    _first_map(folder)
+    monkeypatch.setattr(rasterio.shutil, "copy", loses)
+    with pytest.raises(TermselError, match="read back is not the one that was written"):
+        _map(9.0, folder)
+    assert _map_in(folder) == "old"
 
 
 def test_a_result_that_cannot_be_encoded_leaves_the_earlier_one(

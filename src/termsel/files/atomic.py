@@ -106,15 +106,32 @@ def private_folder(parent: Path | None = None) -> Iterator[Path]:
     ----------
     parent : pathlib.Path, optional
         The folder for temporary files of the system by default.
+
+    Raises
+    ------
+    TermselError
+        If that cannot be written; with another parent the OSError is raised as it is.
     """
-    parent = Path(gettempdir()) if parent is None else parent
-    _remove_left(parent)
-    folder = parent / f"{_PREFIX}{_here()}-{os.getpid()}-{secrets.token_hex(6)}"
-    folder.mkdir(mode=0o700)
+    try:
+        folder = _made(Path(gettempdir()) if parent is None else parent)
+    except OSError as error:
+        if parent is not None:
+            raise
+        raise TermselError(
+            f"cannot write temporary files: {error.strerror or error}",
+            hint="Make room on the disk, or name another folder in the variable TMPDIR."
+            ) from error
     try:
         yield folder
     finally:
         shutil.rmtree(folder, ignore_errors=True)  # gone after a rename; never hide an error
+
+
+def _made(parent: Path) -> Path:
+    _remove_left(parent)
+    folder = parent / f"{_PREFIX}{_here()}-{os.getpid()}-{secrets.token_hex(6)}"
+    folder.mkdir(mode=0o700)
+    return folder
 
 
 def _remove_left(parent: Path) -> None:

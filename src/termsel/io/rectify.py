@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from zlib import crc32
 
 import numpy as np
 
@@ -251,25 +252,28 @@ def _nodata(raster: Any) -> float:
 def _warp(raster: Any, output: Path, shape: tuple[int, int], transform: Any, crs: str,
           nodata: float, progress: Callable[[float], None] | None, *, resampling: str,
           **options: Any) -> None:
-    """Warp tile by tile into a GeoTIFF, and make that cloud-optimised."""
+    """Warp tile by tile into a GeoTIFF, make that cloud-optimised, and read it back.
+
+    GDAL does not report that a disk is full when it closes a file.
+    """
     import rasterio
     from rasterio.enums import Resampling
     from rasterio.shutil import copy
     from rasterio.warp import reproject
+    from rasterio.windows import Window
 
     plain = output.with_name("tiles.tif")
     profile = {"driver": "GTiff", "height": shape[0], "width": shape[1], "count": raster.count,
                "dtype": raster.dtypes[0], "crs": crs, "transform": transform, "nodata": nodata,
                "tiled": True, "compress": "deflate", "bigtiff": "if_safer"}
     across = _TILE if raster.rpcs else _NARROW
-    tiles = [(row, column) for row in range(0, shape[0], _TILE)
-             for column in range(0, shape[1], across)]
+    tiles = [Window(column, row, min(across, shape[1] - column), min(_TILE, shape[0] - row))
+             for row in range(0, shape[0], _TILE) for column in range(0, shape[1], across)]
+    checksums = []
     bands = list(range(1, raster.count + 1))
     with rasterio.open(plain, "w", **profile) as tiled:
         tiled.colorinterp = raster.colorinterp
-        for done, (row, column) in enumerate(tiles):
-            window = rasterio.windows.Window(
-                column, row, min(across, shape[1] - column), min(_TILE, shape[0] - row))
+        for done, window in enumerate(tiles):
             pixels = np.full((raster.count, window.height, window.width), nodata,
                              dtype=raster.dtypes[0])
             # Only where RPCs are named here does rasterio let GDAL compute every pixel's place
@@ -278,9 +282,14 @@ def _warp(raster: Any, output: Path, shape: tuple[int, int], transform: Any, crs
                       dst_transform=tiled.window_transform(window), rpcs=raster.rpcs,
                       resampling=Resampling[resampling], **options)
             tiled.write(pixels, window=window)
+            checksums.append(crc32(pixels))
             if progress is not None:
                 progress((done + 1) / len(tiles))
     copy(plain, output, driver="COG", compress="deflate", bigtiff="if_safer")
+    with rasterio.open(output) as made:
+        if [crc32(made.read(window=window)) for window in tiles] != checksums:
+            raise TermselError("the map that is read back is not the one that was written",
+                               file=output, hint="Check the free space on the disk.")
 
 
 @contextmanager
