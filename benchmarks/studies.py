@@ -31,7 +31,7 @@ seeds = 40
 [budget]
 evaluations = 2000
 [options]
-polish = false
+polish=false
 """
 
 
