@@ -217,9 +217,12 @@ class Registry:
                 if entry.answers_to(name)]
 
     def origin(self, thing: Any) -> Entry | None:
-        """Return the entry of a class, `Recipe` or `DatasetSpec`; None if nothing provides it."""
+        """Return the entry of a class, `Recipe` or `DatasetSpec`; None if nothing provides it.
+
+        A recipe that comes from another process is equal, and not the same.
+        """
         return next((entry for kind in KINDS for entry in self.entries(kind)
-                     if entry.object is thing), None)
+                     if entry.object == thing), None)
 
     def version(self, distribution: str) -> str:
         """Return the version of a distribution that provides a plugin; none of this session."""
