@@ -121,11 +121,11 @@ def test_a_scheduler_that_does_not_answer_is_told(monkeypatch: pytest.MonkeyPatc
 def test_a_worker_that_differs_is_named_with_its_address() -> None:
     from termsel.studies.cluster import require_alike, versions_here
 
-    here = versions_here(["termsel", "numpy"])
+    here = versions_here(("termsel", "numpy"))
     assert here["termsel"] == termsel.__version__
     require_alike({"termsel": termsel.__version__}, here, "tcp://10.0.0.7:1")
     with pytest.raises(TermselError, match=r"worker tcp://10.0.0.7:1 lacks termsel-other"):
-        require_alike({"termsel-other": "1.0"}, versions_here(["termsel-other"]),
+        require_alike({"termsel-other": "1.0"}, versions_here(("termsel-other",)),
                       "tcp://10.0.0.7:1")
     with pytest.raises(TermselError, match=r"tcp://10.0.0.7:1 has numpy .*, this machine 1.0"):
         require_alike({"numpy": "1.0"}, here, "tcp://10.0.0.7:1")

@@ -268,7 +268,7 @@ def test_figures_are_those_that_the_runs_allow(study: termsel.Study) -> None:
     found = figures_of(study)
     assert set(found) == {"ecdf-evaluations", "ecdf-cpu-seconds", "convergence",
                           "performance-profile"}
-    rows = found["ecdf-evaluations"].to_dict()["data"]["values"]
+    (rows,) = found["ecdf-evaluations"].to_dict()["datasets"].values()
     # The solver that proves the optimum reaches every target.
     assert max(row["share"] for row in rows if row["method"] == "exact") == 1
     comparison = compare_methods(NAMES, -DEMSAR)

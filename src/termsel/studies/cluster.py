@@ -6,6 +6,7 @@ import logging
 import time
 from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
+from functools import cache
 from queue import Empty, Queue
 from typing import TYPE_CHECKING, Any
 
@@ -107,7 +108,7 @@ def _connected(address: str) -> Client:
 
 def _require_alike(client: Client, needed: Mapping[str, str]) -> None:
     """Refuse workers that would compute something else, or cannot."""
-    for worker, found in sorted(client.run(versions_here, list(needed)).items()):
+    for worker, found in sorted(client.run(versions_here, tuple(needed)).items()):
         require_alike(needed, found, worker)
 
 
@@ -137,12 +138,13 @@ def require_alike(needed: Mapping[str, str], found: Mapping[str, str | None], wo
                 hint="Install the same version on both: results may differ between versions.")
 
 
-def versions_here(names: Sequence[str]) -> dict[str, str | None]:
+@cache
+def versions_here(names: tuple[str, ...]) -> dict[str, str | None]:
     """Return the versions of packages and plugins in this process.
 
     Parameters
     ----------
-    names : sequence of str
+    names : tuple of str
     """
     own: dict[str, Any] = versions()
     plugins = {plugin.distribution: plugin.version for plugin in registry().plugins}
@@ -193,5 +195,5 @@ def _on_worker(work: Work, features: FeatureSet, needed: Mapping[str, str]) -> O
     """Run a cell on a worker, which may have come after the study began."""
     from distributed import get_worker
 
-    require_alike(needed, versions_here(list(needed)), get_worker().address)
+    require_alike(needed, versions_here(tuple(needed)), get_worker().address)
     return do(work, features)
