@@ -264,7 +264,7 @@ def test_the_polynomials_of_the_paper(degree: int, population: int) -> None:
                            options={"degree": degree, "mask": "shared"})
     for seed in (1, 2):
         found = termsel.search(task.problem, ImperialistCompetition(population=population),
-                               seed=seed, evaluations=10_000)
+                               seed=seed, evaluations=40_000, polish=True)
         certificate = gap(task.problem, float(found.objectives[0]))
         assert certificate is not None
         assert certificate["optimal"]

@@ -110,7 +110,7 @@ def test_features_first_then_terms() -> None:
 
 def test_each_step_has_a_solver_and_options_of_its_own() -> None:
     options = {"steps": "features-first", "solver.population": 30, "then.population": 7,
-               "solver.polish": False, "then.polish": False, "blunders": "keep"}
+               "blunders": "keep"}
     result = termsel.run("owdis-lines-terms", model="poly3d", solver="ga", generations=8,
                          options={**options, "then": "pso"})
     assert result.notes[0].startswith("In two steps: features first by ga, check-rmse ")

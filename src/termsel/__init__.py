@@ -52,6 +52,7 @@ if TYPE_CHECKING:
     from termsel.plugins.hookspecs import hookimpl
     from termsel.plugins.session import register
     from termsel.problems.base import Evaluation, Inputs, Problem, Selection
+    from termsel.problems.coverage import uncovered_share
     from termsel.problems.genome import Genome
     from termsel.problems.recipes import Recipe, feature_options
     from termsel.problems.segments import (
@@ -145,6 +146,7 @@ _HOME = {
     "run": "termsel.runs.run",
     "search": "termsel.solvers.search",
     "simulate_scene": "termsel.simulate",
+    "uncovered_share": "termsel.problems.coverage",
     "write_lines_csv": "termsel.formats.readers.csv_tables",
     "write_points_csv": "termsel.formats.readers.csv_tables",
 }
@@ -220,6 +222,7 @@ __all__ = [
     "run",
     "search",
     "simulate_scene",
+    "uncovered_share",
     "write_lines_csv",
     "write_points_csv",
 ]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -51,16 +51,26 @@ def _describe_problem(entry: Entry) -> None:
     from termsel.runs.task import DATA_OPTIONS
 
     recipe = entry.object
-    settings = "".join(f" --set {key}={value}" for key, value in recipe.model_options.items())
     echo(f"\n{recipe.summary}")
+    rules = {"{} generations": recipe.generations,
+             "{} generations without a gain": recipe.patience}
     _pairs({
-        "model": f"{recipe.model}{settings}", "data set": recipe.dataset,
-        "criterion": recipe.criterion, "solver": recipe.solver,
+        "model": recipe.model + _settings(recipe.model_options), "data set": recipe.dataset,
+        "criterion": recipe.criterion,
+        "solver": recipe.solver + _settings(recipe.solver_options.get(recipe.solver, {})),
+        **{f"with {solver}": _settings(options).strip()
+           for solver, options in recipe.solver_options.items() if solver != recipe.solver},
+        "ends after": ", or ".join(rule.format(n) for rule, n in rules.items() if n) or
+                      "the budget of every search",
         "control": recipe.control, "source": recipe.source})
     _options(recipe.options)
     echo("\nOptions of the data, for every problem:")
     _option_table(DATA_OPTIONS)
     echo("\nModel, solver and criterion have their own options: termsel describe NAME.")
+
+
+def _settings(options: Mapping[str, Any]) -> str:
+    return "".join(f" --set {key}={value}" for key, value in options.items())
 
 
 def _describe_model(entry: Entry) -> None:

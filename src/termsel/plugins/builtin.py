@@ -35,9 +35,10 @@ def termsel_models() -> Iterable[type[SensorModel]]:
 @hookimpl
 def termsel_problems() -> Iterable[Recipe]:
     """Return the built-in problems."""
+    from termsel.problems.papers import PAPERS
     from termsel.problems.recipes import RECIPES
 
-    return RECIPES
+    return [*RECIPES, *PAPERS]
 
 
 @hookimpl
@@ -76,9 +77,10 @@ def termsel_solvers() -> Iterable[type[Solver]]:
 def termsel_datasets() -> Iterable[DatasetSpec]:
     """Return the embedded data sets."""
     from termsel.simulate.maps import MAP
+    from termsel.simulate.paper_sets import PAPER_SETS
     from termsel.simulate.scenes import DATASETS
 
-    return [*DATASETS, MAP]
+    return [*DATASETS, MAP, *PAPER_SETS]
 
 
 @hookimpl

@@ -34,6 +34,13 @@ class Recipe:
     portfolio : bool
         Whether the strategy "auto" may answer the problem: it asks for the best model of the
         features, with any terms.
+    solver_options : mapping
+        Options of solvers, by the solver's name, that differ from their defaults.
+    generations, patience : int, optional
+        Budget of its search if none is given: generations, and generations without a gain; by
+        default that of every search.
+    refined : bool
+        Whether its own solver is followed by a local refinement.
     search_first : bool
         Whether the problem's own solver runs all the same, unless the strategy "auto" is asked for.
     source : str
@@ -53,6 +60,10 @@ class Recipe:
     second: str = "n_terms"
     portfolio: bool = False
     search_first: bool = False
+    solver_options: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    generations: int | None = None
+    patience: int | None = None
+    refined: bool = True
     source: str = ""
 
 
@@ -116,45 +127,48 @@ def feature_options(**defaults: Any) -> tuple[Option, ...]:
     return tuple(options.values())
 
 
-def _terms(inputs: Inputs) -> Problem:
+def select_terms(inputs: Inputs) -> Problem:
+    """Return the selection of terms."""
     return SelectionProblem(inputs, terms=True, features=False, mask=inputs.options["mask"])
 
 
-def _features(inputs: Inputs) -> Problem:
+def select_features(inputs: Inputs) -> Problem:
+    """Return the selection of features."""
     return SelectionProblem(inputs, terms=False, features=True)
 
 
-def _both(inputs: Inputs) -> Problem:
+def select_both(inputs: Inputs) -> Problem:
+    """Return the selection of terms and features."""
     return SelectionProblem(inputs, terms=True, features=True, mask=inputs.options["mask"])
 
 
 YAVARI = "Yavari, Valadan Zoej, Salehi 2018 (OWDIS)"
 
 RECIPES = (
-    Recipe("rfm-terms", "Which terms of a rational function model to use.", _terms,
+    Recipe("rfm-terms", "Which terms of a rational function model to use.", select_terms,
            model="rfm", dataset="ikonos-hamedan", options=OF_TERMS, portfolio=True,
            source="Valadan Zoej et al. 2007; Akhoundi Khezrabad et al. 2020"),
     Recipe("rfm-terms-lines", "Which terms of a rational function model to use, with lines as "
-           "control.", _terms,
+           "control.", select_terms,
            model="rfm", dataset="ikonos-hamedan", control="lines", options=OF_TERMS,
            portfolio=True, search_first=True,
            source=f"{YAVARI}; its companion on particle swarm could not be consulted"),
-    Recipe("poly-terms", "Which terms of a plane polynomial to use.", _terms,
+    Recipe("poly-terms", "Which terms of a plane polynomial to use.", select_terms,
            model="poly2d", dataset="ikonos-hamedan", options=OF_TERMS, portfolio=True,
            source="Valadan Zoej et al. 2002; Zakaryaie Nejad et al. 2015"),
-    Recipe("owdis-points", "Which control points to use.", _features,
+    Recipe("owdis-points", "Which control points to use.", select_features,
            model="poly3d", dataset="ikonos-hamedan", options=OF_FEATURES, second="n_features",
            portfolio=True, search_first=True,
            source=YAVARI),
-    Recipe("owdis-lines", "Which control lines to use.", _features,
+    Recipe("owdis-lines", "Which control lines to use.", select_features,
            model="poly3d", dataset="ikonos-hamedan", control="lines",
            options=OF_FEATURES, second="n_features", portfolio=True, search_first=True,
            source=YAVARI),
-    Recipe("owdis-points-terms", "Which control points and which model terms to use.", _both,
+    Recipe("owdis-points-terms", "Which control points and which model terms to use.", select_both,
            model="rfm", model_options={"order": 2}, dataset="ikonos-hamedan",
            options=OF_BOTH, portfolio=True, search_first=True,
            source=YAVARI),
-    Recipe("owdis-lines-terms", "Which control lines and which model terms to use.", _both,
+    Recipe("owdis-lines-terms", "Which control lines and which model terms to use.", select_both,
            model="rfm", model_options={"order": 2}, dataset="ikonos-hamedan",
            control="lines", options=OF_BOTH, portfolio=True, search_first=True,
            source=YAVARI),

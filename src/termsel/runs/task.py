@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 
 from termsel.criteria import Criterion
-from termsel.errors import TermselError, counted, printable
-from termsel.fits.diagnosis import orientation_spread
+from termsel.errors import TermselError, printable
 from termsel.guard.arrays import of_type
 from termsel.guard.faults import blamed, wrong
 from termsel.measurements.datasets import DatasetSpec
@@ -31,6 +30,7 @@ from termsel.plugins.registry import registry
 from termsel.problems.base import Inputs, Problem
 from termsel.problems.constraints import MAX_SHARE
 from termsel.problems.recipes import Recipe
+from termsel.runs.enough import require_enough
 from termsel.runs.fit_crs import FIT_CRS, with_fit_crs
 from termsel.runs.given import class_of, with_options
 from termsel.solvers.base import Solver
@@ -56,14 +56,11 @@ DATA_OPTIONS = (
     FIT_CRS,
 )
 
-MIN_CONTROL, MIN_CHECK = 3, 2
+MIN_CONTROL = 3
 
 FEW = 12
 """Number of points without any role below which all are control, where nothing needs check points:
 leave-one-out then tells the accuracy."""
-
-ALL_PARALLEL = 1e-4
-"""Orientation spread below which control lines are taken for parallel: within half a degree."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -204,7 +201,8 @@ def ask(
                                       recipe.criterion if criterion is None else criterion),
              "solver": names.taken("solvers", usual if solver is None else solver)}
     given = options or {}
-    then = given.get("then", given.get("problem.then"))
+    usual_then = next((one.default for one in recipe.options if one.name == "then"), None)
+    then = given.get("then", given.get("problem.then", usual_then))
     if then is not None:
         parts["then"] = names.get("solvers", then)
     chosen = by_part(given, {
@@ -212,12 +210,15 @@ def ask(
         **{word: part.declared_options for word, part in parts.items()}})
     if model in (None, recipe.model):
         chosen["model"] = {**recipe.model_options, **chosen["model"]}
-    for word in ("solver", "then")[solver is None:]:
+    # As the recipe has a solver, or else, where it is named, as its paper does.
+    for word, is_named in (("solver", solver is not None), ("then", True)):
         if isinstance(part := parts.get(word), type) and issubclass(part, Solver):
-            chosen[word] = {**part.published, **chosen[word]}
+            usual_options = recipe.solver_options.get(
+                part.name, part.published if is_named else {})
+            chosen[word] = {**usual_options, **chosen[word]}
     made = {word: with_options(word, part, chosen[word]) for word, part in parts.items()}
     of_problem = _of_problem(recipe, chosen["problem"], made["criterion"], made["solver"])
-    own_run = solver is None and not made["solver"].ends_by_itself
+    own_run = recipe.refined and solver is None and not made["solver"].ends_by_itself
     of_search = resolve(SEARCH_OPTIONS, {"polish": own_run, **chosen["search"]})
     of_data = resolve(DATA_OPTIONS, chosen["data"])
     named = asked_roles(of_data["off"], of_data["role"])
@@ -233,7 +234,8 @@ def ask(
     features = with_roles(features, named)
     return Request(recipe, made["model"], made["criterion"], made["solver"], features,
                    printable(source or "given in Python"),
-                   {"problem": of_problem, "data": of_data, "search": of_search}, made.get("then"))
+                   {"problem": of_problem, "data": of_data, "search": of_search},
+                   made.get("then") if of_problem.get("then") else None)
 
 
 def observe(request: Request, least: int = MIN_CONTROL) -> Observations:
@@ -255,7 +257,7 @@ def observe(request: Request, least: int = MIN_CONTROL) -> Observations:
     if _check_as(request, observations) == "control":
         observations = check_as_control(observations)
     require_heights(request.model, _taking_part(observations))
-    _require_enough(observations, recipe, criterion, least)
+    require_enough(observations, recipe, criterion, least)
     if of_data["fit_crs"] is not None:
         observations = with_fit_crs(of_data["fit_crs"], observations, request.model)
     return observations
@@ -329,8 +331,11 @@ def _of_problem(recipe: Recipe, given: Mapping[str, Any], criterion: Criterion,
     if "max_share" in options and options["max_share"] is None:
         options["max_share"] = 1.0 if solver.uses_all else MAX_SHARE
     if options.get("then") is not None and options["steps"] == "joint":
-        raise TermselError("then names a solver for the second of two steps, and steps=joint has "
-                           "one", hint="Add --set steps=features-first or steps=terms-first.")
+        if "then" in given:
+            raise TermselError("then names a solver for the second of two steps, and steps=joint "
+                               "has one",
+                               hint="Add --set steps=features-first or steps=terms-first.")
+        options["then"] = None
     if "recommend" in options:
         options["recommend"] = _rule(options["recommend"], criterion, solver)
     return options
@@ -353,11 +358,6 @@ def _rule(asked: str | None, criterion: Criterion, solver: Solver) -> str:
                      else "best")
 
 
-def _count(observations: Observations) -> int:
-    """Return how many features there are, in whatever role."""
-    return len(observations.features.points) + len(observations.control.lines.features)
-
-
 def _taking_part(observations: Observations) -> FeatureSet:
     """Return all features that have a role, together."""
     control = observations.control
@@ -366,34 +366,3 @@ def _taking_part(observations: Observations) -> FeatureSet:
         tuple(name for part in points for name in part.ids),
         np.concatenate([part.image for part in points]),
         np.concatenate([part.ground for part in points])))
-
-
-def _require_enough(observations: Observations, recipe: Recipe, criterion: Criterion,
-                    least: int) -> None:
-    control, check = observations.control, observations.check
-    if len(control) < least:
-        raise TermselError(
-            f"Of your {counted(_count(observations), 'feature')} {len(control)} "
-            f"{'is' if len(control) == 1 else 'are'} control; "
-            f"{recipe.name} needs at least {least}",
-            hint="Measure more, or give more of them the role control.")
-    if criterion.needs_check and len(check) < MIN_CHECK:
-        raise TermselError(
-            f"Of your {counted(_count(observations), 'feature')} "
-            + ("1 is a check point" if len(check) == 1 else f"{len(check)} are check points")
-            + f"; the criterion {criterion.name} needs at least {MIN_CHECK}",
-            hint="Give more points the role check; they judge the fitness of a selection. The "
-                 "criterion press needs none (--criterion press).")
-    if not np.ptp(control.image_vertices(), axis=0).any():
-        raise TermselError("all control features have the same place in the image",
-                           hint="Check that the columns line and sample hold image coordinates.")
-    flat = np.ptp(control.ground_vertices()[:, :2], axis=0)
-    spread = np.linalg.svd(control.ground_vertices()[:, :2]
-                           - control.ground_vertices()[:, :2].mean(axis=0), compute_uv=False)
-    if not flat.any() or (len(control) > 2 and spread[1] < 1e-6 * spread[0]):
-        raise TermselError("all control features lie on one straight line on the ground",
-                           hint="Add control away from that line: a model needs an area.")
-    if not len(control.points) and orientation_spread(control.lines) < ALL_PARALLEL:
-        raise TermselError(
-            "all control lines are parallel in the image, so nothing is measured along them",
-            hint="Add lines of another direction, or control points with --set mixed=true.")

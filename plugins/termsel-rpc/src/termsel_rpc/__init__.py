@@ -13,14 +13,17 @@ from typing import TYPE_CHECKING
 
 from termsel import DatasetSpec, hookimpl
 from termsel_rpc.image_space import RpcAffine, RpcDrift, RpcShift
+from termsel_rpc.konugurthi import RECIPE as KONUGURTHI
+from termsel_rpc.konugurthi import E50PerArea
 from termsel_rpc.problem import RECIPE, Ce90
 from termsel_rpc.rigorous import PushbroomRefine
-from termsel_rpc.simulated import CANDIDATES, candidates
+from termsel_rpc.simulated import CANDIDATES, MATCHES, candidates, matches
 
 if TYPE_CHECKING:
     from termsel import Criterion, Recipe, SensorModel
 
-__all__ = ["Ce90", "PushbroomRefine", "RpcAffine", "RpcDrift", "RpcShift", "candidates"]
+__all__ = ["Ce90", "E50PerArea", "PushbroomRefine", "RpcAffine", "RpcDrift", "RpcShift",
+           "candidates", "matches"]
 
 
 @hookimpl
@@ -31,14 +34,14 @@ def termsel_models() -> Iterable[type[SensorModel]]:
 
 @hookimpl
 def termsel_criteria() -> Iterable[type[Criterion]]:
-    """Return the circular error."""
-    return [Ce90]
+    """Return the circular error, and the median error by the covered area."""
+    return [Ce90, E50PerArea]
 
 
 @hookimpl
 def termsel_problems() -> Iterable[Recipe]:
-    """Return the selection of m of n control points."""
-    return [RECIPE]
+    """Return the selection of m of n control points, and a paper's set-up of it."""
+    return [RECIPE, KONUGURTHI]
 
 
 @hookimpl
@@ -48,4 +51,7 @@ def termsel_datasets() -> Iterable[DatasetSpec]:
         CANDIDATES, "simulated IKONOS scene of Hamedan, 1 m: 240 points; of 160 for control and "
                     "check 40 are inexact and 24 blunders (after Konugurthi et al. "
                     "2016)", candidates,
+        simulated=True), DatasetSpec(
+        MATCHES, "simulated Cartosat-1 scene, 2.5 m: 100 points of image matching, 30 of them "
+                 "wrong (after Konugurthi et al. 2016); 100 independent ones", matches,
         simulated=True)]

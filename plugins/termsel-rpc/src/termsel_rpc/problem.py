@@ -44,7 +44,8 @@ class Ce90(Criterion):
             return ce90(fits.check_errors)
 
 
-def _gcps(inputs: Inputs) -> Problem:
+def select_gcps(inputs: Inputs) -> Problem:
+    """Return the selection of control points, judged by those of the option `judged_by`."""
     if inputs.options["judged_by"] == "all":
         control, check = inputs.control.points, inputs.check
         inputs = replace(inputs, check=Points(
@@ -56,7 +57,7 @@ def _gcps(inputs: Inputs) -> Problem:
 RECIPE = Recipe(
     "rpc-gcps", "Selection of m of n control points for the refinement of a vendor's RPC or a "
                 "rigorous model.",
-    _gcps, model="rpc-drift", model_options={"rpc": CANDIDATES}, dataset=CANDIDATES,
+    select_gcps, model="rpc-drift", model_options={"rpc": CANDIDATES}, dataset=CANDIDATES,
     criterion="check-rmse", solver="ga-steady", second="uncovered",
     options=(JUDGED_BY, *feature_options(min_features=6, max_features=6, max_uncovered=0.5)),
     source="Konugurthi et al. 2016")

@@ -20,9 +20,9 @@ from termsel.simulate import (
     scene_truth,
 )
 from termsel_rpc.refinement import FloatArray, Refinement
-from termsel_rpc.simulated import CANDIDATES, nominal_sensor
+from termsel_rpc.simulated import NOMINAL, nominal_sensor
 
-EMBEDDED = (CANDIDATES, *SCENES)
+EMBEDDED = (*NOMINAL, *SCENES)
 
 POSITION, ATTITUDE = ("ahead", "starboard", "down"), ("roll", "pitch", "yaw")
 
@@ -62,7 +62,8 @@ class PushbroomRefine(Refinement):
         given = self.options["geometry"]
         self._sensor, self._file = None, given
         if given in EMBEDDED:
-            self._sensor = nominal_sensor() if given == CANDIDATES else scene_truth(given).sensor
+            self._sensor = (nominal_sensor(given) if given in NOMINAL
+                            else scene_truth(given).sensor)
         elif given.startswith("{"):
             self._sensor, self._file = geometry_from(given), "of the result"
         elif given:

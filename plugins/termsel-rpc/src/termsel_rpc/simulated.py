@@ -12,6 +12,9 @@ from termsel.simulate import Angle, Pushbroom, scene_truth
 
 CANDIDATES = "hamedan-candidates"
 SCENE = "ikonos-hamedan"
+MATCHES = "cartosat-matches"
+NOMINAL = {CANDIDATES: SCENE, MATCHES: "cartosat-hyderabad"}
+"""Data sets with a vendor's geometry, and the scenes they are of."""
 
 RPC_FILE = Path(__file__).with_name("hamedan_vendor.RPB")
 """RPC that replaces `nominal_sensor`, as vendors do (`make_vendor_rpc.py`)."""
@@ -26,9 +29,9 @@ _GOOD_NOISE, _INEXACT_NOISE = 0.5, 2.0
 _NEAREST, _FARTHEST = 5.0, 40.0
 
 
-def nominal_sensor() -> Pushbroom:
+def nominal_sensor(data_set: str = CANDIDATES) -> Pushbroom:
     """Return the scanner as its vendor knows it: with attitude errors, and without jitter."""
-    true = scene_truth(SCENE).sensor
+    true = scene_truth(NOMINAL[data_set]).sensor
     end = true.centre[0] * true.line_period
     roll = -ROLL * true.ifov, -ROLL_DRIFT * true.ifov / end
     return replace(true, roll=_changed(true.roll, roll),
@@ -56,11 +59,42 @@ def candidates() -> FeatureSet:
         WGS84 longitude, latitude [deg], ellipsoidal height [m].
     """
     scene = simulate_scene(SCENE, n_points=_POINTS, n_lines=0, noise=0.0)
-    points, rng = scene.points, np.random.default_rng(_SEED)
-    kind = quality()
-    noise = rng.standard_normal((_POINTS, 2)) * np.where(
+    return _measured(scene, quality(), np.random.default_rng(_SEED))
+
+
+def matches(wrong: float = 0.3, seed: int = 0) -> FeatureSet:
+    """Return points as image matching finds them in a Cartosat-1 scene, some of them wrong.
+
+    100 control and 100 independent points of the simulated scene "cartosat-hyderabad". Of the
+    control points a share is mismatched, by 5 to 40 px; the others are measured to 0.5 px, and so
+    are the independent ones.
+
+    Parameters
+    ----------
+    wrong : float
+        That share, 0 to 1.
+    seed : int
+
+    Returns
+    -------
+    FeatureSet
+        WGS84 longitude, latitude [deg], ellipsoidal height [m].
+    """
+    scene = simulate_scene(NOMINAL[MATCHES], seed=seed, noise=0.0)
+    control = np.flatnonzero(np.array(scene.points.roles) == "control")
+    rng = np.random.default_rng([seed, 2])
+    kind = np.full(len(scene.points), "good", dtype="<U7")
+    kind[rng.permutation(control)[:round(wrong * len(control))]] = "wrong"
+    return _measured(scene, kind, rng)
+
+
+def _measured(scene: FeatureSet, kind: np.ndarray[tuple[int], np.dtype[np.str_]],
+              rng: np.random.Generator) -> FeatureSet:
+    """Return a scene without noise, with its points measured well, inexactly or wrongly."""
+    points, n = scene.points, len(scene.points)
+    noise = rng.standard_normal((n, 2)) * np.where(
         kind == "inexact", _INEXACT_NOISE, _GOOD_NOISE)[:, None]
-    turn, far = rng.uniform(0, 2 * np.pi, _POINTS), rng.uniform(_NEAREST, _FARTHEST, _POINTS)
+    turn, far = rng.uniform(0, 2 * np.pi, n), rng.uniform(_NEAREST, _FARTHEST, n)
     astray = np.column_stack([np.sin(turn), np.cos(turn)]) * far[:, None]
     image = points.image + noise + np.where(kind == "wrong", 1.0, 0.0)[:, None] * astray
     return replace(scene, points=replace(points, image=image), noise=_GOOD_NOISE)

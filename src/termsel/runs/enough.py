@@ -1,0 +1,67 @@
+"""Whether the features of a run are enough for its problem."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from termsel.criteria import Criterion
+from termsel.errors import TermselError, counted
+from termsel.fits.diagnosis import orientation_spread
+from termsel.measurements.roles import Observations
+from termsel.problems.recipes import Recipe
+
+MIN_CHECK = 2
+
+ALL_PARALLEL = 1e-4
+"""Orientation spread below which control lines are taken for parallel: within half a degree."""
+
+
+def require_enough(observations: Observations, recipe: Recipe, criterion: Criterion,
+                   least: int) -> None:
+    """Refuse data on which a problem cannot be run.
+
+    Parameters
+    ----------
+    observations : Observations
+    recipe : Recipe
+    criterion : Criterion
+    least : int
+        Fewest control features.
+
+    Raises
+    ------
+    TermselError
+        For too few features, all in one place, or lines all of one direction.
+    """
+    control, check = observations.control, observations.check
+    if len(control) < least:
+        raise TermselError(
+            f"Of your {counted(_count(observations), 'feature')} {len(control)} "
+            f"{'is' if len(control) == 1 else 'are'} control; "
+            f"{recipe.name} needs at least {least}",
+            hint="Measure more, or give more of them the role control.")
+    if criterion.needs_check and len(check) < MIN_CHECK:
+        raise TermselError(
+            f"Of your {counted(_count(observations), 'feature')} "
+            + ("1 is a check point" if len(check) == 1 else f"{len(check)} are check points")
+            + f"; the criterion {criterion.name} needs at least {MIN_CHECK}",
+            hint="Give more points the role check; they judge the fitness of a selection. The "
+                 "criterion press needs none (--criterion press).")
+    if not np.ptp(control.image_vertices(), axis=0).any():
+        raise TermselError("all control features have the same place in the image",
+                           hint="Check that the columns line and sample hold image coordinates.")
+    flat = np.ptp(control.ground_vertices()[:, :2], axis=0)
+    spread = np.linalg.svd(control.ground_vertices()[:, :2]
+                           - control.ground_vertices()[:, :2].mean(axis=0), compute_uv=False)
+    if not flat.any() or (len(control) > 2 and spread[1] < 1e-6 * spread[0]):
+        raise TermselError("all control features lie on one straight line on the ground",
+                           hint="Add control away from that line: a model needs an area.")
+    if not len(control.points) and orientation_spread(control.lines) < ALL_PARALLEL:
+        raise TermselError(
+            "all control lines are parallel in the image, so nothing is measured along them",
+            hint="Add lines of another direction, or control points with --set mixed=true.")
+
+
+def _count(observations: Observations) -> int:
+    """Return how many features there are, in whatever role."""
+    return len(observations.features.points) + len(observations.control.lines.features)
