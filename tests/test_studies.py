@@ -96,6 +96,16 @@ def test_python_takes_objects_and_features() -> None:
         budget={"evaluations": 40})
     assert [row["model"] for row in study.rows] == ["poly2d, degree=1", "poly2d"] * 2
     assert [row["data"] for row in study.rows] == ["mine"] * 2 + ["again"] * 2
+    class Mine(termsel.Polynomial2D):
+        """A model that is not registered."""
+
+        name = "mine"
+
+    own = termsel.compare(problems=["poly-terms"], models=[Mine(degree=2), Mine],
+                          solvers=["random"], budget={"evaluations": 40}, options={"degree": 3})
+    assert [(row["model"], row["state"]) for row in own.rows] == [
+        ("mine, degree=2", "done"), ("mine", "done")]
+    assert own.rows[0]["n_terms"] <= 12 < own.rows[1]["n_terms"]
     table = study.to_pandas()
     assert list(table.columns) == list(study.columns)
     assert len(table) == 4

@@ -80,7 +80,7 @@ def _plain(study: termsel.Study) -> list[dict[str, object]]:
 
 @pytest.mark.slow
 def test_a_cluster_gives_what_one_process_gives_whatever_is_lost(cluster: Cluster) -> None:
-    asked = {**ASKED, "seeds": 12, "budget": {"evaluations": 2000}}
+    asked = {**ASKED, "seeds": 10, "budget": {"evaluations": 1000}}
     alone = termsel.compare(**asked)
     lost: list[str] = []
 
@@ -95,7 +95,7 @@ def test_a_cluster_gives_what_one_process_gives_whatever_is_lost(cluster: Cluste
             cluster.scheduler.wait()
             # Workers of a lost scheduler end; a cluster's queue starts others.
             cluster.start_scheduler()
-            for _ in range(4):
+            for _ in range(2):
                 cluster.start_worker()
 
     found = termsel.compare(**asked, scheduler=cluster.address, observers=(interfere,))

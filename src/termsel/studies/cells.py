@@ -5,11 +5,11 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from termsel.errors import TermselError
-from termsel.options import Option
+from termsel.options import Configurable, Option
 from termsel.plugins.registry import registry
 from termsel.runs.auto import LEAST, wanted
 from termsel.runs.run import problem_for
@@ -37,12 +37,15 @@ class Cell:
         Arguments of the run, names and options; the features are not among them.
     data : Data
         Not carried to workers with every cell; see `Work`.
+    things : mapping
+        Classes, instances and recipes in place of names, where Python gave them.
     """
 
     key: str
     labels: Mapping[str, Any]
     call: Mapping[str, Any]
     data: Data
+    things: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def kind(self) -> tuple[Any, ...]:
@@ -90,7 +93,7 @@ def _own_data(spec: Spec, problem: Part | None) -> Data:
         raise spec.places.error(("data",), "the study names neither data nor a problem",
                                 "Write [[data]] and points = \"*.csv\", or problems = [\"...\"].")
     try:
-        recipe = registry().get("problems", problem.name)
+        recipe = registry().taken("problems", problem.thing or problem.name)
     except TermselError as error:
         raise spec.places.error(problem.path, error.what, error.hint) from error
     return of_dataset(recipe.dataset)
@@ -174,7 +177,8 @@ class _Kinds:
             chosen: Solver = request.solver
             return _Kind(options, {"model": request.model.name, "solver": chosen.name,
                                    "criterion": request.criterion.name},
-                         chance=strategy != "auto" and chosen.uses_chance)
+                         chance=strategy != "auto" and (
+                             chosen.uses_chance or bool(request.options["search"]["polish"])))
         assert first is not None  # some data can be read, or there would be no study
         named = next((part for word in ("solver", "model", "criterion", "problem")
                       if (part := parts[word]) and part.path), None)
@@ -184,12 +188,12 @@ class _Kinds:
                options: Mapping[str, Any]) -> Request:
         problem = parts["problem"]
         assert problem is not None
-        names: dict[str, Any] = {word: part.name for word, part in parts.items()
+        names: dict[str, Any] = {word: part.thing or part.name for word, part in parts.items()
                                  if part}
         method: dict[str, Any] = {}
         try:
             if strategy == "auto":
-                recipe = registry().get("problems", problem.name)
+                recipe = registry().taken("problems", problem.thing or problem.name)
                 wanted("auto", recipe, {f"the option {key}": True for key in problem.options})
                 method = {"criterion": "press", "solver": "all-terms"}
             return ask(**{**names, **method}, features=data.features, source=data.source,
@@ -233,7 +237,9 @@ class _Kinds:
             if having:
                 self._used.add(key)
             for word in having:
-                if bare not in chosen:
+                # An instance has its options already.
+                part = parts.get(word)
+                if bare not in chosen and not (part and isinstance(part.thing, Configurable)):
                     chosen.setdefault(f"{word}.{bare}", value)
         # Every cell has one thread, so that cells at the same time do not wait for each other.
         if any(option.name == "workers" for option in declared.get("solver", ())):
@@ -258,6 +264,15 @@ def _cell(spec: Spec, strategy: str, parts: Mapping[str, Part | None], kind: _Ki
             "options": options, "seed": seed, **spec.budget}
     if strategy == "auto":
         call["exports"] = list(spec.exports)
-    identity = {**call, "labels": labels, "data": data.key}
+    things = {word: part.thing for word, part in parts.items() if part and part.thing}
+    identity = {**call, "labels": labels, "data": data.key, **(
+        {"things": {word: _told(thing) for word, thing in things.items()}} if things else {})}
     text = json.dumps(identity, sort_keys=True, separators=(",", ":"))
-    return Cell(hashlib.sha256(text.encode()).hexdigest()[:24], labels, call, data)
+    return Cell(hashlib.sha256(text.encode()).hexdigest()[:24], labels, call, data, things)
+
+
+def _told(thing: Any) -> str:
+    """Return what identifies an object: its class, and the options of an instance."""
+    kind = thing if isinstance(thing, type) else type(thing)
+    options = sorted(thing.options.items()) if isinstance(thing, Configurable) else []
+    return f"{kind.__module__}.{kind.__qualname__} {options}"

@@ -63,8 +63,8 @@ def compare(
         Called with `Progress` when the study begins and after every cell.
     **keys
         Keys of a study file, in place of `study` or of what it says: problems, models, solvers,
-        criteria, strategies, data, seeds, splits, budget, options, exports, measure, title. Models,
-        solvers and criteria may be objects of classes that have a name here; data may be a mapping
+        criteria, strategies, data, seeds, splits, budget, options, exports, measure, title.
+        Problems, models, solvers and criteria may be objects, as in `run`; data may be a mapping
         of feature sets by name.
 
     Returns
@@ -160,7 +160,7 @@ def works_of(cells: list[Cell]) -> tuple[list[Work], dict[str, FeatureSet]]:
     ----------
     cells : list of Cell
     """
-    works = [Work(cell.key, cell.call, cell.data.key, cell.data.source)
+    works = [Work(cell.key, cell.call, cell.data.key, cell.data.source, cell.things)
              for cell in cells if cell.data.features is not None]
     return works, {cell.data.key: cell.data.features for cell in cells
                    if cell.data.features is not None}
@@ -238,7 +238,7 @@ def _plugins(cells: list[Cell], spec: Spec) -> dict[str, str]:
     kinds = {"problem": "problems", "model": "models", "criterion": "criteria",
              "solver": "solvers"}
     named = {(kinds[word], cell.call[word]) for cell in cells for word in kinds
-             if cell.call[word]}
+             if cell.call[word] and word not in cell.things}
     named |= {("writers", name) for name in spec.exports}
     origins = {entry.provided_by for kind, name in named for entry in registry().entries(kind)
                if entry.answers_to(name)} - {"termsel"}

@@ -38,12 +38,15 @@ class Part:
     options : mapping
     path : tuple
         Where the study file names it.
+    thing : object, optional
+        The class, instance or recipe that Python gave in place of a name.
     """
 
     name: str
     label: str
     options: Mapping[str, Any] = field(default_factory=dict)
     path: Keys = ()
+    thing: Any = None
 
 
 @dataclass(frozen=True)
@@ -198,10 +201,14 @@ def _part(at: Places, path: Keys, given: Any) -> Part:
     if isinstance(given, Configurable):
         shown = {option.name: given.options[option.name] for option in given.declared_options
                  if given.options[option.name] != option.default}
-        given = {"name": given.name, **shown}
+        label = ", ".join([given.name, *(f"{key}={_plain(value)}" for key, value in shown.items())])
+        return Part(given.name, label, path=path, thing=given)
     if not isinstance(given, Mapping):
-        raise at.error(path, f"{given!r} is neither a name nor a table",
-                       'Write "name", or {name = "name", option = value}.')
+        name = getattr(given, "name", None)
+        if not isinstance(name, str):
+            raise at.error(path, f"{given!r} is neither a name nor a table",
+                           'Write "name", or {name = "name", option = value}.')
+        return Part(name, name, path=path, thing=given)
     name = given.get("name")
     if not isinstance(name, str):
         raise at.error(path, "a table has no name", 'Write {name = "...", option = value}.')

@@ -44,7 +44,7 @@ class Work:
     ----------
     key : str
         Of the cell.
-    call : mapping
+    call, things : mapping
         As in `Cell`.
     data, source : str
         Key of the features, and where they come from.
@@ -54,6 +54,7 @@ class Work:
     call: Mapping[str, Any]
     data: str
     source: str
+    things: Mapping[str, Any] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -179,8 +180,8 @@ def _as_asked(work: Work, features: FeatureSet, trace: _Trace) -> tuple[
     models, which takes longer than most searches and is the same for all seeds.
     """
     call = work.call
-    names = {word: call[word] for word in ("problem", "model", "criterion", "solver")
-             if call[word] is not None}
+    names = {word: work.things.get(word, call[word])
+             for word in ("problem", "model", "criterion", "solver") if call[word] is not None}
     task = prepare(**names, features=features, source=work.source, options=call["options"])
     found = search_without_blunders(
         task, seed=call["seed"], observers=[trace],
@@ -253,7 +254,7 @@ def _auto(work: Work, features: FeatureSet, trace: _Trace) -> tuple[
     """Return state and figures of a choice by the strategy auto, and the files of its result."""
     with private_folder() as folder:
         out = folder / "result"
-        result = run(work.call["problem"], features=features,
+        result = run(work.things.get("problem", work.call["problem"]), features=features,
                      source=work.source, strategy="auto", options=work.call["options"],
                      seed=work.call["seed"], observers=[trace], out=out)
         if result.interrupted:
