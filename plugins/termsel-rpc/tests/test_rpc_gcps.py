@@ -97,10 +97,11 @@ def test_the_figure_is_over_the_points_asked_for(judged_by: str) -> None:
     task = termsel.prepare("rpc-gcps", criterion="ce90",
                            options={"judged_by": judged_by, "max_uncovered": 1})
     genes = task.problem.genome.random(np.random.default_rng(0), 5)
+    assert genes.shape == (5, 6)  # six numbers of features, as in the paper
     found = task.problem.evaluate(genes).objectives[:, 0]
     control, check = task.observations.control.points, task.observations.check
     for one, figure in zip(genes, found, strict=True):
-        chosen = control.take(one)
+        chosen = control.take(np.sort(one))
         seen = read_rpc(RPC_FILE).project(chosen.ground)
         columns = np.column_stack([np.ones(len(seen)), seen[:, 0]])
         correction = np.linalg.lstsq(columns, chosen.image - seen, rcond=None)[0]
@@ -128,6 +129,13 @@ def test_any_number_of_points(m: int) -> None:
     result = termsel.run("rpc-gcps", generations=20,
                          options={"min_features": m, "max_features": m, "max_uncovered": 1})
     assert len(result.selection.features) == m
+
+
+def test_a_solver_for_bits_alone_is_refused_for_m_of_n() -> None:
+    with pytest.raises(TermselError, match="those of 'features' are Subset") as error:
+        termsel.prepare("rpc-gcps", solver="ica")
+    assert "ga-steady" in str(error.value.hint)
+    assert termsel.prepare("rpc-gcps", solver="ica", options={"max_features": 7}).solver.name == "ica"
 
 
 @pytest.mark.parametrize("solver", [None, "ga"])

@@ -51,7 +51,8 @@ def select_gcps(inputs: Inputs) -> Problem:
         inputs = replace(inputs, check=Points(
             control.ids + check.ids, np.concatenate([control.image, check.image]),
             np.concatenate([control.ground, check.ground])))
-    return SelectionProblem(inputs, terms=False, features=True)
+    # m features are a chromosome of m numbers, as in the paper.
+    return SelectionProblem(inputs, terms=False, features=True, subset=True)
 
 
 RECIPE = Recipe(
