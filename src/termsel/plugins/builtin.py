@@ -24,12 +24,20 @@ def termsel_models() -> Iterable[type[SensorModel]]:
     """Return the built-in sensor models."""
     from termsel.models.helmert import Helmert2D
     from termsel.models.interpolating import Field, Field3D, ThinPlate
-    from termsel.models.polynomial import Affine, Polynomial2D, Polynomial3D
+    from termsel.models.polynomial import (
+        Affine,
+        Polynomial2D,
+        Polynomial2DByAxis,
+        Polynomial3D,
+        Polynomial3DByAxis,
+    )
     from termsel.models.projective import DLT2D, DLT3D, Projective2D
+    from termsel.models.radial import Radial2D, Radial3D
     from termsel.models.rational import RationalFunctions
 
     return [RationalFunctions, Polynomial2D, Polynomial3D, Affine, Projective2D, DLT2D, DLT3D,
-            Helmert2D, ThinPlate, Field, Field3D]
+            Helmert2D, ThinPlate, Field, Field3D, Polynomial2DByAxis, Polynomial3DByAxis,
+            Radial2D, Radial3D]
 
 
 @hookimpl
@@ -78,9 +86,10 @@ def termsel_datasets() -> Iterable[DatasetSpec]:
     """Return the embedded data sets."""
     from termsel.simulate.maps import MAP
     from termsel.simulate.paper_sets import PAPER_SETS
+    from termsel.simulate.photos import PHOTO
     from termsel.simulate.scenes import DATASETS
 
-    return [*DATASETS, MAP, *PAPER_SETS]
+    return [*DATASETS, MAP, PHOTO, *PAPER_SETS]
 
 
 @hookimpl

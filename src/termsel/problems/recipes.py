@@ -9,6 +9,7 @@ from typing import Any
 from termsel.options import COUNT, Option
 from termsel.problems.base import Inputs, Problem
 from termsel.problems.constraints import FORCE_OPTIONS, TERM_OPTIONS
+from termsel.problems.parameters import ParameterProblem
 from termsel.problems.selection import SelectionProblem
 
 
@@ -106,6 +107,7 @@ BLUNDERS = Option(
     "repeats the search without them, until it uses none; keep is the search as published.",
     choices=("leave-out", "keep"))
 
+CAP = next(option for option in TERM_OPTIONS if option.name == "max_share")
 _BOTH = (MASK, MIXED, *TERM_OPTIONS, OBJECTIVES)
 OF_TERMS = (*_BOTH, RECOMMEND_TERMS)
 OF_FEATURES = (TERMS, MIXED, *COUNTS, *FORCE_OPTIONS, OBJECTIVES, RECOMMEND, BLUNDERS)
@@ -135,6 +137,19 @@ def select_terms(inputs: Inputs) -> Problem:
 def select_features(inputs: Inputs) -> Problem:
     """Return the selection of features."""
     return SelectionProblem(inputs, terms=False, features=True)
+
+
+CENTRE = ("centre_line", "centre_sample")
+
+
+def _distortion(inputs: Inputs) -> Problem:
+    return ParameterProblem(inputs, CENTRE, terms=True, mask=inputs.options["mask"])
+
+
+def _degrees(inputs: Inputs) -> Problem:
+    own = [option.name for option in inputs.model.declared_options
+           if option.name.startswith(("line_", "sample_"))]
+    return ParameterProblem(inputs, own or ("line_x",))
 
 
 def select_both(inputs: Inputs) -> Problem:
@@ -172,4 +187,10 @@ RECIPES = (
            model="rfm", model_options={"order": 2}, dataset="ikonos-hamedan",
            control="lines", options=OF_BOTH, portfolio=True, search_first=True,
            source=YAVARI),
+    Recipe("distortion", "Which terms of a polynomial and of radial distortion to use, and where "
+           "the centre of distortion is.", _distortion, model="radial3d", dataset="aerial-photo",
+           solver="pso", options=(MASK, *TERM_OPTIONS, OBJECTIVES, RECOMMEND)),
+    Recipe("poly-degree", "Which degree to use for line and sample in each coordinate.", _degrees,
+           model="poly3d-by-axis", dataset="ikonos-hamedan", solver="swap",
+           options=(CAP, OBJECTIVES, RECOMMEND)),
 )

@@ -12,7 +12,7 @@ from termsel.criteria import Criterion, Fits
 from termsel.errors import TermselError, unknown_name
 from termsel.measurements.features import BoolArray, FloatArray, IntArray, select
 from termsel.measurements.places import centres
-from termsel.models.base import LINE, SAMPLE
+from termsel.models.base import LINE, SAMPLE, SensorModel
 from termsel.models.poles import POLE_MARGIN, guard_points, pole_violation
 from termsel.models.terms import Term
 from termsel.problems.base import WORST, EnumerablePart, Evaluation, Inputs, Problem, Selection
@@ -112,6 +112,24 @@ class SelectionProblem(Problem):
         problem = copy(self)
         problem.inputs = replace(self.inputs, criterion=criterion)
         problem.objectives = (criterion.name,)
+        return problem
+
+    def with_model(self, model: SensorModel) -> SelectionProblem:
+        """Return the problem with another model of the same terms, for the same features.
+
+        Raises
+        ------
+        TermselError
+            If the model has other terms.
+        """
+        if model.terms != self.inputs.model.terms:
+            raise TermselError(f"model {model.name!r} with other options has other terms, so they "
+                               "cannot be selected at the same time",
+                               hint="Choose a problem that searches these options alone.")
+        problem = copy(self)
+        problem.inputs = replace(self.inputs, model=model)
+        problem.equations = model.equations(self.inputs.control)
+        problem._parts = independent_parts(problem.equations, model.axis)
         return problem
 
     def _require_solvable(self, selects_terms: bool) -> None:

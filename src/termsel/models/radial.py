@@ -1,0 +1,149 @@
+"""Polynomials of the ground with the radial distortion of a lens."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Any, ClassVar
+
+import numpy as np
+
+from termsel.adjustment.equations import Equations
+from termsel.adjustment.lines import image_equations
+from termsel.adjustment.monomials import Exponents, graded_exponents, monomials
+from termsel.errors import TermselError
+from termsel.measurements.features import FeatureSet, FloatArray, IntArray
+from termsel.models.base import BOTH, LINE, SAMPLE, SensorModel
+from termsel.models.terms import Term
+from termsel.options import Option
+
+POWERS = (2, 4, 6)
+"""Of the distance from the centre of distortion."""
+
+_STEPS, _CLOSE = 30, 1e-12
+_SHARES = (0.25, 0.5, 0.75, 0.9, 1.0)
+
+_CENTRE = ("Centre of distortion, {} coordinate: in half extents of the control in the image from "
+           "its middle.")
+
+
+class Radial(SensorModel):
+    """A polynomial of the ground whose image a lens distorts radially about a centre.
+
+    With m the measured place, c the centre and r = |m - c|,
+
+        m + (m - c) (k1 r^2 + k2 r^4 + k3 r^6) = P(X, Y, Z)
+
+    The corrections k act on measured places, as in the calibration of cameras (Brown 1971: Close-
+    range camera calibration, Photogrammetric Engineering 37(8)). The equations are therefore
+    linear in the polynomials and in k, terms ``radial:2``, ``radial:4`` and ``radial:6``; the
+    centre is no term but an option. That each polynomial has its own terms is termsel's choice: it
+    takes the place of the collinearity equations, whose rotations and heights it approximates.
+    """
+
+    variables: ClassVar[int] = 3
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(**options)
+        self._exponents = graded_exponents(int(self.options["degree"]), self.variables)
+        self._centre = np.array([self.options["centre_line"], self.options["centre_sample"]])
+
+    @property
+    def terms(self) -> tuple[str, ...]:
+        """Names of the terms: monomials of line and sample, then the radial ones."""
+        return _names(self._exponents)
+
+    @property
+    def axis(self) -> IntArray:
+        """Image axis of each term: the distortion acts on both."""
+        n = len(self._exponents)
+        return np.repeat(np.array([LINE, SAMPLE, BOTH], dtype=np.intp), [n, n, len(POWERS)])
+
+    def equations(self, features: FeatureSet) -> Equations:
+        """Return the equations of points, exact in the terms.
+
+        Raises
+        ------
+        TermselError
+            For lines, which distortion bends.
+        """
+        if len(features.lines):
+            raise TermselError(f"model {self.name!r} takes no lines: distortion bends them",
+                               hint="Give points alone, or choose another model.")
+        points = features.points
+        away = points.image - self._centre
+        squared = (away**2).sum(axis=1)[:, None, None]
+        radial = -away[:, :, None] * squared ** (np.array(POWERS) // 2)
+        rows = np.concatenate([self._polynomials(points.ground), radial], axis=2)
+        return image_equations(features, rows, np.zeros((0, 2, rows.shape[2])),
+                               heights=self.uses_height)
+
+    def project(self, coefficients: FloatArray, ground: FloatArray) -> FloatArray:
+        """Return image positions of ground points, shape (..., n, 2).
+
+        The polynomials give undistorted places; those that the lens images there follow by Newton's
+        method along the radius. Where none does, the place is NaN.
+        """
+        n = 2 * len(self._exponents)
+        ideal = np.einsum("nak,...k->...na", self._polynomials(ground), coefficients[..., :n])
+        away = ideal - self._centre
+        squared = (away**2).sum(axis=-1)
+        # With m - c = s (P - c): s (1 + k1 (s r)^2 + ...) = 1.
+        k = [coefficients[..., n + i, None] * squared ** (power // 2)
+             for i, power in enumerate(POWERS)]
+        s = np.ones(squared.shape)
+        with np.errstate(all="ignore"):
+            for _ in range(_STEPS):
+                value = s - 1.0 + sum(one * s ** (p + 1) for one, p in zip(k, POWERS, strict=True))
+                slope = 1.0 + sum((p + 1) * one * s**p for one, p in zip(k, POWERS, strict=True))
+                step = value / slope
+                s = s - step
+                if not (np.abs(step) > _CLOSE).any():
+                    break
+            found = (np.abs(step) <= 1e-9) & (s > 0)
+            # Only where the distortion grows with the radius up to there is there one such place.
+            for share in _SHARES:
+                found &= 1.0 + sum((p + 1) * one * (share * s) ** p
+                                   for one, p in zip(k, POWERS, strict=True)) > 0
+        return np.asarray(self._centre + np.where(found, s, np.nan)[..., None] * away)
+
+    def _polynomials(self, ground: FloatArray) -> FloatArray:
+        """Return the monomials as rows of line and sample, shape (n, 2, 2 e)."""
+        columns = monomials(ground, self._exponents)
+        return np.asarray(np.einsum("ab,ne->nabe", np.eye(2), columns).reshape(
+            len(ground), 2, 2 * columns.shape[1]))
+
+
+@lru_cache
+def _names(exponents: Exponents) -> tuple[str, ...]:
+    return (*(str(Term(axis, "numerator", e)) for axis in ("line", "sample") for e in exponents),
+            *(str(Term("both", "radial", str(power))) for power in POWERS))
+
+
+def _options(degree: int, most: int) -> tuple[Option, ...]:
+    return (Option("degree", degree, "Total degree of the polynomials.", int, 1, most),
+            Option("centre_line", 0.0, _CENTRE.format("line"), float, -1.0, 1.0),
+            Option("centre_sample", 0.0, _CENTRE.format("sample"), float, -1.0, 1.0))
+
+
+class Radial2D(Radial):
+    """Plane polynomial with radial distortion: a scanned photo of flat ground, or of a map.
+
+    See `radial3d`.
+    """
+
+    name = "radial2d"
+    uses_height = False
+    variables = 2
+    declared_options = _options(2, 8)
+
+
+class Radial3D(Radial):
+    """Space polynomial with radial distortion: a frame camera over terrain.
+
+    With m the measured place, c the centre of distortion and r = abs(m - c), m + (m - c) (k1 r^2 +
+    k2 r^4 + k3 r^6) is a polynomial of X, Y and Z (Brown 1971, for the distortion). The radial
+    terms are called radial:2, radial:4 and radial:6.
+    """
+
+    name = "radial3d"
+    declared_options = _options(2, 5)
