@@ -54,6 +54,7 @@ if TYPE_CHECKING:
     from termsel.problems.base import Evaluation, Inputs, Problem, Selection
     from termsel.problems.coverage import uncovered_share
     from termsel.problems.genome import Genome
+    from termsel.problems.parameters import ParameterProblem
     from termsel.problems.recipes import Recipe, feature_options
     from termsel.problems.segments import (
         Bits,
@@ -99,6 +100,7 @@ _HOME = {
     "Integers": "termsel.problems.segments",
     "Lines": "termsel.measurements.features",
     "Option": "termsel.options",
+    "ParameterProblem": "termsel.problems.parameters",
     "Permutation": "termsel.problems.segments",
     "Points": "termsel.measurements.features",
     "Polynomial2D": "termsel.models",
@@ -174,6 +176,7 @@ __all__ = [
     "Integers",
     "Lines",
     "Option",
+    "ParameterProblem",
     "Permutation",
     "Points",
     "Polynomial2D",
