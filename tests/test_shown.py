@@ -111,3 +111,10 @@ def test_long_parts_of_a_message_lose_their_middle() -> None:
                          column="z" * 10 ** 5)
     assert "is not a number. y" in str(error)
     assert len(str(error)) < 6300
+
+
+@pytest.mark.parametrize(("what", "shown"), [
+    ("a fault", "a fault. Correct it."), ("no such CRS.", "no such CRS. Corr"),
+    ("unknown for P0, P1 ...", "unknown for P0, P1 ... Correct it.")])
+def test_a_sentence_has_one_full_stop(what: str, shown: str) -> None:
+    assert str(TermselError(what, hint="Correct it.")).startswith(shown)

@@ -61,7 +61,8 @@ class TermselError(Exception):
         place = ", ".join(part for part in where if part)
         what = cut(self.what, _LONGEST)
         text = f"{place}: {what}" if place else what
-        return printable(f"{text}. {cut(self.hint, _LONGEST_HINT)}" if self.hint else text)
+        end = "" if text.endswith(".") else "."  # of a library's message, or of a list cut short
+        return printable(f"{text}{end} {cut(self.hint, _LONGEST_HINT)}" if self.hint else text)
 
 
 def printable(text: str, kept: str = "\n\t") -> str:

@@ -27,5 +27,6 @@ def rmse_of(errors: FloatArray, n: int) -> Rmse | None:
     """Return the RMSE of errors, shape (..., 2), of n features; None without any."""
     if not n:
         return None
-    line, sample = np.sqrt((errors**2).mean(axis=0)).tolist()
+    with np.errstate(over="ignore"):  # beyond all numbers is infinite
+        line, sample = np.sqrt((errors**2).mean(axis=0)).tolist()
     return Rmse(line, sample, float(np.hypot(line, sample)), n)
