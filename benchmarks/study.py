@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterable, Iterator, Mapping
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
@@ -31,6 +32,7 @@ class Trial:
     evaluations : int
         Those of solver and local refinement together.
     seconds : float
+        CPU time of the search.
     """
 
     solver: str
@@ -72,6 +74,7 @@ def trials(
     seeds: Iterable[int],
     *,
     evaluations: int,
+    polish: bool = False,
     options: Mapping[str, Any] | None = None,
     solver_options: Mapping[str, Mapping[str, Any]] | None = None,
     processes: int = 1,
@@ -86,7 +89,9 @@ def trials(
     solvers : iterable of str
     seeds : iterable of int
     evaluations : int
-        Budget of each search, without local refinement.
+        Budget of each search, that of a local refinement included.
+    polish : bool
+        Whether a local refinement follows.
     options : mapping, optional
         Options for all, as in `termsel.prepare`.
     solver_options : mapping, optional
@@ -103,7 +108,7 @@ def trials(
     """
     jobs = [(solver, seed, {**(options or {}), **(solver_options or {}).get(solver, {})})
             for solver in solvers for seed in seeds]
-    one = partial(_trial, problem, evaluations, prepared)
+    one = partial(_trial, problem, evaluations, polish, prepared)
     if processes == 1:
         yield from map(one, jobs)
         return
@@ -111,17 +116,19 @@ def trials(
         yield from pool.map(one, jobs)
 
 
-def _trial(problem: str, evaluations: int, prepared: Mapping[str, Any],
+def _trial(problem: str, evaluations: int, polish: bool, prepared: Mapping[str, Any],
            job: tuple[str, int, Mapping[str, Any]]) -> Trial:
     solver, seed, options = job
     task = prepare(problem, solver=solver, options=options, **prepared)
-    found = recommended(task, search(task.problem, task.solver, seed=seed,
-                                     evaluations=evaluations))
+    start = time.process_time()
+    found = search(task.problem, task.solver, seed=seed, evaluations=evaluations, polish=polish)
+    seconds = time.process_time() - start
+    found = recommended(task, found)
     accuracy = fit_of(task, task.problem.decode(found.genes)).rmse(task.observations.independent)
     return Trial(
         solver, seed, float(found.objectives[0]) if found.violation == 0 else float("inf"),
         float("nan") if accuracy is None else accuracy.total,
-        found.evaluations + (found.polish.evaluations if found.polish else 0), found.seconds)
+        found.evaluations, seconds)
 
 
 def standings(done: Iterable[Trial], optimum: float | None = None) -> list[Standing]:

@@ -1,0 +1,1 @@
+"""Tables of the papers, rebuilt on simulated data, each next to the published one."""
