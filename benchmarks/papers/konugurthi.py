@@ -135,8 +135,8 @@ rivals are on no page that could be consulted; those here are termsel's own.
 WORDS = """## What agrees, what does not, and why
 
 - **Agrees: the GA keeps the product error low up to 40 % blunders**, where iterative least squares
-  break down: 3 m instead of 4 m in the median, and 5 m instead of 11 m in the worst scene. Up to 30 %
-  it uses hardly any blunder.
+  break down: 3 m instead of 4 m in the median, and 5 m instead of 11 m in the worst scene. Up to
+  30 % it uses hardly any blunder.
 - **Does not agree: the GA does not hold at 50 %.** The median error over all points is then that of
   a blunder as often as not. Ten times the chromosomes help at 40 %, but not at 50 %.
 - **Does not agree: RANSAC is as good as the GA or better at all shares**, and 25 times as fast.

@@ -20,11 +20,10 @@ def test_matches_are_wrong_in_the_share_asked_for() -> None:
 
 def test_the_fitness_is_the_median_error_by_the_covered_area() -> None:
     task = termsel.prepare("konugurthi-2016")
-    genes = np.zeros((2, 100), dtype=bool)
-    genes[0, [3, 17, 25, 40, 52, 61, 70, 88, 99]] = True
-    genes[1, [0, 9, 19, 33, 47, 58, 66, 77, 91]] = True
+    genes = np.array([[3, 17, 25, 40, 52, 61, 70, 88, 99], [0, 9, 19, 33, 47, 58, 66, 77, 91]])
     points = task.observations.control.points
-    for chosen, score in zip(genes, task.problem.evaluate(genes).objectives[:, 0], strict=True):
+    for numbers, score in zip(genes, task.problem.evaluate(genes).objectives[:, 0], strict=True):
+        chosen = np.isin(np.arange(100), numbers)
         rows = np.repeat(chosen, 2)
         equations = task.model.equations(task.scaling.features(task.observations.control))
         solution = np.linalg.lstsq(equations.A[rows], equations.b[rows], rcond=None)[0]
