@@ -1,15 +1,18 @@
 """What studies cost and survive: overhead and memory of cells, kills, executors, many images.
 
-``python -m benchmarks.studies overhead|kills|executors|images [--cells N] [--workers N]`` prints
-one table. `kills` ends a study with SIGKILL at random moments, again and again, and compares its
-final table with that of an undisturbed one.
+``python -m benchmarks.studies WHAT [--number N] [--workers N]``, where WHAT is overhead, cluster,
+kills, executors or images, prints a few lines. `kills` ends a study with SIGKILL at random moments,
+again and again, and compares its final table with that of an undisturbed one.
 """
 
 from __future__ import annotations
 
 import argparse
 import csv
+import os
+import pickle
 import random
+import socket
 import subprocess
 import sys
 import tempfile
@@ -21,6 +24,7 @@ import numpy as np
 
 import termsel
 from termsel.formats.readers.csv_tables import write_points_csv
+from termsel.studies.compare import works_of
 from termsel.studies.journal import JOURNAL, read_journal
 from termsel.studies.progress import Progress
 from termsel.studies.table import TIMES
@@ -31,7 +35,7 @@ seeds = 40
 [budget]
 evaluations = 2000
 [options]
-polish = false
+polish=false
 """
 
 
@@ -44,8 +48,13 @@ def memory() -> float:
     return pages * 4096 / 1e6
 
 
+SMALLEST: dict[str, Any] = {"problems": [{"name": "poly-terms", "degree": 1}],
+                            "solvers": ["random"], "budget": {"evaluations": 1}}
+"""A study of cells that take a few milliseconds."""
+
+
 def overhead(cells: int, workers: int) -> None:
-    """Print time and memory of a study of very small cells, next to those of their runs alone."""
+    """Print CPU time and memory of a study of very small cells, next to those of its runs."""
     marks: dict[int, float] = {}
 
     def watch(progress: Progress) -> None:
@@ -53,19 +62,52 @@ def overhead(cells: int, workers: int) -> None:
             marks[progress.finished] = memory()
 
     with tempfile.TemporaryDirectory() as folder:
-        start = time.perf_counter()
-        study = termsel.compare(
-            problems=[{"name": "poly-terms", "degree": 1}], solvers=["random"], seeds=cells,
-            budget={"evaluations": 1}, workers=workers,
-            out=Path(folder) / "out", observers=(watch,))
-        seconds = time.perf_counter() - start
+        start, cpu = time.perf_counter(), time.process_time()
+        study = termsel.compare(**SMALLEST, seeds=cells, workers=workers,
+                                out=Path(folder) / "out", observers=(watch,))
+        seconds, cpu = time.perf_counter() - start, time.process_time() - cpu
         size = (Path(folder) / "out" / JOURNAL).stat().st_size
-    alone = sum(record["figures"]["seconds"] for record in study.records.values())
-    print(f"{cells} cells, {workers} workers: {seconds:.1f} s, runs alone {alone:.1f} s")
-    print(f"overhead {1000 * (seconds - alone / workers) / cells:.2f} ms a cell; journal "
+    alone = sum(row["cpu_seconds"] for row in study.rows) if workers == 1 else 0.0
+    print(f"{cells} cells, {workers} workers: {seconds:.1f} s; CPU of this process {cpu:.1f} s, "
+          f"of which runs {alone:.1f} s")
+    print(f"overhead {1000 * (cpu - alone) / cells:.2f} ms CPU a cell; journal "
           f"{size / cells:.0f} bytes a cell")
     print("memory [MB] by finished cells: "
           + ", ".join(f"{count}: {used:.0f}" for count, used in marks.items()))
+
+
+def cluster(cells: int, workers: int) -> None:
+    """Print what a dask scheduler and the command cost a cell: CPU time, and bytes sent."""
+    with socket.socket() as one:
+        one.bind(("127.0.0.1", 0))
+        address = f"tcp://127.0.0.1:{one.getsockname()[1]}"
+    with tempfile.TemporaryDirectory() as folder:
+        quiet: dict[str, Any] = {"stderr": subprocess.DEVNULL, "cwd": folder}
+        scheduler = subprocess.Popen(
+            [sys.executable, "-m", "dask", "scheduler", "--host", "127.0.0.1", "--port",
+             address.rpartition(":")[2], "--no-dashboard"], **quiet)
+        others = [subprocess.Popen(
+            [sys.executable, "-m", "dask", "worker", address, "--nthreads", "1", "--no-nanny",
+             "--no-dashboard"], **quiet) for _ in range(workers)]
+        try:
+            termsel.compare(**SMALLEST, seeds=10, scheduler=address)  # imports and compiles
+            before, cpu = cpu_of(scheduler.pid), time.process_time()
+            study = termsel.compare(**SMALLEST, seeds=cells, scheduler=address)
+            spent, cpu = cpu_of(scheduler.pid) - before, time.process_time() - cpu
+        finally:
+            for process in (*others, scheduler):
+                process.kill()
+    works, features = works_of(list(study.cells))
+    sizes = [len(pickle.dumps(one)) for one in features.values()]
+    print(f"{cells} cells, {workers} workers: scheduler {1000 * spent / cells:.2f} ms CPU a cell, "
+          f"command {1000 * cpu / cells:.2f} ms; a cell is sent as {len(pickle.dumps(works[0]))} "
+          f"bytes, its data once a worker as {sum(sizes)}")
+
+
+def cpu_of(process: int) -> float:
+    """Return the CPU seconds that a process has used."""
+    fields = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
 def table_of(folder: Path) -> list[list[str]]:
@@ -146,14 +188,14 @@ def images(number: int, workers: int) -> None:
 def main() -> None:
     """Run what is asked for."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("what", choices=["overhead", "kills", "executors", "images"])
+    parser.add_argument("what", choices=["overhead", "cluster", "kills", "executors", "images"])
     parser.add_argument("--number", type=int, default=100, help="cells, kills or images")
     parser.add_argument("--workers", type=int, default=2)
     asked = parser.parse_args()
     if asked.what == "executors":
         executors(asked.workers)
         return
-    {"overhead": overhead, "kills": kills, "images": images}[asked.what](
+    {"overhead": overhead, "cluster": cluster, "kills": kills, "images": images}[asked.what](
         asked.number, asked.workers)
 
 
