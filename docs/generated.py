@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import termsel
+from termsel.cli.new_plugin import package
 from termsel.options import Option
 from termsel.plugins.kinds import KINDS
 from termsel.plugins.registry import Entry, registry
@@ -29,7 +30,7 @@ SCHEMA = Path(termsel.__file__).parent / "results" / "result.schema.json"
 PAGES = {"datasets": "data"}
 """Pages that are not called as the kind they list."""
 
-_MARK = re.compile(r"^<!-- generated: ([\w ]+) -->$", re.MULTILINE)
+_MARK = re.compile(r"^<!-- generated: ([\w. ]+) -->$", re.MULTILINE)
 _SECTION = re.compile(r"^[A-Z]\w+\n-{3,}$", re.MULTILINE)
 
 
@@ -45,6 +46,8 @@ def part(name: str) -> str:
         return "\n".join(
             f"| [{KINDS[kind].word}]({PAGES.get(kind, kind)}.md) | "
             + ", ".join(f"`{entry.name}`" for entry in entries(kind)) + " |" for kind in KINDS)
+    if what == "package":
+        return _of_package(*kind.split())
     if what == "schema":
         rows = keys(json.loads(SCHEMA.read_text(encoding="utf-8")))
         return "\n".join(["| key | type | meaning |", "|---|---|---|", *rows])
@@ -55,6 +58,13 @@ def part(name: str) -> str:
                 for entry in entries(kind)]
         return "\n".join(["| name | measurements | package |", "|---|---|---|", *rows])
     return "\n".join(line for entry in entries(kind) for line in section(kind, entry))
+
+
+def _of_package(kind: str, file: str) -> str:
+    """Return a file of the package that `termsel new-plugin` writes."""
+    text = next(text for path, text in package("termsel-demo", kind).items()
+                if Path(path).name == file)
+    return f"```{Path(file).suffix[1:].replace('py', 'python')}\n{text}```"
 
 
 def entries(kind: str) -> list[Entry]:

@@ -199,8 +199,13 @@ class Configurable(Guarded):
     """
 
     name: ClassVar[str]
+    """As on the command line and in ``termsel list``."""
+
     declared_options: ClassVar[tuple[Option, ...]] = ()
+    """The options it takes, which ``termsel describe`` shows."""
+
     guards: ClassVar[Mapping[str, Check | None]] = {"__init__": None}
 
     def __init__(self, **options: Any) -> None:
         self.options: dict[str, Any] = resolve(self.declared_options, options)
+        """The value of every declared option."""

@@ -84,6 +84,7 @@ class SensorModel(Configurable, ABC):
         "polynomial_degree": None}
 
     uses_height: ClassVar[bool] = True
+    """Whether it requires the heights of the features."""
 
     scaling: Scaling | None = None
     """How coordinates are scaled; None before the model is `prepared`."""

@@ -21,6 +21,7 @@ class Polynomial(RationalModel):
     """A polynomial with all monomials up to a degree, the same for both axes."""
 
     variables: ClassVar[int] = 3
+    """Ground coordinates that it is a polynomial of: X, Y and, if 3, Z."""
 
     @cached_property
     def exponents(self) -> Exponents:

@@ -134,7 +134,10 @@ class Problem(Guarded, ABC):
         "evaluate": evaluation_fault, "decode": _selection_fault, "parts": None, "design": None}
 
     genome: Genome
+    """The genes, which `Genome.random` draws and `Genome.repair` corrects."""
+
     objectives: tuple[str, ...]
+    """Names of the objectives, all to be minimised."""
 
     @abstractmethod
     def evaluate(self, genes: Genes) -> Evaluation:

@@ -61,7 +61,11 @@ class Solver(Configurable, ABC):
     guards: ClassVar[Mapping[str, Check | None]] = {"generations": _generation_fault}
 
     min_objectives: ClassVar[int] = 1
+    """Fewest objectives that it takes."""
+
     max_objectives: ClassVar[int] = 1
+    """Most objectives that it takes."""
+
     segments: ClassVar[tuple[type[AnySegment], ...]] = (Bits,)
     """Types of segments it handles; a run refuses genomes with others."""
 
