@@ -26,7 +26,7 @@ from termsel.options import COUNT
 @click.option("--dataset", metavar="NAMES", shell_complete=complete("datasets"),
               help="Data sets, likewise; each problem's own by default.")
 @click.option("--points", metavar="FILES", multiple=True,
-              help="Files of points, an image each; patterns such as 'gcp/*.csv' may be quoted.")
+              help="Files of points, an image each; a pattern in quotes stands for many files.")
 @click.option("--lines", metavar="FILES", multiple=True,
               help="Files of lines; they go with the points of the same name.")
 @click.option("--crs", metavar="CRS", help="CRS of the ground coordinates of all files.")
