@@ -86,7 +86,7 @@ def section(kind: str, entry: Entry) -> Iterator[str]:
 
 def description(kind: str, entry: Entry) -> str:
     """Return the paragraphs of a docstring, or the summary of what has none."""
-    if kind == "problems":
+    if kind in ("problems", "objectives"):
         return entry.summary
     thing = entry.object
     text = inspect.cleandoc((thing if isinstance(thing, type) else type(thing)).__doc__ or "")

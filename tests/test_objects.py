@@ -13,8 +13,10 @@ from termsel import (
     Criterion,
     Fits,
     Generation,
+    Objective,
     Option,
     Polynomial2D,
+    PopulationSelection,
     Problem,
     Recipe,
     Result,
@@ -203,3 +205,41 @@ def test_assess_refuses_genes_of_another_kind(wrong) -> None:  # type: ignore[no
     task = termsel.prepare("poly-terms", options={"degree": 2})
     with pytest.raises(TermselError, match="assess got genes of the type"):
         termsel.assess(task, wrong(task.problem.genome.random(np.random.default_rng(1), 1)[0]))
+
+
+def farthest_pair(selected: PopulationSelection) -> np.ndarray:
+    """Number of features that are not the first, of each individual."""
+    return np.asarray(selected.features[:, 1:].sum(axis=1), dtype=float)
+
+
+def test_an_objective_that_is_registered_is_minimised(fresh: Registry) -> None:
+    termsel.register(Objective("others", "Number of features but the first.", farthest_pair))
+    result = termsel.run("owdis-points", solver="nsga2", generations=3,
+                         options={"objectives": "others, n_features", "population": 20,
+                                  "polish": False})
+    assert list(result.objectives) == ["check-rmse", "others", "n_features"]
+    first = result.features.points.ids[result.features.points.roles.index("control")]
+    chosen = result.selection.features
+    assert result.objectives["others"] == len(chosen) - (first in chosen)
+    assert "others" in fresh.names("objectives")
+
+
+@pytest.mark.parametrize("score", [lambda selected: np.zeros(1), lambda selected: None,
+                                   lambda selected: np.full(len(selected.terms), np.nan)])
+def test_figures_of_another_shape_are_refused(fresh: Registry, score) -> None:  # type: ignore[no-untyped-def]
+    termsel.register(Objective("odd", "No figure for each.", score))
+    with pytest.raises(TermselError, match=r"score\(\) returned"):
+        termsel.run("poly-terms", solver="nsga2", options={"objectives": "odd"}, generations=1)
+
+
+def test_an_unknown_objective_names_those_there_are() -> None:
+    with pytest.raises(TermselError, match="unknown objective 'n_term'"):
+        termsel.prepare("poly-terms", solver="nsga2", options={"objectives": "n_term"})
+
+
+def test_options_of_terms_for_another_recipe() -> None:
+    options = {option.name: option for option in termsel.term_options(max_share=0.5)}
+    assert options["max_share"].default == 0.5
+    assert "mask" in options
+    with pytest.raises(TermselError, match="unknown option 'max_shore'"):
+        termsel.term_options(max_shore=0.5)

@@ -113,6 +113,11 @@ def _describe_criterion(entry: Entry) -> None:
     _options(entry.object.declared_options)
 
 
+def _describe_objective(entry: Entry) -> None:
+    echo(f"\n{inspect.getdoc(entry.object.score) or entry.summary}")
+    echo(f"\nUse it with --set objectives={entry.name}, next to the criterion.")
+
+
 def _describe_dataset(entry: Entry) -> None:
     echo(f"\n{entry.summary}")
     _pairs({"measurements": "simulated" if entry.object.simulated else "real"})
@@ -128,7 +133,8 @@ def _describe_format(entry: Entry) -> None:
 
 _DESCRIBE: dict[str, Callable[[Entry], None]] = {
     "problems": _describe_problem, "models": _describe_model, "solvers": _describe_solver,
-    "criteria": _describe_criterion, "datasets": _describe_dataset}
+    "criteria": _describe_criterion, "objectives": _describe_objective,
+    "datasets": _describe_dataset}
 
 
 def _document(entry: Entry) -> None:

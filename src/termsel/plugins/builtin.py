@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from termsel.formats.base import Reader, Writer
     from termsel.measurements.datasets import DatasetSpec
     from termsel.models import SensorModel
+    from termsel.problems.objectives import Objective
     from termsel.problems.recipes import Recipe
     from termsel.solvers import Solver
 
@@ -55,6 +56,14 @@ def termsel_criteria() -> Iterable[type[Criterion]]:
     from termsel.criteria import CheckRmse, Ebic, Huber, KFold, Median, Press
 
     return [CheckRmse, Press, KFold, Ebic, Median, Huber]
+
+
+@hookimpl
+def termsel_objectives() -> Iterable[Objective]:
+    """Return the built-in objectives."""
+    from termsel.problems.objectives import OBJECTIVES
+
+    return OBJECTIVES
 
 
 @hookimpl

@@ -40,6 +40,7 @@ if TYPE_CHECKING:
     from termsel.formats.base import Reader, Writer
     from termsel.measurements.datasets import DatasetSpec
     from termsel.models import SensorModel
+    from termsel.problems.objectives import Objective
     from termsel.problems.recipes import Recipe
     from termsel.results.result import Result
     from termsel.solvers import Solver
@@ -83,6 +84,17 @@ def termsel_criteria() -> Iterable[type[Criterion]]:
     -------
     iterable of type
         Subclasses of `Criterion`, each with a `name` as in ``--criterion``.
+    """
+
+
+@hookspec
+def termsel_objectives() -> Iterable[Objective]:
+    """Return objectives next to the criterion, for problems that select terms or features.
+
+    Returns
+    -------
+    iterable of Objective
+        Each with a `name` as in ``--set objectives=NAME``.
     """
 
 

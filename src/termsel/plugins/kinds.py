@@ -84,6 +84,7 @@ KINDS = {
     "models": Kind("model", "termsel.models", "SensorModel"),
     "solvers": Kind("solver", "termsel.solvers", "Solver"),
     "criteria": Kind("criterion", "termsel.criteria", "Criterion", tried=True),
+    "objectives": Kind("objective", "termsel.problems.objectives", "Objective"),
     "datasets": Kind("data set", "termsel.measurements.datasets", "DatasetSpec"),
     "readers": Kind("reader", "termsel.formats.base", "Reader", tried=True),
     "writers": Kind("writer", "termsel.formats.base", "Writer", tried=True),

@@ -20,6 +20,7 @@ from termsel.problems.segments import Genes
 
 if TYPE_CHECKING:
     from termsel.adjustment.subset_system import SubsetSystem
+    from termsel.problems.objectives import Objective
 
 WORST = 1e9
 """Objective of an individual without a figure; finite, so that it can be compared."""
@@ -197,6 +198,8 @@ class Inputs:
     criterion : Criterion
     options : dict
         Values of the recipe's options.
+    objectives : tuple of Objective
+        Objectives next to the criterion.
     """
 
     model: SensorModel
@@ -205,3 +208,4 @@ class Inputs:
     pixels: float
     criterion: Criterion
     options: dict[str, Any] = field(default_factory=dict)
+    objectives: tuple[Objective, ...] = ()

@@ -9,6 +9,8 @@ import numpy as np
 
 from termsel.adjustment.equations import Equations
 from termsel.adjustment.parts import Part
+from termsel.guard.arrays import of_shape
+from termsel.guard.faults import blamed, wrong
 from termsel.measurements.features import BoolArray, FeatureSet, FloatArray
 from termsel.measurements.places import centres
 from termsel.problems.coverage import uncovered_share
@@ -110,7 +112,42 @@ def unevenness(selected: PopulationSelection) -> FloatArray:
     return result
 
 
-OBJECTIVES: dict[str, Callable[[PopulationSelection], FloatArray]] = {
-    "n_terms": n_terms, "n_features": n_features, "max_correlation": max_correlation,
-    "log_condition": log_condition, "uncovered": uncovered, "unevenness": unevenness}
-"""Objectives by name; all are minimised."""
+@dataclass(frozen=True)
+class Objective:
+    """A named figure of what a selection is made of; it is minimised.
+
+    Parameters
+    ----------
+    name, summary : str
+    score : callable
+        Takes `PopulationSelection`, returns finite figures, shape (p,).
+    """
+
+    name: str
+    summary: str
+    score: Callable[[PopulationSelection], FloatArray]
+
+
+def scored(objective: Objective, selected: PopulationSelection) -> FloatArray:
+    """Return the figures of an objective; refuse any of a plugin that are not finite and one each.
+
+    Raises
+    ------
+    TermselError
+        Naming the plugin.
+    """
+    with blamed(objective.score, "score"):
+        found = objective.score(selected)
+    if fault := of_shape(found, (len(selected.terms),)):
+        raise wrong(objective.score, "score", fault)
+    return found
+
+
+OBJECTIVES = tuple(Objective(score.__name__, summary, score) for score, summary in (
+    (n_terms, "Number of terms in use."),
+    (n_features, "Number of control features in use."),
+    (max_correlation, "Largest correlation of two columns in use."),
+    (log_condition, "Logarithm of the condition number."),
+    (uncovered, "Share of the image outside the hull of the features in use."),
+    (unevenness, "Unevenness of the distances between the features in use.")))
+"""Built-in objectives next to the criterion."""

@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+from termsel.errors import unknown_name
 from termsel.options import COUNT, Option
 from termsel.problems.base import Inputs, Problem
 from termsel.problems.constraints import FORCE_OPTIONS, TERM_OPTIONS
@@ -90,7 +91,8 @@ THEN = Option("then", None, "Solver of the second of two steps (--then); by defa
 
 OBJECTIVES = Option(
     "objectives", None, "Objectives next to the criterion, separated by commas: n_terms, "
-    "n_features, max_correlation, log_condition, uncovered, unevenness. By default none; with a "
+    "n_features, max_correlation, log_condition, uncovered, unevenness, or those of plugins "
+    "(termsel list objectives). By default none; with a "
     "solver for several objectives, the second objective of the problem.")
 RECOMMEND = Option(
     "recommend", None, "Which member of a front is the selection: the knee; the best criterion; "
@@ -122,8 +124,30 @@ def feature_options(**defaults: Any) -> tuple[Option, ...]:
     **defaults
         Defaults that differ there, such as ``max_features=6``.
     """
-    options = {option.name: option for option in OF_FEATURES}
+    return _with_defaults(OF_FEATURES, defaults)
+
+
+def term_options(**defaults: Any) -> tuple[Option, ...]:
+    """Return the options of problems that select terms, for the recipe of another one.
+
+    Parameters
+    ----------
+    **defaults
+        Defaults that differ there, such as ``max_share=0.5``.
+
+    Raises
+    ------
+    TermselError
+        For a default of an option that there is not.
+    """
+    return _with_defaults(OF_TERMS, defaults)
+
+
+def _with_defaults(declared: tuple[Option, ...], defaults: Mapping[str, Any]) -> tuple[Option, ...]:
+    options = {option.name: option for option in declared}
     for name, default in defaults.items():
+        if name not in options:
+            raise unknown_name("option", name, options)
         options[name] = replace(options[name], default=default,
                                 doc=options[name].doc.replace("; by default not limited", ""))
     return tuple(options.values())

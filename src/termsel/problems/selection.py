@@ -20,7 +20,7 @@ from termsel.problems.constraints import capped, excess, forced, listed, orphans
 from termsel.problems.coverage import uncovered_share
 from termsel.problems.enumeration import enumerable_parts
 from termsel.problems.genome import Genome
-from termsel.problems.objectives import OBJECTIVES, PopulationSelection
+from termsel.problems.objectives import PopulationSelection, scored
 from termsel.problems.segments import Bits, Genes, Subset
 
 
@@ -48,7 +48,7 @@ class SelectionProblem(Problem):
                  mask: str = "per-axis", subset: bool = False) -> None:
         model, control = inputs.model, inputs.control
         self.inputs = inputs
-        self.objectives = _objectives(inputs)
+        self.objectives = (inputs.criterion.name, *(one.name for one in inputs.objectives))
         self.equations = model.equations(control)
         self._guard = guard_points(control, inputs.check)
         self._parts = independent_parts(self.equations, model.axis)
@@ -110,7 +110,7 @@ class SelectionProblem(Problem):
     def judged_by(self, criterion: Criterion) -> SelectionProblem:
         """Return the problem with another criterion as its only objective."""
         problem = copy(self)
-        problem.inputs = replace(self.inputs, criterion=criterion)
+        problem.inputs = replace(self.inputs, criterion=criterion, objectives=())
         problem.objectives = (criterion.name,)
         return problem
 
@@ -202,8 +202,8 @@ class SelectionProblem(Problem):
         if features is None:
             features = np.ones((len(terms), len(control)), dtype=bool)
         selected = PopulationSelection(self.equations, self._parts, control, terms, features)
-        return np.column_stack([score, *(OBJECTIVES[name](selected)
-                                         for name in self.objectives[1:])])
+        return np.column_stack([score, *(scored(one, selected)
+                                         for one in self.inputs.objectives)])
 
     def masks(self, genes: Genes) -> tuple[BoolArray, BoolArray | None]:
         """Return masks of terms, shape (p, k), and of features, shape (p, f) or None for all."""
@@ -254,16 +254,6 @@ class SelectionProblem(Problem):
             return np.zeros(len(terms))
         line, sample = terms[:, axis == LINE], terms[:, axis == SAMPLE]
         return np.asarray(2.0 - line.any(axis=1) - sample.any(axis=1))
-
-
-def _objectives(inputs: Inputs) -> tuple[str, ...]:
-    """Return the criterion's name and those of the option "objectives"."""
-    others = [name for name in listed(inputs.options.get("objectives"))
-              if name != inputs.criterion.name]
-    for name in others:
-        if name not in OBJECTIVES:
-            raise unknown_name("objective", name, [*OBJECTIVES, inputs.criterion.name])
-    return (inputs.criterion.name, *dict.fromkeys(others))
 
 
 def _terms_in_use(inputs: Inputs) -> BoolArray:

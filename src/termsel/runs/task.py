@@ -32,7 +32,7 @@ from termsel.problems.constraints import MAX_SHARE
 from termsel.problems.recipes import Recipe
 from termsel.runs.enough import require_enough
 from termsel.runs.fit_crs import FIT_CRS, with_fit_crs
-from termsel.runs.given import class_of, with_options
+from termsel.runs.given import class_of, objectives_of, with_options
 from termsel.solvers.base import Solver
 from termsel.solvers.budget import SEARCH_OPTIONS
 from termsel.solvers.search import require_able
@@ -290,7 +290,8 @@ def scale(request: Request, observations: Observations) -> tuple[Scaling, Inputs
     return scaling, Inputs(
         request.model.prepared(scaling, request.features.crs),
         scaling.features(observations.control), scaling.points(observations.check),
-        scaling.image_scale, request.criterion, dict(request.options["problem"]))
+        scaling.image_scale, request.criterion, dict(request.options["problem"]),
+        objectives_of(request.options["problem"].get("objectives"), request.criterion))
 
 
 def build(request: Request, observations: Observations, scaling: Scaling,
