@@ -62,7 +62,8 @@ def new_plugin(name: str, kind: str, parent: Path) -> None:
     except OSError as error:
         raise TermselError(f"cannot write: {error.strerror}", file=folder) from error
     say_written(folder / file for file in texts)
-    echo(f"Install it: {Path(sys.executable).name} -m pip install {folder}\n"
+    place = folder if folder.is_absolute() else f"./{folder}"  # without it, pip asks an index
+    echo(f"Install it: {Path(sys.executable).name} -m pip install {place}\n"
          f"Test it:    cd {folder}; {Path(sys.executable).name} -m unittest discover tests")
 
 
