@@ -6,6 +6,7 @@ import csv
 import json
 import os
 import random
+import re
 import signal
 import subprocess
 import sys
@@ -179,6 +180,7 @@ def test_a_second_process_is_refused_with_the_name_of_the_first(
     assert f"process {os.getpid()} on " in done.stderr
     assert f"At work: process {os.getpid()} on " in status.stdout
     assert "16 of 16 cells: 16 done" in status.stdout
+    assert re.search(r"Worst so far: (random|ga), seed \d: 3\.\d+ px", status.stdout)
     assert "Nobody is at work" in call("compare", "--status", out).stdout
 
 

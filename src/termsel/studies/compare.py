@@ -246,10 +246,13 @@ def _plugins(cells: list[Cell], spec: Spec) -> dict[str, str]:
 
 
 def _plan(spec: Spec, cells: list[Cell], workers: int) -> dict[str, Any]:
+    # A cell is called by what tells it from the others.
+    telling = [name for name in LABELS if len({cell.labels[name] for cell in cells}) > 1] \
+        or ["data"]
     return {"title": spec.title, "workers": workers, "began": time.time(), "cells": [
         {"cell": cell.key, "kind": list(cell.kind), "name": ", ".join(
-            str(cell.labels[name]) for name in LABELS if cell.labels[name] not in ("", None))}
-        for cell in cells]}
+            f"{name} {cell.labels[name]}" if name in ("split", "seed") else
+            str(cell.labels[name]) for name in telling)} for cell in cells]}
 
 
 def _write_plan(place: Path, spec: Spec, cells: list[Cell], workers: int) -> None:

@@ -38,7 +38,9 @@ class Progress:
         return self.total - self.states.get(WAITING, 0)
 
     def time_left(self) -> str:
-        """Return the time left in words; nothing before any cell is finished."""
+        """Return the time left in words."""
+        if self.finished == self.total:
+            return "finished"
         if self.seconds_left is None:
             return "time left unknown"
         return f"about {duration(self.seconds_left)} left"
