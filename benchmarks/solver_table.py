@@ -74,6 +74,10 @@ run once, and are not refined.
 **A lower fitness is not a better model: compare the independent RMSE.** Solvers for several
 objectives spend their evaluations on a whole front; the table shows its member of least fitness.
 Their local refinement looks around the front and does not start again.
+
+Alone, the solvers differ much: with 21 terms for each axis none but `swap` reaches the optimum from
+most seeds. In the same budget the local refinement brings most of them to it, or close, whatever
+came before: even random selections end near. It is a search of its own.
 """
 
 

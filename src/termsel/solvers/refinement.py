@@ -15,7 +15,7 @@ from termsel.solvers.swap import climb, neighbours
 
 POLISH_SHARE = 3
 """Evaluations of the local refinement, relative to those of the search before it: enough for most
-seeds to reach the proven optimum of the embedded problem with 21 terms per axis.
+seeds to reach the proven optimum of the embedded problem with one mask of 21 terms.
 See docs/evidence/solver-table.md."""
 
 DESCENT = 100_000_000
