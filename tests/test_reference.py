@@ -54,7 +54,9 @@ def _attributes(cls: type) -> list[str]:
         if base.__module__.partition(".")[0] in FOREIGN or base.__module__ in ("abc", "typing"):
             continue
         names = {*vars(base), *vars(base).get("__annotations__", {})}
-        found += [name for name in names if not name.startswith("_")]
+        # What scikit-learn puts into every estimator is called set_score_request and the like.
+        found += [name for name in names
+                  if not name.startswith("_") and not name.endswith("_request")]
     return sorted(set(found))
 
 
