@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from operator import index
 from typing import Any, ClassVar
 
+from termsel.display import Glance
 from termsel.errors import TermselError, unknown_name
 from termsel.guard.calls import Check, Guarded
 
@@ -184,7 +185,7 @@ def resolve(declared: Iterable[Option], given: Mapping[str, Any]) -> dict[str, A
     return {name: option.parse(given.get(name, option.default)) for name, option in options.items()}
 
 
-class Configurable(Guarded):
+class Configurable(Glance, Guarded):
     """A named thing with declared options; base of models, solvers and criteria.
 
     Parameters
@@ -209,3 +210,7 @@ class Configurable(Guarded):
     def __init__(self, **options: Any) -> None:
         self.options: dict[str, Any] = resolve(self.declared_options, options)
         """The value of every declared option."""
+
+    def _glance(self) -> tuple[str, Mapping[str, str]]:
+        return f"{type(self).__name__}: {self.name}", {
+            name: str(value) for name, value in self.options.items()}

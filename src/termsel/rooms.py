@@ -30,6 +30,7 @@ ROOMS = {
     "measurements": "features, roles, areas, coordinates, scaling, data sets",
     "options": "typed, documented options",
     "guard": "calls into plugins: faults, isolation, limits of time",
+    "display": "values at one glance, in a terminal and in notebooks",
     "threads": "threads of linear algebra",
     "interrupts": "Ctrl-C that is not lost",
     "errors": "what the user can correct",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import ClassVar
@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 from termsel.adjustment.equations import line_normals
 from termsel.adjustment.interpolation import Interpolation
 from termsel.adjustment.solve import Adjustment
+from termsel.display import Glance
 from termsel.errors import TermselError
 from termsel.fits.fittable import Fittable
 from termsel.fits.locate import Surface, locate
@@ -106,8 +107,8 @@ class HeldOut:
     squares: FloatArray
 
 
-@dataclass(frozen=True, eq=False)
-class Fit:
+@dataclass(frozen=True, eq=False, repr=False)
+class Fit(Glance):
     """A model fitted to control features.
 
     Parameters
@@ -144,8 +145,11 @@ class Fit:
     held_out: HeldOut | None = None
     made: Fit | None = None
 
-    def __repr__(self) -> str:
-        return f"<Fit of {self.model.name}: {self.terms.sum()} terms, {self.used.sum()} features>"
+    def _glance(self) -> tuple[str, Mapping[str, str]]:
+        rmse = self.control_rmse()
+        return f"Fit of {self.model.name}: {self.terms.sum()} terms, {self.used.sum()} features", {
+            "RMSE of control": "-" if rmse is None else f"{rmse.total:.3g} px",
+            "effective parameters": f"{self.effective:.1f}", "CRS": self.control.crs}
 
     @property
     def scaled_control(self) -> FeatureSet:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Iterator
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, fields
 from typing import Any
 
 import numpy as np
 
 from termsel.measurements.features import FeatureSet, FloatArray, IntArray, Lines, Points, select
+from termsel.measurements.frames import frame, geo_frame
 
 
 @dataclass(frozen=True)
@@ -50,11 +51,32 @@ class Residual:
 class Residuals(tuple[Residual, ...]):
     """Residuals as a table.
 
-    ``pandas.DataFrame(residuals)`` gives a row for each, ``geopandas.GeoDataFrame.from_features(
-    residuals)`` also its point on the ground.
+    `to_pandas` gives a row for each, `to_geopandas` also its point on the ground.
     """
 
     __slots__ = ()
+
+    def __repr__(self) -> str:
+        worst = max((r.distance for r in self), default=0.0)
+        return f"<Residuals: {len(self)}, largest {worst:.3g} px>"
+
+    def to_pandas(self) -> Any:
+        """Return a pandas DataFrame with a row for each residual."""
+        return frame(self._columns())
+
+    def to_geopandas(self, crs: str = "local") -> Any:
+        """Return a geopandas GeoDataFrame of the features' points on the ground.
+
+        Parameters
+        ----------
+        crs : str
+            As of the feature set.
+        """
+        places = np.array([(r.x, r.y, r.z) for r in self]).reshape(-1, 3)
+        return geo_frame(self._columns(), places, crs)
+
+    def _columns(self) -> dict[str, list[Any]]:
+        return {one.name: [getattr(r, one.name) for r in self] for one in fields(Residual)}
 
     @property
     def __geo_interface__(self) -> dict[str, Any]:

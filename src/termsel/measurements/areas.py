@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from termsel.errors import TermselError
-from termsel.measurements.features import FARTHEST, FloatArray, Lines, Points
+from termsel.measurements.features import FloatArray, Lines, Points
+from termsel.measurements.values import FARTHEST
 
 FORMS = ("boundary", "centroid")
 

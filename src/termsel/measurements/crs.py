@@ -15,12 +15,14 @@ from typing import TYPE_CHECKING
 from warnings import catch_warnings, simplefilter
 
 import numpy as np
+from numpy.typing import NDArray
 
 from termsel.errors import TermselError
-from termsel.measurements.features import FloatArray
 
 if TYPE_CHECKING:
     from pyproj import CRS
+
+FloatArray = NDArray[np.float64]
 
 log = logging.getLogger(__name__)
 

@@ -2,24 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from termsel.errors import TermselError
+from termsel.display import Glance
+from termsel.errors import TermselError, counted
+from termsel.measurements.frames import Tabular
 from termsel.measurements.ids import check_ids
+from termsel.measurements.values import (
+    check_deviations,
+    check_finite,
+    check_heights,
+)
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.intp]
 
 ROLES = ("control", "check", "independent", "off")
-
-FARTHEST = 1e50
-"""Coordinates from which on squares and products of some of them overflow."""
 
 
 def _frozen(values: ArrayLike, shape: tuple[int, ...], what: str) -> FloatArray:
@@ -30,50 +35,14 @@ def _frozen(values: ArrayLike, shape: tuple[int, ...], what: str) -> FloatArray:
     return array
 
 
-def _check_finite(values: FloatArray, ids: Sequence[str], kind: str, what: str) -> None:
-    bad = ~np.isfinite(values.reshape(len(ids), -1)).all(axis=1)
-    if bad.any():
-        name = ids[int(np.argmax(bad))]
-        raise TermselError(f"{kind} {name!r} has {what} that are not finite numbers",
-                           hint="Correct the values or remove the feature.", ids=[name])
-    _check_near(values, ids, kind, what)
-
-
-def _check_near(values: FloatArray, ids: Sequence[str], kind: str, what: str) -> None:
-    far = (np.abs(values) >= FARTHEST).reshape(len(ids), -1).any(axis=1)
-    if far.any():
-        name = ids[int(np.argmax(far))]
-        raise TermselError(f"{kind} {name!r} has {what} of {FARTHEST:g} or more",
-                           hint="Correct the values or remove the feature.", ids=[name])
-
-
-def _check_heights(z: FloatArray, ids: Sequence[str], kind: str) -> None:
-    """Refuse infinite heights; blank heights are NaN and suit models without height."""
-    bad = np.isinf(z.reshape(len(ids), -1)).any(axis=1)
-    if bad.any():
-        name = ids[int(np.argmax(bad))]
-        raise TermselError(f"{kind} {name!r} has an infinite height", ids=[name])
-    _check_near(z, ids, kind, "a height")
-
-
-def _check_deviations(sigma: FloatArray, ids: Sequence[str], kind: str) -> None:
-    # Their squares, and those of weights, must not overflow.
-    bad = ~((sigma > 1 / FARTHEST) & (sigma < FARTHEST)).reshape(len(ids), -1).all(axis=1)
-    if bad.any():
-        name = ids[int(np.argmax(bad))]
-        raise TermselError(f"{kind} {name!r} has a standard deviation that is not positive, "
-                           "or beyond what can be computed with",
-                           ids=[name])
-
-
 def _as_index(index: ArrayLike) -> IntArray | BoolArray:
     """Return integers or a mask as an array; numpy takes an empty list for numbers."""
     array = np.asarray(index)
     return array if array.size else np.zeros(0, dtype=np.intp)
 
 
-@dataclass(frozen=True, eq=False)
-class Points:
+@dataclass(frozen=True, eq=False, repr=False)
+class Points(Tabular):
     """Conjugate points.
 
     Parameters
@@ -113,12 +82,12 @@ class Points:
         check_ids(ids, "point", unique=True)
         if n == 0:
             return
-        _check_finite(self.image, ids, "point", "image coordinates")
-        _check_finite(self.ground[:, :2], ids, "point", "ground coordinates")
-        _check_heights(self.ground[:, 2], ids, "point")
+        check_finite(self.image, ids, "point", "image coordinates")
+        check_finite(self.ground[:, :2], ids, "point", "ground coordinates")
+        check_heights(self.ground[:, 2], ids, "point")
         if self.sigma is not None:
             object.__setattr__(self, "sigma", _frozen(self.sigma, (n, 2), "sigma of points"))
-            _check_deviations(self.sigma, ids, "point")
+            check_deviations(self.sigma, ids, "point")
         if len(roles) != n:
             raise TermselError(f"{len(roles)} roles for {n} points")
         for name, role in zip(ids, roles, strict=True):
@@ -144,6 +113,19 @@ class Points:
     def __len__(self) -> int:
         return len(self.ids)
 
+    def _glance(self) -> tuple[str, Mapping[str, str]]:
+        roles = Counter(role or "no role" for role in self.roles)
+        return f"Points: {len(self)}", {
+            "ids": ", ".join(self.ids[:5]) + ", ..." * (len(self) > 5),
+            "roles": ", ".join(f"{count} {role}" for role, count in roles.items())}
+
+    def _columns(self) -> dict[str, object]:
+        sigma = {} if self.sigma is None else {
+            "sigma_line": self.sigma[:, 0], "sigma_sample": self.sigma[:, 1]}
+        x, y, z = self.ground.T
+        return {"id": self.ids, "role": self.roles, "line": self.image[:, 0],
+                "sample": self.image[:, 1], "x": x, "y": y, "z": z, **sigma}
+
     def take(self, index: ArrayLike) -> Points:
         """Return the points at `index` (integers or a mask)."""
         chosen = np.arange(len(self))[_as_index(index)]
@@ -153,8 +135,8 @@ class Points:
             tuple(self.roles[i] for i in chosen))
 
 
-@dataclass(frozen=True, eq=False)
-class Lines:
+@dataclass(frozen=True, eq=False, repr=False)
+class Lines(Tabular):
     """Conjugate straight lines, whose end points are not conjugate.
 
     Lines with one id are pieces of one feature, such as a polyline: they are selected and held
@@ -192,12 +174,12 @@ class Lines:
         check_ids(ids, "line", unique=False)
         if n == 0:
             return
-        _check_finite(self.image, ids, "line", "image coordinates")
-        _check_finite(self.ground[..., :2], ids, "line", "ground coordinates")
-        _check_heights(self.ground[..., 2], ids, "line")
+        check_finite(self.image, ids, "line", "image coordinates")
+        check_finite(self.ground[..., :2], ids, "line", "ground coordinates")
+        check_heights(self.ground[..., 2], ids, "line")
         if self.sigma is not None:
             object.__setattr__(self, "sigma", _frozen(self.sigma, (n,), "sigma of lines"))
-            _check_deviations(self.sigma, ids, "line")
+            check_deviations(self.sigma, ids, "line")
         for values, where in ((self.image, "image"), (self.ground[..., :2], "ground")):
             short = (values[:, 0] == values[:, 1]).all(axis=1)
             if short.any():
@@ -227,6 +209,17 @@ class Lines:
 
     def __len__(self) -> int:
         return len(self.ids)
+
+    def _glance(self) -> tuple[str, Mapping[str, str]]:
+        return f"Lines: {len(self)}", {
+            "ids": ", ".join(self.features[:5]) + ", ..." * (len(self.features) > 5)}
+
+    def _columns(self) -> dict[str, object]:
+        (l1, s1), (l2, s2) = self.image.transpose(1, 2, 0)
+        (x1, y1, z1), (x2, y2, z2) = self.ground.transpose(1, 2, 0)
+        sigma = {} if self.sigma is None else {"sigma": self.sigma}
+        return {"id": self.ids, "line1": l1, "sample1": s1, "line2": l2, "sample2": s2, "x1": x1,
+                "y1": y1, "z1": z1, "x2": x2, "y2": y2, "z2": z2, **sigma}
 
     @cached_property
     def features(self) -> tuple[str, ...]:
@@ -296,8 +289,8 @@ def no_lines() -> Lines:
     return Lines((), np.empty((0, 2, 2)), np.empty((0, 2, 3)))
 
 
-@dataclass(frozen=True, eq=False)
-class FeatureSet:
+@dataclass(frozen=True, eq=False, repr=False)
+class FeatureSet(Glance):
     """Points and lines of one image.
 
     Parameters
@@ -345,6 +338,15 @@ class FeatureSet:
 
     def __len__(self) -> int:
         return len(self.points) + len(self.lines.features)
+
+    def _glance(self) -> tuple[str, Mapping[str, str]]:
+        roles = Counter(role or "no role" for role in self.points.roles)
+        size = self.image_size
+        return (f"FeatureSet: {counted(len(self.points), 'point')}, "
+                f"{counted(len(self.lines.features), 'line')}"), {
+            "CRS": self.crs,
+            "image": "size not known" if size is None else f"{size[0]} lines, {size[1]} samples",
+            "roles of points": ", ".join(f"{n} {role}" for role, n in roles.items()) or "-"}
 
     @property
     def word(self) -> str:

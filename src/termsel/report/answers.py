@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import platform
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 from termsel.errors import counted
@@ -44,7 +44,7 @@ def report(view: View, picture: str = "") -> str:
 
 def _accuracy(view: View) -> Iterator[Block]:
     record = view.record
-    yield Statement(statement(view))
+    yield Statement(statement(record))
     accuracy = record.get("accuracy")
     if accuracy:
         rows = [("in the image", *_distances(accuracy["image"], "px", "line", "sample"))]
@@ -64,14 +64,14 @@ def _accuracy(view: View) -> Iterator[Block]:
                "without the independent points.")
 
 
-def statement(view: View) -> str:
+def statement(record: Mapping[str, Any]) -> str:
     """Return the accuracy as a statement that can be pasted.
 
     Parameters
     ----------
-    view : View
+    record : mapping
+        The content of result.json.
     """
-    record = view.record
     accuracy, predicted = record.get("accuracy"), record.get("predicted")
     if accuracy:
         image, ground = accuracy["image"], accuracy["ground"]

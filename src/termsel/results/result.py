@@ -5,13 +5,13 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
-from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from numpy.typing import ArrayLike
 
-from termsel.errors import TermselError
+from termsel.display import Glance
+from termsel.errors import TermselError, counted
 from termsel.files.atomic import write_text
 from termsel.files.names import is_there
 from termsel.files.thumbnail import thumbnail
@@ -31,7 +31,7 @@ from termsel.fits.residuals import Residuals, point_residuals
 from termsel.measurements.features import FeatureSet, FloatArray
 from termsel.measurements.roles import by_roles
 from termsel.problems.base import Selection
-from termsel.report.answers import report
+from termsel.report.answers import report, statement
 from termsel.report.plots import Plots
 from termsel.report.text import summary
 from termsel.report.view import View
@@ -67,8 +67,8 @@ class Outlier:
     excluded: bool
 
 
-@dataclass(frozen=True, eq=False)
-class Result:
+@dataclass(frozen=True, eq=False, repr=False)
+class Result(Glance):
     """What a run found, with the accuracy it has on points no choice has seen.
 
     Parameters
@@ -357,6 +357,14 @@ class Result:
         """Return a page that a person reads (see `termsel.report.text.summary`)."""
         return summary(self.to_dict())
 
-    def _repr_html_(self) -> str:
-        """Return the summary for a notebook."""
-        return f"<pre>{escape(self.summary())}</pre>"
+    def _glance(self) -> tuple[str, Mapping[str, str]]:
+        counts = self.data["counts"]
+        features = [counted(counts[key], word) for key, word in (
+            ("control", "control point"), ("lines", "control line"), ("check", "check point"),
+            ("independent", "independent point")) if counts[key]]
+        return f"Result of {self.problem}: model {self.model}", {
+            "data": f"{self.data['source']}; {', '.join(features)}",
+            "selected": f"{len(self.selection.terms)} terms, {len(self.selection.features)} "
+                        "features",
+            "accuracy": statement(self.to_dict()),
+            "see": "summary(), plot.residuals(), report('report.html')"}

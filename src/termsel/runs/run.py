@@ -21,6 +21,7 @@ from termsel.results.result import Result
 from termsel.runs.assess import assessed
 from termsel.runs.auto import LEAST, choose_for, wanted
 from termsel.runs.blunders_out import search_without_blunders
+from termsel.runs.notebook import notebook_observer
 from termsel.runs.task import DATA_OPTIONS, Task, ask, observe, prepare
 from termsel.solvers.base import Solver
 from termsel.solvers.search import Observer
@@ -73,7 +74,8 @@ def run(
     patience : int, optional
         End after so many generations without a gain above the option `tolerance`.
     observers : iterable of callable
-        Called with `Progress` after each generation, or each candidate of the strategy "auto".
+        Called with `Progress` after each generation, or each candidate of the strategy "auto". In a
+        notebook one more shows the progress.
     out : path, optional
         Folder for result.json, residuals.csv, summary.txt and the features.
     overwrite : bool
@@ -102,6 +104,10 @@ def run(
     unnamed = problem is None
     if problem is None:
         problem = problem_for(features)
+    shown = notebook_observer(problem.recipe.name if isinstance(problem, Task) else
+                              str(problem))
+    if shown is not None:
+        observers = (*observers, shown)
     if isinstance(problem, Task):
         if asked:
             raise TermselError(f"a prepared task takes no {', '.join(sorted(asked))}",

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from termsel.criteria import Criterion
+from termsel.display import Glance
 from termsel.errors import TermselError, printable
 from termsel.guard.arrays import of_type
 from termsel.guard.faults import blamed, wrong
@@ -94,8 +95,8 @@ class Request:
     then: Solver | None = None
 
 
-@dataclass(frozen=True, eq=False)
-class Task:
+@dataclass(frozen=True, eq=False, repr=False)
+class Task(Glance):
     """A problem made ready for a search.
 
     Parameters
@@ -128,6 +129,11 @@ class Task:
     source: str
     options: Mapping[str, Mapping[str, Any]]
     then: Solver | None = None
+
+
+    def _glance(self) -> tuple[str, Mapping[str, str]]:
+        method = ", ".join(part.name for part in (self.model, self.solver, self.criterion))
+        return f"Task: {self.recipe.name}", {"method": method, "data": self.source}
 
 
 def prepare(
