@@ -286,7 +286,7 @@ def result_from(record: Mapping[str, Any], features: FeatureSet) -> Result:
         outliers=tuple(Outlier(**one) for one in record.get("outliers", ())),
         predicted=Predicted(**found) if (found := record.get("predicted")) else None,
         accuracy=accuracy_from(given) if (given := record.get("accuracy")) else None,
-        front=tuple(record["front"]),
+        front=tuple(record["front"]), history=tuple(record.get("history", ())),
         final=_final(record, final, fitted, features) if final else None)
 
 

@@ -43,7 +43,8 @@ def _parts(record: Mapping[str, Any]) -> Iterator[str]:
                 yield f"--set {shlex.quote(f'{key}={_plain(value)}')}"
     yield f"--seed {record['seed']}"
     if not record["strategy"]:
-        yield f"--evaluations {record['evaluations']}"
+        refined = record["polish"] or {"evaluations": 0}
+        yield f"--evaluations {record['evaluations'] - refined['evaluations']}"
 
 
 _SETTLED = ("roles", "off", "role", "fractions", "split")
