@@ -269,7 +269,8 @@ def test_the_command_repeats_the_run(call: Call, request: pytest.FixtureRequest,
     monkeypatch.chdir(folder)
     record = json.loads((folder / "result.json").read_text())
     words = shlex.split(command(record).replace("\\\n", " "))
-    assert call(*words[1:], "--quiet", "--out", tmp_path / "again").exit_code == 0
+    assert call(*words[1:], "--evaluations", 2000, "--quiet", "--out",
+                tmp_path / "again").exit_code == 0
     again = json.loads((tmp_path / "again" / "result.json").read_text())
     assert again["selection"] == record["selection"]
     assert again["rmse"] == record["rmse"]

@@ -10,7 +10,8 @@ from typing import Any
 def command(record: Mapping[str, Any]) -> str:
     """Return the command that repeats a run in the folder of its result.
 
-    The points and lines there have their roles, so that the files they came from are not needed.
+    The points and lines there have their roles, so that the files they came from are not needed. A
+    budget of the run is not in its record, and not in the command.
 
     Parameters
     ----------
@@ -42,9 +43,6 @@ def _parts(record: Mapping[str, Any]) -> Iterator[str]:
                 key = f"{part}.{name}" if names.count(name) > 1 else name
                 yield f"--set {shlex.quote(f'{key}={_plain(value)}')}"
     yield f"--seed {record['seed']}"
-    if not record["strategy"]:
-        refined = record["polish"] or {"evaluations": 0}
-        yield f"--evaluations {record['evaluations'] - refined['evaluations']}"
 
 
 _SETTLED = ("roles", "off", "role", "fractions", "split")
