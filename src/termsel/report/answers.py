@@ -196,8 +196,8 @@ def _repeated(view: View) -> Iterator[Block]:
     yield "In the folder of this result:"
     yield Code(command(record) + " --out again")
     if not record["strategy"]:
-        yield ("If the run had a budget (--generations, --evaluations or --seconds), give it again; "
-               f"it took {counted(record['evaluations'], 'evaluation')} in all.")
+        yield ("If the run had a budget (--generations, --evaluations or --seconds), give it "
+               f"again; it took {counted(record['evaluations'], 'evaluation')} in all.")
     yield Table("Versions", ("package", "version"), [
         *record["versions"].items(),
         *((part["name"], part["version"]) for part in record["plugins"].values()),
