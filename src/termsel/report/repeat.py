@@ -6,6 +6,12 @@ import shlex
 from collections.abc import Iterator, Mapping
 from typing import Any
 
+from termsel.solvers.ga import GeneticAlgorithm
+from termsel.solvers.ga_correlation import CorrelationSeededGA
+
+_BY_NAME = (GeneticAlgorithm, CorrelationSeededGA)
+"""Solvers that have other options when they are named."""
+
 
 def command(record: Mapping[str, Any]) -> str:
     """Return the command that repeats a run in the folder of its result.
@@ -32,7 +38,12 @@ def _parts(record: Mapping[str, Any]) -> Iterator[str]:
     if record["strategy"]:
         yield "--strategy auto"
     else:
-        for part in ("model", "solver", "criterion"):
+        own = record["options"]["solver"]
+        # A solver that is named takes what its paper says; that of the problem does not.
+        published = next((solver.published for solver in _BY_NAME
+                          if solver.name == record["solver"]), {})
+        named = all(own[name] is not None for name in published)
+        for part in ("model", *["solver"] * named, "criterion"):
             yield f"--{part} {shlex.quote(record[part])}"
     names = [name for options in record["options"].values() for name in options]
     for part, options in record["options"].items():
