@@ -26,7 +26,8 @@ def test_the_fitness_is_the_median_error_by_the_covered_area() -> None:
         chosen = np.isin(np.arange(100), numbers)
         rows = np.repeat(chosen, 2)
         equations = task.model.equations(task.scaling.features(task.observations.control))
-        solution = np.linalg.lstsq(equations.A[rows], equations.b[rows], rcond=None)[0]
+        solution = np.linalg.lstsq(equations.A[rows], equations.b[rows], rcond=None)[0].astype(
+            np.float64)
         placed = task.model.project(solution, task.scaling.points(points).ground)
         errors = np.linalg.norm(placed - task.scaling.points(points).image, axis=1)
         corners = points.image[chosen] - points.image.min(axis=0)
