@@ -282,12 +282,12 @@ def _warp(raster: Any, output: Path, shape: tuple[int, int], transform: Any, crs
                       dst_transform=tiled.window_transform(window), rpcs=raster.rpcs,
                       resampling=Resampling[resampling], **options)
             tiled.write(pixels, window=window)
-            checksums.append(crc32(pixels))
+            checksums.append(crc32(pixels.data))
             if progress is not None:
                 progress((done + 1) / len(tiles))
     copy(plain, output, driver="COG", compress="deflate", bigtiff="if_safer")
     with rasterio.open(output) as made:
-        if [crc32(made.read(window=window)) for window in tiles] != checksums:
+        if [crc32(made.read(window=window).data) for window in tiles] != checksums:
             raise TermselError("the map that is read back is not the one that was written",
                                file=output, hint="Check the free space on the disk.")
 
