@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 import logging
+import sqlite3
 import warnings
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
@@ -322,6 +324,8 @@ def test_residuals_for_a_map(selected: Result, of_lines: Result, tmp_path: Path)
     path = tmp_path / "residuals.gpkg"
     ResidualsGeopackage(exaggeration=100).write(selected, path)
     assert sorted(name for name, _ in pyogrio.list_layers(path)) == ["residuals", "vectors"]
+    with closing(sqlite3.connect(path)) as database:  # GDAL 3.6 warns of later versions
+        assert database.execute("PRAGMA user_version").fetchone() == (10300,)
     meta, _, shapes, columns = pyogrio.raw.read(path, layer="vectors")
     assert "32640" in meta["crs"]
     table = dict(zip(meta["fields"], columns, strict=True))

@@ -18,6 +18,7 @@ from termsel.measurements.features import FloatArray
 from termsel.options import Option
 from termsel.results.result import Result
 
+_VERSION = {"VERSION": "1.3"}  # which GDAL 3.6 and QGIS 3.22 read without a warning
 _SHARE = 0.03  # of the map's extent, for the median vector
 
 
@@ -77,7 +78,7 @@ class ResidualsGeopackage(Writer):
                     write(str(whole), shapely.to_wkb(shapes), fields, list(columns), layer=layer,
                           driver="GPKG", geometry_type="Point" if layer == "residuals"
                           else "LineString", crs=horizontal(result.features.crs) or None,
-                          append=whole.exists())
+                          append=whole.exists(), dataset_options=_VERSION)
                     if read_info(whole, layer=layer)["features"] != len(residuals):
                         raise DataLayerError("the file is incomplete")  # noqa: TRY301
             except (DataSourceError, DataLayerError) as error:

@@ -90,7 +90,7 @@ def convergence(view: View) -> Any:
                      axis=alt.Axis(format="%", orient="right", grid=False, titleColor=FAINT)))
     drawn = alt.Chart(data(lines)).mark_line(
         strokeWidth=2, interpolate="step-after").encode(
-        x=x, color=colour, strokeDash=alt.StrokeDash("what:N", legend=None, scale=alt.Scale(
+        x=x, color=colour, strokeDash=alt.StrokeDash("what:N", scale=alt.Scale(
             domain=["best", "median"], range=[[1, 0], [5, 3]])),
         y=alt.Y("value:Q", title=f"{criterion}{kind}", scale=scale),
         tooltip=[alt.Tooltip("evaluations:Q", format=",d"), alt.Tooltip("what:N"),
