@@ -46,7 +46,7 @@ generated = _load(ROOT / "docs" / "generated.py")
 EXECUTED = [
     "README.md", "docs/tutorial/index.md", "docs/how-to/own-data.md", "docs/how-to/points.md",
     "docs/how-to/blunders.md", "docs/how-to/python.md", "docs/how-to/plugin.md",
-    "docs/how-to/problem.md",
+    "docs/how-to/problem.md", "docs/how-to/deap-and-pymoo.md",
     "docs/reference/plugins.md", "docs/reference/simulated.md"]
 SECTIONS = ["tutorial", "how-to", "reference", "explanation", "evidence"]
 

@@ -74,6 +74,10 @@ if TYPE_CHECKING:
     from termsel.runs.task import Task, prepare
     from termsel.simulate import simulate_scene
     from termsel.solvers import Generation, Solver
+    from termsel.solvers.deap_algorithms import from_deap
+    from termsel.solvers.deap_toolbox import to_deap
+    from termsel.solvers.pymoo_algorithms import from_pymoo
+    from termsel.solvers.pymoo_problem import to_pymoo
     from termsel.solvers.search import Search, search
     from termsel.studies.compare import compare
     from termsel.studies.study import Study
@@ -138,6 +142,8 @@ _HOME = {
     "export": "termsel.io.export",
     "feature_options": "termsel.problems.recipes",
     "fit": "termsel.runs.fit",
+    "from_deap": "termsel.solvers.deap_algorithms",
+    "from_pymoo": "termsel.solvers.pymoo_algorithms",
     "hookimpl": "termsel.plugins.hookspecs",
     "image_equations": "termsel.adjustment",
     "line_normals": "termsel.adjustment",
@@ -153,6 +159,8 @@ _HOME = {
     "simulate_scene": "termsel.simulate",
     "term_options": "termsel.problems.recipes",
     "uncovered_share": "termsel.problems.coverage",
+    "to_deap": "termsel.solvers.deap_toolbox",
+    "to_pymoo": "termsel.solvers.pymoo_problem",
     "write_lines_csv": "termsel.formats.readers.csv_tables",
     "write_points_csv": "termsel.formats.readers.csv_tables",
 }
@@ -218,6 +226,8 @@ __all__ = [
     "export",
     "feature_options",
     "fit",
+    "from_deap",
+    "from_pymoo",
     "hookimpl",
     "image_equations",
     "line_normals",
@@ -232,6 +242,8 @@ __all__ = [
     "search",
     "simulate_scene",
     "term_options",
+    "to_deap",
+    "to_pymoo",
     "uncovered_share",
     "write_lines_csv",
     "write_points_csv",

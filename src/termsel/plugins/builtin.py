@@ -70,6 +70,7 @@ def termsel_objectives() -> Iterable[Objective]:
 def termsel_solvers() -> Iterable[type[Solver]]:
     """Return the built-in solvers."""
     from termsel.solvers.aco import AntColony
+    from termsel.solvers.deap_algorithms import Deap
     from termsel.solvers.exact import Exact
     from termsel.solvers.ga import GeneticAlgorithm
     from termsel.solvers.ga_correlation import CorrelationSeededGA
@@ -79,12 +80,13 @@ def termsel_solvers() -> Iterable[type[Solver]]:
     from termsel.solvers.nested_regression import NestedRegression
     from termsel.solvers.pareto import AgeMoea2, Nsga2, SmsEmoa, Spea2
     from termsel.solvers.pso import BinarySwarm
+    from termsel.solvers.pymoo_algorithms import Pymoo
     from termsel.solvers.ridge_lasso import Lasso, Ridge
     from termsel.solvers.stepwise import Stepwise, TTest
     from termsel.solvers.swap import Swap
     from termsel.solvers.yardsticks import AllTerms, RandomSearch
 
-    return [GeneticAlgorithm, CorrelationSeededGA, SteadyStateGA, TransgenicGA,
+    return [Deap, Pymoo, GeneticAlgorithm, CorrelationSeededGA, SteadyStateGA, TransgenicGA,
             ImperialistCompetition, BinarySwarm, AntColony,
             Nsga2, AgeMoea2, SmsEmoa, Spea2, Exact, Swap, RandomSearch, AllTerms,
             Stepwise, TTest, NestedRegression, Lasso, Ridge]

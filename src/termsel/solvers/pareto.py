@@ -17,17 +17,17 @@ from pymoo.core.mutation import Mutation
 from pymoo.core.problem import Problem as PymooProblem
 from pymoo.core.repair import Repair
 from pymoo.core.sampling import Sampling
-from pymoo.core.termination import NoTermination
 from pymoo.operators.crossover.ux import UX
 from pymoo.operators.mutation.bitflip import BitflipMutation
 
 from termsel.measurements.features import FloatArray
 from termsel.options import Option
-from termsel.problems.base import Evaluation, Problem
+from termsel.problems.base import Problem
 from termsel.problems.genome import Genome
 from termsel.problems.segments import SEGMENTS, AnySegment, Genes
 from termsel.solvers.base import Generation, Solver
 from termsel.solvers.operators import crossover, mutation
+from termsel.solvers.pymoo_problem import steps
 
 
 class _Keep(Repair):  # type: ignore[misc]
@@ -78,6 +78,24 @@ class _Mutate(Mutation):  # type: ignore[misc]
         return mutation(X, self.genome, self.rate, random_state)
 
 
+def operators(genome: Genome, rate: float | None, rng: np.random.Generator) -> dict[str, Any]:
+    """Return the start, crossover, mutation and repair that all algorithms have.
+
+    Parameters
+    ----------
+    genome : Genome
+    rate : float, optional
+        Chance that a gene changes; by default 1 over the number of genes.
+    rng : numpy.random.Generator
+    """
+    rate = 1.0 / genome.size if rate is None else rate
+    bits = genome.dtype == np.bool_
+    return {"sampling": _Start(genome, rng), "crossover": UX() if bits else _Mate(genome),
+            "mutation": (BitflipMutation(prob=1.0, prob_var=rate) if bits
+                         else _Mutate(genome, rate)),
+            "repair": _Keep(genome, rng)}
+
+
 class PymooSolver(Solver):
     """Base of the solvers that use pymoo: they differ in the survival.
 
@@ -102,34 +120,9 @@ class PymooSolver(Solver):
 
     def generations(self, problem: Problem, rng: np.random.Generator) -> Iterator[Generation]:
         """Yield generations without end (see `Solver.generations`)."""
-        size = problem.genome.size
-        rate = 1.0 / size if self.options["mutation"] is None else self.options["mutation"]
-        genome, bits = problem.genome, problem.genome.dtype == np.bool_
-        algorithm = self.algorithm(
-            pop_size=self.options["population"], sampling=_Start(genome, rng),
-            crossover=UX() if bits else _Mate(genome),
-            mutation=BitflipMutation(prob=1.0, prob_var=rate) if bits else _Mutate(genome, rate),
-            repair=_Keep(genome, rng))
-        algorithm.setup(
-            PymooProblem(n_var=size, n_obj=len(problem.objectives), n_ieq_constr=1, xl=0, xu=1,
-                         vtype=bool if bits else None),
-            termination=NoTermination())
-        algorithm.random_state = rng
-        index = 0
-        while True:
-            asked = algorithm.ask()
-            if asked is None or not len(asked):
-                return  # every offspring is a duplicate: there is nothing left to try
-            evaluation = problem.evaluate(asked.get("X").astype(genome.dtype))
-            asked.set("F", evaluation.objectives)
-            asked.set("G", evaluation.violation[:, None])
-            for one in asked:
-                one.evaluated.update({"F", "G"})
-            algorithm.tell(infills=asked)
-            kept = algorithm.pop
-            yield Generation(index, kept.get("X").astype(genome.dtype),
-                             Evaluation(kept.get("F"), np.maximum(kept.get("G")[:, 0], 0.0)))
-            index += 1
+        algorithm = self.algorithm(pop_size=self.options["population"],
+                                   **operators(problem.genome, self.options["mutation"], rng))
+        yield from steps(algorithm, problem, rng)
 
 
 class Nsga2(PymooSolver):

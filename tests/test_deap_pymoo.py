@@ -1,0 +1,256 @@
+"""DEAP and pymoo as their users know them: scripts and algorithms of theirs, as they stand."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+from deap import algorithms, base, tools
+from pymoo.algorithms.moo.nsga2 import NSGA2
+from pymoo.algorithms.soo.nonconvex.ga import GA
+from pymoo.operators.crossover.pntx import TwoPointCrossover
+from pymoo.operators.crossover.ux import UX
+from pymoo.operators.mutation.bitflip import BitflipMutation
+from pymoo.operators.sampling.rnd import BinaryRandomSampling
+from pymoo.optimize import minimize
+from scipy.stats import ks_2samp
+
+import termsel
+from termsel import TermselError, search
+from termsel.solvers.deap_algorithms import Deap
+from termsel.solvers.ga import GeneticAlgorithm
+from termsel.solvers.ledger import Ledger
+from termsel.solvers.pymoo_algorithms import ALGORITHMS, Pymoo
+from termsel.testing import problems
+from termsel.testing.problems import Watched
+from termsel.testing.trial import global_states
+
+
+def small(**options: Any) -> termsel.Task:
+    return termsel.prepare("poly-terms", options={"degree": 2, **options})
+
+
+def test_a_deap_script_runs_as_it_stands() -> None:
+    task = termsel.prepare("poly-terms", options={"degree": 3})
+    watched = Watched(task.problem)
+    random.seed(1)
+    box = termsel.to_deap(watched)
+    last, log = algorithms.eaSimple(box.population(n=60), box, 0.9, 0.2, 15, verbose=False)
+    assert len(last) == 60
+    assert watched.calls == 16  # a batch a generation
+    assert watched.evaluated == sum(log.select("nevals"))
+    best = tools.selBest(last, 1)[0]
+    true = task.problem.evaluate(np.array([best]))
+    assert best.fitness.values == pytest.approx(tuple(true.objectives[0]), rel=1e-9)
+    assert true.violation[0] == 0
+    first = termsel.search(task.problem, GeneticAlgorithm(population=60), generations=1)
+    assert best.fitness.values[0] < first.objectives[0] * 1.2
+    random.seed(1)
+    again, _ = algorithms.eaSimple(box.population(n=60), box, 0.9, 0.2, 15, verbose=False)
+    assert again == last
+
+
+def test_infeasible_individuals_are_penalised_by_their_violation() -> None:
+    class Broken(termsel.Problem):
+        objectives = ("cost",)
+        genome = termsel.Genome([termsel.Bits("g", ("a", "b", "c"))])
+
+        def evaluate(self, genes: np.ndarray) -> termsel.Evaluation:
+            return termsel.Evaluation(np.full((len(genes), 1), 5.0),
+                                      genes.sum(axis=1).astype(float))
+
+        def decode(self, genes: np.ndarray) -> termsel.Selection:
+            return termsel.Selection((), ())
+
+    box = termsel.to_deap(Broken())
+    people = [box.individual() for _ in range(3)]
+    people[0][:], people[1][:], people[2][:] = [0, 0, 0], [1, 0, 0], [1, 1, 1]
+    fitness = list(box.map(box.evaluate, people))
+    assert fitness[0] == (5.0,)
+    assert fitness[0] < fitness[1] < fitness[2]
+    assert fitness[2][0] - fitness[1][0] == 2.0
+    assert box.evaluate(people[1]) == fitness[1]
+
+
+def test_individuals_keep_forced_genes_whatever_the_operators_do() -> None:
+    problem = problems.bound()
+    box = termsel.to_deap(problem)
+    box.register("mutate", tools.mutFlipBit, indpb=0.5)
+    random.seed(2)
+    last, _ = algorithms.eaSimple(box.population(n=20), box, 0.5, 1.0, 5, verbose=False)
+    genes = np.array(last)
+    assert problems.kept(problem.genome, genes).all()
+
+
+def test_a_replaced_evaluation_is_called_for_each_individual() -> None:
+    box = termsel.to_deap(small().problem)
+    calls = []
+    plain = box.evaluate
+    box.register("evaluate", lambda one: calls.append(1) or plain(one))
+    random.seed(3)
+    algorithms.eaSimple(box.population(n=7), box, 0.5, 0.2, 0, verbose=False)
+    assert len(calls) == 7
+
+
+@pytest.mark.parametrize("options", [
+    {}, {"algorithm": "eaMuPlusLambda"}, {"algorithm": "eaMuCommaLambda", "children": 40},
+    {"select": "selRoulette", "mate": "cxOnePoint", "mutate": "mutShuffleIndexes:indpb=0.1"},
+    {"select": "selDoubleTournament:fitness_size=3,parsimony_size=1.4,fitness_first=True"}])
+def test_algorithms_and_operators_by_name(options: dict[str, Any]) -> None:
+    before = global_states()
+    details = []
+    found = search(problems.twelve_terms(), Deap(population=20, **options), seed=3,
+                   generations=5,
+                   observers=[lambda progress: details.append(progress.generation.details)])
+    assert global_states() == before
+    assert found.generations == 5
+    assert len(found.history) == 6
+    assert len(details[-1]["logbook"]) == 6
+    assert details[-1]["logbook"].select("gen") == [0, 1, 2, 3, 4, 5]
+    assert details[-1]["halloffame"][0].fitness.values[0] == found.objectives[0]
+    again = search(problems.twelve_terms(), Deap(population=20, **options), seed=3, generations=5)
+    assert np.array_equal(found.genes, again.genes)
+
+
+@pytest.mark.parametrize(("options", "said"), [
+    ({"algorithm": "eaSimpel"}, "no algorithm 'eaSimpel'"),
+    ({"algorithm": "nowhere:loop"}, "cannot be imported"),
+    ({"select": "selTornament"}, "selTornament"),
+    ({"select": "selTournament"}, "requires tournsize"),
+    ({"select": "selTournament:size=3"}, "no argument 'size'"),
+    ({"select": "selTournament:tournsize"}, "is no argument"),
+    ({"mate": "mutFlipBit"}, "mutFlipBit"),
+    ({"algorithm": "eaMuPlusLambda", "cxpb": 0.9, "mutpb": 0.9}, "add up to 1.8"),
+    ({"algorithm": "os.path:join"}, "has no argument 'ngen'")])
+def test_what_deap_does_not_have_is_refused(options: dict[str, Any], said: str) -> None:
+    with pytest.raises(TermselError, match=said):
+        search(problems.twelve_terms(), Deap(**options), generations=1)
+
+
+def own_box(problem: termsel.Problem) -> base.Toolbox:
+    """Two-point crossover."""
+    box = termsel.to_deap(problem)
+    box.register("mate", tools.cxTwoPoint)
+    return box
+
+
+def own_loop(population: list[Any], toolbox: base.Toolbox) -> Iterator[list[Any]]:
+    """Keep the better half."""
+    while True:
+        yield population
+        best = toolbox.select(population, len(population) // 2)
+        population = best + algorithms.varAnd(best, toolbox, 0.5, 0.5)
+
+
+@pytest.mark.parametrize("loop", [algorithms.eaSimple, own_loop])
+def test_a_toolbox_of_ones_own_is_a_solver(loop: Any) -> None:
+    solver = termsel.from_deap(own_box, loop)
+    assert solver.name == "own-box"
+    before = global_states()
+    result = termsel.run("poly-terms", solver=solver, evaluations=600,
+                         options={"degree": 2, "population": 30})
+    assert global_states() == before
+    assert result.solver == "own-box"
+    assert result.evaluations == 600
+    assert result.feasible
+
+
+def test_a_pymoo_script_runs_as_it_stands() -> None:
+    task = termsel.prepare("poly-terms", options={"degree": 3})
+    watched = Watched(task.problem)
+    found = minimize(termsel.to_pymoo(watched), GA(
+        pop_size=60, sampling=BinaryRandomSampling(), crossover=UX(),
+        mutation=BitflipMutation()), ("n_gen", 15), seed=1)
+    assert watched.calls == 15
+    true = task.problem.evaluate(found.X[None])
+    assert found.F[0] == pytest.approx(true.objectives[0, 0], rel=1e-9)
+    assert found.G[0] == true.violation[0] == 0
+
+
+def test_broken_rules_of_the_genome_are_a_constraint() -> None:
+    genome = termsel.Genome([termsel.Bits("g", ("a", "b", "c", "d"), 1, 2)], on=("a",))
+
+    class Free(termsel.Problem):
+        objectives = ("cost",)
+
+        def __init__(self) -> None:
+            self.genome = genome
+
+        def evaluate(self, genes: np.ndarray) -> termsel.Evaluation:
+            return termsel.Evaluation(np.ones((len(genes), 1)), np.zeros(len(genes)))
+
+        def decode(self, genes: np.ndarray) -> termsel.Selection:
+            return termsel.Selection((), ())
+
+    X = np.array([[1, 0, 0, 0], [0, 0, 0, 0], [1, 1, 1, 1], [0, 1, 1, 1]], dtype=bool)
+    G = termsel.to_pymoo(Free()).evaluate(X, return_values_of=["G"])
+    assert G[:, 0].tolist() == [0.0, 2.0, 2.0, 2.0]
+
+
+@pytest.mark.parametrize("algorithm", ALGORITHMS)
+def test_each_algorithm_of_pymoo_runs_and_repeats(algorithm: str) -> None:
+    options = {"degree": 2, "algorithm": algorithm, "population": 20}
+    before = global_states()
+    one, two = (termsel.run("poly-terms", solver="pymoo", generations=4, options=options)
+                for _ in range(2))
+    assert global_states() == before
+    assert one.feasible
+    assert one.selection == two.selection
+    assert len(one.objectives) == (1 if algorithm == "ga" else 2)
+    assert bool(one.front) == (algorithm != "ga")
+
+
+def test_c_taea_has_as_many_directions_as_its_population_allows() -> None:
+    sizes = []
+    search(problems.two_aims(), Pymoo(algorithm="ctaea", population=15), generations=2,
+           observers=[lambda progress: sizes.append(len(progress.generation.genes))])
+    assert sizes[0] == 15
+
+
+@pytest.mark.parametrize(("algorithm", "objectives"), [
+    (GA(pop_size=20, sampling=BinaryRandomSampling(), crossover=TwoPointCrossover(),
+        mutation=BitflipMutation()), 1),
+    (NSGA2(pop_size=20, sampling=BinaryRandomSampling(), crossover=UX(),
+           mutation=BitflipMutation()), 2)])
+def test_an_algorithm_of_ones_own_is_a_solver(algorithm: Any, objectives: int) -> None:
+    solver = termsel.from_pymoo(algorithm)
+    runs = [termsel.run("poly-terms", solver=solver, evaluations=200, seed=4,
+                        options={"degree": 2}) for _ in range(2)]
+    assert runs[0].selection == runs[1].selection
+    assert len(runs[0].objectives) == objectives
+    assert runs[0].evaluations == 200
+    assert not algorithm.is_initialized
+
+
+def test_forced_genes_are_kept_by_algorithms_of_ones_own() -> None:
+    mine = termsel.from_pymoo(GA(pop_size=20, sampling=BinaryRandomSampling(), crossover=UX(),
+                                 mutation=BitflipMutation()))
+    problem = problems.bound()
+    found = search(problem, mine(), generations=5)
+    assert problems.kept(problem.genome, found.genes[None]).all()
+
+
+SEEDS = range(30)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("problem", "options"), [
+    ("poly-terms", {"degree": 4}), ("rfm-terms", {"order": 2}), ("owdis-points", {})])
+def test_ga_is_the_batched_twin_of_deap(problem: str, options: dict[str, Any]) -> None:
+    task = termsel.prepare(problem, options=options)
+    shared = Ledger(task.problem)  # both look up what either has evaluated
+
+    def reached(solver: termsel.Solver) -> list[float]:
+        return [float(search(shared, solver, seed=seed, generations=12).objectives[0])
+                for seed in SEEDS]
+
+    batched = reached(GeneticAlgorithm(population=40, elite=0))
+    plain = reached(Deap(population=40))
+    assert len(set(batched)) > 5
+    assert ks_2samp(batched, plain).pvalue > 0.01
+    # The test has power: with half of the generations' crossover and mutation it sees the gap.
+    weak = reached(Deap(population=40, select="selRandom"))
+    assert ks_2samp(batched, weak).pvalue < 0.001
