@@ -20,24 +20,21 @@ from termsel.solvers.pareto import operators
 from termsel.solvers.pymoo_problem import steps
 
 ALGORITHMS = {
-    "ga": "soo.nonconvex.ga:GA", "nsga2": "moo.nsga2:NSGA2", "nsga3": "moo.nsga3:NSGA3",
-    "unsga3": "moo.unsga3:UNSGA3", "ctaea": "moo.ctaea:CTAEA", "age": "moo.age:AGEMOEA",
-    "age2": "moo.age2:AGEMOEA2", "sms": "moo.sms:SMSEMOA", "spea2": "moo.spea2:SPEA2",
-    "dnsga2": "moo.dnsga2:DNSGA2"}
+    "ga": "soo.nonconvex.ga:GA", "nsga2": "moo.nsga2:NSGA2", "ctaea": "moo.ctaea:CTAEA",
+    "age": "moo.age:AGEMOEA", "age2": "moo.age2:AGEMOEA2", "sms": "moo.sms:SMSEMOA",
+    "spea2": "moo.spea2:SPEA2"}
 """Algorithms of pymoo that take operators for bits, keep constraints, and evaluate a population
-at once; where their classes are."""
-
-_DIRECTED = ("nsga3", "unsga3", "ctaea")
-"""Those that take reference directions."""
+at once; where their classes are. NSGA-III and U-NSGA-III of pymoo 0.6 draw from a generator that no
+seed sets, so that no run could be repeated."""
 
 
 class Pymoo(Solver):
     """Any algorithm of pymoo that can handle bits, by its name in pymoo.
 
     Start, crossover, mutation and repair are those of ``nsga2``, which differs only in what
-    survives. The violation is a constraint. NSGA-III, U-NSGA-III and C-TAEA get reference
-    directions of Das and Dennis 1998, as many as the population allows. ``ga`` is for one
-    objective, the others are for several.
+    survives. The violation is a constraint. C-TAEA gets reference directions of Das and Dennis
+    1998, as many as the population allows. ``ga`` is for one objective, the others are for several.
+    NSGA-III is not among them: pymoo 0.6 does not let its seed be set.
     """
 
     name = "pymoo"
@@ -61,9 +58,8 @@ class Pymoo(Solver):
         module, _, of = ALGORITHMS[name].partition(":")
         algorithm = getattr(import_module(f"pymoo.algorithms.{module}"), of)
         given = operators(problem.genome, self.options["mutation"], rng)
-        if name in _DIRECTED:
-            given["ref_dirs"] = directions(len(problem.objectives), population)
         if name == "ctaea":
+            given["ref_dirs"] = directions(len(problem.objectives), population)
             # Its population is as large as there are directions. It never ends where fewer
             # individuals than directions are left, as without duplicates.
             given["eliminate_duplicates"] = False
