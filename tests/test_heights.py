@@ -211,3 +211,14 @@ def test_lines_take_heights_too(tmp_path: Path) -> None:
     write_lines_csv(Lines(("l",), [[[1, 2], [3, 4]]], vertices), tmp_path / "l.csv", "EPSG:32631")
     found = termsel.read(lines=tmp_path / "l.csv", dem=path)
     np.testing.assert_allclose(found.lines.ground[0, :, 2], [111.25, 131.25], rtol=1e-6)
+
+
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+def test_a_value_for_no_data_beyond_the_type_is_none(tmp_path: Path) -> None:
+    path = tmp_path / "dem.vrt"
+    path.write_text('<VRTDataset rasterXSize="4" rasterYSize="4"><SRS>EPSG:4326</SRS>'
+                    "<GeoTransform>5, 1, 0, 45, 0, -1</GeoTransform><VRTRasterBand "
+                    'dataType="Float32" band="1"><NoDataValue>1e308</NoDataValue>'
+                    "</VRTRasterBand></VRTDataset>")
+    with open_dem(path, "EPSG:4326") as surface:
+        assert np.isnan(surface(np.array([[6.5, 43.5]])))

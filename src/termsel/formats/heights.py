@@ -71,7 +71,7 @@ class Dem:
         return heights
 
     def _pixels(self, start: Any) -> FloatArray:
-        """Return the heights of a tile and of the next row and column; NaN for nodata."""
+        """Return the heights of a tile, the next row and column; NaN for none and infinite."""
         from rasterio.windows import Window
 
         row, column = (int(i) for i in start)
@@ -79,8 +79,9 @@ class Dem:
                         min(_TILE + 1, self.raster.height - row))
         with np.errstate(all="ignore"):  # of bytes that are no numbers, and numbers near the limit
             values = self.raster.read(1, window=window, masked=True).astype(np.float64)
-            return np.asarray(values.filled(np.nan) * self.raster.scales[0]
-                              + self.raster.offsets[0])
+            heights = values.filled(np.nan) * self.raster.scales[0] + self.raster.offsets[0]
+        heights[np.isinf(heights)] = np.nan
+        return np.asarray(heights)
 
 
 def _bilinear(pixels: FloatArray, first: Any, share: FloatArray) -> FloatArray:
