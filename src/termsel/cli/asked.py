@@ -12,6 +12,7 @@ import click
 
 from termsel.cli.completion import complete
 from termsel.cli.remote import allow_remote
+from termsel.cli.report import REPORT
 from termsel.errors import TermselError
 from termsel.options import SEED
 
@@ -85,6 +86,8 @@ _OPTIONS = (
     click.option("--export", "exports", metavar="FORMAT", multiple=True,
                  shell_complete=complete("writers"),
                  help="Write the result to --out in this format too; may be repeated."),
+    click.option("--report", "reports", is_flag=True,
+                 help="Write the page report.html to --out too; see `termsel report`."),
     click.option("--overwrite", is_flag=True, help="Replace what is already in --out."),
     click.option("--json", "as_json", is_flag=True, help="Print JSON alone on stdout."),
     click.option("--quiet", is_flag=True, help="No progress bar."),
@@ -141,6 +144,7 @@ class Asked:
     patience: int | None
     out: Path | None
     exports: tuple[str, ...]
+    reports: bool
     overwrite: bool
     as_json: bool
     quiet: bool
@@ -163,6 +167,8 @@ class Asked:
                                     "its simulated data.")
         if self.exports and self.out is None:
             raise TermselError("--export requires --out", hint="Give a folder: --out DIR.")
+        if self.reports and self.out is None:
+            raise TermselError("--report requires --out", hint="Give a folder: --out DIR.")
 
     @property
     def files(self) -> list[Path]:
@@ -210,6 +216,23 @@ class Asked:
                              for part in writer_of(to).files(file)],
                             reads=self.reads, overwrite=self.overwrite)
         return files
+
+    def page(self) -> Path | None:
+        """Return the page of ``--report``, if it is asked for.
+
+        Raises
+        ------
+        TermselError
+            If altair is not installed; if the page is there and may not be replaced.
+        """
+        from termsel.io.replacing import require_replaceable
+        from termsel.report.theme import require_altair
+
+        if not self.reports or self.out is None:
+            return None
+        require_altair()
+        require_replaceable([self.out / REPORT], reads=self.reads, overwrite=self.overwrite)
+        return self.out / REPORT
 
     def read(self) -> tuple[FeatureSet | None, dict[str, str]]:
         """Return the features of the files, if any are given, and the options that remain.

@@ -11,8 +11,6 @@ import click
 from termsel.cli.asked import Asked, run_options
 from termsel.cli.bars import search_bar
 from termsel.cli.messages import echo, say_written, show_messages
-from termsel.cli.report import REPORT
-from termsel.errors import TermselError
 from termsel.interrupts import INTERRUPTED
 
 
@@ -20,9 +18,7 @@ from termsel.interrupts import INTERRUPTED
 @run_options
 @click.option("--out", metavar="DIR", type=click.Path(path_type=Path),
               help="Folder for result.json, residuals.csv, summary.txt and the features.")
-@click.option("--report", "reports", is_flag=True,
-              help="Write the page report.html to --out too; see `termsel report`.")
-def run(reports: bool, **given: Any) -> None:
+def run(**given: Any) -> None:
     """Search for the terms or control features that serve best.
 
     Check points judge each selection. Independent points judge the result and take no part in any
@@ -44,19 +40,13 @@ def run(reports: bool, **given: Any) -> None:
     from termsel.io.export import export
     from termsel.io.replacing import require_replaceable
     from termsel.io.result_folder import RECORD, files_of_result, names_of
-    from termsel.report.theme import require_altair
     from termsel.runs import run as running
 
     out = asked.out
-    if reports:
-        require_altair()
-        if out is None:
-            raise TermselError("--report requires --out", hint="Give a folder: --out DIR.")
-        require_replaceable([out / REPORT], reads=asked.reads, overwrite=asked.overwrite)
     if out is not None:
         require_replaceable(files_of_result(out), reads=asked.reads, overwrite=True)
     # A name that is not known is said before a long search.
-    exported = asked.exported()
+    exported, page = asked.exported(), asked.page()
     features, options = asked.read()
     with search_bar(asked.problem or running.problem_for(features), asked.quiet) as observe:
         result = running.run(
@@ -69,9 +59,9 @@ def run(reports: bool, **given: Any) -> None:
         say_written([f"{out}/{RECORD}", *names_of(result.features)[1:]])
         for to, file in exported.items():
             say_written(export(result, to, file, overwrite=asked.overwrite))
-        if reports:
-            result.report(out / REPORT, overwrite=asked.overwrite)
-            say_written([out / REPORT])
+        if page is not None:
+            result.report(page, overwrite=asked.overwrite)
+            say_written([page])
     if result.interrupted:
         echo("Interrupted: this is the best so far. The same command"
              f"{' with --overwrite' if out else ''} repeats the whole run.", err=True)

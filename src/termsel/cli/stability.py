@@ -37,7 +37,7 @@ def stability(repeats: int, threshold: float, **given: Any) -> None:
 
     Terms selected often are fitted to control and check points together. Independent points judge
     them. It takes the options of `termsel run`; the budget is that of each search, and --export
-    writes the model of the stable terms.
+    and --report write the model of the stable terms.
 
     \b
     Examples:
@@ -53,7 +53,7 @@ def stability(repeats: int, threshold: float, **given: Any) -> None:
     from termsel.runs import stability as module
     from termsel.runs.run import problem_for
 
-    exported = asked.exported()
+    exported, page = asked.exported(), asked.page()
     if asked.out is not None:
         require_replaceable([asked.out / "stability.json"], reads=asked.reads,
                             overwrite=asked.overwrite)
@@ -79,11 +79,11 @@ def stability(repeats: int, threshold: float, **given: Any) -> None:
     if found.determined and others and not asked.as_json:
         echo("For a result with the stable terms run\n  " + asked.command(
             problem, _SOLVER, _CRITERION, _for_stable(problem, asked, asked.options, others)))
-    if exported and not found.determined:
+    if (exported or page) and not found.determined:
         raise TermselError("the stable terms alone are no model, so nothing is exported",
                            hint="Lower --threshold.")
-    if exported:
-        _export(exported, problem, asked, features,
+    if exported or page:
+        _export(exported, page, problem, asked, features,
                 _for_stable(problem, asked, options, others))
     if found.interrupted:
         echo(f"Interrupted after {len(found.selections)} of {repeats} selections.", err=True)
@@ -125,9 +125,9 @@ def _for_stable(problem: str, asked: Asked, options: Mapping[str, str],
     return {**settings, "force_off": ",".join(dict.fromkeys([*filter(None, before), *off]))}
 
 
-def _export(exported: Mapping[str, Path], problem: str, asked: Asked,
+def _export(exported: Mapping[str, Path], page: Path | None, problem: str, asked: Asked,
             features: FeatureSet | None, options: Mapping[str, str]) -> None:
-    """Write the fit of the stable terms in other formats."""
+    """Write the fit of the stable terms in other formats, and its page."""
     from termsel.io.export import export
     from termsel.runs import run as running
 
@@ -136,3 +136,6 @@ def _export(exported: Mapping[str, Path], problem: str, asked: Asked,
                          options=options)
     for to, file in exported.items():
         say_written(export(result, to, file, overwrite=asked.overwrite))
+    if page is not None:
+        result.report(page, overwrite=asked.overwrite)
+        say_written([page])
