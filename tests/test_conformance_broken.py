@@ -19,6 +19,7 @@ from termsel.models.polynomial import Affine, Polynomial2D
 from termsel.models.quotient import Blocks, RationalModel
 from termsel.models.rational import RationalFunctions
 from termsel.options import Option
+from termsel.problems import segments
 from termsel.problems.base import Evaluation, Problem
 from termsel.solvers.base import Generation, Solver
 from termsel.solvers.ga import GeneticAlgorithm
@@ -334,6 +335,16 @@ class Integers(Drawn):
         return super().draw(problem, rng).astype(int)
 
 
+class Overreaching(Drawn):
+    """Says that it handles whole numbers, and does not keep to their bounds."""
+
+    segments = (segments.Bits, segments.Integers)
+
+    def draw(self, problem: Problem, rng: np.random.Generator) -> Any:
+        genes = super().draw(problem, rng)
+        return genes if genes.dtype == np.bool_ else genes + 1
+
+
 class Unrepaired(Drawn):
     """Disregards forced genes and cardinality."""
 
@@ -492,6 +503,8 @@ BROKEN_SOLVERS = [
     (GlobalPython, "chance_from_rng_alone", "same seed differ"),
     (Remembers, "chance_from_rng_alone", "same seed differ"),
     (Choosy, "any_problem", "refuses a problem: two segments are needed"),
+    (Overreaching, "typed_genomes", r"those of 'integers' have 4 for 'i1', which is from -2 to 3|"
+                                    r"those of 'integers' have 101 for 'i2'"),
     (Integers, "genome_kept", r"evaluate\(\) got genes of the type int64 and the shape \(20, 18\)"),
     (Unrepaired, "genome_kept", "forced ones are switched"),
     (Cuts, "narrow_genomes", "ValueError was raised"),

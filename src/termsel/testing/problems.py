@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 
 import numpy as np
 
@@ -11,7 +11,16 @@ from termsel.measurements.features import BoolArray, FeatureSet, FloatArray, Poi
 from termsel.models.polynomial import Polynomial2D
 from termsel.problems.base import WORST, EnumerablePart, Evaluation, Inputs, Problem, Selection
 from termsel.problems.genome import Genome
-from termsel.problems.segments import Bits, Genes, Subset
+from termsel.problems.segments import (
+    AnySegment,
+    Bits,
+    Categories,
+    Genes,
+    Integers,
+    Permutation,
+    Reals,
+    Subset,
+)
 from termsel.problems.selection import SelectionProblem
 from termsel.testing.checks import require
 from termsel.testing.scenes import imaged
@@ -185,6 +194,29 @@ def two_aims(size: int = SIZE) -> Toy:
     return Toy(_plain(size), lambda genes: (
         np.column_stack([_off(genes[:, :size // 2]), genes.sum(axis=1)]).astype(np.float64),
         np.zeros(len(genes))), ("off", "on"))
+
+
+def typed(types: Iterable[type[AnySegment]]) -> Toy:
+    """Return a problem with a segment of each type: the sum of the squares of all genes.
+
+    Parameters
+    ----------
+    types : iterable of type
+        Of segments; of `Bits` and a `Subset` one label is forced on and one off.
+    """
+    made: dict[type[AnySegment], AnySegment] = {
+        Bits: Bits("bits", _labels("b", 6), 2, 4),
+        Integers: Integers("integers", _labels("i", 2), (-2, 0), (3, 100)),
+        Reals: Reals("reals", _labels("r", 2), -1.5, 2.5),
+        Categories: Categories("categories", _labels("c", 2), ("x", "y", "z")),
+        Permutation: Permutation("permutation", _labels("p", 5)),
+        Subset: Subset("subset", _labels("s", 8), 3)}
+    segments = [made[one] for one in types]
+    switched = [one for one in segments if isinstance(one, Bits | Subset)]
+    genome = Genome(segments, on=[one.labels[0] for one in switched],
+                    off=[one.labels[1] for one in switched])
+    return Toy(genome, lambda genes: (
+        (genes.astype(np.float64)**2).sum(axis=1, keepdims=True), np.zeros(len(genes))))
 
 
 def narrow(size: int, on: tuple[str, ...] = ()) -> Toy:

@@ -123,6 +123,17 @@ def genome_kept(trial: Trial) -> None:
     require(problem.calls, "it evaluated nothing")
 
 
+def typed_genomes(trial: Trial) -> None:
+    """It keeps genes of every type it declares valid, one by one and mixed in one genome."""
+    declared = trial.solver.segments
+    for types in (*([one] for one in declared), declared):
+        if trial.takes(problems.typed(types)):
+            problem = Watched(problems.typed(types))
+            for generation in trial.few(problem, 10):
+                require_genes(problem.genome, generation.genes,
+                              f"generation {generation.index} has")
+
+
 def narrow_genomes(trial: Trial) -> None:
     """It handles a single gene, and genes that are all forced."""
     for problem in (problems.narrow(1), problems.narrow(2, on=("g1",)),
@@ -292,8 +303,9 @@ def objectives_respected(trial: Trial) -> None:
 
 SOLVER_CHECKS = (
     declaration, generations_hold, chance_from_rng_alone, any_problem, genome_kept,
-    narrow_genomes, evaluation_budget, generation_budget, errors_pass, closes, interruptible,
-    best_never_worse, feasible_first, hopeless_survived, optimum_found, objectives_respected)
+    typed_genomes, narrow_genomes, evaluation_budget, generation_budget, errors_pass, closes,
+    interruptible, best_never_worse, feasible_first, hopeless_survived, optimum_found,
+    objectives_respected)
 
 
 def solver_checks(
