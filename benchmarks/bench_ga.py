@@ -20,6 +20,7 @@ from benchmarks.bench_kernels import Row
 from termsel import prepare, search
 from termsel.measurements.features import FeatureSet
 from termsel.problems.selection import SelectionProblem
+from termsel.solvers.deap_algorithms import Deap
 
 POPULATION, GENERATIONS, MUTATION = 200, 80, 1 / 78
 
@@ -72,19 +73,19 @@ def script(problem: SelectionProblem) -> tuple[float, int, Chromosome]:
 
 
 def rows() -> Iterator[Row]:
-    """Yield the whole run, without and with local refinement."""
-    task = prepare("rfm-terms", options={"population": POPULATION, "mutation": MUTATION,
-                                         "polish": False})
-    polished = prepare("rfm-terms", options={"population": POPULATION, "mutation": MUTATION})
+    """Yield whole runs: `ga`, the same with local refinement, and `deap`, whose twin it is."""
+    task = prepare("rfm-terms", options={"population": POPULATION, "mutation": MUTATION})
+    plain = Deap(population=POPULATION, mutate=f"mutFlipBit:indpb={MUTATION}")
     search(task.problem, task.solver, generations=2)  # compile
     theirs, evaluations, best = script(task.problem)
     # Genes per axis are in the order of the terms: line's, then sample's.
     mine = float(task.problem.evaluate(np.array([best], dtype=bool)).objectives[0, 0])
-    for one, what in ((task, "GA, 200 x 80, 78 terms"),
-                      (polished, "the same with local refinement")):
-        found = min((search(one.problem, one.solver, generations=GENERATIONS) for _ in range(3)),
-                    key=lambda search_: search_.seconds)
-        added = found.polish.evaluations if found.polish else 0
-        ours = found.seconds / (found.evaluations + added)
+    for solver, polish, what in (
+            (task.solver, False, "ga, 200 x 80, 78 terms"),
+            (task.solver, True, "the same with local refinement"),
+            (plain, False, "deap, 200 x 80, 78 terms")):
+        found = min((search(task.problem, solver, generations=GENERATIONS, polish=polish)
+                     for _ in range(3)), key=lambda search_: search_.seconds)
+        ours = found.seconds / found.evaluations
         yield (what, ours, "DEAP with lists and lstsq", theirs / evaluations,
                theirs / evaluations / ours, abs(mine / best.fitness.values[0] - 1))
