@@ -303,10 +303,10 @@ def test_completion_scripts(call, name):
     ("termsel de", ["describe"]),
     ("termsel list mo", ["models"]),
     ("termsel describe owdis-l", ["owdis-lines", "owdis-lines-terms"]),
-    ("termsel run --problem poly", ["poly-terms"]),
-    ("termsel run --model poly", ["poly2d", "poly3d"]),
+    ("termsel run --problem poly-t", ["poly-terms"]),
+    ("termsel run --model poly2", ["poly2d", "poly2d-by-axis"]),
     ("termsel run --solver all", ["all-terms"]),
-    ("termsel run --dataset spot", ["spot-isfahan"]),
+    ("termsel run --dataset irs", ["irs1c-mashad"]),
 ])
 def test_commands_and_names_are_completed(call, built_in, monkeypatch, words, expected):
     monkeypatch.setenv("_TERMSEL_COMPLETE", "bash_complete")

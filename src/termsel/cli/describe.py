@@ -114,7 +114,9 @@ def _describe_criterion(entry: Entry) -> None:
 
 
 def _describe_objective(entry: Entry) -> None:
-    echo(f"\n{inspect.getdoc(entry.object.score) or entry.summary}")
+    # The docstring's first line says what the function returns; the summary says what that is.
+    more = (inspect.getdoc(entry.object.score) or "").partition("\n")[2].strip("\n")
+    echo(f"\n{entry.summary}" + f"\n\n{more}" * bool(more))
     echo(f"\nUse it with --set objectives={entry.name}, next to the criterion.")
 
 
