@@ -306,7 +306,7 @@ def test_completion_scripts(call, name):
     ("termsel run --problem poly-t", ["poly-terms"]),
     ("termsel run --model poly2", ["poly2d", "poly2d-by-axis"]),
     ("termsel run --solver all", ["all-terms"]),
-    ("termsel run --dataset irs", ["irs1c-mashad"]),
+    ("termsel run --dataset old", ["old-map"]),
 ])
 def test_commands_and_names_are_completed(call, built_in, monkeypatch, words, expected):
     monkeypatch.setenv("_TERMSEL_COMPLETE", "bash_complete")
