@@ -9,6 +9,7 @@ import warnings
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -323,7 +324,8 @@ def test_residuals_for_a_map(selected: Result, of_lines: Result, tmp_path: Path)
     shapely = pytest.importorskip("shapely")
     path = tmp_path / "residuals.gpkg"
     ResidualsGeopackage(exaggeration=100).write(selected, path)
-    assert sorted(name for name, _ in pyogrio.list_layers(path)) == ["residuals", "vectors"]
+    assert [name for name, _ in pyogrio.list_layers(path)] == [
+        "residuals", "vectors", "layer_styles"]
     with closing(sqlite3.connect(path)) as database:  # GDAL 3.6 warns of later versions
         assert database.execute("PRAGMA user_version").fetchone() == (10300,)
     meta, _, shapes, columns = pyogrio.raw.read(path, layer="vectors")
@@ -342,6 +344,42 @@ def test_residuals_for_a_map(selected: Result, of_lines: Result, tmp_path: Path)
         assert moved == pytest.approx((residual.line, residual.sample), abs=1e-3)
     ResidualsGeopackage().write(of_lines, path)
     assert pyogrio.read_info(path, layer="residuals")["features"] == 2 * 120 + 24 + 26
+
+
+def test_a_gis_shows_residuals_by_role(of_lines: Result, tmp_path: Path) -> None:
+    pytest.importorskip("pyogrio")
+    path = tmp_path / "residuals.gpkg"
+    ResidualsGeopackage().write(of_lines, path)
+    with closing(sqlite3.connect(path)) as database:
+        # The query of QGIS when it opens a layer (`loadStyle` of its OGR provider).
+        found = {layer: database.execute(
+            "SELECT useAsDefault, styleQML FROM layer_styles WHERE f_table_schema = '' AND "
+            "f_table_name = ? AND f_geometry_column = ? ORDER BY CASE WHEN useAsDefault THEN 1 "
+            "ELSE 2 END, update_time DESC LIMIT 1", (layer, column)).fetchone()
+            for layer, column in database.execute(
+                "SELECT table_name, column_name FROM gpkg_geometry_columns")}
+        assert set(found) == {"residuals", "vectors"}
+        for layer, kind in (("residuals", "SimpleMarker"), ("vectors", "ArrowLine")):
+            default, qml = found[layer]
+            assert default == 1
+            renderer = ElementTree.fromstring(qml).find("renderer-v2[@type='categorizedSymbol']")
+            assert renderer is not None
+            labels = {one.attrib["value"]: renderer.find(
+                f"symbols/symbol[@name='{one.attrib['symbol']}']/layer[@class='{kind}']")
+                for one in renderer.iterfind("categories/category")}
+            assert all(symbol is not None for symbol in labels.values())
+            # The expression is SQL as well: every feature has a category, those left out their own.
+            shown = dict(database.execute(
+                f"SELECT {renderer.attrib['attr']}, count(*) FROM {layer} GROUP BY 1"))
+            assert set(shown) == set(labels)
+            lines = len(of_lines.selection.features)
+            assert shown == {"control": 2 * lines, "left out": 2 * (120 - lines), "check": 24,
+                             "independent": 26}
+            colours = [next(one.attrib["v"] for one in symbol.iter("prop")
+                            if one.attrib["k"] == "color")
+                       for symbol in labels.values() if symbol is not None]
+            assert colours[0] == "0,114,178,255"  # the blue of control in all charts, #0072b2
+            assert len(set(colours)) == 4
 
 
 def test_readers_take_what_is_written(selected: Result, tmp_path: Path) -> None:

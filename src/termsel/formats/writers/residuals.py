@@ -13,6 +13,7 @@ from termsel.files.atomic import private_folder, write_bytes
 from termsel.fits.scene import errors_on_ground
 from termsel.formats.base import Writer
 from termsel.formats.deviation import say_measured
+from termsel.formats.writers.qgis_style import OPTIONS, TABLE, styles
 from termsel.measurements.crs import horizontal
 from termsel.measurements.features import FloatArray
 from termsel.options import Option
@@ -26,7 +27,7 @@ class ResidualsGeopackage(Writer):
     """Residuals of all features as points, and as vectors drawn larger, in a GeoPackage.
 
     A vector leads from the feature on the ground to the place where the model sees its measured
-    image position, at the feature's height.
+    image position, at the feature's height. QGIS shows both by role, the vectors as arrows.
     """
 
     name = "residuals-gpkg"
@@ -42,7 +43,7 @@ class ResidualsGeopackage(Writer):
         return True
 
     def write(self, result: Result, path: Path) -> None:
-        """Write the layers residuals and vectors; needs the extra `gis`.
+        """Write the layers residuals and vectors, with their styles; needs the extra `gis`.
 
         Raises
         ------
@@ -81,6 +82,9 @@ class ResidualsGeopackage(Writer):
                           append=whole.exists(), dataset_options=_VERSION)
                     if read_info(whole, layer=layer)["features"] != len(residuals):
                         raise DataLayerError("the file is incomplete")  # noqa: TRY301
+                shown = styles()
+                write(str(whole), None, list(shown.values()), list(shown), layer=TABLE,
+                      driver="GPKG", append=True, layer_options=OPTIONS)
             except (DataSourceError, DataLayerError) as error:
                 raise TermselError(f"cannot make the GeoPackage: {error}", file=path,
                                    hint="Check that there is room for temporary files.") from error

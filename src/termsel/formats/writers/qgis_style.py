@@ -1,0 +1,87 @@
+"""The style in which QGIS shows residuals by itself: a table of the GeoPackage, with QML.
+
+The table is the one that QGIS makes when a user saves a style as default (`saveStyle` of its OGR
+provider); QGIS since 2.18 applies the row of a layer with `useAsDefault` when it opens the layer.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from termsel.report.theme import GROUND, ROLE_COLOURS, ROLE_SHAPES
+
+TABLE = "layer_styles"
+OPTIONS = {"FID": "id"}
+"""Of the layer in GDAL: the name of its key."""
+
+_ROLE = """CASE WHEN "role" = 'control' AND NOT "used" THEN 'left out' ELSE "role" END"""
+_SHAPES = {"circle": "circle", "square": "square", "triangle-up": "triangle",
+           "cross": "cross_fill"}
+"""Names of QGIS for those of the charts."""
+
+
+def styles() -> dict[str, Any]:
+    """Return the columns of the table, with a row for each of the layers residuals and vectors."""
+    layers = {"residuals": _markers(), "vectors": _arrows()}
+
+    def text(*values: str) -> Any:
+        return np.array(values * (len(layers) if len(values) == 1 else 1), dtype=object)
+
+    return {
+        "f_table_catalog": text(""), "f_table_schema": text(""), "f_table_name": text(*layers),
+        "f_geometry_column": text("geom"), "styleName": text(*layers),
+        "styleQML": text(*layers.values()), "styleSLD": text(""),
+        "useAsDefault": np.ones(len(layers), dtype=bool), "description": text("residuals by role"),
+        "owner": text(""), "ui": text(""),
+        "update_time": np.full(len(layers), np.datetime64("now", "ms"))}
+
+
+def _markers() -> str:
+    """Return QML with a marker for each role."""
+    return _by_role("marker", 0, {
+        role: _layer("SimpleMarker", name=_SHAPES[ROLE_SHAPES[role]], color=_rgb(colour),
+                     outline_color=_rgb(GROUND), outline_width="0.2", outline_width_unit="MM",
+                     size="2.2", size_unit="MM") for role, colour in ROLE_COLOURS.items()})
+
+
+def _arrows() -> str:
+    """Return QML with an arrow for each role, straight, with its head at the end of the line."""
+    arrows = {}
+    for i, (role, colour) in enumerate(ROLE_COLOURS.items()):
+        fill = _layer("SimpleFill", color=_rgb(colour), style="solid", outline_style="no")
+        arrows[role] = _layer(
+            "ArrowLine", _symbol("fill", f"@{i}@0", fill), arrow_type="0", head_type="0",
+            is_curved="0", is_repeated="1", arrow_width="0.4", arrow_width_unit="MM",
+            arrow_start_width="0.4", arrow_start_width_unit="MM", head_length="2",
+            head_length_unit="MM", head_thickness="0.8", head_thickness_unit="MM")
+    return _by_role("line", 1, arrows)
+
+
+def _by_role(kind: str, geometry: int, layers: dict[str, str]) -> str:
+    categories = "".join(f'<category value="{role}" label="{role}" symbol="{i}" render="true"/>'
+                         for i, role in enumerate(layers))
+    symbols = "".join(_symbol(kind, str(i), layer) for i, layer in enumerate(layers.values()))
+    attribute = _ROLE.replace('"', "&quot;")
+    return (f'<!DOCTYPE qgis PUBLIC "http://mrcc.com/qgis.dtd" "SYSTEM">\n'
+            f'<qgis version="3.22.0" styleCategories="Symbology">'
+            f'<renderer-v2 type="categorizedSymbol" attr="{attribute}" symbollevels="0" '
+            f'enableorderby="0" forceraster="0"><categories>{categories}</categories>'
+            f"<symbols>{symbols}</symbols></renderer-v2>"
+            f"<layerGeometryType>{geometry}</layerGeometryType></qgis>\n")
+
+
+def _symbol(kind: str, name: str, layer: str) -> str:
+    return f'<symbol type="{kind}" name="{name}" alpha="1" clip_to_extent="1">{layer}</symbol>'
+
+
+def _layer(kind: str, inner: str = "", **properties: str) -> str:
+    # <prop> rather than <Option>, which earlier versions of QGIS do not read.
+    told = "".join(f'<prop k="{name}" v="{value}"/>' for name, value in properties.items())
+    return f'<layer class="{kind}" enabled="1" locked="0" pass="0">{told}{inner}</layer>'
+
+
+def _rgb(colour: str) -> str:
+    """Return a colour such as #0072b2 as QGIS writes it."""
+    return ",".join(str(part) for part in bytes.fromhex(colour[1:])) + ",255"
