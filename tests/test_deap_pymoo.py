@@ -29,6 +29,21 @@ from termsel.testing.problems import Watched
 from termsel.testing.trial import global_states
 
 
+class Free(termsel.Problem):
+    """All genes of a genome are equally good."""
+
+    objectives = ("cost",)
+
+    def __init__(self, genome: termsel.Genome) -> None:
+        self.genome = genome
+
+    def evaluate(self, genes: np.ndarray) -> termsel.Evaluation:
+        return termsel.Evaluation(np.ones((len(genes), 1)), np.zeros(len(genes)))
+
+    def decode(self, genes: np.ndarray) -> termsel.Selection:
+        return termsel.Selection((), ())
+
+
 def small(**options: Any) -> termsel.Task:
     return termsel.prepare("poly-terms", options={"degree": 2, **options})
 
@@ -173,21 +188,18 @@ def test_a_pymoo_script_runs_as_it_stands() -> None:
 def test_broken_rules_of_the_genome_are_a_constraint() -> None:
     genome = termsel.Genome([termsel.Bits("g", ("a", "b", "c", "d"), 1, 2)], on=("a",))
 
-    class Free(termsel.Problem):
-        objectives = ("cost",)
-
-        def __init__(self) -> None:
-            self.genome = genome
-
-        def evaluate(self, genes: np.ndarray) -> termsel.Evaluation:
-            return termsel.Evaluation(np.ones((len(genes), 1)), np.zeros(len(genes)))
-
-        def decode(self, genes: np.ndarray) -> termsel.Selection:
-            return termsel.Selection((), ())
-
     X = np.array([[1, 0, 0, 0], [0, 0, 0, 0], [1, 1, 1, 1], [0, 1, 1, 1]], dtype=bool)
-    G = termsel.to_pymoo(Free()).evaluate(X, return_values_of=["G"])
+    G = termsel.to_pymoo(Free(genome)).evaluate(X, return_values_of=["G"])
     assert G[:, 0].tolist() == [0.0, 2.0, 2.0, 2.0]
+
+
+def test_variables_have_the_ranges_of_their_genes() -> None:
+    posed = termsel.to_pymoo(Free(termsel.Genome([
+        termsel.Bits("b", ("a",)), termsel.Integers("i", ("j", "k"), 2, (3, 9000)),
+        termsel.Reals("r", ("x",), -1.5, 1), termsel.Categories("c", ("y",), ("u", "v", "w")),
+        termsel.Permutation("p", ("1", "2")), termsel.Subset("s", tuple("qrstu"), 2)])))
+    assert posed.xl.tolist() == [0, 2, 2, -1.5, 0, 0, 0, 0, 0]
+    assert posed.xu.tolist() == [1, 3, 9000, 1, 2, 1, 1, 4, 4]
 
 
 @pytest.mark.parametrize("algorithm", ALGORITHMS)

@@ -12,7 +12,16 @@ from pymoo.core.termination import NoTermination
 
 from termsel.measurements.features import FloatArray
 from termsel.problems.base import Evaluation, Problem
-from termsel.problems.segments import Bits, Genes
+from termsel.problems.segments import (
+    AnySegment,
+    Bits,
+    Categories,
+    Genes,
+    Integers,
+    Permutation,
+    Reals,
+    Subset,
+)
 from termsel.solvers.base import Generation
 from termsel.solvers.chance import OwnChance
 
@@ -53,9 +62,24 @@ def _broken(problem: Problem, genes: Genes) -> FloatArray:
 
 
 def _bounds(problem: Problem) -> tuple[FloatArray, FloatArray]:
-    """Return the range of each gene, as a sample of the genome shows it."""
-    sample = problem.genome.random(np.random.default_rng(0), 1000)
-    return sample.min(axis=0), sample.max(axis=0)
+    """Return the range of each gene, shape (g,) each."""
+    low, high = zip(*map(_range_of, problem.genome.segments), strict=True)
+    return np.concatenate(low), np.concatenate(high)
+
+
+def _range_of(segment: AnySegment) -> tuple[FloatArray, FloatArray]:
+    match segment:
+        case Integers() | Reals():
+            return np.array(segment.low, dtype=float), np.array(segment.high, dtype=float)
+        case Bits():
+            most = 1
+        case Categories():
+            most = len(segment.choices) - 1
+        case Permutation():
+            most = segment.size - 1
+        case Subset():
+            most = len(segment.labels) - 1
+    return np.zeros(segment.size), np.full(segment.size, float(most))
 
 
 def to_pymoo(problem: Problem) -> PymooProblem:
