@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from copy import deepcopy
 from typing import Any
 
 import numpy as np
@@ -130,6 +131,9 @@ def steps(algorithm: Algorithm, problem: Problem, rng: np.random.Generator,
     """
     genome = problem.genome
     chance = OwnChance(rng)
+    # By default pymoo gives all algorithms of a class one survival, with what an earlier run left.
+    if survival := getattr(algorithm, "survival", None):
+        algorithm.survival = deepcopy(survival)
     with chance:
         algorithm.setup(_Posed(problem), termination=NoTermination())
     algorithm.random_state = rng
