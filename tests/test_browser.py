@@ -111,6 +111,22 @@ def hostile() -> termsel.FeatureSet:
         (*HOSTILE, *points.ids[len(HOSTILE):]), image, points.ground, points.sigma, points.roles))
 
 
+def test_the_page_of_a_study_is_drawn_offline_and_in_silence(
+        opened: Callable[[Path, int], Any], tmp_path: Path) -> None:
+    from termsel.studies.outputs import write_outputs
+
+    study = termsel.compare(problems=["poly-terms"], solvers=["random", "swap"], seeds=2,
+                            options={"degree": 2}, budget={"evaluations": 200},
+                            title="</script><img src=x onerror=document.title='run'>")
+    write_outputs(study, tmp_path)
+    for width in (400, 1400):
+        browser = opened(tmp_path / "report.html", width)
+        assert browser.find_element("css selector", "h1").text == study.spec.title
+        for name in ("ecdf-evaluations", "ecdf-cpu-seconds", "convergence"):
+            assert browser.find_elements("css selector",
+                                         f"#{name} svg .mark-line.role-mark path"), name
+
+
 @pytest.mark.parametrize("width", [400, 1400])
 @pytest.mark.parametrize("kind", ["front", "lines", "auto", "hostile"])
 def test_a_page_is_drawn_offline_and_in_silence(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import subprocess
+from html import unescape
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,7 @@ from termsel.studies.claims import claims, size_in_words
 from termsel.studies.fronts import indicators, non_dominated
 from termsel.studies.groups import Groups, Runs, group
 from termsel.studies.ioh import ioh_files
-from termsel.studies.pages import latex, markdown
+from termsel.studies.pages import latex, markdown, tables_of
 from termsel.studies.significance import (
     compare_methods,
     critical_difference,
@@ -254,7 +255,7 @@ def test_parquet_and_csv_hold_the_same(study: termsel.Study, tmp_path: Path) -> 
 
     written = write_outputs(study, tmp_path)
     assert [path.name for path in written if path.suffix != ".svg"] == [
-        "study.csv", "study.parquet", "summary.md", "summary.tex", "ioh"]
+        "study.csv", "study.parquet", "summary.md", "summary.tex", "report.html", "ioh"]
     csv, parquet = pd.read_csv(tmp_path / "study.csv"), pd.read_parquet(tmp_path / "study.parquet")
     assert list(csv.columns) == list(parquet.columns) == list(study.columns)
     assert len(csv) == len(parquet) == len(study.cells)
@@ -265,7 +266,7 @@ def test_figures_are_those_that_the_runs_allow(study: termsel.Study) -> None:
     pytest.importorskip("altair")
     from termsel.studies.figures import alike, critical_differences, figures_of
 
-    found = figures_of(study)
+    found = {one.name: one.chart for one in figures_of(study)}
     assert set(found) == {"ecdf-evaluations", "ecdf-cpu-seconds", "convergence",
                           "performance-profile"}
     (rows,) = found["ecdf-evaluations"].to_dict()["datasets"].values()
@@ -273,10 +274,27 @@ def test_figures_are_those_that_the_runs_allow(study: termsel.Study) -> None:
     assert max(row["share"] for row in rows if row["method"] == "exact") == 1
     comparison = compare_methods(NAMES, -DEMSAR)
     assert comparison is not None
-    assert critical_differences(comparison).to_dict()["layer"]
+    assert critical_differences(comparison).chart.to_dict()["layer"]
     # Figure 1 of Demšar 2006 has the same shape: two bars that overlap.
     assert alike([1.0, 1.5, 2.4, 3.0], 1.6) == [(1.0, 2.4), (1.5, 3.0)]
     assert alike([1.0, 4.0], 1.0) == []
+
+
+def test_the_page_of_a_study_says_what_its_summary_says(study: termsel.Study,
+                                                        tmp_path: Path) -> None:
+    pytest.importorskip("vl_convert")
+    from termsel.studies.outputs import write_outputs
+
+    write_outputs(study, tmp_path)
+    page = unescape((tmp_path / "report.html").read_text())
+    tables, said = tables_of(study)
+    assert all(f"<p>{sentence}</p>" in page for sentence in said)
+    assert tables
+    for table in tables:
+        for name, *cells in table.rows:
+            assert f'<th scope="row">{name}</th>' in page
+            assert all(f">{cell}</td>" in page for cell in cells)
+    assert "default-src 'none'" in page
 
 
 @pytest.mark.parametrize("command", ["pdflatex", "tectonic"])

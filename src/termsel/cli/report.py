@@ -8,6 +8,7 @@ import click
 
 from termsel.cli.messages import refuse_stdout, say_written, show_messages
 from termsel.cli.remote import allow_remote
+from termsel.errors import TermselError
 
 REPORT = "report.html"
 
@@ -37,7 +38,12 @@ def report(folder: Path, output: Path | None, image: str | None, overwrite: bool
 
     from termsel.io.replacing import require_replaceable
     from termsel.io.result_folder import read_result
+    from termsel.studies.compare import PLAN
 
+    if (folder / PLAN).is_file():
+        raise TermselError("this is the folder of a study, whose page termsel compare writes",
+                           file=folder / REPORT,
+                           hint="Open that page. The command of the study rewrites it.")
     require_replaceable([output], reads=[folder, image], overwrite=overwrite)
     read_result(folder).report(output, image=image, overwrite=True)
     say_written([output])

@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from termsel.report.theme import FAINT, INK, WIDTH, data, require_altair, styled
+from termsel.report.page import Figure
+from termsel.report.theme import FAINT, INK, WIDTH, data, require_altair
 from termsel.studies.groups import Groups, group
 from termsel.studies.significance import (
     Comparison,
@@ -28,8 +29,8 @@ _STEPS = 60
 """Budgets at which convergence is drawn."""
 
 
-def figures_of(study: Study) -> dict[str, Any]:
-    """Return the charts of a study by name, those that its runs allow.
+def figures_of(study: Study) -> list[Figure]:
+    """Return the charts of a study, those that its runs allow.
 
     Parameters
     ----------
@@ -41,22 +42,20 @@ def figures_of(study: Study) -> dict[str, Any]:
         If altair is not installed.
     """
     groups = group(study.rows, study.records, study.spec.measure)
-    found = {}
+    found = []
     if any(record["trace"] for by_method in groups.instances.values()
            for runs in by_method.values() for record in runs.records):
-        found["ecdf-evaluations"] = running_times(groups, 0)
-        found["ecdf-cpu-seconds"] = running_times(groups, 2)
-        found["convergence"] = convergence(groups)
+        found += [running_times(groups, 0), running_times(groups, 2), convergence(groups)]
     values = medians_of(groups)
     if len(values) > 1 and len(groups.methods) > 1 and np.isfinite(values).any(axis=1).all():
-        found["performance-profile"] = profile(groups)
+        found.append(profile(groups))
     comparison = compare_methods(groups.methods, values)
     if comparison is not None and comparison.difference is not None:
-        found["critical-difference"] = critical_differences(comparison)
+        found.append(critical_differences(comparison))
     return found
 
 
-def running_times(groups: Groups, column: int) -> Any:
+def running_times(groups: Groups, column: int) -> Figure:
     """Return the ECDF of running times over all targets and instances, a line a method.
 
     Parameters
@@ -85,11 +84,14 @@ def running_times(groups: Groups, column: int) -> Any:
         y=alt.Y("share:Q", title="share of runs and targets reached",
                 scale=alt.Scale(domain=[0, 1]), axis=alt.Axis(format="%")),
         **_by_method(groups.methods)).properties(width=WIDTH, height=0.55 * WIDTH)
-    return styled(drawn, "Running times", "Higher and further to the left is better. Targets lie "
-                  "100 % to 0.01 % above the optimum, or the best value found.")
+    return Figure(
+        "ecdf-cpu-seconds" if column else "ecdf-evaluations",
+        f"Running times in {'CPU seconds' if column else 'evaluations'}",
+        "Higher and further to the left is better. Targets lie 100 % to 0.01 % above the optimum, "
+        "or the best value found.", drawn)
 
 
-def convergence(groups: Groups) -> Any:
+def convergence(groups: Groups) -> Figure:
     """Return the best value by evaluations, median and quartiles, a panel an instance.
 
     Parameters
@@ -99,10 +101,10 @@ def convergence(groups: Groups) -> Any:
     alt = require_altair()
     rows = []
     for instance in list(groups.instances)[:_MOST_PANELS]:
-        by_method = groups.instances[instance]
-        most = max(length(record["figures"]) for runs in by_method.values()
+        runs_of = groups.instances[instance]
+        most = max(length(record["figures"]) for runs in runs_of.values()
                    for record in runs.records)
-        for method, runs in by_method.items():
+        for method, runs in runs_of.items():
             traces = [record["trace"] for record in runs.records]
             first = min((trace[0][0] for trace in traces if trace), default=most)
             budgets = np.unique(np.geomspace(max(first, 1), max(most, first, 1), _STEPS).round())
@@ -110,20 +112,22 @@ def convergence(groups: Groups) -> Any:
                       "median": median, "high": high}
                      for budget, low, median, high in bands(traces, budgets.tolist())
                      if math.isfinite(high)]
-    base = alt.Chart(data(rows)).encode(x=alt.X(
+    by_method = _by_method(groups.methods)
+    base = alt.Chart(data(rows)).encode(color=by_method["color"], x=alt.X(
         "evaluations:Q", title="evaluations, logarithmic",
-        scale=alt.Scale(type="log", nice=False)), **_by_method(groups.methods))
+        scale=alt.Scale(type="log", nice=False)))
     band = base.mark_area(opacity=0.18, interpolate="step-after").encode(
         y=alt.Y("low:Q", title="best objective", scale=alt.Scale(zero=False)), y2="high:Q")
-    line = base.mark_line(strokeWidth=2, interpolate="step-after").encode(y="median:Q")
+    line = base.mark_line(strokeWidth=2, interpolate="step-after").encode(
+        y="median:Q", strokeDash=by_method["strokeDash"])
     drawn = alt.layer(band, line).properties(width=WIDTH / 2, height=0.3 * WIDTH).facet(
         facet=alt.Facet("instance:N", title=None), columns=2).resolve_scale(
             x="independent", y="independent")
-    return styled(drawn, "Convergence", "Medians as lines, quartiles as bands. Lines that still "
-                  "fall at their end were given too few evaluations.")
+    return Figure("convergence", "Convergence", "Medians as lines, quartiles as bands. Lines that "
+                  "still fall at their end were given too few evaluations.", drawn)
 
 
-def profile(groups: Groups) -> Any:
+def profile(groups: Groups) -> Figure:
     """Return the performance profile of the methods over the instances.
 
     Parameters
@@ -142,11 +146,12 @@ def profile(groups: Groups) -> Any:
         y=alt.Y("share:Q", title="share of instances", scale=alt.Scale(domain=[0, 1]),
                 axis=alt.Axis(format="%")),
         **_by_method(groups.methods)).properties(width=WIDTH, height=0.55 * WIDTH)
-    return styled(drawn, "Performance profile", "At the left end: how often a method is the best. "
-                  "Further right: how often it is within that ratio of the best.")
+    return Figure("performance-profile", "Performance profile", "At the left end: how often a "
+                  "method is the best. Further right: how often it is within that ratio of the "
+                  "best.", drawn)
 
 
-def critical_differences(found: Comparison) -> Any:
+def critical_differences(found: Comparison) -> Figure:
     """Return the mean ranks, with bars over methods that cannot be told apart.
 
     Parameters
@@ -179,9 +184,9 @@ def critical_differences(found: Comparison) -> Any:
         layers.append(alt.Chart(data(bars)).mark_rule(strokeWidth=5, color=_COLOURS[0]).encode(
             x=axis, x2="to:Q", y=row))
     drawn = alt.layer(*layers).properties(width=WIDTH, height=24 * (len(points) + len(bars) + 1))
-    return styled(drawn, f"Mean ranks over {found.instances} instances",
+    return Figure("critical-difference", f"Mean ranks over {found.instances} instances",
                   "Blue bars join methods that Nemenyi's test cannot tell apart: their ranks "
-                  f"differ by less than {found.difference:.2f}.")
+                  f"differ by less than {found.difference:.2f}.", drawn)
 
 
 def alike(ranks: list[float], difference: float) -> list[tuple[float, float]]:
@@ -205,10 +210,10 @@ def _by_method(methods: tuple[str, ...]) -> dict[str, Any]:
     """Return colours and dashes of methods: with both, three times as many can be told apart."""
     alt = require_altair()
     number = len(_COLOURS)
+    legend = alt.Legend(columns=4, symbolType="stroke", symbolOpacity=1)  # one for both
     return {
-        "color": alt.Color("method:N", scale=alt.Scale(
-            domain=list(methods), range=[_COLOURS[i % number] for i in range(len(methods))]),
-            legend=alt.Legend(columns=4, symbolType="stroke", symbolOpacity=1)),
-        "strokeDash": alt.StrokeDash("method:N", legend=None, scale=alt.Scale(
+        "color": alt.Color("method:N", legend=legend, scale=alt.Scale(
+            domain=list(methods), range=[_COLOURS[i % number] for i in range(len(methods))])),
+        "strokeDash": alt.StrokeDash("method:N", legend=legend, scale=alt.Scale(
             domain=list(methods), range=[_DASHES[i // number % len(_DASHES)]
                                          for i in range(len(methods))]))}

@@ -5,22 +5,28 @@ from __future__ import annotations
 from importlib.util import find_spec
 from pathlib import Path
 
+from termsel.errors import counted
 from termsel.files.atomic import atomic_path, write_text
+from termsel.report import page
+from termsel.report.page import Figure, Section
 from termsel.report.plots import save
+from termsel.report.theme import styled
 from termsel.studies.figures import figures_of
 from termsel.studies.groups import group
 from termsel.studies.ioh import ioh_files
-from termsel.studies.pages import latex, markdown
+from termsel.studies.pages import latex, markdown, tables_of
 from termsel.studies.study import Study
 from termsel.studies.table import csv_of
+
+REPORT = "report.html"
 
 
 def write_outputs(study: Study, out: Path) -> list[Path]:
     """Write the tables of a study, and return which files were written.
 
     study.csv has a row a cell; study.parquet the same, where pyarrow is installed; summary.md and
-    summary.tex tables for people; ioh/ the runs for IOHprofiler; figures/ charts, where altair is
-    installed.
+    summary.tex tables for people; ioh/ the runs for IOHprofiler; report.html a page of tables and
+    charts, and figures/ the charts, where altair is installed.
 
     Parameters
     ----------
@@ -42,15 +48,37 @@ def write_outputs(study: Study, out: Path) -> list[Path]:
         with atomic_path(out / "study.parquet") as path:
             study.to_pandas().to_parquet(path, index=False)
         written.insert(1, out / "study.parquet")
+    drawn = find_spec("altair") and find_spec("vl_convert")
+    charts = figures_of(study) if drawn and study.spec.strategies != ("auto",) else []
+    if drawn:
+        write_text(out / REPORT, report(study, charts))
+        written.append(out / REPORT)
     if study.spec.strategies == ("auto",):
         return written
     files = dict(ioh_files(group(study.rows, study.records, study.spec.measure)))
     for name, text in files.items():
         (out / "ioh" / name).parent.mkdir(parents=True, exist_ok=True)
         write_text(out / "ioh" / name, text)
-    if find_spec("altair") and find_spec("vl_convert"):
-        (out / "figures").mkdir(exist_ok=True)
-        for name, drawn in figures_of(study).items():
-            save(drawn, out / "figures" / f"{name}.svg")
-            written.append(out / "figures" / f"{name}.svg")
+    for one in charts:
+        path = out / "figures" / f"{one.name}.svg"
+        path.parent.mkdir(exist_ok=True)
+        save(styled(one.chart, one.title, one.look), path)
+        written.append(path)
     return [*written, *[out / "ioh"] * bool(files)]
+
+
+def report(study: Study, charts: list[Figure]) -> str:
+    """Return a page with the tables and charts of a study, and what may be claimed.
+
+    Parameters
+    ----------
+    study : Study
+    charts : list of Figure
+    """
+    tables, said = tables_of(study)
+    sections = (
+        Section("What may be claimed", tuple(said)),
+        Section("Tables", tuple(page.Table(one.title, one.header, one.rows) for one in tables)),
+        Section("Charts", tuple(charts)))
+    return page.page(study.spec.title or "Study", counted(len(study.cells), "cell"),
+                     [section for section in sections if section.blocks])
