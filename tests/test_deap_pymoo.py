@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import json
 import random
+import sys
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 from deap import algorithms, base, tools
 from pymoo.algorithms.moo.nsga2 import NSGA2
 from pymoo.algorithms.soo.nonconvex.ga import GA
@@ -20,6 +24,7 @@ from scipy.stats import ks_2samp
 
 import termsel
 from termsel import TermselError, search
+from termsel.cli.main import cli
 from termsel.solvers.deap_algorithms import Deap
 from termsel.solvers.ga import GeneticAlgorithm
 from termsel.solvers.ledger import Ledger
@@ -243,6 +248,50 @@ def test_forced_genes_are_kept_by_algorithms_of_ones_own() -> None:
     problem = problems.bound()
     found = search(problem, mine(), generations=5)
     assert problems.kept(problem.genome, found.genes[None]).all()
+
+
+@pytest.mark.parametrize(("options", "said"), [
+    ({"mate": "cxESBlend:alpha=0.5"}, "eaSimple .* failed .* 'strategy'"),
+    ({"select": "selTournament:tournsize=0"}, "failed in eaSimple"),
+    ({"mate": "cxMessyOnePoint"}, "failed in eaSimple"),
+    ({"algorithm": "eaMuCommaLambda", "children": 10}, "keeps 20 of 10 children"),
+    ({"cxpb": 0, "mutpb": 0}, "no individual would ever change"),
+    ({"algorithm": "math:pi"}, "'math:pi' cannot be imported"),
+    ({"algorithm": "..:loop"}, "cannot be imported"),
+    ({"algorithm": "loops_with_a_slip:loop"}, "cannot be imported: invalid syntax"),
+    ({"algorithm": "loops_of_mine:nothing"}, "'nothing' returned no population"),
+    ({"algorithm": "loops_of_mine:fails"}, "KeyError: 'of mine'"),
+])
+def test_what_deap_cannot_do_is_no_bug_of_termsel(options: dict[str, Any], said: str,
+                                                  tmp_path: Path,
+                                                  monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "loops_with_a_slip.py").write_text("def (")
+    (tmp_path / "loops_of_mine.py").write_text(
+        "def nothing(population, toolbox, ngen):\n    return [], None\n"
+        "def fails(population, toolbox, ngen):\n    raise KeyError('of mine')\n")
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(TermselError, match=said):
+        search(problems.twelve_terms(), Deap(population=20, **options), generations=3)
+
+
+def test_a_loop_is_found_where_the_command_runs(tmp_path: Path,
+                                                monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "a_loop_here.py").write_text(
+        "from deap.algorithms import varAnd\n"
+        "def loop(population, toolbox):\n"
+        "    while True:\n"
+        "        print('talkative')\n"
+        "        yield population\n"
+        "        chosen = toolbox.select(population, len(population))\n"
+        "        population = varAnd(chosen, toolbox, 0.9, 0.2)\n")
+    monkeypatch.chdir(tmp_path)
+    before = list(sys.path)
+    shown = CliRunner().invoke(cli, [
+        "run", "--problem", "poly-terms", "--solver", "deap", "--set", "algorithm=a_loop_here:loop",
+        "--evaluations", "100", "--set", "solver.population=20", "--json"])
+    assert sys.path == before
+    assert shown.exit_code == 0, shown.output
+    assert json.loads(shown.stdout)["solver"] == "deap"
 
 
 SEEDS = range(30)

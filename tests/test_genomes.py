@@ -269,7 +269,7 @@ def test_a_solver_for_bits_alone_is_refused_and_others_named(solver: str) -> Non
     with pytest.raises(TermselError, match="handles genes of the type Bits; those of 'i' are "
                                            "Integers") as error:
         termsel.prepare(recipe, solver=solver)
-    assert "Choose one of: ga, " in str(error.value)
+    assert "Choose one of: deap, pymoo, ga, " in str(error.value)
     assert "pso" in str(error.value)
 
 

@@ -7,6 +7,7 @@ from click.testing import CliRunner
 
 import termsel
 from termsel.cli.main import cli
+from termsel.plugins.registry import registry
 from termsel.simulate import simulate_scene
 
 NAMES = ("valadan-zoej-2002", "zakaryaie-2015", "yavari-2018", "akhoundi-2020")
@@ -98,3 +99,12 @@ def test_a_description_has_the_set_up() -> None:
                  "50 generations without a gain", "poly2d --set degree=5",
                  "ikonos-hamedan-35-39"):
         assert part in text
+
+
+def test_a_description_tells_no_default_that_is_none() -> None:
+    options = {option.name: option for option in registry().get("problems", "yavari-2018").options}
+    for name in ("max_share", "then"):
+        assert options[name].default is not None
+        assert "default" not in options[name].doc
+    assert options["max_share"].doc.endswith("At least one degree of freedom is kept.")
+    assert "By default" in options["objectives"].doc

@@ -154,7 +154,7 @@ def by_part(given: Mapping[str, Any],
         if not parts:
             raise unknown_name("option", key, parts_of)
         if len(parts) > 1:
-            raise TermselError(f"option {name!r} is one of the {' and of the '.join(parts)}",
+            raise TermselError(f"{' and '.join(parts)} each have an option {name!r}",
                                hint=f"Write {' or '.join(f'{one}.{name}' for one in parts)}.")
         if name in chosen[parts[0]]:
             raise TermselError(f"option {name!r} of the {parts[0]} is given twice",

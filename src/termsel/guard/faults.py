@@ -85,7 +85,7 @@ def wrong(thing: Any, method: str, what: str) -> PluginFault:
 
 
 @contextmanager
-def blamed(thing: Any, method: str) -> Iterator[None]:
+def blamed(thing: Any, method: str, hint: str = HINT) -> Iterator[None]:
     """Run code of a plugin in isolation; what it raises becomes its fault.
 
     termsel's own errors pass, such as a `TermselError` on a file that the user can correct.
@@ -96,6 +96,8 @@ def blamed(thing: Any, method: str) -> Iterator[None]:
         The class, function or object that is called; what belongs to termsel is called as it is.
     method : str
         For the message.
+    hint : str
+        What to do, where it may be the user's own mistake.
 
     Raises
     ------
@@ -112,10 +114,10 @@ def blamed(thing: Any, method: str) -> Iterator[None]:
     except (Exception, SystemExit) as error:
         if is_own(type(error)) or is_marked(error):
             raise
-        raise failed(error, f"{name_of(thing)} failed in {method}()", package) from error
+        raise failed(error, f"{name_of(thing)} failed in {method}()", package, hint) from error
 
 
-def failed(error: BaseException, what: str, package: str) -> PluginFault:
+def failed(error: BaseException, what: str, package: str, hint: str = HINT) -> PluginFault:
     """Return the fault of code that raised an exception, which is being handled.
 
     Parameters
@@ -125,12 +127,14 @@ def failed(error: BaseException, what: str, package: str) -> PluginFault:
         What failed.
     package : str
         The top-level module of the plugin, whose innermost line is named.
+    hint : str
+        What to do.
     """
     if os.environ.get("TERMSEL_DEBUG") == "1":
         traceback.print_exc()
     file, line = _raised(error.__traceback__, package)
     raised = f"{type(error).__name__}: {' '.join(str(error).split())}".rstrip(": ")
-    return PluginFault(f"{what}: {raised}", file=file, line=line, hint=HINT)
+    return PluginFault(f"{what}: {raised}", file=file, line=line, hint=hint)
 
 
 def _raised(trace: TracebackType | None, package: str) -> tuple[str | None, int | None]:

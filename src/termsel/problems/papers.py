@@ -6,10 +6,6 @@ overridable.
 
 from __future__ import annotations
 
-from dataclasses import replace
-from typing import Any
-
-from termsel.options import Option
 from termsel.problems.recipes import (
     OF_BOTH,
     OF_TERMS,
@@ -17,18 +13,13 @@ from termsel.problems.recipes import (
     Recipe,
     select_both,
     select_terms,
+    with_defaults,
 )
 
 PATIENCE = 50
 """Generations without a gain after which a search has converged, where a paper states no number."""
 
 AKHOUNDI_GA = {"population": 500, "mutation": 0.001}
-
-
-def with_defaults(options: tuple[Option, ...], **defaults: Any) -> tuple[Option, ...]:
-    """Return options of which some have other defaults."""
-    return tuple(replace(option, default=defaults.get(option.name, option.default))
-                 for option in options)
 
 
 PAPERS = (

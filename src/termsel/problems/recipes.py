@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -124,7 +125,7 @@ def feature_options(**defaults: Any) -> tuple[Option, ...]:
     **defaults
         Defaults that differ there, such as ``max_features=6``.
     """
-    return _with_defaults(OF_FEATURES, defaults)
+    return with_defaults(OF_FEATURES, **defaults)
 
 
 def term_options(**defaults: Any) -> tuple[Option, ...]:
@@ -140,17 +141,33 @@ def term_options(**defaults: Any) -> tuple[Option, ...]:
     TermselError
         For a default of an option that there is not.
     """
-    return _with_defaults(OF_TERMS, defaults)
+    return with_defaults(OF_TERMS, **defaults)
 
 
-def _with_defaults(declared: tuple[Option, ...], defaults: Mapping[str, Any]) -> tuple[Option, ...]:
+def with_defaults(declared: tuple[Option, ...], **defaults: Any) -> tuple[Option, ...]:
+    """Return options of which some have other defaults, and no longer tell the usual one.
+
+    Parameters
+    ----------
+    declared : tuple of Option
+    **defaults
+        By the names of the options.
+
+    Raises
+    ------
+    TermselError
+        For a default of an option that there is not.
+    """
     options = {option.name: option for option in declared}
     for name, default in defaults.items():
         if name not in options:
             raise unknown_name("option", name, options)
         options[name] = replace(options[name], default=default,
-                                doc=options[name].doc.replace("; by default not limited", ""))
+                                doc=_USUAL.sub("", options[name].doc))
     return tuple(options.values())
+
+
+_USUAL = re.compile(r"; by default [^.]*| By default [^.]*\.")
 
 
 def select_terms(inputs: Inputs) -> Problem:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import inspect
+import os
+import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from importlib import import_module
 from typing import Any, ClassVar
@@ -11,12 +13,15 @@ import numpy as np
 from deap import algorithms, base, tools
 
 from termsel.errors import TermselError
+from termsel.guard.faults import blamed
 from termsel.options import Option
 from termsel.problems.base import Evaluation, Problem
 from termsel.problems.segments import SEGMENTS, AnySegment, Genes
 from termsel.solvers.base import Generation, Solver
 from termsel.solvers.chance import OwnChance
 from termsel.solvers.deap_toolbox import Individual, register, to_deap
+
+CHECK = "Check your loop, and the operators with their arguments: select, mate, mutate."
 
 POPULATION = Option("population", 200, "Number of individuals, mu.", int, 2, 100_000)
 
@@ -68,8 +73,14 @@ class Deap(Solver):
         if "lambda_" in inspect.signature(loop).parameters and sum(chances.values()) > 1:
             raise TermselError(f"cxpb and mutpb of {o['algorithm']} add up to "
                                f"{sum(chances.values()):g}", hint="They may add up to 1 at most.")
-        yield from evolved(box, loop, rng, o["population"], {
-            **chances, "mu": o["population"], "lambda_": o["children"] or 2 * o["population"]})
+        if not sum(chances.values()):
+            raise TermselError("cxpb and mutpb are 0, so no individual would ever change",
+                               hint="Raise one of them.")
+        mu, children = o["population"], o["children"] or 2 * o["population"]
+        if o["algorithm"] == "eaMuCommaLambda" and children < mu:
+            raise TermselError(f"eaMuCommaLambda keeps {mu} of {children} children",
+                               hint="Raise children or lower the population.")
+        yield from evolved(box, loop, rng, mu, {**chances, "mu": mu, "lambda_": children})
 
 
 def _loop(said: str) -> Callable[..., Any]:
@@ -82,11 +93,15 @@ def _loop(said: str) -> Callable[..., Any]:
         raise TermselError(f"there is no algorithm {said!r}",
                            hint=f"Known are {', '.join(known)}; a loop of yours is "
                                 "module:function.")
+    sys.path.insert(0, os.getcwd())  # as with `python -m`; the command's own folder is there
     try:
         found = getattr(import_module(module), name)
-    except (ImportError, AttributeError) as error:
+        inspect.signature(found)
+    except (ImportError, AttributeError, NameError, SyntaxError, TypeError, ValueError) as error:
         raise TermselError(f"the loop {said!r} cannot be imported: {error}",
                            hint="Give module:function, importable from where you run.") from None
+    finally:
+        sys.path.pop(0)
     return found  # type: ignore[no-any-return]
 
 
@@ -114,8 +129,9 @@ def evolved(box: base.Toolbox, loop: Callable[..., Any], rng: np.random.Generato
     hall, book = tools.HallOfFame(1), tools.Logbook()
     named = {key: value for key, value in {
         **arguments, "stats": stats, "halloffame": hall, "verbose": False}.items() if key in takes}
+    called = getattr(loop, "__name__", "loop")
     if "ngen" not in takes and not inspect.isgeneratorfunction(loop):
-        raise TermselError(f"the loop {loop.__name__!r} has no argument 'ngen' and yields nothing",
+        raise TermselError(f"the loop {called!r} has no argument 'ngen' and yields nothing",
                            hint="Let it run ngen generations as eaSimple does, or yield the "
                                 "population after each.")
     chance = OwnChance(rng)
@@ -124,13 +140,15 @@ def evolved(box: base.Toolbox, loop: Callable[..., Any], rng: np.random.Generato
     steps = loop(people, box, **named) if "ngen" not in takes else None
     index = 0
     while True:
-        with chance:
+        with blamed(loop, called, CHECK), chance:
             if steps is not None:
                 people = next(steps, None)
             else:
                 people, _log = loop(people, box, ngen=min(index, 1), **named)
-            if people is None:
+            if people is None and steps is not None:
                 return
+            if not people:
+                raise TermselError(f"the loop {called!r} returned no population", hint=CHECK)
             _evaluate(box, people)
         hall.update(people)
         book.record(gen=index, **stats.compile(people))
