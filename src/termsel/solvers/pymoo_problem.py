@@ -88,7 +88,8 @@ def to_pymoo(problem: Problem) -> PymooProblem:
 
     It evaluates a whole population at once (``elementwise=False``). The objectives are F. The
     violation is the constraint G, at most 0 where feasible; forced genes that are not kept and
-    counts of genes that are out of range add to it. Variables are of the type bool.
+    counts of genes that are out of range add to it. Variables are of the type bool where all genes
+    are bits; others are numbers, rounded where they are evaluated to what their genes allow.
 
     Parameters
     ----------
