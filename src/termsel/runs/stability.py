@@ -18,6 +18,7 @@ from termsel.measurements.roles import together
 from termsel.measurements.scaling import scaling_of
 from termsel.measurements.twins import twins
 from termsel.models.poles import guard_points, pole_violation
+from termsel.problems.segments import Bits
 from termsel.runs.recommend import recommended
 from termsel.runs.task import Task, prepare
 from termsel.solvers.ledger import Progress
@@ -125,7 +126,7 @@ def stability(
     Raises
     ------
     TermselError
-        If the problem selects features, or control and check are too few.
+        If the problem selects features or values of options, or control and check are too few.
 
     References
     ----------
@@ -144,20 +145,23 @@ def stability(
                            hint="Give at least 2 repetitions and a threshold above 0, up to 1.")
     task = prepare(problem, features=features, dataset=dataset, model=model, solver=solver,
                    criterion=criterion, options=options)
-    if any(segment.name == "features" for segment in task.problem.genome.segments):
-        raise TermselError(f"the problem {problem} selects features",
+    others = {"features" if segment.name == "features" else "other values than terms"
+              for segment in task.problem.genome.segments
+              if segment.name == "features" or not isinstance(segment, Bits)}
+    if others:
+        raise TermselError(f"the problem {problem} selects {min(others)}",
                            hint="Choose a problem that selects terms alone: rfm-terms, "
                                 "poly-terms.")
     rng = np.random.default_rng(seed)
     # The drawn roles are those of the features, which take the place of roles that are named.
-    others = {key: value for key, value in (options or {}).items() if key not in ("off", "role")}
+    given = {key: value for key, value in (options or {}).items() if key not in ("off", "role")}
     rows: list[BoolArray] = []
     interrupted = False
     for repetition in range(repeats):
         try:
             again = prepare(problem, features=_with_drawn_roles(task, rng), model=model,
                             solver=solver, criterion=criterion,
-                            options={**others, "roles": "file"})
+                            options={**given, "roles": "file"})
             found = search(again.problem, again.solver, seed=seed + repetition,
                            generations=generations, evaluations=evaluations, seconds=seconds,
                            patience=patience, **again.options["search"],
