@@ -243,3 +243,14 @@ def test_options_of_terms_for_another_recipe() -> None:
     assert "mask" in options
     with pytest.raises(TermselError, match="unknown option 'max_shore'"):
         termsel.term_options(max_shore=0.5)
+
+
+def test_a_second_step_by_a_solver_of_ones_own_is_recorded() -> None:
+    @termsel.register
+    class Again(type(termsel.prepare("poly-terms", solver="random").solver)):
+        name = "random-again"
+
+    result = termsel.run("owdis-lines-terms", evaluations=60, options={
+        "steps": "features-first", "then": "random-again", "order": 1})
+    assert result.plugins["then"]["name"] == "session:random-again"
+    assert "solver" not in result.plugins

@@ -61,12 +61,15 @@ def plugins_of(asked: Request | Task) -> dict[str, dict[str, str]]:
     Returns
     -------
     dict
-        By "problem", "model", "solver" and "criterion": ``name`` as ``distribution:name``, and
-        ``version`` of the distribution. Parts of termsel itself are left out. What no plugin
-        provides has the distribution "session" and its ``class``, as "module.Class".
+        By "problem", "model", "solver", "criterion" and "then": ``name`` as
+        ``distribution:name``, and ``version`` of the distribution. Parts of termsel itself are
+        left out. What no plugin provides has the distribution "session" and its ``class``, as
+        "module.Class".
     """
     parts = {"problem": asked.recipe, "model": type(asked.model), "solver": type(asked.solver),
              "criterion": type(asked.criterion)}
+    if asked.then is not None:
+        parts["then"] = type(asked.then)
     return {word: found for word, thing in parts.items() if (found := _origin(thing))}
 
 

@@ -113,8 +113,8 @@ class SteadyStateGA(GeneticAlgorithm):
     departures: ClassVar[tuple[str, ...]] = (
         "100 chromosomes instead of 10, and as many evaluations as every solver instead of 20 "
         "generations (--set population=10 --generations 20).",
-        "Tournaments, crossover and mutation are termsel's own: only page 380 of Konugurthi et "
-        "al. 2016 could be consulted.",
+        "Tournaments, crossover and mutation are termsel's own: no page of Konugurthi et al. 2016 "
+        "that could be consulted states them.",
         "Of equal chromosomes only one survives.")
     segments: ClassVar[tuple[type[AnySegment], ...]] = (Bits, Subset)
     declared_options: ClassVar[tuple[Option, ...]] = (
