@@ -245,6 +245,7 @@ def test_options_of_terms_for_another_recipe() -> None:
         termsel.term_options(max_shore=0.5)
 
 
+@pytest.mark.usefixtures("fresh")
 def test_a_second_step_by_a_solver_of_ones_own_is_recorded() -> None:
     @termsel.register
     class Again(type(termsel.prepare("poly-terms", solver="random").solver)):
