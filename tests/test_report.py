@@ -121,6 +121,21 @@ def test_every_chart_is_one_altair_chart_that_says_what_to_look_for(
     assert drawn >= set(KINDS) - {"convergence"}
 
 
+@pytest.mark.parametrize("kind", ["residuals", "ground", "worst"])
+def test_residuals_of_rounding_alone_are_not_exaggerated(kind: str, tmp_path: Path) -> None:
+    ground = np.array([[0.0, 0, 0], [900, 100, 5], [300, 800, 9]])
+    image = np.array([[5.5, 7.25], [455.1, 30.4], [160.7, 401.3]])
+    result = termsel.run("poly-terms", features=termsel.FeatureSet(
+        termsel.Points(("a", "b", "c"), image, ground, roles=("control",) * 3)))
+    drawn = getattr(result.plot, kind)()
+    for param in drawn.to_dict().get("params", []):
+        if param.get("name") == "exaggeration":
+            assert param["value"] == 1
+    from termsel.report.plots import save
+    save(drawn, tmp_path / "map.png")
+    assert (tmp_path / "map.png").read_bytes().startswith(b"\x89PNG")
+
+
 def test_baselines_show_the_record(chosen: termsel.Result) -> None:
     shown = max(rows_of(chosen.plot.baselines()).values(), key=len)
     here = {(row["fit"], row["role"]): row["rmse"] for row in shown}

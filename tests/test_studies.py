@@ -16,7 +16,7 @@ import pytest
 import termsel
 from termsel import TermselError
 from termsel.formats.readers.csv_tables import write_points_csv
-from termsel.studies.images import IMAGES
+from termsel.studies.images import IMAGES, folders_of
 from termsel.studies.places import places_of
 from termsel.studies.table import TIMES
 
@@ -120,6 +120,8 @@ def test_python_takes_objects_and_features() -> None:
     (SMALL.replace("solvers", "solver"), "line 3, column 1", "unknown key of a study 'solver'"),
     (SMALL.replace('"swap"', '"swop"'), "line 3, column 22", "unknown solver 'swop'"),
     (SMALL.replace("degree", "degre"), "line 2, column 35", "unknown option 'degre'"),
+    (SMALL.replace('"swap"', '{name = "swap", popul = 3}'), "line 3, column 38",
+     "unknown option 'solver.popul'"),
     (SMALL.replace("evaluations = 60", "evaluation = 60"), "line 6, column 1",
      "unknown key of the budget 'evaluation'"),
     (SMALL.replace("= 60", "= -1"), "line 6, column 1", "not positive"),
@@ -224,6 +226,37 @@ def test_a_collection_has_a_row_and_a_folder_an_image_the_worst_first(
         record = json.loads((folder / "result.json").read_text())
         assert record["predicted"]["rmse"] == float(row["predicted"])
         assert termsel.read_result(folder).selection.terms
+
+
+def test_no_two_images_share_a_folder() -> None:
+    labels = {"data": "a/x.csv", "split": 0, "problem": "rfm-terms"}
+    assert folders_of({"1": labels, "2": {**labels, "split": 3},
+                       "3": {**labels, "data": "y.csv"}}) == {
+        "1": "a_x.csv", "2": "a_x.csv-split-3", "3": "y.csv"}
+    assert folders_of({"1": labels, "2": {**labels, "problem": "poly-terms"}}) == {
+        "1": "a_x.csv-rfm-terms", "2": "a_x.csv-poly-terms"}
+    for other in ("a_x.csv", "A/x.csv"):
+        with pytest.raises(TermselError, match="the same folder"):
+            folders_of({"1": labels, "2": {**labels, "data": other}})
+
+
+def test_a_folder_with_files_of_other_things_is_refused(call: Call, tmp_path: Path) -> None:
+    _images(tmp_path, 1)
+    points = tmp_path / "image0.csv"
+    own = points.rename(tmp_path / "study.csv")
+    before = own.read_bytes()
+    done = call("compare", "--points", own, "--crs", "local", "--problem", "poly-terms", "--solver",
+                "random", "--evaluations", "50", "--out", tmp_path)
+    assert done.exit_code == 2
+    assert "study.csv" in done.stderr
+    assert own.read_bytes() == before
+
+
+def test_the_plan_of_something_else_is_told(call: Call, tmp_path: Path) -> None:
+    (tmp_path / "plan.json").write_text("{}")
+    done = call("compare", "--status", tmp_path)
+    assert done.exit_code == 2
+    assert "this is not the plan of a study" in done.stderr
 
 
 def test_a_failing_cell_is_a_row_with_its_reason(monkeypatch: pytest.MonkeyPatch) -> None:

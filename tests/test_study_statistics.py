@@ -95,11 +95,12 @@ def test_holm_agrees_with_statsmodels() -> None:
 def test_signed_rank_counts_a_method_without_result_as_worst() -> None:
     # Six differences of one sign: p = 2 / 2^6.
     one = np.array([1.0, 2, 3, 4, 5, 6])
-    assert signed_rank(one, one + np.arange(1, 7)) == pytest.approx(2 / 64)
-    assert signed_rank(one, np.full(6, np.inf)) < 0.05
-    assert signed_rank(one, one) == 1.0
+    assert signed_rank(one, one + np.arange(1, 7)) == (pytest.approx(2 / 64), True)
+    assert signed_rank(one + np.arange(1, 7), one) == (pytest.approx(2 / 64), False)
+    assert signed_rank(one, np.full(6, np.inf))[0] < 0.05
+    assert signed_rank(one, one)[0] == 1.0
     both = np.full(6, np.inf)
-    assert signed_rank(both, both) == 1.0
+    assert signed_rank(both, both)[0] == 1.0
 
 
 def test_effect_size_counts_pairs() -> None:
@@ -190,6 +191,25 @@ def test_claims_say_what_the_tests_allow() -> None:
     assert "needs at least 5" in " ".join(claims(_groups(few), None, []))
 
 
+def test_a_claim_has_the_direction_of_the_ranks_that_were_tested() -> None:
+    # m0 is lower by much on 19 instances, and higher by little on 21.
+    difference = np.concatenate([-np.linspace(1, 2, 19), np.linspace(0.01, 0.02, 21)])
+    values = np.stack([5 + difference, np.full(40, 5.0)], axis=1)
+    said = " ".join(claims(_groups(values), compare_methods(["m0", "m1"], values), []))
+    assert "It may be claimed that m0 is better than m1: on 19 of 40 instances" in said
+
+
+def test_ratios_of_what_is_below_zero_are_not_drawn(study: termsel.Study) -> None:
+    pytest.importorskip("altair")
+    from termsel.studies.figures import figures_of
+
+    records = {key: {**one, "figures": {**one["figures"], "fitness": -1.0}}
+               for key, one in study.records.items()}
+    below = termsel.Study(study.spec, study.cells, records, None)
+    assert "performance-profile" in {one.name for one in figures_of(study)}
+    assert "performance-profile" not in {one.name for one in figures_of(below)}
+
+
 @pytest.fixture(scope="module")
 def study() -> termsel.Study:
     return termsel.compare(
@@ -219,6 +239,9 @@ def test_ioh_data_have_the_runs(study: termsel.Study, tmp_path: Path) -> None:
         (tmp_path / name).write_text(content)
     described = [json.loads(path.read_text()) for path in tmp_path.rglob("*.json")]
     assert len(described) == len(groups.methods) * len(groups.instances)
+    # Methods of one function are compared only where they have one dimension.
+    assert len({(one["function_id"], one["scenarios"][0]["dimension"]) for one in described}
+               ) == len(groups.instances)
     for path in tmp_path.rglob("*.json"):
         record = json.loads(path.read_text())
         scenario = record["scenarios"][0]

@@ -83,7 +83,7 @@ def compare(files: tuple[Path, ...], out: Path | None, workers: int, scheduler: 
       termsel compare study.toml --dry-run
       termsel compare --problem rfm-terms --solver ga,ica,pso --seeds 30 \\
           --evaluations 10000 --out study
-      termsel compare --points 'images/*.csv' --crs EPSG:4979 --out images
+      termsel compare --points 'images/*.csv' --crs EPSG:4979 --out result
       termsel compare --status study
     """
     if status is not None:

@@ -81,9 +81,8 @@ def _over_instances(found: Comparison) -> list[str]:
     proven = [pair for pair in found.pairs if pair.corrected < LEVEL] \
         if found.p is None or found.p < LEVEL else []
     for pair in proven:
-        better, worse = (pair.one, pair.other) if pair.wins > pair.losses \
-            else (pair.other, pair.one)
-        won = max(pair.wins, pair.losses)
+        better, worse, won = (pair.one, pair.other, pair.wins) if pair.lower \
+            else (pair.other, pair.one, pair.losses)
         said.append(f"It may be claimed that {better} is better than {worse}: on {won} of "
                     f"{found.instances} instances (Wilcoxon with Holm's correction, "
                     f"p = {pair.corrected:.2g}).")

@@ -21,10 +21,11 @@ from termsel.runs.provenance import versions
 from termsel.studies.cells import LABELS, Cell, cells_of
 from termsel.studies.data import data_of
 from termsel.studies.executors import processes, serial
-from termsel.studies.images import write_files
+from termsel.studies.images import IMAGES, folders_of, write_files
 from termsel.studies.interruption import deferred
-from termsel.studies.journal import Journal, read_journal
+from termsel.studies.journal import JOURNAL, Journal, read_journal
 from termsel.studies.lock import holder, locked
+from termsel.studies.outputs import NAMES
 from termsel.studies.progress import Progress, Tally, tally_of
 from termsel.studies.spec import Spec, read_study, spec_of
 from termsel.studies.study import Study
@@ -90,6 +91,8 @@ def compare(
         raise TermselError(f"{workers} workers cannot run anything", hint="Give 1 or more.")
     spec, folder = asked(study, keys)
     cells = plan_cells(spec, folder)
+    folders = folders_of({cell.key: cell.labels for cell in cells
+                          if cell.call["strategy"] == "auto"})
     with ExitStack() as stack:
         place = Path(out) if out is not None else stack.enter_context(private_folder())
         plugins = _plugins(cells, spec)
@@ -103,11 +106,10 @@ def compare(
         _tell(observers, tally)
         waiting = [cell for cell in cells if cell.key not in finished]
         stopped = stack.enter_context(deferred(lambda: log.warning(FINISHING)))
-        by_key = {cell.key: cell for cell in cells}
         for outcome in _outcomes(waiting, stopped, workers, scheduler, plugins):
-            cell, key = by_key[outcome.record["cell"]], outcome.record["cell"]
-            if out is not None:
-                write_files(place, cell.labels, outcome.files)
+            key = outcome.record["cell"]
+            if out is not None and outcome.files:
+                write_files(place / IMAGES / folders[key], outcome.files)
             journal.append(outcome.record)
             finished[key] = outcome.record
             tally.count(outcome.record)
@@ -216,7 +218,12 @@ def status(folder: Path) -> tuple[Progress, str | None]:
         raise TermselError("there is no study in this folder", file=folder,
                            hint="Give the folder of --out.")
     plan = parse_json(read_text(file), "Repeat the command that began the study.")
-    return tally_of(plan, read_journal(folder).records).progress(), holder(folder)
+    try:
+        tally = tally_of(plan, read_journal(folder).records)
+    except (KeyError, TypeError) as error:
+        raise TermselError("this is not the plan of a study", file=file,
+                           hint="Repeat the command that began the study.") from error
+    return tally.progress(), holder(folder)
 
 
 def _begun(stack: ExitStack, place: Path, now: Mapping[str, str]) -> Journal:
@@ -227,6 +234,10 @@ def _begun(stack: ExitStack, place: Path, now: Mapping[str, str]) -> Journal:
         raise TermselError(f"cannot make the folder {place}: {error.strerror}",
                            hint="Choose another --out.") from error
     stack.enter_context(locked(place))
+    found = [name for name in (*NAMES, PLAN, IMAGES) if (place / name).exists()]
+    if found and not (place / JOURNAL).exists():
+        raise TermselError(f"the folder has {found[0]}, but no journal of a study",
+                           file=place, hint=f"{found[0]} could be replaced. Choose another --out.")
     journal = read_journal(place)
     journal.open(now)
     stack.callback(journal.close)

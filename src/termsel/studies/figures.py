@@ -47,7 +47,9 @@ def figures_of(study: Study) -> list[Figure]:
            for runs in by_method.values() for record in runs.records):
         found += [running_times(groups, 0), running_times(groups, 2), convergence(groups)]
     values = medians_of(groups)
-    if len(values) > 1 and len(groups.methods) > 1 and np.isfinite(values).any(axis=1).all():
+    # Ratios to the best one require that it has a result, and that nothing is below zero.
+    if len(values) > 1 and len(groups.methods) > 1 and np.isfinite(values).any(axis=1).all() \
+            and (values >= 0).all():
         found.append(profile(groups))
     comparison = compare_methods(groups.methods, values)
     if comparison is not None and comparison.difference is not None:

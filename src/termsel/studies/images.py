@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -13,19 +14,42 @@ from termsel.files.atomic import private_folder, put_in_place, sync
 IMAGES = "images"
 
 
-def folder_of(labels: Mapping[str, Any]) -> str:
-    """Return the name of an image's folder: that of its data, and of its split if not the first.
+def folders_of(labels: Mapping[str, Mapping[str, Any]]) -> dict[str, str]:
+    """Return the names of the folders of all images, by the keys of their cells.
+
+    A folder is called by its data, by its split if that is not the first, and by its problem where
+    several have the same data.
 
     Parameters
     ----------
     labels : mapping
-        Of the cell.
+        Of the cells of the strategy auto, by their keys.
+
+    Raises
+    ------
+    TermselError
+        If two images would have the same folder, also where capitals do not count.
     """
-    name = re.sub(r"[^\w.+-]+", "_", str(labels["data"])).strip("._") or "image"
-    return name if not labels["split"] else f"{name}-split-{labels['split']}"
+    problems = Counter((one["data"], one["split"]) for one in labels.values())
+    names, owners = {}, dict[str, str]()
+    for key, one in labels.items():
+        name = _plain(str(one["data"]))
+        if one["split"]:
+            name += f"-split-{one['split']}"
+        if problems[one["data"], one["split"]] > 1:
+            name += f"-{_plain(str(one['problem']))}"
+        if name.casefold() in owners:
+            raise TermselError(f"{owners[name.casefold()]} and {one['data']} would have the same "
+                               f"folder {IMAGES}/{name}", hint="Rename one of them.")
+        names[key], owners[name.casefold()] = name, str(one["data"])
+    return names
 
 
-def write_files(place: Path, labels: Mapping[str, Any], files: Mapping[str, bytes]) -> None:
+def _plain(text: str) -> str:
+    return re.sub(r"[^\w.+-]+", "_", text).strip("._") or "image"
+
+
+def write_files(folder: Path, files: Mapping[str, bytes]) -> None:
     """Write the files of a result into the folder of its image.
 
     Each file is written completely or not at all; those of a cell that is repeated replace the
@@ -33,21 +57,16 @@ def write_files(place: Path, labels: Mapping[str, Any], files: Mapping[str, byte
 
     Parameters
     ----------
-    place : pathlib.Path
-        Folder of the study.
-    labels : mapping
-        Of the cell.
+    folder : pathlib.Path
+        Of the image.
     files : mapping
-        Content by name; without any, nothing is done.
+        Content by name.
 
     Raises
     ------
     TermselError
         If they cannot be written.
     """
-    if not files:
-        return
-    folder = place / IMAGES / folder_of(labels)
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with private_folder(folder) as new:

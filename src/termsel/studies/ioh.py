@@ -8,7 +8,7 @@ import re
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from termsel.studies.groups import Groups, Runs
+from termsel.studies.groups import Groups
 from termsel.studies.summaries import length
 from termsel.version import __version__
 
@@ -33,6 +33,9 @@ def ioh_files(groups: Groups) -> Iterator[tuple[str, str]]:
     run begins with the row of its first evaluation.
     """
     for number, (instance, by_method) in enumerate(groups.instances.items(), 1):
+        # Readers compare methods of the same dimension alone, so an instance has one.
+        dimension = max([1, *(row.get("n_terms") or 0 for runs in by_method.values()
+                              for row in runs.rows)])
         for method, runs in by_method.items():
             kept = [record for record in runs.records if record["trace"]]
             if not kept:
@@ -41,7 +44,7 @@ def ioh_files(groups: Groups) -> Iterator[tuple[str, str]]:
             data = f"data_f{number}_{_word(instance)}/{stem}.dat"
             yield f"{folder}/{data}", _data(kept)
             yield f"{folder}/{stem}.json", json.dumps(
-                _description(number, instance, method, runs, kept, data), indent=1) + "\n"
+                _description(number, instance, method, dimension, kept, data), indent=1) + "\n"
 
 
 def _data(records: list[Mapping[str, Any]]) -> str:
@@ -56,16 +59,15 @@ def _data(records: list[Mapping[str, Any]]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _description(number: int, instance: str, method: str, runs: Runs,
+def _description(number: int, instance: str, method: str, dimension: int,
                  kept: list[Mapping[str, Any]], data: str) -> dict[str, Any]:
-    offered = max((row.get("n_terms") or 0) for row in runs.rows)
     return {
         "version": FORMAT, "suite": "termsel", "function_id": number, "function_name": instance,
         "maximization": False,
         "algorithm": {"name": method, "info": f"termsel {__version__}"},
         "attributes": ["evaluations", "raw_y"],
         "scenarios": [{
-            "dimension": max(offered, 1), "path": data,
+            "dimension": dimension, "path": data,
             "runs": [{"instance": 1, "evals": int(max(length(record["figures"]), 1)),
                       "best": {"evals": int(record["trace"][-1][0]), "y": record["trace"][-1][1],
                                "x": []}} for record in kept if math.isfinite(

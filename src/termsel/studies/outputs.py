@@ -20,6 +20,9 @@ from termsel.studies.table import csv_of
 
 REPORT = "report.html"
 
+NAMES = ("study.csv", "study.parquet", "summary.md", "summary.tex", REPORT, "ioh", "figures")
+"""Files and folders that `write_outputs` writes."""
+
 
 def write_outputs(study: Study, out: Path) -> list[Path]:
     """Write the tables of a study, and return which files were written.

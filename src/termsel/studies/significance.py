@@ -33,6 +33,9 @@ class Pair:
         By Holm, for all pairs.
     wins, losses : int
         Instances on which the one has the lower, or the higher, median.
+    lower : bool
+        Whether the one is lower by the ranks that the test sums: it may still lose on more
+        instances, by less.
     """
 
     one: str
@@ -41,6 +44,7 @@ class Pair:
     corrected: float
     wins: int
     losses: int
+    lower: bool
 
 
 @dataclass(frozen=True)
@@ -117,19 +121,19 @@ def compare_methods(methods: Sequence[str], values: FloatArray) -> Comparison | 
         statistic, p = (0.0, 1.0) if alike else map(float, friedmanchisquare(
             *rankdata(values, axis=1).T))
         difference = critical_difference(number, instances)
-    tested = [(i, j, signed_rank(values[:, i], values[:, j]))
+    tested = [(i, j, *signed_rank(values[:, i], values[:, j]))
               for i, j in combinations(range(number), 2)]
-    corrected = holm([p_value for _, _, p_value in tested])
+    corrected = holm([p_value for _, _, p_value, _ in tested])
     pairs = tuple(
         Pair(methods[i], methods[j], p_value, after, int((values[:, i] < values[:, j]).sum()),
-             int((values[:, i] > values[:, j]).sum()))
-        for (i, j, p_value), after in zip(tested, corrected, strict=True))
+             int((values[:, i] > values[:, j]).sum()), lower)
+        for (i, j, p_value, lower), after in zip(tested, corrected, strict=True))
     return Comparison(tuple(methods), instances, tuple(map(float, ranks)), statistic, p,
                       difference, pairs)
 
 
-def signed_rank(one: FloatArray, other: FloatArray) -> float:
-    """Return the p-value of Wilcoxon's signed-rank test, two-sided.
+def signed_rank(one: FloatArray, other: FloatArray) -> tuple[float, bool]:
+    """Return the p-value of Wilcoxon's signed-rank test, two-sided, and whether the one is lower.
 
     Differences of a method without a result count as larger than all others; two of them as none.
 
@@ -137,14 +141,18 @@ def signed_rank(one: FloatArray, other: FloatArray) -> float:
     ----------
     one, other : ndarray, shape (n,)
     """
-    from scipy.stats import wilcoxon
+    from scipy.stats import rankdata, wilcoxon
 
     with np.errstate(invalid="ignore"):
         difference = np.where(one == other, 0.0, one - other)
     finite = np.abs(difference[np.isfinite(difference)])
     beyond = 2 * (finite.max() if len(finite) else 0.0) + 1.0
     difference = np.clip(difference, -beyond, beyond)
-    return 1.0 if not difference.any() else float(wilcoxon(difference).pvalue)
+    if not difference.any():
+        return 1.0, False
+    told = difference[difference != 0]
+    lower = bool((rankdata(np.abs(told)) * np.sign(told)).sum() < 0)
+    return float(wilcoxon(difference).pvalue), lower
 
 
 def holm(p_values: Sequence[float]) -> list[float]:

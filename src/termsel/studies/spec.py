@@ -300,7 +300,8 @@ def _budget(at: Places, given: Mapping[str, Any]) -> dict[str, Any]:
         if key not in BUDGETS:
             raise at.unknown(path, "key of the budget", BUDGETS)
         number = isinstance(value, int | float) and not isinstance(value, bool)
-        if not number or not 0 < value < 1e12 or (BUDGETS[key] is int and value != int(value)):
-            raise at.error(path, f"the budget of {value} {key} is not positive" if number
+        if not number or not 0 < value <= 1e12 or (BUDGETS[key] is int and value != int(value)):
+            raise at.error(path, f"the budget of {value} {key} is not positive, or above 1e12"
+                           if number
                            else f"{key} is not a number")
     return {key: BUDGETS[key](value) for key, value in given.items()}

@@ -23,6 +23,8 @@ LENGTH = 0.06
 """Of the median vector, in widths of the map."""
 MARGIN = 0.04
 """Drawn around the image, in widths of it."""
+ROUNDING = 1e-9
+"""Median vector, in widths of the map, up to which residuals are rounding and not exaggerated."""
 
 
 def image_map(view: View, image: str = "", rows: list[Row] | None = None,
@@ -60,9 +62,11 @@ def image_map(view: View, image: str = "", rows: list[Row] | None = None,
                 strokeDash=alt.condition("datum.blunder", alt.value([4, 3]),
                                          alt.value([1, 0])),
                 tooltip=[alt.Tooltip("id:N", title="line")], **ends))
-    scale = _exaggeration(view.in_image, "dl", "ds", wide)
+    scale = _exaggeration([float(np.hypot(row["dl"], row["ds"])) for row in view.in_image], wide)
     layers += _arrows(view, rows, x, y, ("ds", "dl"), scale, downwards=True, member=member)
-    layers.append(_bar(left, bottom + 0.55 * margin, 1.0, "1 px", "sample", "line", x, y))
+    length = min(1.0, nice(0.2 * wide / scale))  # a pixel may be wider than the map
+    layers.append(_bar(left, bottom + 0.55 * margin, length, f"{length:g} px", "sample", "line",
+                       x, y))
     return _map(layers, (wide + 2 * margin) / (high + 2 * margin))
 
 
@@ -80,8 +84,8 @@ def ground_map(view: View) -> Any:
     y = alt.Y("y:Q", title="y", axis=alt.Axis(grid=False, tickCount=6),
               scale=alt.Scale(domain=[low[1] - 2 * margin, high[1] + margin], nice=False,
                               zero=False))
-    median = _median([float(np.hypot(row["dx"] * view.flattening, row["dy"])) for row in rows])
-    scale = nice(LENGTH * tall / median) if median > 0 else 1.0
+    scale = _exaggeration([float(np.hypot(row["dx"] * view.flattening, row["dy"]))
+                           for row in rows], tall)
     layers = _arrows(view, rows, x, y, ("dx", "dy"), scale, downwards=False,
                      metres=view.units_per_metre is not None, flat=view.flattening)
     if view.units_per_metre is not None:
@@ -220,10 +224,6 @@ def _colour(view: View, rows: list[Row]) -> Any:
                      legend=alt.Legend(symbolStrokeWidth=0, symbolOpacity=1))
 
 
-def _exaggeration(rows: list[Row], down: str, across: str, wide: float) -> float:
-    median = _median([float(np.hypot(row[down], row[across])) for row in rows])
-    return nice(LENGTH * wide / median) if median > 0 else 1.0
-
-
-def _median(lengths: list[float]) -> float:
-    return float(np.median(lengths)) if lengths else 0.0
+def _exaggeration(lengths: list[float], wide: float) -> float:
+    median = float(np.median(lengths)) if lengths else 0.0
+    return nice(LENGTH * wide / median) if median > ROUNDING * wide else 1.0
