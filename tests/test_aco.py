@@ -107,7 +107,8 @@ def test_polynomials_with_a_shared_mask(degree: int) -> None:
     task = termsel.prepare("poly-terms", dataset="ikonos-hamedan",
                            options={"degree": degree, "mask": "shared"})
     for seed in (1, 2):
-        found = termsel.search(task.problem, AntColony(), seed=seed, evaluations=10_000)
+        found = termsel.search(task.problem, AntColony(), seed=seed, evaluations=40_000,
+                               polish=True)
         certificate = gap(task.problem, float(found.objectives[0]))
         assert certificate is not None
         assert certificate["optimal"]

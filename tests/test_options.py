@@ -40,8 +40,8 @@ def test_what_is_no_number(value: object) -> None:
 
 def test_an_option_of_two_parts_is_addressed_by_one() -> None:
     asked = {"solver": "lasso", "criterion": "kfold"}
-    with pytest.raises(TermselError, match="option 'folds' is one of the criterion and of the "
-                                           "solver") as refused:
+    with pytest.raises(TermselError,
+                       match="criterion and solver each have an option 'folds'") as refused:
         termsel.prepare("poly-terms", **asked, options={"folds": 3})
     assert refused.value.hint == "Write criterion.folds or solver.folds."
     task = termsel.prepare("poly-terms", **asked, options={"solver.folds": 3})
