@@ -182,6 +182,10 @@ def test_claims_say_what_the_tests_allow() -> None:
     said = " ".join(claims(_groups(clear), compare_methods(["m0", "m1", "m2"], clear), []))
     assert "It may be claimed that m0 is better than m1: on 20 of 20 instances" in said
     assert "Of 1 pair no difference may be claimed" in said
+    assert "Splits" not in said
+    rows = [{"state": "done", "split": split} for split in (0, 1)]
+    said = " ".join(claims(_groups(clear), compare_methods(["m0", "m1", "m2"], clear), rows))
+    assert "Splits of the same data are not independent" in said
     chance = rng.uniform(1, 2, (20, 3))
     said = " ".join(claims(_groups(chance), compare_methods(["m0", "m1", "m2"], chance), []))
     assert "cannot be told apart" in said

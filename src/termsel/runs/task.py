@@ -337,7 +337,7 @@ def _of_problem(recipe: Recipe, given: Mapping[str, Any], criterion: Criterion,
         options["objectives"] = options["objectives"] or recipe.second
     if "max_share" in options and options["max_share"] is None:
         options["max_share"] = 1.0 if solver.uses_all else MAX_SHARE
-    if options.get("then") is not None and options["steps"] == "joint":
+    if options.get("then") is not None and options.get("steps") == "joint":
         if "then" in given:
             raise TermselError("then names a solver for the second of two steps, and steps=joint "
                                "has one",

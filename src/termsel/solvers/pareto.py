@@ -9,8 +9,9 @@ from typing import Any, ClassVar
 import numpy as np
 from pymoo.algorithms.moo.age2 import AGEMOEA2, AGEMOEA2Survival
 from pymoo.algorithms.moo.nsga2 import NSGA2
+from pymoo.algorithms.moo.nsga3 import HyperplaneNormalization
 from pymoo.algorithms.moo.sms import SMSEMOA
-from pymoo.algorithms.moo.spea2 import SPEA2
+from pymoo.algorithms.moo.spea2 import SPEA2, SPEA2Survival
 from pymoo.core.algorithm import Algorithm
 from pymoo.core.crossover import Crossover
 from pymoo.core.mutation import Mutation
@@ -156,6 +157,35 @@ def _project(points: FloatArray, p: float) -> FloatArray:
     return np.asarray(points / np.where(length > 0, length, 1.0))
 
 
+class _Spea2Survival(SPEA2Survival):  # type: ignore[misc]
+    """pymoo's, which divides by zero if all members are equal in an objective."""
+
+    norm: Any
+
+    def __init__(self) -> None:
+        super().__init__(normalize=True)
+
+    def _do(self, problem: PymooProblem, *args: Any, **given: Any) -> Any:
+        self.norm = self.norm or _Ranges(problem.n_obj)
+        return super()._do(problem, *args, **given)
+
+
+class _Ranges(HyperplaneNormalization):  # type: ignore[misc]
+    """Ranges of the objectives, 1 where there is none."""
+
+    nadir_point: Any
+
+    def update(self, F: FloatArray, nds: Any = None) -> None:
+        """Update the ranges by a population's objectives, shape (p, m)."""
+        super().update(F, nds)
+        self.nadir_point = np.where(self.nadir_point > self.ideal_point, self.nadir_point,
+                                    self.ideal_point + 1.0)
+
+
+SURVIVALS = {"age2": _AgeSurvival, "spea2": _Spea2Survival}
+"""By pymoo's name of an algorithm, its survival without divisions by zero."""
+
+
 class AgeMoea2(PymooSolver):
     """AGE-MOEA-II: survival by proximity and diversity on an estimated front (Panichella 2022)."""
 
@@ -164,7 +194,7 @@ class AgeMoea2(PymooSolver):
     def algorithm(self, **common: Any) -> Algorithm:
         """Return pymoo's AGEMOEA2, with distances that allow fronts of one member."""
         algorithm = AGEMOEA2(**common)
-        algorithm.survival = _AgeSurvival()
+        algorithm.survival = SURVIVALS["age2"]()
         return algorithm
 
 
@@ -188,5 +218,5 @@ class Spea2(PymooSolver):
     name = "spea2"
 
     def algorithm(self, **common: Any) -> Algorithm:
-        """Return pymoo's SPEA2."""
-        return SPEA2(**common)
+        """Return pymoo's SPEA2, with ranges that allow equal members."""
+        return SPEA2(**common, survival=SURVIVALS["spea2"]())

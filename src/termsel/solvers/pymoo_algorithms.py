@@ -16,7 +16,7 @@ from termsel.options import Option
 from termsel.problems.base import Problem
 from termsel.problems.segments import SEGMENTS, AnySegment
 from termsel.solvers.base import Generation, Solver
-from termsel.solvers.pareto import operators
+from termsel.solvers.pareto import SURVIVALS, operators
 from termsel.solvers.pymoo_problem import steps
 
 ALGORITHMS = {
@@ -65,7 +65,10 @@ class Pymoo(Solver):
             given["eliminate_duplicates"] = False
         else:
             given["pop_size"] = population
-        yield from steps(algorithm(**given), problem, rng)
+        made = algorithm(**given)
+        if name in SURVIVALS:
+            made.survival = SURVIVALS[name]()
+        yield from steps(made, problem, rng)
 
 
 def _limit(solver: Solver, *, one: bool) -> None:

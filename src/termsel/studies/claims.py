@@ -30,6 +30,9 @@ def claims(groups: Groups, comparison: Comparison | None, rows: list[Row]) -> li
         said += _single(groups)
     else:
         said += _over_instances(comparison)
+        if len({row["split"] for row in rows}) > 1:
+            said.append("Splits of the same data are not independent of each other, so p is too "
+                        "small: trust what holds over many data sets.")
     failed = sum(row["state"] not in ("done", "waiting") for row in rows)
     if failed:
         said.append(f"{counted(failed, 'cell')} of {len(rows)} have no result and count as worst.")

@@ -153,12 +153,14 @@ def markdown(study: Study) -> str:
         parts.append("\n".join([lines[0], f"|{'|'.join(marks)}|", *lines[1:], ""]))
     if said:
         parts.append("## What may be claimed\n")
-        parts.append("\n".join(f"- {sentence}" for sentence in said) + "\n")
+        parts.append("\n".join(f"- {_escaped(sentence)}" for sentence in said) + "\n")
     return "\n".join(parts)
 
 
 def _escaped(text: str) -> str:
-    return " ".join(text.replace("|", r"\|").split())
+    for sign, written in (("&", "&amp;"), ("<", "&lt;"), ("|", r"\|")):
+        text = text.replace(sign, written)
+    return " ".join(text.split())
 
 
 def _numeric(table: Table, column: int) -> bool:
