@@ -136,7 +136,7 @@ CASES = {
                                                              "order": 2}}),
     "points chosen": ("owdis-points", {"options": {"degree": 1}}),
     "lines chosen": ("owdis-lines", {}),
-    "lines and terms, rational": ("owdis-lines-terms", {}),
+    "lines and terms, rational": ("owdis-lines-terms", {"options": {"ridge": 0.0}}),
     "points and lines": ("owdis-lines", {"options": {"mixed": True}}),
 }
 
