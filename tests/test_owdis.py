@@ -211,6 +211,7 @@ def test_significance_is_that_of_a_textbook_regression() -> None:
     assert all(abs(value) >= 0.95 for *_, value in correlations(fit))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("scene", "name"), [("ventoux_lines", "pleiades_ventoux_left"),
                                              ("ikonos_lines", "ikonos_montevideo")])
 def test_blunders_of_real_geometry_are_found(data_folder: Path, scene: str,

@@ -144,7 +144,7 @@ def test_independent_points_change_nothing_but_their_own_rmse(path: str, side: s
         ground[independent] += [140.0, -60.0, 3000.0]
     second = termsel.run(problem, features=features.with_(
         points=replace(features.points, image=image, ground=ground)), **given)
-    assert first.rmse["independent"].total < 0.5 * second.rmse["independent"].total
+    assert first.rmse["independent"].total < 0.8 * second.rmse["independent"].total
     assert but_independent(first) == but_independent(second)
     of_others = [[r for r in result.residuals if r.role != "independent"]
                  for result in (first, second)]

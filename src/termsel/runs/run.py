@@ -118,7 +118,7 @@ def run(
         return _chosen(problem, asked, seed, observers, out, overwrite)
     else:
         task = prepare(problem, **asked)
-    if not any((generations, evaluations, seconds, patience)):
+    if all(one is None for one in (generations, evaluations, seconds, patience)):
         generations, patience = task.recipe.generations, task.recipe.patience
     _begin(out, overwrite)
     found = search_without_blunders(task, seed=seed, generations=generations,
