@@ -13,7 +13,7 @@ import pytest
 
 import termsel
 from termsel.studies.claims import claims, size_in_words
-from termsel.studies.fronts import indicators, non_dominated
+from termsel.studies.fronts import front_figures, indicators, non_dominated
 from termsel.studies.groups import Groups, Runs, group
 from termsel.studies.ioh import ioh_files
 from termsel.studies.pages import latex, markdown, tables_of
@@ -167,6 +167,18 @@ def test_indicators_of_fronts_by_hand() -> None:
     assert non_dominated(points).tolist() == [[1.0, 2.0], [2.0, 1.0]]
 
 
+def test_the_reference_is_the_front_that_was_proven_whichever_run_it_was() -> None:
+    def runs(*fronts: tuple[bool, list[list[float]]]) -> Runs:
+        return Runs([{"proven": proven} for proven, _ in fronts], [0.0] * len(fronts),
+                    [{"front": front} for _, front in fronts])
+
+    best, worse = [[0.0, 10.0], [1.0, 0.0]], [[0.5, 10.0], [1.0, 5.0]]
+    found = front_figures(Groups("fitness", {"one": {
+        "exact": runs((False, []), (True, best)), "ga": runs((False, worse))}}, ("exact", "ga")))
+    assert [(one.method, one.reference) for one in found] == [("exact", "proven"), ("ga", "proven")]
+    assert found[0].igd_plus == 0 < found[1].igd_plus
+
+
 def _groups(medians: np.ndarray) -> Groups:  # type: ignore[type-arg]
     names = [f"m{i}" for i in range(medians.shape[1])]
     return Groups("independent", {
@@ -259,6 +271,17 @@ def test_ioh_data_have_the_runs(study: termsel.Study, tmp_path: Path) -> None:
             mine = rows[start:end]
             assert [row[0] for row in mine] == sorted(row[0] for row in mine)
             assert mine[-1] == (run["evals"], run["best"]["y"])
+
+
+def test_methods_of_like_names_have_ioh_data_of_their_own() -> None:
+    record = {"trace": [[10, 0.5]], "figures": {"evaluations": 10}}
+    methods = ("ga p=1", "ga p 1", "GA_p_1", "ga_p=1-2")
+    groups = Groups("fitness", {"one": {name: Runs([], [0.5], [record]) for name in methods}},
+                    methods)
+    files = [json.loads(content) | {"folder": name.partition("/")[0].lower()}
+             for name, content in ioh_files(groups) if name.endswith(".json")]
+    assert [one["algorithm"]["name"] for one in files] == list(methods)
+    assert len({one["folder"] for one in files}) == len(methods)
 
 
 def test_iohinspector_reads_the_data(study: termsel.Study, tmp_path: Path) -> None:

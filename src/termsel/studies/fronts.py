@@ -51,8 +51,9 @@ def front_figures(groups: Groups) -> list[FrontFigures]:
         widths = {front.shape[1] for several in fronts.values() for front in several}
         if len(fronts) < 2 or len(widths) != 1:  # nothing to compare, or different objectives
             continue
-        exact = [front for method, several in fronts.items() for front in several
-                 if by_method[method].rows[0].get("proven")]
+        exact = [np.array(record["front"], dtype=float) for method in fronts
+                 for row, record in zip(by_method[method].rows, by_method[method].records,
+                                        strict=True) if row.get("proven") and record["front"]]
         known = exact or [front for several in fronts.values() for front in several]
         reference = non_dominated(np.vstack(known))
         for method, several in fronts.items():

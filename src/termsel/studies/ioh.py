@@ -5,7 +5,8 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from itertools import chain, count
 from typing import Any
 
 from termsel.studies.groups import Groups
@@ -32,6 +33,7 @@ def ioh_files(groups: Groups) -> Iterator[tuple[str, str]]:
     De Nobel, Ye, Vermetten, Wang, Doerr and Bäck 2024, IOHexperimenter, Evol. Comput. 32(3); a
     run begins with the row of its first evaluation.
     """
+    folders = _folders(groups.methods)
     for number, (instance, by_method) in enumerate(groups.instances.items(), 1):
         # Readers compare methods of the same dimension alone, so an instance has one.
         dimension = max([1, *(row.get("n_terms") or 0 for runs in by_method.values()
@@ -40,7 +42,7 @@ def ioh_files(groups: Groups) -> Iterator[tuple[str, str]]:
             kept = [record for record in runs.records if record["trace"]]
             if not kept:
                 continue
-            folder, stem = _word(method), f"IOHprofiler_f{number}_{_word(instance)}"
+            folder, stem = folders[method], f"IOHprofiler_f{number}_{_word(instance)}"
             data = f"data_f{number}_{_word(instance)}/{stem}.dat"
             yield f"{folder}/{data}", _data(kept)
             yield f"{folder}/{stem}.json", json.dumps(
@@ -72,6 +74,18 @@ def _description(number: int, instance: str, method: str, dimension: int,
                       "best": {"evals": int(record["trace"][-1][0]), "y": record["trace"][-1][1],
                                "x": []}} for record in kept if math.isfinite(
                                    record["trace"][-1][1])]}]}
+
+
+def _folders(methods: Iterable[str]) -> dict[str, str]:
+    """Return a folder of its own for each method, capitals ignored as some file systems do."""
+    found: dict[str, str] = {}
+    taken: set[str] = set()
+    for method in methods:
+        word = _word(method)
+        names = chain([word], (f"{word}-{n}" for n in count(2)))
+        found[method] = next(name for name in names if name.lower() not in taken)
+        taken.add(found[method].lower())
+    return found
 
 
 def _word(text: str) -> str:

@@ -49,10 +49,12 @@ def tables_of(study: Study) -> tuple[list[Table], list[str]]:
     figures = summaries(groups)
     tables += [_of_instance(groups, name, [one for one in figures if one.instance == name])
                for name in groups.instances]
+    # Fronts are compared where the objectives are the same: on one model, by one criterion.
+    searched = group([row for row in rows if row["strategy"] != "auto"], study.records, "fitness")
     tables.append(Table(
         "Fronts", ("instance", "method", "hypervolume", "IGD+", "reference"),
         [(one.instance, one.method, f"{one.hypervolume:.4f}", f"{one.igd_plus:.4f}",
-          one.reference) for one in front_figures(groups)]))
+          one.reference) for one in front_figures(searched)]))
     if comparison is not None:
         title = f"Over {comparison.instances} instances"
         if comparison.difference is not None:
