@@ -24,7 +24,7 @@ import numpy as np
 
 import termsel
 from termsel.formats.readers.csv_tables import write_points_csv
-from termsel.studies.compare import works_of
+from termsel.studies.compare import asked, plan_cells, works_of
 from termsel.studies.journal import JOURNAL, read_journal
 from termsel.studies.progress import Progress
 from termsel.studies.table import TIMES
@@ -92,12 +92,13 @@ def cluster(cells: int, workers: int) -> None:
         try:
             termsel.compare(**SMALLEST, seeds=10, scheduler=address)  # imports and compiles
             before, cpu = cpu_of(scheduler.pid), time.process_time()
-            study = termsel.compare(**SMALLEST, seeds=cells, scheduler=address)
+            termsel.compare(**SMALLEST, seeds=cells, scheduler=address)
             spent, cpu = cpu_of(scheduler.pid) - before, time.process_time() - cpu
         finally:
             for process in (*others, scheduler):
                 process.kill()
-    works, features = works_of(list(study.cells))
+    spec, place = asked(None, {**SMALLEST, "seeds": 1})
+    works, features = works_of(plan_cells(spec, place))
     sizes = [len(pickle.dumps(one)) for one in features.values()]
     print(f"{cells} cells, {workers} workers: scheduler {1000 * spent / cells:.2f} ms CPU a cell, "
           f"command {1000 * cpu / cells:.2f} ms; a cell is sent as {len(pickle.dumps(works[0]))} "

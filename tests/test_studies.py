@@ -17,6 +17,7 @@ import termsel
 from termsel import TermselError
 from termsel.formats.readers.csv_tables import write_points_csv
 from termsel.studies.images import IMAGES, folders_of
+from termsel.studies.outputs import write_outputs
 from termsel.studies.places import places_of
 from termsel.studies.table import TIMES
 
@@ -252,11 +253,44 @@ def test_a_folder_with_files_of_other_things_is_refused(call: Call, tmp_path: Pa
     assert own.read_bytes() == before
 
 
-def test_the_plan_of_something_else_is_told(call: Call, tmp_path: Path) -> None:
-    (tmp_path / "plan.json").write_text("{}")
+@pytest.mark.parametrize("content", ["{}", "[]", '{"study": {"seed": 1}, "cells": {}}'])
+def test_the_plan_of_something_else_is_told(content: str, call: Call, tmp_path: Path) -> None:
+    (tmp_path / "plan.json").write_text(content)
     done = call("compare", "--status", tmp_path)
     assert done.exit_code == 2
     assert "this is not the plan of a study" in done.stderr
+
+
+def test_a_study_is_read_again_from_its_folder_alone(tmp_path: Path) -> None:
+    scene = termsel.prepare("poly-terms").features
+    file = tmp_path / "points.csv"
+    write_points_csv(scene.points, file, crs="local")
+    out, again = tmp_path / "out", tmp_path / "again"
+    asked: dict[str, Any] = {
+        "title": "Again", "problems": [{"name": "poly-terms", "degree": 2}],
+        "data": [{"points": str(file), "crs": "local"}], "splits": [0, 4],
+        "solvers": [{"name": "ga", "population": 20, "label": "G"}, "random"], "seeds": 2,
+        "budget": {"evaluations": 40}, "options": {"roles": "random"}, "measure": "check"}
+    study = termsel.compare(**asked, out=out)
+    file.unlink()
+    found = termsel.read_study(out)
+    assert (found.rows, found.columns, found.complete) == (study.rows, study.columns, True)
+    one, other = ({key: value for key, value in vars(study.spec).items() if key != "places"}
+                  for study in (found, study))
+    assert one == other
+    for folder, told in ((out, study), (again, found)):
+        folder.mkdir(exist_ok=True)
+        write_outputs(told, folder)
+    for name in ("study.csv", "summary.md", "summary.tex"):
+        assert (again / name).read_bytes() == (out / name).read_bytes()
+    # A study that has only begun is read as well.
+    (out / "journal.jsonl").write_bytes(b"")
+    begun = termsel.read_study(out)
+    assert {row["state"] for row in begun.rows} == {"waiting"}
+    assert not begun.complete
+    write_outputs(begun, again)
+    with pytest.raises(TermselError, match="no study in this folder"):
+        termsel.read_study(tmp_path)
 
 
 def test_a_failing_cell_is_a_row_with_its_reason(monkeypatch: pytest.MonkeyPatch) -> None:

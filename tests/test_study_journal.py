@@ -21,10 +21,10 @@ import pytest
 
 import termsel
 from termsel import TermselError
-from termsel.studies.compare import PLAN
 from termsel.studies.executors import DIED, processes, serial
 from termsel.studies.journal import JOURNAL, Journal, read_journal
 from termsel.studies.lock import holder, locked
+from termsel.studies.plans import PLAN
 from termsel.studies.table import TIMES
 from termsel.studies.work import Work
 
@@ -191,6 +191,7 @@ def test_cells_of_an_earlier_form_are_kept_aside(study: Path, call: Call, tmp_pa
     study.write_text(STUDY.replace("300", "200").replace("seeds = 8", "seeds = 2"))
     done = call("compare", study, "--out", out)
     assert "16 finished cells of an earlier form of the study are kept" in done.stderr
+    assert len(termsel.read_study(out).records) == 4
     assert len(table_of(out)) == 4
     study.write_text(STUDY)
     start = time.perf_counter()

@@ -207,6 +207,19 @@ def test_claims_say_what_the_tests_allow() -> None:
     assert "needs at least 5" in " ".join(claims(_groups(few), None, []))
 
 
+def test_methods_that_were_not_run_on_an_instance_are_named() -> None:
+    run = Runs([], [1.0, 2.0])
+    apart = Groups("fitness", {"a": {"ga": run}, "b": {"pso": run}}, ("ga", "pso"))
+    said = " ".join(claims(apart, None, []))
+    assert "No instance was run with all methods, so nothing is compared." in said
+    assert "There are no runs of pso on a, ga on b." in said
+    partly = Groups("fitness", {"a": {"ga": run, "pso": run}, "b": {"pso": run}}, ("ga", "pso"))
+    said = " ".join(claims(partly, None, []))
+    assert "All methods ran on 1 of 2 instances" in said
+    assert "There are no runs of ga on b." in said
+    assert "On a, ga has the lowest median" in said
+
+
 def test_a_claim_has_the_direction_of_the_ranks_that_were_tested() -> None:
     # m0 is lower by much on 19 instances, and higher by little on 21.
     difference = np.concatenate([-np.linspace(1, 2, 19), np.linspace(0.01, 0.02, 21)])

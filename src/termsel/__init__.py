@@ -80,6 +80,7 @@ if TYPE_CHECKING:
     from termsel.solvers.pymoo_problem import to_pymoo
     from termsel.solvers.search import Search, search
     from termsel.studies.compare import compare
+    from termsel.studies.plans import read_study
     from termsel.studies.study import Study
 
 _HOME = {
@@ -151,6 +152,7 @@ _HOME = {
     "read": "termsel.io.read",
     "read_result": "termsel.io.result_folder",
     "read_rpc": "termsel.formats.rpc_files",
+    "read_study": "termsel.studies.plans",
     "rectify": "termsel.io.rectify",
     "register": "termsel.plugins.session",
     "row_weights": "termsel.adjustment",
@@ -235,6 +237,7 @@ __all__ = [
     "read",
     "read_result",
     "read_rpc",
+    "read_study",
     "rectify",
     "register",
     "row_weights",

@@ -169,7 +169,7 @@ def _keys_of(given: dict[str, Any]) -> dict[str, Any]:
 
 
 def _show_status(folder: Path) -> None:
-    from termsel.studies.compare import status
+    from termsel.studies.plans import status
 
     progress, holder = status(folder)
     echo(f"{progress.finished} of {counted(progress.total, 'cell')}: {progress.text()}.")

@@ -38,7 +38,7 @@ def report(folder: Path, output: Path | None, image: str | None, overwrite: bool
 
     from termsel.io.replacing import require_replaceable
     from termsel.io.result_folder import read_result
-    from termsel.studies.compare import PLAN
+    from termsel.studies.plans import PLAN
 
     if (folder / PLAN).is_file():
         raise TermselError("this is the folder of a study, whose page termsel compare writes",

@@ -47,10 +47,16 @@ class Cell:
     data: Data
     things: Mapping[str, Any] = field(default_factory=dict)
 
-    @property
-    def kind(self) -> tuple[Any, ...]:
-        """All labels but data, split and seed: cells of a kind take about the same time."""
-        return tuple(self.labels[name] for name in LABELS if name not in ("data", "split", "seed"))
+
+def kind_of(labels: Mapping[str, Any]) -> tuple[str, ...]:
+    """Return all labels but data, split and seed: cells of a kind take about the same time.
+
+    Parameters
+    ----------
+    labels : mapping
+        Of a cell.
+    """
+    return tuple(labels[name] for name in LABELS if name not in ("data", "split", "seed"))
 
 
 def cells_of(spec: Spec, data: list[Data]) -> list[Cell]:

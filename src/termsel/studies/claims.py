@@ -10,6 +10,8 @@ from termsel.studies.table import Row
 
 MEASURES = {"fitness": "the fitness", "check": "the RMSE on check points",
             "independent": "the RMSE on independent points"}
+_MOST_NAMED = 6
+"""Methods without runs on an instance that are named one by one."""
 _SIZES = ((0.71, "large"), (0.64, "medium"), (0.56, "small"))
 
 
@@ -25,7 +27,8 @@ def claims(groups: Groups, comparison: Comparison | None, rows: list[Row]) -> li
     """
     said = [f"Compared by {MEASURES[groups.measure]}; lower is better."]
     if len(groups.methods) < 2:
-        said.append("There is one method, so nothing is compared.")
+        said.append("There is one method, so nothing is compared." if groups.methods else
+                    "No cell is finished, so nothing is compared.")
     elif comparison is None:
         said += _single(groups)
     else:
@@ -44,10 +47,16 @@ def claims(groups: Groups, comparison: Comparison | None, rows: list[Row]) -> li
 
 def _single(groups: Groups) -> list[str]:
     """Return what can be said without a test over instances."""
-    number = len(groups.common)
-    said = [f"All methods ran on {counted(number, 'instance')}; a test over instances needs at "
-            f"least {FEWEST}. What follows holds for {'this one' if number == 1 else 'these'} "
-            "alone."]
+    number, total = len(groups.common), len(groups.instances)
+    if number:
+        of_all = "" if number == total else f"{number} of "
+        said = [f"All methods ran on {of_all}{counted(total, 'instance')}; a test over instances "
+                f"needs at least {FEWEST}. What follows holds for "
+                f"{'this one' if number == 1 else 'these'} alone."]
+    else:
+        said = ["No instance was run with all methods, so nothing is compared."]
+    if number < total:
+        said.append(_not_run(groups))
     for name in groups.common:
         by_method = groups.instances[name]
         # A single run, such as one of a solver without chance, says nothing of the next one.
@@ -62,6 +71,15 @@ def _single(groups: Groups) -> list[str]:
         said.append(f"On {name}, {best} has the lowest median of those with several runs: "
                     f"{'; '.join(words)}.")
     return said
+
+
+def _not_run(groups: Groups) -> str:
+    """Return which methods are missing on which instances."""
+    missing = [f"{method} on {name}" for name, by_method in groups.instances.items()
+               for method in groups.methods if method not in by_method]
+    more = len(missing) - _MOST_NAMED
+    return "There are no runs of " + ", ".join(missing[:_MOST_NAMED]) + (
+        f", and {more} more of this kind." if more > 0 else ".")
 
 
 def size_in_words(value: float) -> str:

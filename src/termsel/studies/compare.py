@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import json
 import logging
-import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack
 from pathlib import Path
@@ -12,28 +10,26 @@ from typing import Any
 
 from termsel.adjustment.kernels import needs_compilation
 from termsel.errors import TermselError
-from termsel.files.atomic import private_folder, write_text
-from termsel.formats.base import parse_json, read_text
+from termsel.files.atomic import private_folder
 from termsel.io.export import writer_of
 from termsel.measurements.features import FeatureSet
 from termsel.plugins.registry import registry
 from termsel.runs.provenance import versions
-from termsel.studies.cells import LABELS, Cell, cells_of
+from termsel.studies.cells import Cell, cells_of, kind_of
 from termsel.studies.data import data_of
 from termsel.studies.executors import processes, serial
 from termsel.studies.images import IMAGES, folders_of, write_files
 from termsel.studies.interruption import deferred
 from termsel.studies.journal import JOURNAL, Journal, read_journal
-from termsel.studies.lock import holder, locked
+from termsel.studies.lock import locked
 from termsel.studies.outputs import NAMES
-from termsel.studies.progress import Progress, Tally, tally_of
-from termsel.studies.spec import Spec, read_study, spec_of
+from termsel.studies.plans import PLAN, plan_of, write_plan
+from termsel.studies.progress import Progress, Tally
+from termsel.studies.spec import Spec, read_spec, spec_of
 from termsel.studies.study import Study
 from termsel.studies.work import Outcome, Work, do, failed
 
 log = logging.getLogger(__name__)
-
-PLAN = "plan.json"
 
 Observer = Callable[[Progress], None]
 
@@ -97,10 +93,11 @@ def compare(
         place = Path(out) if out is not None else stack.enter_context(private_folder())
         plugins = _plugins(cells, spec)
         journal = _begun(stack, place, {**versions(), **plugins})
-        _write_plan(place, spec, cells, workers)
+        plan = plan_of(spec, cells, workers)
+        write_plan(plan, place)
         finished = {cell.key: journal.records[cell.key] for cell in cells
                     if cell.key in journal.records}
-        tally = tally_of(_plan(spec, cells, workers), finished)
+        tally = plan.tally(finished)
         for remark in (*journal.remarks, *_aside(journal, finished)):
             log.warning(remark)
         _tell(observers, tally)
@@ -114,7 +111,7 @@ def compare(
             finished[key] = outcome.record
             tally.count(outcome.record)
             _tell(observers, tally)
-        return Study(spec, tuple(cells), finished, Path(out) if out is not None else None)
+        return Study(spec, plan.cells, finished, Path(out) if out is not None else None)
 
 
 FINISHING = "The cells under way are being finished. Ctrl-C once more ends at once."
@@ -134,7 +131,7 @@ def asked(study: Path | str | Mapping[str, Any] | None, keys: Mapping[str, Any]
         if keys:
             raise TermselError(f"{min(keys)} is given next to a study file",
                                hint="Write it into the file.")
-        return read_study(Path(study)), Path(study).parent
+        return read_spec(Path(study)), Path(study).parent
     return spec_of({**(study or {}), **keys}), Path()
 
 
@@ -191,7 +188,7 @@ def estimate(study: Path | str | Mapping[str, Any] | None = None, **keys: Any
     spec, folder = asked(study, keys)
     kinds: dict[tuple[str, ...], list[Cell]] = {}
     for cell in plan_cells(spec, folder):
-        kinds.setdefault(cell.kind, []).append(cell)
+        kinds.setdefault(kind_of(cell.labels), []).append(cell)
     for kind, cells in kinds.items():
         works, features = works_of(cells)
         if not works:
@@ -199,31 +196,6 @@ def estimate(study: Path | str | Mapping[str, Any] | None = None, **keys: Any
             continue
         record = do(works[0], features[works[0].data]).record
         yield kind, len(cells), record["figures"].get("seconds"), record["reason"]
-
-
-def status(folder: Path) -> tuple[Progress, str | None]:
-    """Return how far the study of a folder is, and who is at work on it.
-
-    Parameters
-    ----------
-    folder : pathlib.Path
-
-    Raises
-    ------
-    TermselError
-        If there is no study.
-    """
-    file = folder / PLAN
-    if not file.is_file():
-        raise TermselError("there is no study in this folder", file=folder,
-                           hint="Give the folder of --out.")
-    plan = parse_json(read_text(file), "Repeat the command that began the study.")
-    try:
-        tally = tally_of(plan, read_journal(folder).records)
-    except (KeyError, TypeError) as error:
-        raise TermselError("this is not the plan of a study", file=file,
-                           hint="Repeat the command that began the study.") from error
-    return tally.progress(), holder(folder)
 
 
 def _begun(stack: ExitStack, place: Path, now: Mapping[str, str]) -> Journal:
@@ -254,20 +226,6 @@ def _plugins(cells: list[Cell], spec: Spec) -> dict[str, str]:
     origins = {entry.provided_by for kind, name in named for entry in registry().entries(kind)
                if entry.answers_to(name)} - {"termsel"}
     return {one: registry().version(one) for one in sorted(origins)}
-
-
-def _plan(spec: Spec, cells: list[Cell], workers: int) -> dict[str, Any]:
-    # A cell is called by what tells it from the others.
-    telling = [name for name in LABELS if len({cell.labels[name] for cell in cells}) > 1] \
-        or ["data"]
-    return {"title": spec.title, "workers": workers, "began": time.time(), "cells": [
-        {"cell": cell.key, "kind": list(cell.kind), "name": ", ".join(
-            f"{name} {cell.labels[name]}" if name in ("split", "seed") else
-            str(cell.labels[name]) for name in telling)} for cell in cells]}
-
-
-def _write_plan(place: Path, spec: Spec, cells: list[Cell], workers: int) -> None:
-    write_text(place / PLAN, json.dumps(_plan(spec, cells, workers), indent=1) + "\n")
 
 
 def _aside(journal: Journal, finished: Mapping[str, Any]) -> list[str]:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from termsel.studies.cells import LABELS, kind_of
 from termsel.studies.table import WAITING
 from termsel.studies.work import STATES
 
@@ -116,20 +117,27 @@ class Tally:
                    ) / self.workers
 
 
-def tally_of(plan: Mapping[str, Any], records: Mapping[str, Mapping[str, Any]]) -> Tally:
-    """Return the tally of a study from its plan and its journal.
+def tally_of(cells: Mapping[str, Mapping[str, Any]], workers: int,
+             records: Mapping[str, Mapping[str, Any]]) -> Tally:
+    """Return the tally of a study from its cells and its journal.
 
     Parameters
     ----------
-    plan : mapping
-        Content of plan.json.
+    cells : mapping
+        Labels by key.
+    workers : int
     records : mapping
         By key of the cell.
     """
-    cells: Sequence[Mapping[str, Any]] = plan["cells"]
-    tally = Tally({one["cell"]: tuple(one["kind"]) for one in cells}, plan["workers"],
-                  {one["cell"]: one["name"] for one in cells})
-    for one in cells:
-        if one["cell"] in records:
-            tally.count(records[one["cell"]])
+    # A cell is called by what tells it from the others.
+    telling = [name for name in LABELS if len({labels[name] for labels in cells.values()}) > 1] \
+        or ["data"]
+    tally = Tally(
+        {key: kind_of(labels) for key, labels in cells.items()}, workers,
+        {key: ", ".join(f"{name} {labels[name]}" if name in ("split", "seed")
+                        else str(labels[name]) for name in telling)
+         for key, labels in cells.items()})
+    for key in cells:
+        if key in records:
+            tally.count(records[key])
     return tally

@@ -87,7 +87,7 @@ def medians_of(groups: Groups) -> FloatArray:
     """
     return np.array([[quantiles(groups.instances[name][method].values, (0.5,))[0]
                       for method in groups.methods] for name in groups.common]
-                    ).reshape(-1, len(groups.methods))
+                    ).reshape(len(groups.common), len(groups.methods))
 
 
 def compare_methods(methods: Sequence[str], values: FloatArray) -> Comparison | None:

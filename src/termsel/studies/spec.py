@@ -10,6 +10,7 @@ from typing import Any
 
 from termsel.errors import TermselError
 from termsel.formats.base import read_text
+from termsel.measurements.features import FeatureSet
 from termsel.options import SEED, Configurable
 from termsel.studies.places import Path as Keys
 from termsel.studies.places import Places, places_of
@@ -115,7 +116,7 @@ class Spec:
     places: Places = field(default_factory=Places)
 
 
-def read_study(file: Path) -> Spec:
+def read_spec(file: Path) -> Spec:
     """Return what a study file asks for.
 
     Parameters
@@ -223,7 +224,8 @@ def _plain(value: Any) -> str:
 
 
 def _sources(at: Places, given: Any) -> list[Source]:
-    if isinstance(given, Mapping) and given and not set(given) & set(DATA_KEYS):
+    if isinstance(given, Mapping) and given and all(
+            isinstance(one, FeatureSet) for one in given.values()):
         return [Source(features=given, path=("data",))]  # from Python, by label
     if not isinstance(given, Sequence) or isinstance(given, str):
         raise at.error(("data",), "data is not a list", 'Write [[data]] and then points = "...".')

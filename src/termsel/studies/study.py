@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from termsel.errors import TermselError
-from termsel.studies.cells import Cell
 from termsel.studies.spec import Spec
 from termsel.studies.table import Row, columns_of, rows_of
 
@@ -25,7 +24,9 @@ class Study:
     ----------
     spec : Spec
         What was asked for.
-    cells : tuple of Cell
+    cells : mapping
+        What tables call the problem, data, split, strategy, model, criterion, solver and seed of
+        every cell, by its key, in the order of the tables.
     records : mapping
         Of the finished cells, by their key.
     folder : path or None
@@ -33,7 +34,7 @@ class Study:
     """
 
     spec: Spec
-    cells: tuple[Cell, ...]
+    cells: Mapping[str, Mapping[str, Any]]
     records: Mapping[str, Mapping[str, Any]]
     folder: Path | None
 

@@ -8,7 +8,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from termsel.studies.cells import LABELS, Cell
+from termsel.studies.cells import LABELS
 
 WAITING = "waiting"
 """State of a cell that is not finished."""
@@ -36,22 +36,23 @@ def columns_of(strategies: Sequence[str]) -> tuple[str, ...]:
             *(_SEARCH if "as-asked" in strategies else ()), *_BOTH, *_LAST)
 
 
-def rows_of(cells: Sequence[Cell], records: Mapping[str, Mapping[str, Any]],
+def rows_of(cells: Mapping[str, Mapping[str, Any]], records: Mapping[str, Mapping[str, Any]],
             strategies: Sequence[str]) -> list[Row]:
     """Return one row a cell, in the order of the cells; of the strategy auto alone worst first.
 
     Parameters
     ----------
-    cells : sequence of Cell
+    cells : mapping
+        Labels by key of the cell.
     records : mapping
-        By key of the cell; a cell without one is waiting.
+        Likewise; a cell without one is waiting.
     strategies : sequence of str
     """
     columns = columns_of(strategies)
     rows = []
-    for cell in cells:
-        record = records.get(cell.key, {"state": WAITING, "reason": "", "figures": {}})
-        values = {**cell.labels, **record["figures"], "cell": cell.key, "state": record["state"],
+    for key, labels in cells.items():
+        record = records.get(key, {"state": WAITING, "reason": "", "figures": {}})
+        values = {**labels, **record["figures"], "cell": key, "state": record["state"],
                   "reason": record["reason"]}
         rows.append({name: values.get(name) for name in columns})
     return sorted(rows, key=_badness) if tuple(strategies) == ("auto",) else rows
