@@ -253,6 +253,20 @@ class _Deadly(dict):  # type: ignore[type-arg]
         return super().items()
 
 
+def test_a_disk_that_takes_a_few_bytes_at_a_time_gets_all(
+        tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write = os.write
+    monkeypatch.setattr(os, "write", lambda file, data: write(file, data[:7]))
+    journal = Journal(tmp_path / JOURNAL)
+    journal.open({"a": "1"})
+    journal.append({"cell": "k", "state": "done"})
+    journal.close()
+    monkeypatch.undo()
+    again = read_journal(tmp_path)
+    assert not again.remarks
+    assert again.records == {"k": {"cell": "k", "state": "done"}}
+
+
 def test_a_record_survives_the_journal(tmp_path: Path) -> None:
     journal = Journal(tmp_path / JOURNAL)
     journal.open({"a": "1"})

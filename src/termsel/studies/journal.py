@@ -100,9 +100,9 @@ class Journal:
         line = _sealed(record)
         try:
             # Without a buffer in between, so that a killed process leaves a torn line at worst.
-            written = os.write(self._file.fileno(), line)
-            if written < len(line):
-                os.write(self._file.fileno(), line[written:])
+            rest = line
+            while rest:
+                rest = rest[os.write(self._file.fileno(), rest):]
             if time.monotonic() - self._synced > _SYNC:
                 os.fsync(self._file.fileno())
                 self._synced = time.monotonic()
