@@ -15,7 +15,8 @@ import pytest
 
 import termsel
 from termsel import TermselError
-from termsel.formats.readers.csv_tables import write_points_csv
+from termsel.formats.readers.csv_tables import write_lines_csv, write_points_csv
+from termsel.studies import compare
 from termsel.studies.images import IMAGES, folders_of
 from termsel.studies.outputs import write_outputs
 from termsel.studies.places import places_of
@@ -122,7 +123,7 @@ def test_python_takes_objects_and_features() -> None:
     (SMALL.replace('"swap"', '"swop"'), "line 3, column 22", "unknown solver 'swop'"),
     (SMALL.replace("degree", "degre"), "line 2, column 35", "unknown option 'degre'"),
     (SMALL.replace('"swap"', '{name = "swap", popul = 3}'), "line 3, column 38",
-     "unknown option 'solver.popul'"),
+     "unknown option 'popul'"),
     (SMALL.replace("evaluations = 60", "evaluation = 60"), "line 6, column 1",
      "unknown key of the budget 'evaluation'"),
     (SMALL.replace("= 60", "= -1"), "line 6, column 1", "not positive"),
@@ -197,6 +198,49 @@ def test_a_dry_run_shows_cells_and_time(call: Call, tmp_path: Path) -> None:
     lines = done.stdout.splitlines()
     assert [line.split()[-2] for line in lines[1:4]] == ["2", "2", "1"]
     assert "5 cells; about" in lines[-1]
+
+
+def test_the_time_of_a_cell_is_that_without_compilation(monkeypatch: pytest.MonkeyPatch) -> None:
+    seconds = {"random": iter([8.0, 0.25]), "ga": iter([25.0, 1.0])}
+    monkeypatch.setattr(compare, "needs_compilation", lambda: False)
+    monkeypatch.setattr(compare, "do", lambda work, features: SimpleNamespace(record={
+        "figures": {"seconds": next(seconds[work.call["solver"]])}, "reason": ""}))
+    kinds = list(compare.estimate(problems=["poly-terms"], solvers=["random", "ga"], seeds=7))
+    # A cell that takes long is not run twice.
+    assert [kind[1:3] for kind in kinds] == [(7, 0.25), (7, 25.0)]
+
+
+def test_an_image_that_cannot_be_is_a_row_whatever_its_problem(call: Call, tmp_path: Path) -> None:
+    _images(tmp_path, 1)
+    (tmp_path / "image9.csv").unlink()
+    lines = termsel.prepare("owdis-lines").features.lines
+    assert lines is not None
+    write_lines_csv(lines.take(np.arange(1)), tmp_path / "lines.csv", crs="local")
+    study = termsel.compare(data=[{"points": str(tmp_path / "image0.csv"), "crs": "local"},
+                                  {"lines": str(tmp_path / "lines.csv"), "crs": "local"}])
+    assert [row["state"] for row in study.rows] == ["failed", "done"]
+    assert "1 is control; owdis-lines needs at least 2" in study.rows[0]["reason"]
+    done = call("compare", "--lines", tmp_path / "lines.csv", "--crs", "local", "--out",
+                tmp_path / "out")
+    assert done.exit_code == 2
+    assert "1 is control" in done.stderr
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("option", ["--seeds", "--splits"])
+def test_options_have_the_limits_of_the_study_file(option: str, call: Call, tmp_path: Path) -> None:
+    done = call("compare", "--problem", "poly-terms", option, 100_001, "--dry-run")
+    assert done.exit_code == 2
+    assert "100000" in done.stderr
+
+
+def test_options_of_every_search_may_stand_next_to_a_solver() -> None:
+    study = termsel.compare(
+        problems=[{"name": "poly-terms", "degree": 2}], budget={"evaluations": 200},
+        solvers=["random", {"name": "random", "polish": True, "label": "refined"}])
+    alone, refined = study.rows
+    assert alone["refinement_evaluations"] == 0 < refined["refinement_evaluations"]
+    assert alone["optimum"] == refined["optimum"] <= refined["fitness"] <= alone["fitness"]
 
 
 def _images(folder: Path, number: int) -> None:

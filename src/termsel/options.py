@@ -14,6 +14,9 @@ from termsel.guard.calls import Check, Guarded
 COUNT = 1_000_000
 """Most of what is counted, where an option has no limit of its own: more is a mistake of typing."""
 
+MOST_RUNS = 100_000
+"""Most seeds, or splits, of a study."""
+
 SEED = 2**63 - 1
 """Greatest seed."""
 

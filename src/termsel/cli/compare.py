@@ -16,7 +16,7 @@ from termsel.cli.remote import allow_remote
 from termsel.cli.tables import print_table
 from termsel.errors import TermselError, counted
 from termsel.interrupts import INTERRUPTED
-from termsel.options import COUNT
+from termsel.options import MOST_RUNS
 
 
 @click.command()
@@ -41,8 +41,8 @@ from termsel.options import COUNT
                    "criteria nor a budget are given.")
 @click.option("--set", "settings", metavar="KEY=VALUE", multiple=True,
               help="An option for every cell that has it; may be repeated.")
-@click.option("--seeds", type=click.IntRange(1, COUNT), help="Seeds 1 to N.")
-@click.option("--splits", type=click.IntRange(1, COUNT),
+@click.option("--seeds", type=click.IntRange(1, MOST_RUNS), help="Seeds 1 to N.")
+@click.option("--splits", type=click.IntRange(1, MOST_RUNS),
               help="Draws of control, check and independent points, for points without a role.")
 @click.option("--evaluations", type=click.IntRange(1, 10**12), help="Budget of each search.")
 @click.option("--generations", type=click.IntRange(1, 10**12), help="Likewise.")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from termsel.errors import TermselError
@@ -84,6 +84,9 @@ def cells_of(spec: Spec, data: list[Data]) -> list[Cell]:
                 else problem_for(one.features)
             for split in spec.splits:
                 cells += list(_of_data(spec, kinds, problem, name, one, own, split))
+    if cells and all(cell.data.features is None for cell in cells):
+        raise TermselError(cells[0].data.reason, hint=None if len(cells) == 1 else
+                           f"None of the {len(cells)} cells can run; this is the first.")
     kinds.require_used()
     if len(spec.splits) > 1 and len({cell.labels["split"] for cell in cells}) == 1:
         raise spec.places.error(("splits",), "every point has a role, so all splits are the same",
@@ -115,6 +118,11 @@ def _of_data(spec: Spec, kinds: _Kinds, problem: Part | None, name: str | None, 
         for model, criterion, solver in methods:
             parts = {"problem": asked, "model": model, "criterion": criterion, "solver": solver}
             kind = kinds.kind(strategy, parts, data, others)
+            if kind.unfit is not None:
+                if problem is not None:
+                    raise kind.unfit
+                # The files said what the problem is: these cannot be, others can.
+                data = replace(data, features=None, reason=kind.reason)
             if split != spec.splits[0] and not _drawn(kind.options, data):
                 continue
             seeds = spec.seeds if kind.chance else spec.seeds[:1]
@@ -131,11 +139,16 @@ def _drawn(options: Mapping[str, Any], data: Data) -> bool:
 
 @dataclass(frozen=True)
 class _Kind:
-    """What cells of one kind have in common: options, names by default, and chance."""
+    """What cells of one kind have in common: options, names by default, and chance.
+
+    Where none of the data allow it: the error with the place in the study file, and without.
+    """
 
     options: Mapping[str, Any]
     names: Mapping[str, str]
     chance: bool
+    unfit: TermselError | None = None
+    reason: str = ""
 
 
 class _Kinds:
@@ -188,7 +201,8 @@ class _Kinds:
         assert first is not None  # some data can be read, or there would be no study
         named = next((part for word in ("solver", "model", "criterion", "problem")
                       if (part := parts[word]) and part.path), None)
-        raise spec.places.error(named.path if named else (), first.what, first.hint)
+        return _Kind({}, {}, chance=False, reason=str(first), unfit=spec.places.error(
+            named.path if named else (), first.what, first.hint))
 
     def _asked(self, strategy: str, parts: Mapping[str, Part | None], data: Data,
                options: Mapping[str, Any]) -> Request:
@@ -229,10 +243,11 @@ class _Kinds:
                          "model": request.model.declared_options,
                          "criterion": request.criterion.declared_options,
                          "solver": request.solver.declared_options, "search": SEARCH_OPTIONS}
-        chosen = {f"{word}.{key}": value for word, part in parts.items()
-                  if part and word != "problem"
+        # What stands next to a part and is no option of its own is for everything in its cells, as
+        # with --set: next to a solver its local refinement, next to a problem a model's degree.
+        chosen = {f"{word}.{key}" if any(option.name == key for option in declared.get(word, ()))
+                  else key: value for word, part in parts.items() if part and word != "problem"
                   for key, value in part.options.items()}
-        # Those next to a problem are for everything about it, as with --set: a model's degree too.
         problem = parts["problem"]
         for key, value in (problem.options if problem else {}).items():
             if not any(name.rpartition(".")[2] == key for name in chosen):

@@ -11,7 +11,7 @@ from typing import Any
 from termsel.errors import TermselError
 from termsel.formats.base import read_text
 from termsel.measurements.features import FeatureSet
-from termsel.options import SEED, Configurable
+from termsel.options import MOST_RUNS, SEED, Configurable
 from termsel.studies.places import Path as Keys
 from termsel.studies.places import Places, places_of
 
@@ -24,7 +24,6 @@ BUDGETS = {"evaluations": int, "generations": int, "patience": int, "seconds": f
            "timeout": float}
 STRATEGIES = ("auto", "as-asked")
 MEASURES = ("fitness", "check", "independent")
-MOST_SEEDS = 100_000
 
 
 @dataclass(frozen=True)
@@ -270,8 +269,8 @@ def _texts(at: Places, path: Keys, given: Any,
 def _numbers(at: Places, key: str, given: Any, first: int) -> tuple[int, ...]:
     """Return seeds: a list, or how many there are from the first on."""
     if isinstance(given, int) and not isinstance(given, bool):
-        if not 1 <= given <= MOST_SEEDS:
-            raise at.error((key,), f"{given} {key} is not from 1 to {MOST_SEEDS:,}",
+        if not 1 <= given <= MOST_RUNS:
+            raise at.error((key,), f"{given} {key} is not from 1 to {MOST_RUNS:,}",
                            f"{key} = N stands for N of them; {key} = [N] for a single one.")
         return tuple(range(first, first + given))
     if (not isinstance(given, Sequence) or isinstance(given, str) or not given

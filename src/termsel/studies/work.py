@@ -23,6 +23,7 @@ from termsel.runs.assess import estimated, is_feasible
 from termsel.runs.blunders_out import search_without_blunders
 from termsel.runs.run import run
 from termsel.runs.task import Task, prepare
+from termsel.solvers.budget import SEARCH_OPTIONS
 from termsel.solvers.exact import TIE, gap
 from termsel.solvers.ledger import Progress
 from termsel.solvers.search import Search
@@ -31,6 +32,7 @@ from termsel.threads import one_blas_thread
 DONE, INFEASIBLE, FAILED = "done", "infeasible", "failed"
 STATES = (DONE, INFEASIBLE, FAILED)
 
+_OF_SEARCH = {option.name for option in SEARCH_OPTIONS}
 _MOST = 256
 _optima: dict[str, float | None] = {}
 """Proven optima by problem, up to `_MOST`: the same for all seeds and most solvers."""
@@ -155,8 +157,8 @@ class _Trace:
     def end(self, evaluations: int, best: float | None) -> None:
         """Add what was found last: a budget may end a generation that no observer sees."""
         self._last = max(self._last, evaluations - self._before)
-        if best is not None and (not self.points or best < self.points[-1][1]):
-            self.points.append([self._before + self._last, best, time.thread_time() - self._cpu])
+        if best is not None:
+            self._add(best)
 
     def __call__(self, progress: Progress) -> None:
         if self._timeout is not None and time.perf_counter() - self._start > self._timeout:
@@ -166,10 +168,13 @@ class _Trace:
             self._before += self._last
             self.points.clear()
         self._last = progress.evaluations
-        if progress.violation == 0 and math.isfinite(progress.best) and (
-                not self.points or progress.best < self.points[-1][1]):
-            self.points.append([self._before + progress.evaluations, progress.best,
-                                time.thread_time() - self._cpu])
+        if progress.violation == 0 and math.isfinite(progress.best):
+            self._add(progress.best)
+
+    def _add(self, best: float) -> None:
+        """Add the best value after the last evaluation that is known of, if it is better."""
+        if not self.points or best < self.points[-1][1]:
+            self.points.append([self._before + self._last, best, time.thread_time() - self._cpu])
 
 
 def _as_asked(work: Work, features: FeatureSet, trace: _Trace) -> tuple[
@@ -235,10 +240,10 @@ def _optimum(work: Work, task: Task, found: Search) -> float | None:
         return value
     if len(task.problem.objectives) > 1:
         return None
-    of_solver = {name: value for name, value in work.call["options"].items()
-                 if not name.startswith("solver.")}
+    of_problem = {name: value for name, value in work.call["options"].items()
+                  if not name.startswith(("solver.", "search.")) and name not in _OF_SEARCH}
     key = repr((work.data, work.call["problem"], work.call["model"], work.call["criterion"],
-                sorted(of_solver.items()), sorted(task.options["problem"].items(), key=str)))
+                sorted(of_problem.items()), sorted(task.options["problem"].items(), key=str)))
     if key not in _optima:
         if len(_optima) >= _MOST:
             _optima.clear()
