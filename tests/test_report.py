@@ -10,15 +10,19 @@ from collections.abc import Callable
 from html import unescape
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 from scipy.stats import chi2
 
 import termsel
+from termsel.cli import plot
+from termsel.cli.main import cli
 from termsel.fits.accuracy import rmse_interval
 from termsel.report.plots import KINDS
-from termsel.report.repeat import command
+from termsel.report.repeat import command, not_by_command
 
 altair = pytest.importorskip("altair")
 pytest.importorskip("vl_convert")
@@ -42,6 +46,23 @@ def lines(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return the folder of a selection of lines, with blunders among them."""
     folder = tmp_path_factory.mktemp("lines") / "result"
     termsel.run("owdis-lines", evaluations=2000, out=folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def empires() -> termsel.Result:
+    """Return a search by empires."""
+    return termsel.run("poly-terms", solver="ica", evaluations=600, options={"population": 40})
+
+
+@pytest.fixture(scope="module")
+def repeated(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the folder of a selection repeated with other points."""
+    folder = tmp_path_factory.mktemp("repeated") / "result"
+    done = CliRunner().invoke(cli, [
+        "stability", "--problem", "poly-terms", "--set", "degree=2", "--evaluations", "60",
+        "--repeats", "3", "--quiet", "--report", "--out", str(folder)])
+    assert done.exit_code == 0, done.output
     return folder
 
 
@@ -104,9 +125,10 @@ def test_members_of_a_front_have_the_errors_that_the_record_says(searched: Path)
 
 
 def test_every_chart_is_one_altair_chart_that_says_what_to_look_for(
-        searched: Path, chosen: termsel.Result) -> None:
+        searched: Path, chosen: termsel.Result, empires: termsel.Result, repeated: Path) -> None:
     drawn = set()
-    for result in (termsel.read_result(searched), chosen):
+    for result in (termsel.read_result(searched), chosen, empires,
+                   termsel.read_result(repeated)):
         for kind in KINDS.values():
             if kind.missing(result.view):
                 with pytest.raises(termsel.TermselError, match=f"no chart {kind.name}"):
@@ -118,7 +140,64 @@ def test_every_chart_is_one_altair_chart_that_says_what_to_look_for(
             assert spec["title"]["text"] == kind.title
             assert " ".join(spec["title"]["subtitle"]) == kind.look
             drawn.add(kind.name)
-    assert drawn >= set(KINDS) - {"convergence"}
+    assert drawn == set(KINDS) == set(plot.KINDS)
+
+
+def test_the_bands_of_empires_are_their_countries(empires: termsel.Result) -> None:
+    shown = max(rows_of(empires.plot.empires()).values(), key=len)
+    history = empires.history
+    assert len(shown) == sum(len(one["empires"]) for one in history)
+    for one in history:
+        assert sum(one["empires"]) == 40
+        assert [row["countries"] for row in shown
+                if row["evaluations"] == one["evaluations"]] == one["empires"]
+
+
+def test_the_empires_in_the_history_are_those_of_the_search() -> None:
+    seen: list[list[int]] = []
+
+    def look(progress: Any) -> None:
+        details = progress.generation.details
+        if "empire" in details:
+            seen.append([int((details["empire"] == i).sum()) for i in range(3)])
+
+    result = termsel.run("poly-terms", solver="ica", evaluations=900, observers=[look],
+                         options={"population": 12, "imperialists": 0.25, "contested": 3})
+    assert [one["empires"] for one in result.history] == seen
+    assert 0 in seen[-1]  # one has vanished, and keeps its place
+
+
+def test_a_long_search_is_thinned_and_keeps_its_ends() -> None:
+    from termsel.report.charts.search import spaced
+
+    history = [{"evaluations": i} for i in range(10_007)]
+    shown = spaced(history, 400)
+    assert len(shown) == 400
+    assert (shown[0], shown[-1]) == (history[0], history[-1])
+    gaps = np.diff([one["evaluations"] for one in shown])
+    assert gaps.max() - gaps.min() <= 1
+    assert spaced(history[:400], 400) == history[:400]
+
+
+def test_frequencies_are_those_of_the_selections(searched: Path, repeated: Path) -> None:
+    front = termsel.read_result(searched)
+    shown = {row["term"]: row["share"]
+             for row in max(rows_of(front.plot.frequency()).values(), key=len)}
+    members = [set(one["selection"]["terms"]) for one in front.front]
+    assert set(shown) == set.union(*members)
+    for term, share in shown.items():
+        assert share == pytest.approx(sum(term in one for one in members) / len(members), abs=1e-4)
+    said = json.loads((repeated / "stability.json").read_text())
+    again = termsel.read_result(repeated)
+    assert again.stability is not None
+    assert again.stability["frequency"] == said["frequency"]
+    assert list(again.selection.terms) == said["stable"]
+    page = (repeated / "report.html").read_text()
+    assert "terms are in at least 60% of 3 selections" in page
+    shown = {row["term"]: row for row in max(rows_of(again.plot.frequency()).values(), key=len)}
+    assert {term for term, row in shown.items() if row["used"]} == set(said["stable"])
+    assert all(row["share"] == pytest.approx(said["frequency"][term], abs=1e-4)
+               for term, row in shown.items())
 
 
 @pytest.mark.parametrize("kind", ["residuals", "ground", "worst"])
@@ -277,18 +356,53 @@ def test_a_page_of_a_thousand_features_is_small(tmp_path: Path) -> None:
     assert (tmp_path / "page.html").stat().st_size < 3e6
 
 
-@pytest.mark.parametrize("fixture", ["searched", "lines"])
+@pytest.mark.parametrize("fixture", ["searched", "lines", "repeated"])
 def test_the_command_repeats_the_run(call: Call, request: pytest.FixtureRequest, fixture: str,
                                      monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     folder = request.getfixturevalue(fixture)
     monkeypatch.chdir(folder)
     record = json.loads((folder / "result.json").read_text())
     words = shlex.split(command(record).replace("\\\n", " "))
-    assert call(*words[1:], "--evaluations", 2000, "--quiet", "--out",
-                tmp_path / "again").exit_code == 0
+    assert call(*words[1:], "--quiet", "--out", tmp_path / "again").exit_code == 0
     again = json.loads((tmp_path / "again" / "result.json").read_text())
-    assert again["selection"] == record["selection"]
-    assert again["rmse"] == record["rmse"]
+    for key in ("terms", "features"):
+        assert sorted(again["selection"][key]) == sorted(record["selection"][key])
+    for role, figures in record["rmse"].items():
+        if figures["n"]:
+            assert again["rmse"][role] == pytest.approx(figures, rel=1e-9)
+    assert again["budget"] == record["budget"]
+    assert again["evaluations"] == record["evaluations"]
+
+
+def test_budgets_are_in_the_record_and_the_command(tmp_path: Path) -> None:
+    result = termsel.run("poly-terms", solver="random", generations=np.int64(7), seconds=95,
+                         patience=30, out=tmp_path / "r")
+    assert result.budget == {"generations": 7, "seconds": 95.0, "patience": 30}
+    record = json.loads((tmp_path / "r" / "result.json").read_text())
+    assert record["budget"] == result.budget
+    assert "--generations 7 " in command(record)
+    assert command(record).replace("\\\n", " ").split()[-6:] == [
+        "--generations", "7", "--seconds", "95", "--patience", "30"]
+    result.report(tmp_path / "page.html")
+    assert "so the result depends on the machine" in (tmp_path / "page.html").read_text()
+
+
+def test_what_no_command_repeats_is_said(tmp_path: Path) -> None:
+    from termsel.solvers.yardsticks import RandomSearch
+
+    class Own(RandomSearch):
+        """Random search of one's own."""
+
+        name = "own-search"
+
+    result = termsel.run("poly-terms", solver=Own, evaluations=50)
+    result.report(tmp_path / "own.html")
+    text = (tmp_path / "own.html").read_text()
+    assert "No command repeats this run, as no plugin provides its solver tests.test_report" in text
+    assert "termsel run \\" not in text
+    task = termsel.prepare("poly-terms")
+    genes = task.problem.genome.random(np.random.default_rng(1), 1)[0]
+    assert "genes were given" in not_by_command(termsel.assess(task, genes).to_dict())
 
 
 def test_the_image_lies_below_the_residuals(searched: Path, call: Call, tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ import click
 from termsel.cli.messages import refuse_stdout, say_written, show_messages
 
 KINDS = ("residuals", "ground", "worst", "baselines", "candidates", "front", "convergence",
-         "terms", "correlations", "sigma")
+         "empires", "frequency", "terms", "correlations", "sigma")
 
 
 @click.command()
@@ -31,6 +31,8 @@ def plot(folder: Path, kind: str, output: Path, overwrite: bool) -> None:
       candidates    what the strategy auto chose among
       front         RMSE against terms or features
       convergence   best and median of the search
+      empires       empires of the ICA, the imperialist competitive algorithm
+      frequency     how often terms are selected, in a front or by termsel stability
       terms         significance of terms
       correlations  correlations of coefficients
       sigma         standard deviation over the image

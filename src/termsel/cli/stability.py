@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -31,7 +32,7 @@ _SOLVER, _CRITERION = "all-terms", "press"
               show_default=True, help="Frequency from which on a term is stable.")
 @run_options
 @click.option("--out", metavar="DIR", type=click.Path(path_type=Path),
-              help="Folder for stability.json, and for what --export asks for.")
+              help="Folder for stability.json, the result of the stable terms, and exports.")
 def stability(repeats: int, threshold: float, **given: Any) -> None:
     """Show how often each term is selected as control and check points change.
 
@@ -57,7 +58,7 @@ def stability(repeats: int, threshold: float, **given: Any) -> None:
     if asked.out is not None:
         require_replaceable([asked.out / "stability.json"], reads=asked.reads,
                             overwrite=asked.overwrite)
-        claim_folder(asked.out, overwrite=True)
+        claim_folder(asked.out, overwrite=asked.overwrite)
     if asked.strategy == "auto":
         echo("Note: the strategy auto searches for no terms. Each repetition runs the problem's "
              "solver instead.", err=True)
@@ -82,9 +83,9 @@ def stability(repeats: int, threshold: float, **given: Any) -> None:
     if (exported or page) and not found.determined:
         raise TermselError("the stable terms alone are no model, so nothing is exported",
                            hint="Lower --threshold.")
-    if exported or page:
-        _export(exported, page, problem, asked, features,
-                _for_stable(problem, asked, options, others))
+    if asked.out is not None and found.determined:
+        _write(found, exported, page, problem, asked, features,
+               _for_stable(problem, asked, options, others))
     if found.interrupted:
         echo(f"Interrupted after {len(found.selections)} of {repeats} selections.", err=True)
         sys.exit(INTERRUPTED)
@@ -125,15 +126,22 @@ def _for_stable(problem: str, asked: Asked, options: Mapping[str, str],
     return {**settings, "force_off": ",".join(dict.fromkeys([*filter(None, before), *off]))}
 
 
-def _export(exported: Mapping[str, Path], page: Path | None, problem: str, asked: Asked,
-            features: FeatureSet | None, options: Mapping[str, str]) -> None:
-    """Write the fit of the stable terms in other formats, and its page."""
+def _write(found: Stability, exported: Mapping[str, Path], page: Path | None, problem: str,
+           asked: Asked, features: FeatureSet | None, options: Mapping[str, str]) -> None:
+    """Write the fit of the stable terms: its record with the frequencies, exports, its page."""
     from termsel.io.export import export
+    from termsel.io.result_folder import RECORD, write_result
     from termsel.runs import run as running
 
-    result = running.run(problem, features=features, dataset=asked.dataset, source=asked.source,
+    assert asked.out is not None
+    fitted = running.run(problem, features=features, dataset=asked.dataset, source=asked.source,
                          model=asked.model, solver=_SOLVER, criterion=_CRITERION,
                          options=options)
+    said = found.to_dict()
+    result = replace(fitted, stability={
+        key: said[key] for key in ("repeats", "threshold", "frequency")})
+    write_result(result, asked.out)
+    say_written([asked.out / RECORD])
     for to, file in exported.items():
         say_written(export(result, to, file, overwrite=asked.overwrite))
     if page is not None:

@@ -287,6 +287,7 @@ def result_from(record: Mapping[str, Any], features: FeatureSet) -> Result:
         predicted=Predicted(**found) if (found := record.get("predicted")) else None,
         accuracy=accuracy_from(given) if (given := record.get("accuracy")) else None,
         front=tuple(record["front"]), history=tuple(record.get("history", ())),
+        budget=record.get("budget", {}), stability=record.get("stability"),
         final=_final(record, final, fitted, features) if final else None)
 
 

@@ -9,10 +9,16 @@ from typing import Any
 from termsel.errors import counted
 from termsel.fits.accuracy import rmse_interval
 from termsel.report.charts import bars, maps, search
-from termsel.report.charts.terms import term_rows
 from termsel.report.page import Block, Code, Figure, Section, Statement, Table, page
 from termsel.report.plots import KINDS
-from termsel.report.repeat import command
+from termsel.report.repeat import command, not_by_command
+from termsel.report.tables import (
+    convergence_table,
+    correlation_table,
+    frequency_table,
+    sigma_table,
+    term_table,
+)
 from termsel.report.view import View
 
 MAPS = ("residuals", "ground", "sigma", "correlations")
@@ -145,6 +151,8 @@ def _weak(view: View) -> Iterator[Block]:
     else:
         yield _figure("sigma", maps.sigma_map(view))
     yield _figure("ground", maps.ground_map(view))
+    if not why:
+        yield sigma_table(view)
     yield "termsel plan names the places where further points help most."
 
 
@@ -158,6 +166,10 @@ def _selected(view: View, picture: str) -> Iterator[Block]:
             (bars.label_of(one["name"]), str(one["n_terms"]), f"{one['effective']:.1f}",
              "-" if one["predicted"] is None else f"{one['predicted']:.3f}")
             for one in strategy["candidates"]], folded=True)
+    elif found := record.get("stability"):
+        yield (f"{selection['n_terms']} of {offered['n_terms']} terms are in at least "
+               f"{found['threshold']:.0%} of {found['repeats']} selections, each with other "
+               "control and check points.")
     else:
         yield (f"{selection['n_terms']} of {offered['n_terms']} terms and "
                f"{selection['n_features']} of {offered['n_features']} control features, by "
@@ -165,16 +177,17 @@ def _selected(view: View, picture: str) -> Iterator[Block]:
     yield from record["notes"]
     if record["front"]:
         yield from _front(view, picture)
-    for name in ("convergence", "terms", "correlations"):
-        if not KINDS[name].missing(view):
-            yield _figure(name, KINDS[name].draw(view))
-    if record["significance"]:
-        yield Table("Terms and their significance", ("term", "t", "chance if zero"), [
-            (row["term"], f"{row['t']:.3g}", f"{row['p']:.2g}") for row in term_rows(view)],
-            folded=True)
+    there = [name for name in _OF_TERMS if not KINDS[name].missing(view)]
+    yield from (_figure(name, KINDS[name].draw(view)) for name in there)
+    yield from (table(view) for name in there if (table := _OF_TERMS[name]) is not None)
     if not strategy:
         yield Table("Selected features", ("feature",),
                     [(name,) for name in selection["features"]], folded=True)
+
+
+_OF_TERMS = {"convergence": convergence_table, "empires": None, "frequency": frequency_table,
+             "terms": term_table, "correlations": correlation_table}
+"""Charts of search and terms, with their tables."""
 
 
 def _front(view: View, picture: str) -> Iterator[Block]:
@@ -193,11 +206,19 @@ def _front(view: View, picture: str) -> Iterator[Block]:
 
 def _repeated(view: View) -> Iterator[Block]:
     record = view.record
-    yield "In the folder of this result:"
-    yield Code(command(record) + " --out again")
-    if not record["strategy"]:
-        yield ("If the run had a budget (--generations, --evaluations or --seconds), give it "
-               f"again; it took {counted(record['evaluations'], 'evaluation')} in all.")
+    if why := not_by_command(record):
+        yield why
+    else:
+        yield "In the folder of this result:"
+        yield Code(command(record) + " --out again")
+    if record["interrupted"]:
+        yield "This run was interrupted, and the command runs to its end."
+    elif "seconds" in record["budget"]:
+        yield ("The run had a limit of time, so the result depends on the machine. It took "
+               f"{counted(record['evaluations'], 'evaluation')}.")
+    if record.get("stability"):
+        yield ("The frequencies of terms are those of termsel stability. The command repeats the "
+               "fit of the stable terms.")
     yield Table("Versions", ("package", "version"), [
         *record["versions"].items(),
         *((part["name"], part["version"]) for part in record["plugins"].values()),

@@ -47,7 +47,7 @@ def _linked(view: View) -> Any:
         warnings.filterwarnings("ignore", "Automatically deduplicated")  # which links the two
         return require_altair().hconcat(
             bars.worst_bars(view).properties(width=260),
-            maps.image_map(view)).resolve_scale(color="independent")
+            maps.image_map(view)).resolve_scale(color="independent", shape="independent")
 
 
 def _front(view: View) -> Any:
@@ -84,6 +84,16 @@ KINDS = {kind.name: kind for kind in (
          "The best should be level at the end. If it still falls, give the search more "
          "evaluations.", search.convergence,
          lambda view: "" if view.record.get("history") else "it has no history of a search"),
+    Kind("empires", "Empires of the search",
+         "The imperialist competitive algorithm ends where one band is left. Many bands at the end "
+         "mean that the budget ended it.", search.empires,
+         lambda view: "" if any("empires" in one for one in view.record.get("history", ()))
+         else "its solver was not the ICA"),
+    Kind("frequency", "How often terms are selected",
+         "Terms that nearly all selections have can be relied on. Those that few have fit noise, "
+         "or stand for each other.", terms.frequency_bars,
+         lambda view: "" if view.record["front"] or view.record.get("stability") else
+         "it is one selection, without a front and not of termsel stability"),
     Kind("terms", "Terms and their significance",
          "Terms in orange could be zero. Many of them mean that fewer terms would do.",
          terms.term_bars, lambda view: "" if view.record["significance"] else
@@ -180,6 +190,14 @@ class Plots:
     def convergence(self) -> Any:
         """Return how the search converged."""
         return chart(self._view, "convergence")
+
+    def empires(self) -> Any:
+        """Return how many countries each empire of the ICA has."""
+        return chart(self._view, "empires")
+
+    def frequency(self) -> Any:
+        """Return how often terms are selected."""
+        return chart(self._view, "frequency")
 
     def terms(self) -> Any:
         """Return the significance of terms."""

@@ -6,6 +6,7 @@ import shlex
 from collections.abc import Iterator, Mapping
 from typing import Any
 
+from termsel.solvers.base import GIVEN
 from termsel.solvers.ga import GeneticAlgorithm
 from termsel.solvers.ga_correlation import CorrelationSeededGA
 
@@ -16,20 +17,36 @@ _BY_NAME = (GeneticAlgorithm, CorrelationSeededGA)
 def command(record: Mapping[str, Any]) -> str:
     """Return the command that repeats a run in the folder of its result.
 
-    The points and lines there have their roles, so that the files they came from are not needed. A
-    budget of the run is not in its record, and not in the command.
+    The points and lines there have their roles, so that the files they came from are not needed.
+
+    Parameters
+    ----------
+    record : mapping
+        The content of result.json, of a run that a command can repeat (`not_by_command`).
+    """
+    return " \\\n    ".join(["termsel run", *_parts(record)])
+
+
+def not_by_command(record: Mapping[str, Any]) -> str:
+    """Return why no command repeats a run; "" if one does.
 
     Parameters
     ----------
     record : mapping
         The content of result.json.
     """
-    return " \\\n    ".join(["termsel run", *_parts(record)])
+    made = [f"{part} {one['class']}" for part, one in record["plugins"].items() if "class" in one]
+    if made:
+        return (f"No command repeats this run, as no plugin provides its {', '.join(made)}. Call "
+                "termsel.run with the same objects, seed and options.")
+    if record["solver"] == GIVEN:
+        return "No command repeats this result, as its genes were given in Python."
+    return ""
 
 
 def _parts(record: Mapping[str, Any]) -> Iterator[str]:
     counts = record["data"]["counts"]
-    yield f"--problem {shlex.quote(record['problem'])}"
+    yield f"--problem {shlex.quote(_full_name(record, 'problem'))}"
     if any(counts[role] for role in ("control", "check", "independent", "off")):
         yield "--points points.csv"
     if counts["lines"]:
@@ -44,7 +61,7 @@ def _parts(record: Mapping[str, Any]) -> Iterator[str]:
                           if solver.name == record["solver"]), {})
         named = all(own[name] is not None for name in published)
         for part in ("model", *["solver"] * named, "criterion"):
-            yield f"--{part} {shlex.quote(record[part])}"
+            yield f"--{part} {shlex.quote(_full_name(record, part))}"
     names = [name for options in record["options"].values() for name in options]
     for part, options in record["options"].items():
         for name, value in options.items():
@@ -54,6 +71,13 @@ def _parts(record: Mapping[str, Any]) -> Iterator[str]:
                 key = f"{part}.{name}" if names.count(name) > 1 else name
                 yield f"--set {shlex.quote(f'{key}={_plain(value)}')}"
     yield f"--seed {record['seed']}"
+    for name, limit in record["budget"].items():
+        yield f"--{name} {limit:.12g}"
+
+
+def _full_name(record: Mapping[str, Any], part: str) -> str:
+    """Return the name of a part, with its distribution if a plugin provides it."""
+    return str(record["plugins"].get(part, {}).get("name", record[part]))
 
 
 _SETTLED = ("roles", "off", "role", "fractions", "split")

@@ -6,6 +6,7 @@ print; each role has a shape too.
 
 from __future__ import annotations
 
+from functools import cache
 from typing import Any
 
 from termsel.errors import TermselError
@@ -71,7 +72,20 @@ def _wrapped(text: str, width: int = 84) -> list[str]:
 
 def data(rows: list[dict[str, Any]]) -> Any:
     """Return rows as data of a chart."""
-    return require_altair().InlineData(values=rows)
+    return _shared()(values=rows)
+
+
+@cache
+def _shared() -> Any:
+    """Return the class of data that copies of a chart share: copies of all rows take seconds."""
+
+    class Shared(require_altair().InlineData):  # type: ignore[misc]
+        _class_is_valid_at_instantiation = False  # rows are plain numbers and text
+
+        def __deepcopy__(self, _memo: Any) -> Any:
+            return self
+
+    return Shared
 
 
 def legend_of(kinds: dict[str, str], present: set[str]) -> Any:

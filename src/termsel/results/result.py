@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -129,7 +130,12 @@ class Result(Glance):
         candidates with theirs.
     history : tuple of mapping
         Of each generation of the search: evaluations so far, the best first objective so far, the
-        median and the share of feasible individuals.
+        median and the share of feasible individuals; of the ICA also the sizes of its empires.
+    budget : mapping
+        Limits of each search: "generations", "evaluations", "seconds", "patience", those that
+        there were.
+    stability : mapping, optional
+        Of a fit of the stable terms: repeats, threshold and the frequency of each term.
     """
 
     problem: str
@@ -165,7 +171,9 @@ class Result(Glance):
     accuracy: Accuracy | None = None
     plugins: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
     final: Fit | None = None
-    history: tuple[Mapping[str, float | None], ...] = ()
+    history: tuple[Mapping[str, Any], ...] = ()
+    budget: Mapping[str, float] = field(default_factory=dict)
+    stability: Mapping[str, Any] | None = None
 
     @property
     def hit_rate(self) -> float:
@@ -203,7 +211,8 @@ class Result(Glance):
             "evaluations": self.evaluations, "lookups": self.lookups,
             "hit_rate": self.hit_rate,
             "generations": self.generations, "seconds": self.seconds,
-            "history": list(self.history),
+            "history": list(self.history), "budget": dict(self.budget),
+            **({"stability": dict(self.stability)} if self.stability else {}),
             "interrupted": self.interrupted, "polish": self.polish,
             "coefficients": {terms[i]: float(adjustment.coefficients[i]) for i in chosen},
             "standard_deviations": {
@@ -310,7 +319,7 @@ class Result(Glance):
         record = sealed(self.to_dict(), self.features)
         return json.dumps(record, indent=1, allow_nan=False) + "\n"
 
-    @property
+    @cached_property
     def view(self) -> View:
         """What charts and pages read of the result."""
         points = self.features.points

@@ -25,11 +25,9 @@ from termsel.runs.data_notes import notes_on_data
 from termsel.runs.judge import judge, name_conventional, notes_on
 from termsel.runs.provenance import data_of, notes_on_sessions, plugins_of, versions
 from termsel.runs.task import Task
+from termsel.solvers.base import GIVEN
 from termsel.solvers.exact import gap
 from termsel.solvers.search import Search
-
-GIVEN = "given"
-"""What stands for the solver where genes were given."""
 
 
 def assess(task: Task, genes: Genes) -> Result:
@@ -122,7 +120,7 @@ def assessed(task: Task, found: Search) -> Result:
         evaluations=found.evaluations, lookups=found.lookups, generations=found.generations,
         seconds=found.seconds, interrupted=found.interrupted,
         polish=asdict(found.polish) if found.polish else None,
-        history=tuple(asdict(one) for one in found.history), fit=chosen,
+        history=tuple(one.to_dict() for one in found.history), fit=chosen,
         residuals=residuals_of(chosen, observations),
         diagnosis=diagnosis,
         outliers=tuple(_outliers(chosen, diagnosis.doubts)),

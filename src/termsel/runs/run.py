@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -121,10 +122,13 @@ def run(
     if all(one is None for one in (generations, evaluations, seconds, patience)):
         generations, patience = task.recipe.generations, task.recipe.patience
     _begin(out, overwrite)
-    found = search_without_blunders(task, seed=seed, generations=generations,
-                                    evaluations=evaluations, seconds=seconds, patience=patience,
-                                    observers=observers)
-    return _finished(assessed(task, found), out)
+    limits = {"generations": generations, "evaluations": evaluations, "seconds": seconds,
+              "patience": patience}
+    found = search_without_blunders(task, seed=seed, **limits, observers=observers)
+    # As plain numbers, for the record.
+    budget = {name: float(limit) if name == "seconds" else int(limit)
+              for name, limit in limits.items() if limit is not None and math.isfinite(limit)}
+    return _finished(replace(assessed(task, found), budget=budget), out)
 
 
 def problem_for(features: FeatureSet | None) -> str:

@@ -15,6 +15,9 @@ from termsel.options import Configurable
 from termsel.problems.base import Evaluation, Problem, evaluation_fault
 from termsel.problems.segments import AnySegment, Bits, Genes
 
+GIVEN = "given"
+"""In the place of a solver's name: the genes were given to `termsel.assess`."""
+
 
 @dataclass(frozen=True, eq=False)
 class Generation:
@@ -27,7 +30,8 @@ class Generation:
     genes : ndarray, shape (p, size)
     evaluation : Evaluation
     details : mapping
-        Further values for observers, such as the empires of the ICA.
+        Further values for observers. ``empires``, int, shape (k,), the countries of each empire
+        as the ICA counts them, also goes into the history.
     """
 
     index: int
@@ -45,6 +49,10 @@ def _generation_fault(_solver: Solver, value: Any, problem: Problem, *_args: Any
         return f"yielded the index {value.index!r:.100}; expected a whole number from 0"
     if not isinstance(value.details, Mapping):
         return "yielded details that are no mapping"
+    if (counts := value.details.get("empires")) is not None and not (
+            isinstance(counts, np.ndarray) and counts.ndim == 1 and counts.dtype.kind in "iu"
+            and (counts >= 0).all()):
+        return "yielded empires that are not an array of counts"
     if fault := problem.genome.fault(value.genes):
         return f"yielded {fault}"
     return evaluation_fault(problem, value.evaluation, value.genes)

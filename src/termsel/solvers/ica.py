@@ -296,7 +296,8 @@ class ImperialistCompetition(Solver):
       the source of option `uniting`. The paper does not unite empires: it is off by default.
 
     ``Generation.details`` holds what observers need to draw the empires: ``empire``, the empire
-    of each country, int, shape (p,), numbered as at first; ``imperialists``, the rows of the k
+    of each country, int, shape (p,), numbered as at first; ``empires``, the countries of each of
+    these, int, of those at first; ``imperialists``, the rows of the k
     imperialists, int, shape (k,); ``names``, the number at first of each empire left, int,
     shape (k,); ``power``, the total power of equation (8), shape (k,); and ``cost``, shape
     (p,). Rows of the population are the same countries throughout.
@@ -333,7 +334,7 @@ class ImperialistCompetition(Solver):
         cost = costs(evaluation)
         k = min(max(2, round(o["imperialists"] * len(genes))), len(genes) // 2)
         world = found_empires(cost, k, rng)
-        yield self._generation(0, genes, evaluation, cost, world)
+        yield self._generation(0, genes, evaluation, cost, world, k)
         index = 0
         while len(world.imperialists) > 1:
             index += 1
@@ -347,7 +348,7 @@ class ImperialistCompetition(Solver):
                     break
                 power = total_power(cost, world.empire, world.imperialists, o["alpha"])
                 world = world.compete(cost, power, rng.random(len(power))).crown(cost)
-            yield self._generation(index, genes, evaluation, cost, world)
+            yield self._generation(index, genes, evaluation, cost, world, k)
 
     def _move(self, problem: Problem, genes: BoolArray, evaluation: Evaluation, world: Empires,
               rng: np.random.Generator) -> tuple[BoolArray, Evaluation]:
@@ -368,8 +369,10 @@ class ImperialistCompetition(Solver):
         return genes, Evaluation(objectives, violation)
 
     def _generation(self, index: int, genes: BoolArray, evaluation: Evaluation,
-                    cost: FloatArray, world: Empires) -> Generation:
+                    cost: FloatArray, world: Empires, k: int) -> Generation:
         power = total_power(cost, world.empire, world.imperialists, self.options["alpha"])
+        empire = world.names[world.empire]
         return Generation(index, genes, evaluation, {
-            "empire": world.names[world.empire], "imperialists": world.imperialists,
+            "empire": empire, "empires": np.bincount(empire, minlength=k),
+            "imperialists": world.imperialists,
             "names": world.names, "power": power, "cost": cost})

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from typing import Any
 
 import numpy as np
 
@@ -64,12 +65,22 @@ class Tally:
         Median first objective of the feasible individuals of this generation.
     feasible : float
         Their share of it.
+    empires : tuple of int
+        Of the ICA: the countries of each empire, in the order in which they began; 0 for one that
+        has vanished. Empty for other solvers.
     """
 
     evaluations: int
     best: float | None
     median: float | None
     feasible: float
+    empires: tuple[int, ...] = ()
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the entry of the record; without empires where there are none."""
+        plain = asdict(self)
+        return {**plain, "empires": list(self.empires)} if self.empires else {
+            key: value for key, value in plain.items() if key != "empires"}
 
 
 class BudgetSpent(Exception):
@@ -154,7 +165,8 @@ class Ledger(Problem):
         feasible = generation.evaluation.violation == 0
         scores = generation.evaluation.objectives[feasible, 0]
         return Tally(self.count, None if self.best[0] else self.best[1],
-                     float(np.median(scores)) if len(scores) else None, float(feasible.mean()))
+                     float(np.median(scores)) if len(scores) else None, float(feasible.mean()),
+                     tuple(map(int, generation.details.get("empires", ()))))
 
     def front(self) -> list[Genes]:
         """Return the feasible non-dominated individuals, by first objective."""

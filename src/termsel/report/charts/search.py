@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 from termsel.report.charts.maps import image_map
@@ -18,6 +19,11 @@ from termsel.report.theme import (
     spread_scale,
 )
 from termsel.report.view import Row, View
+
+MOST = 400
+"""Generations that a chart shows: of a longer search, those evenly spaced."""
+AREAS = 4000
+"""Most corners of the areas of empires."""
 
 COUNTS = {"n_terms": "terms", "n_features": "control features"}
 
@@ -73,7 +79,7 @@ def choice(view: View) -> Any:
 def convergence(view: View) -> Any:
     """Return the best and the median of the population, and what share of it is infeasible."""
     alt = require_altair()
-    history = view.record["history"]
+    history = spaced(view.record["history"], MOST)
     criterion = view.record["criterion"]
     lines = [{"evaluations": one["evaluations"], "what": what, "value": one[what]}
              for one in history for what in ("best", "median") if one[what] is not None]
@@ -98,3 +104,39 @@ def convergence(view: View) -> Any:
     return alt.layer(area, drawn).resolve_scale(y="independent").properties(
         width=WIDTH, height=0.45 * WIDTH)
 
+
+def empires(view: View) -> Any:
+    """Return how many countries each empire of the ICA has, as bands of the population."""
+    alt = require_altair()
+    counted = [one for one in view.record["history"] if "empires" in one]
+    most = max(AREAS // max(len(one["empires"]) for one in counted), 2)
+    rows = [{"evaluations": one["evaluations"], "empire": i + 1, "countries": countries,
+             "left": sum(map(bool, one["empires"]))}
+            for one in spaced(counted, most) for i, countries in enumerate(one["empires"])]
+    return alt.Chart(data(rows)).mark_area(stroke="white", strokeWidth=1, opacity=1).encode(
+        x=alt.X("evaluations:Q", axis=alt.Axis(format="~s", tickCount=6)),
+        y=alt.Y("countries:Q", stack="zero", title="countries"),
+        order="empire:O",
+        color=alt.Color("empire:Q", scale=alt.Scale(scheme="viridis", reverse=True),
+                        legend=alt.Legend(title="empire, by its strength at first", tickMinStep=1,
+                                          format="d", gradientLength=220,
+                                          titleFontWeight="normal", titleFontSize=11.5)),
+        detail="empire:O",
+        tooltip=[alt.Tooltip("empire:Q"), alt.Tooltip("countries:Q"),
+                 alt.Tooltip("left:Q", title="empires left"),
+                 alt.Tooltip("evaluations:Q", format=",d")],
+    ).properties(width=WIDTH, height=0.35 * WIDTH)
+
+
+def spaced(history: Sequence[Row], most: int) -> list[Row]:
+    """Return evenly spaced generations, the first and the last among them.
+
+    Parameters
+    ----------
+    history : sequence of dict
+    most : int
+        How many, at least 2.
+    """
+    if len(history) <= most:
+        return list(history)
+    return [history[round(i * (len(history) - 1) / (most - 1))] for i in range(most)]

@@ -1,14 +1,15 @@
-"""Terms: their significance, how often a front has them, and how their coefficients correlate."""
+"""Terms: their significance, how often they are selected, how their coefficients correlate."""
 
 from __future__ import annotations
 
+from collections import Counter
 from typing import Any
 
 import numpy as np
 from scipy.special import stdtrit
 
 from termsel.measurements.features import select
-from termsel.report.theme import CHECK, CONTROL, FAINT, INK, WIDTH, data, require_altair
+from termsel.report.theme import CHECK, CONTROL, FAINT, INK, UNUSED, WIDTH, data, require_altair
 from termsel.report.view import Row, View
 
 ROW = 15
@@ -57,6 +58,46 @@ def term_rows(view: View) -> list[Row]:
                     / len(front) if front else None}
                    for name, one in view.record["significance"].items()),
                   key=lambda row: -row["t"])
+
+
+def frequency_bars(view: View) -> Any:
+    """Return in which share of many selections each term is: repeated ones, or those of a front."""
+    alt = require_altair()
+    rows = frequency_rows(view)
+    kinds = ["in this result", "not in this result"]
+    base = alt.Chart(data([{**row, "state": kinds[not row["used"]]} for row in rows])).encode(
+        y=alt.Y("term:N", sort=[row["term"] for row in rows], title=None,
+                axis=alt.Axis(ticks=False, domain=False, labelLimit=170)))
+    stability = view.record.get("stability")
+    of = f"{stability['repeats']} selections" if stability else \
+        f"{len(view.record['front'])} members of the front"
+    layers = [base.mark_bar(height={"band": 0.72}).encode(
+        x=alt.X("share:Q", title=f"share of the {of}", axis=alt.Axis(format="%"),
+                scale=alt.Scale(domain=[0, 1])),
+        color=alt.Color("state:N", scale=alt.Scale(domain=kinds, range=[CONTROL, UNUSED])),
+        tooltip=[alt.Tooltip("term:N"), alt.Tooltip("share:Q", format=".0%"),
+                 alt.Tooltip("state:N", title="it is")])]
+    if stability:
+        layers.append(alt.Chart(data([{"share": stability["threshold"]}])).mark_rule(
+            strokeDash=[5, 3], color=INK, strokeWidth=1.2).encode(x="share:Q"))
+    return alt.layer(*layers).properties(width=WIDTH, height=ROW * len(rows))
+
+
+def frequency_rows(view: View) -> list[Row]:
+    """Return the terms that any selection has with the share of selections, frequent ones first."""
+    record = view.record
+    used, found = set(record["selection"]["terms"]), record.get("stability")
+    if found:
+        shares = found["frequency"]
+    else:
+        counts = Counter(term for one in record["front"] for term in one["selection"]["terms"])
+        shares = {term: n / len(record["front"]) for term, n in counts.items()}
+    return sorted(({"term": term, "share": _rounded(share), "used": term in used}
+                   for term, share in shares.items() if share), key=lambda row: -row["share"])
+
+
+def _rounded(share: float) -> float:
+    return float(f"{share:.4g}")
 
 
 def correlation_map(view: View) -> Any:
