@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import pkgutil
 import random
 import sys
 from collections.abc import Iterator
@@ -10,9 +11,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pymoo.algorithms.moo
+import pymoo.algorithms.soo.nonconvex
 import pytest
 from click.testing import CliRunner
 from deap import algorithms, base, tools
+from pymoo.algorithms.moo.moead import MOEAD
 from pymoo.algorithms.moo.nsga2 import NSGA2
 from pymoo.algorithms.soo.nonconvex.ga import GA
 from pymoo.operators.crossover.pntx import TwoPointCrossover
@@ -28,9 +32,11 @@ from termsel.cli.main import cli
 from termsel.solvers.deap_algorithms import Deap
 from termsel.solvers.ga import GeneticAlgorithm
 from termsel.solvers.ledger import Ledger
-from termsel.solvers.pymoo_algorithms import ALGORITHMS, Pymoo
+from termsel.solvers.pymoo_algorithms import ALGORITHMS, SINGLE, UNFIT, Pymoo
 from termsel.testing import problems
+from termsel.testing.checks import Check
 from termsel.testing.problems import Watched
+from termsel.testing.solvers import solver_checks
 from termsel.testing.trial import global_states
 
 
@@ -209,15 +215,65 @@ def test_variables_have_the_ranges_of_their_genes() -> None:
 
 @pytest.mark.parametrize("algorithm", ALGORITHMS)
 def test_each_algorithm_of_pymoo_runs_and_repeats(algorithm: str) -> None:
-    options = {"degree": 2, "algorithm": algorithm, "population": 20}
+    task = termsel.prepare("poly-terms", solver="pymoo", options={
+        "degree": 2, "algorithm": algorithm, "population": 20})
     before = global_states()
-    one, two = (termsel.run("poly-terms", solver="pymoo", generations=4, options=options)
-                for _ in range(2))
+    one, two = (search(task.problem, task.solver, generations=4) for _ in range(2))
     assert global_states() == before
-    assert one.feasible
-    assert one.selection == two.selection
-    assert len(one.objectives) == (1 if algorithm == "ga" else 2)
-    assert bool(one.front) == (algorithm != "ga")
+    assert np.random.default_rng().random() != np.random.default_rng().random()
+    assert one.violation == 0
+    assert np.array_equal(one.genes, two.genes)
+    assert np.array_equal(one.front, two.front)
+    assert len(one.objectives) == (1 if algorithm in SINGLE else 2)
+    assert bool(one.front) == (algorithm not in SINGLE)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("check", [
+    check for algorithm in ALGORITHMS for check in solver_checks(
+        Pymoo, options=[{"algorithm": algorithm}], expected_failures={
+            "feasible_first": "C-TAEA weighs the violation against the objectives"}
+        if algorithm == "ctaea" else {})], ids=lambda check: check.name)
+def test_each_algorithm_of_pymoo_conforms(check: Check) -> None:
+    check.run()
+
+
+@pytest.mark.parametrize(("options", "said"), [
+    ({"algorithm": "moead"}, "'moead' refuses constraints"),
+    ({"algorithm": "rnsga3"}, "'rnsga3' needs reference points"),
+    ({"algorithm": "de"}, "'de' moves real numbers"),
+    ({"algorithm": "nsga2", "horizon": 5}, "'horizon' is for algorithm=rvea")])
+def test_what_pymoo_cannot_do_here_is_refused_with_the_reason(options: dict[str, Any],
+                                                              said: str) -> None:
+    with pytest.raises(TermselError, match=said):
+        Pymoo(**options)
+
+
+def test_every_algorithm_of_pymoo_is_offered_or_has_a_reason() -> None:
+    known = {one.name for where in (pymoo.algorithms.moo, pymoo.algorithms.soo.nonconvex)
+             for one in pkgutil.iter_modules(where.__path__)}
+    assert known == set(ALGORITHMS) | set(UNFIT)
+
+
+def test_an_algorithm_without_constraints_makes_no_solver() -> None:
+    with pytest.raises(TermselError, match="MOEAD refuses constraints"):
+        termsel.from_pymoo(MOEAD(np.eye(2), sampling=BinaryRandomSampling(), crossover=UX(),
+                                 mutation=BitflipMutation()))
+
+
+def test_rvea_runs_beyond_its_horizon() -> None:
+    shifted, usual = (search(problems.two_aims(), Pymoo(algorithm="rvea", population=12,
+                                                        horizon=horizon), generations=6)
+                      for horizon in (2, None))
+    assert shifted.generations == usual.generations == 6
+
+
+def test_an_algorithm_for_another_number_of_objectives_is_told_its_options() -> None:
+    with pytest.raises(TermselError, match=r"Or set its options otherwise \(termsel describe") \
+            as said:
+        termsel.run("poly-terms", solver="pymoo", options={"algorithm": "ga",
+                                                           "objectives": "n_terms"})
+    assert "pymoo," not in str(said.value)
 
 
 def test_c_taea_has_as_many_directions_as_its_population_allows() -> None:

@@ -13,7 +13,7 @@ from termsel.fits.fit import Fit
 from termsel.fits.least_squares import fit
 from termsel.runs.assess import fit_of
 
-RUNS = 10
+RUNS = 30
 """Scenes drawn for each table."""
 PUBLISHED_RUNS = 1
 """The paper has one image in each."""

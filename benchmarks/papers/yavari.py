@@ -12,7 +12,7 @@ from termsel import TermselError, prepare, simulate_scene
 from termsel.fits.least_squares import fit
 from termsel.simulate import scene_truth
 
-RUNS = 10
+RUNS = 20
 """Scenes drawn for each table."""
 PUBLISHED_RUNS = 2
 """Images of the paper."""

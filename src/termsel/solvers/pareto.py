@@ -10,6 +10,7 @@ import numpy as np
 from pymoo.algorithms.moo.age2 import AGEMOEA2, AGEMOEA2Survival
 from pymoo.algorithms.moo.nsga2 import NSGA2
 from pymoo.algorithms.moo.nsga3 import HyperplaneNormalization
+from pymoo.algorithms.moo.rvea import APDSurvival
 from pymoo.algorithms.moo.sms import SMSEMOA
 from pymoo.algorithms.moo.spea2 import SPEA2, SPEA2Survival
 from pymoo.core.algorithm import Algorithm
@@ -181,6 +182,32 @@ class _Ranges(HyperplaneNormalization):  # type: ignore[misc]
         self.nadir_point = np.where(self.nadir_point > self.ideal_point, self.nadir_point,
                                     self.ideal_point + 1.0)
 
+
+class RveaSurvival(APDSurvival):  # type: ignore[misc]
+    """pymoo's, whose angles are undefined by rounding, and if all are equal in an objective.
+
+    Parameters
+    ----------
+    directions : ndarray, shape (n, objectives)
+    """
+
+    V: FloatArray
+    nadir: Any
+
+    def __init__(self, directions: FloatArray) -> None:
+        super().__init__(directions)
+        self.V = self.V * _SHORTER
+
+    def adapt(self) -> None:
+        """Scale the directions by the ranges of the objectives, 1 where there is none."""
+        if self.nadir is not None:
+            self.nadir = np.where(self.nadir > self.ideal, self.nadir, self.ideal + 1.0)
+        super().adapt()
+        self.V = self.V * _SHORTER
+
+
+_SHORTER = 1 - 1e-14
+"""Length of a direction with which no cosine is above 1."""
 
 SURVIVALS = {"age2": _AgeSurvival, "spea2": _Spea2Survival}
 """By pymoo's name of an algorithm, its survival without divisions by zero."""

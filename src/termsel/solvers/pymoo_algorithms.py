@@ -12,45 +12,83 @@ import numpy as np
 from pymoo.core.algorithm import Algorithm
 from pymoo.util.ref_dirs import get_reference_directions
 
-from termsel.options import Option
+from termsel.errors import TermselError
+from termsel.options import COUNT, Option
 from termsel.problems.base import Problem
 from termsel.problems.segments import SEGMENTS, AnySegment
 from termsel.solvers.base import Generation, Solver
-from termsel.solvers.pareto import SURVIVALS, operators
+from termsel.solvers.pareto import SURVIVALS, RveaSurvival, operators
 from termsel.solvers.pymoo_problem import steps
 
 ALGORITHMS = {
-    "ga": "soo.nonconvex.ga:GA", "nsga2": "moo.nsga2:NSGA2", "ctaea": "moo.ctaea:CTAEA",
-    "age": "moo.age:AGEMOEA", "age2": "moo.age2:AGEMOEA2", "sms": "moo.sms:SMSEMOA",
-    "spea2": "moo.spea2:SPEA2"}
+    "nsga2": "moo.nsga2:NSGA2", "nsga3": "moo.nsga3:NSGA3", "unsga3": "moo.unsga3:UNSGA3",
+    "rvea": "moo.rvea:RVEA", "ctaea": "moo.ctaea:CTAEA", "age": "moo.age:AGEMOEA",
+    "age2": "moo.age2:AGEMOEA2", "sms": "moo.sms:SMSEMOA", "spea2": "moo.spea2:SPEA2",
+    "omni": "moo.omni:OmniOptimizer", "ga": "soo.nonconvex.ga:GA",
+    "ga_niching": "soo.nonconvex.ga_niching:NicheGA"}
 """Algorithms of pymoo that take operators for bits, keep constraints, and evaluate a population
-at once; where their classes are. NSGA-III and U-NSGA-III of pymoo 0.6 draw from a generator that no
-seed sets, so that no run could be repeated."""
+at once; where their classes are. Their names are those of pymoo's modules."""
+
+SINGLE = frozenset({"ga", "ga_niching"})
+"""Those for one objective."""
+
+DIRECTED = frozenset({"nsga3", "unsga3", "rvea", "ctaea"})
+"""Those with reference directions."""
+
+_UNCONSTRAINED = "refuses constraints, so it would not keep infeasible selections out"
+_POINTS = "needs reference points, which no option gives"
+_NUMBERS = "moves real numbers, not bits"
+UNFIT = {
+    **dict.fromkeys(("moead", "dnsga2", "kgb"), _UNCONSTRAINED),
+    **dict.fromkeys(("rnsga2", "rnsga3"), _POINTS),
+    "pinsga2": "asks a person after each few generations",
+    "random_search": "is what termsel's own solver 'random' does",
+    **dict.fromkeys(("brkga", "cmaes", "cmopso", "de", "direct", "es", "g3pcx", "gde3", "isres",
+                     "mopso_cd", "nelder", "nrbo", "nsde", "nsder", "optuna", "pattern", "pso",
+                     "pso_ep", "sres"), _NUMBERS)}
+"""Other algorithms of pymoo 0.6, and why they are not offered."""
 
 
 class Pymoo(Solver):
     """Any algorithm of pymoo that can handle bits, by its name in pymoo.
 
     Start, crossover, mutation and repair are those of ``nsga2``, which differs only in what
-    survives. The violation is a constraint. C-TAEA gets reference directions of Das and Dennis
-    1998, as many as the population allows. ``ga`` is for one objective, the others are for several.
-    NSGA-III is not among them: pymoo 0.6 does not let its seed be set.
+    survives. The violation is a constraint. ``ga`` and ``ga_niching`` are for one objective, the
+    others for several. NSGA-III, U-NSGA-III, RVEA and C-TAEA get reference directions of Das and
+    Dennis 1998, as many as the population allows. C-TAEA weighs the violation against the
+    objectives as long as few are feasible: where good objectives lead away from what is feasible,
+    it may find nothing feasible.
+
+    Not offered are MOEA/D, D-NSGA-II and KGB-DMOEA, which refuse constraints; R-NSGA-II and
+    R-NSGA-III, which need reference points; and algorithms for real numbers.
     """
 
     name = "pymoo"
     max_objectives: ClassVar[int] = 8
     segments: ClassVar[tuple[type[AnySegment], ...]] = SEGMENTS
     declared_options = (
-        Option("algorithm", "nsga2", "The algorithm, as pymoo names it.",
+        Option("algorithm", "nsga2", "The algorithm, as pymoo names its module.",
                choices=tuple(ALGORITHMS)),
         Option("population", 100, "Number of selections.", int, 4, 5000),
         Option("mutation", None, "Chance that a gene changes; by default 1 over the number of "
                "genes.", float, 0.0, 1.0),
+        Option("horizon", None, "Generations over which rvea shifts its weight from convergence "
+               "to spread; by default as many as the usual budget has.", int, 1, COUNT),
     )
 
     def __init__(self, **options: Any) -> None:
+        asked = options.get("algorithm")
+        if asked in UNFIT:
+            raise TermselError(f"pymoo's algorithm {asked!r} {UNFIT[asked]}",
+                               hint=f"Choose one of: {', '.join(ALGORITHMS)}.")
         super().__init__(**options)
-        _limit(self, one=self.options["algorithm"] == "ga")
+        if self.options["horizon"] and self.options["algorithm"] != "rvea":
+            raise TermselError("option 'horizon' is for algorithm=rvea, and the algorithm is "
+                               f"{self.options['algorithm']}", hint="Leave it out.")
+        one = self.options["algorithm"] in SINGLE
+        # Which number of objectives an algorithm can handle its class does not tell.
+        for word, several in (("min_objectives", 2), ("max_objectives", 8)):
+            setattr(self, word, 1 if one else several)
 
     def generations(self, problem: Problem, rng: np.random.Generator) -> Iterator[Generation]:
         """Yield generations without end (see `Solver.generations`)."""
@@ -58,23 +96,19 @@ class Pymoo(Solver):
         module, _, of = ALGORITHMS[name].partition(":")
         algorithm = getattr(import_module(f"pymoo.algorithms.{module}"), of)
         given = operators(problem.genome, self.options["mutation"], rng)
-        if name == "ctaea":
+        if name in DIRECTED:
             given["ref_dirs"] = directions(len(problem.objectives), population)
-            # Its population is as large as there are directions. It never ends where fewer
-            # individuals than directions are left, as without duplicates.
+        if name == "rvea":
+            given["survival"] = RveaSurvival(given["ref_dirs"])
+        if name in ("ctaea", "omni"):
+            # Where few selections differ, neither ends as long as it lacks individuals.
             given["eliminate_duplicates"] = False
-        else:
+        if name != "ctaea":  # which has as many as there are directions
             given["pop_size"] = population
         made = algorithm(**given)
         if name in SURVIVALS:
             made.survival = SURVIVALS[name]()
-        yield from steps(made, problem, rng)
-
-
-def _limit(solver: Solver, *, one: bool) -> None:
-    """Set how many objectives an algorithm can handle, which its class does not tell."""
-    for word, count in (("min_objectives", 1 if one else 2), ("max_objectives", 1 if one else 8)):
-        setattr(solver, word, count)
+        yield from steps(made, problem, rng, self.options["horizon"])
 
 
 def directions(objectives: int, most: int) -> np.ndarray[Any, np.dtype[np.float64]]:
@@ -106,6 +140,11 @@ def from_pymoo(algorithm: Algorithm, *, name: str | None = None) -> type[Solver]
     -------
     type[Solver]
 
+    Raises
+    ------
+    TermselError
+        For one that refuses constraints.
+
     Examples
     --------
     >>> import termsel
@@ -119,6 +158,9 @@ def from_pymoo(algorithm: Algorithm, *, name: str | None = None) -> type[Solver]
     'ga-pymoo'
     """
     homes = [one.__module__ for one in type(algorithm).__mro__]
+    if any(UNFIT.get(home.rpartition(".")[2]) == _UNCONSTRAINED for home in homes):
+        raise TermselError(f"pymoo's {type(algorithm).__name__} {_UNCONSTRAINED}",
+                           hint="Choose another algorithm, such as NSGA2.")
     single = any(home.startswith("pymoo.algorithms.soo") for home in homes)
     several = any(home.startswith("pymoo.algorithms.moo") for home in homes)
 

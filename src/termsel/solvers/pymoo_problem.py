@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from pymoo.core.algorithm import Algorithm
 from pymoo.core.problem import Problem as PymooProblem
-from pymoo.core.termination import NoTermination
+from pymoo.termination.max_gen import MaximumGenerationTermination
 
 from termsel.measurements.features import FloatArray
 from termsel.problems.base import Evaluation, Problem
@@ -24,6 +24,7 @@ from termsel.problems.segments import (
     Subset,
 )
 from termsel.solvers.base import Generation
+from termsel.solvers.budget import EVALUATIONS
 from termsel.solvers.chance import OwnChance
 
 
@@ -117,8 +118,15 @@ def to_pymoo(problem: Problem) -> PymooProblem:
     return _Posed(problem)
 
 
+class _Horizon(MaximumGenerationTermination):  # type: ignore[misc]
+    """The expected length of a run, which it does not end."""
+
+    def _update(self, algorithm: Algorithm) -> float:
+        return 0.0
+
+
 def steps(algorithm: Algorithm, problem: Problem, rng: np.random.Generator,
-          ) -> Iterator[Generation]:
+          horizon: int | None = None) -> Iterator[Generation]:
     """Yield the generations of a pymoo algorithm.
 
     Parameters
@@ -127,16 +135,20 @@ def steps(algorithm: Algorithm, problem: Problem, rng: np.random.Generator,
         Not yet set up; it is changed.
     problem : Problem
     rng : numpy.random.Generator
-        Of the algorithm and its operators. What draws from the global random state, as some of
-        pymoo do, gets one of its own.
+        Of the algorithm and its operators. What draws from the global random state or from a
+        generator without a seed, as some of pymoo do, gets one of its own.
+    horizon : int, optional
+        Generations that RVEA, which adapts to how far a run is, takes for the length of it; by
+        default those of the usual budget.
     """
     genome = problem.genome
     chance = OwnChance(rng)
     # By default pymoo gives all algorithms of a class one survival, with what an earlier run left.
     if survival := getattr(algorithm, "survival", None):
         algorithm.survival = deepcopy(survival)
+    expected = horizon or max(EVALUATIONS // (algorithm.pop_size or 1), 1)
     with chance:
-        algorithm.setup(_Posed(problem), termination=NoTermination())
+        algorithm.setup(_Posed(problem), termination=_Horizon(expected))
     algorithm.random_state = rng
     index = 0
     while True:

@@ -230,7 +230,12 @@ def require_able(problem: Problem, solver: Solver,
     able = [other.name for other in others
             if other.min_objectives <= wanted <= other.max_objectives
             and types <= set(other.segments)]
-    others_hint = f"Choose one of: {', '.join(able)}." if able else None
+    itself = solver.name in able  # with other options
+    able = [name for name in able if name != solver.name]
+    hints = [f"Choose one of: {', '.join(able)}."] if able else []
+    if itself:
+        hints.append(f"Or set its options otherwise (termsel describe {solver.name}).")
+    others_hint = " ".join(hints) or None
     if not many:
         raise TermselError(
             f"solver {solver.name!r} cannot handle {wanted} objective{'s' if wanted > 1 else ''}: "
