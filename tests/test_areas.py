@@ -20,7 +20,8 @@ from termsel.errors import TermselError
 from termsel.formats.readers.areas_table import AreasCsv
 from termsel.formats.readers.csv_tables import write_lines_csv, write_points_csv, write_table
 from termsel.measurements.areas import Area, boundary, centroid, centroids
-from termsel.measurements.features import FloatArray, Points, join_points
+from termsel.measurements.features import FloatArray, Points
+from termsel.measurements.joined import join_points
 from termsel.simulate import scene_truth, simulate_scene
 from termsel.testing import check_reader
 

@@ -12,7 +12,8 @@ import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
 import termsel
-from termsel.measurements.features import FeatureSet, Points, join_points
+from termsel.measurements.features import FeatureSet, Points
+from termsel.measurements.joined import join_points
 from termsel.simulate import simulate_scene
 
 PROBLEMS = ("rfm-terms", "rfm-terms-lines", "poly-terms", "owdis-points", "owdis-lines",

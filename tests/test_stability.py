@@ -16,7 +16,8 @@ from click.testing import CliRunner
 import termsel
 from termsel.cli.main import cli
 from termsel.formats.readers.csv_tables import write_lines_csv, write_points_csv
-from termsel.measurements.features import FeatureSet, Lines, Points, join_points
+from termsel.measurements.features import FeatureSet, Lines, Points
+from termsel.measurements.joined import join_points
 from termsel.models.polynomial import Polynomial3D
 from termsel.runs import stability as module
 from termsel.runs.stability import stability

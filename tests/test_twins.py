@@ -9,7 +9,8 @@ import pytest
 
 import termsel
 from termsel.criteria import KFold
-from termsel.measurements.features import FeatureSet, Points, join_points, no_lines
+from termsel.measurements.features import FeatureSet, Points, no_lines
+from termsel.measurements.joined import join_points
 from termsel.measurements.twins import merged, twins
 
 

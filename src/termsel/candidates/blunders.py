@@ -38,7 +38,8 @@ from termsel.candidates.contradictions import (
 from termsel.candidates.portfolio import FIELD, Judged, choose
 from termsel.candidates.robust import reweighted
 from termsel.fits.fit import Fit
-from termsel.measurements.features import BoolArray, FeatureSet, FloatArray, Points, join_points
+from termsel.measurements.features import BoolArray, FeatureSet, FloatArray, Points
+from termsel.measurements.joined import join_points
 from termsel.measurements.scaling import scaling_of
 
 MOST = 1 / 3

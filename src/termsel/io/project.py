@@ -14,8 +14,9 @@ from termsel.files.names import is_there
 from termsel.fits.extrapolation import FAR, outside
 from termsel.formats.base import read_once
 from termsel.formats.heights import surface_of
-from termsel.formats.readers.csv_tables import COORDINATES, table_text
+from termsel.formats.readers.csv_tables import table_text
 from termsel.formats.readers.tables import Table, read_table
+from termsel.measurements.columns import COORDINATES
 from termsel.measurements.crs import is_geographic, normalise
 from termsel.measurements.features import BoolArray, FloatArray, select
 from termsel.measurements.longitudes import nearest

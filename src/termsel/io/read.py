@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import ExitStack
+from difflib import get_close_matches
 from itertools import zip_longest
 from pathlib import Path
 from typing import Any
@@ -13,12 +14,17 @@ from termsel.errors import TermselError, counted, unknown_name
 from termsel.files.atomic import private_folder
 from termsel.formats.base import Reader, is_utf16, located, read_head, read_once, utf16_error
 from termsel.guard.faults import PluginFault, is_own, name_of
+from termsel.measurements.columns import LINES, OPTIONAL, POINTS
 from termsel.measurements.coordinates import check_ground
 from termsel.measurements.crs import EXAMPLES, normalise
-from termsel.measurements.features import FeatureSet, join_lines, join_points, no_lines, no_points
+from termsel.measurements.features import FeatureSet, no_lines, no_points
+from termsel.measurements.joined import join_lines, join_points
 from termsel.plugins.registry import registry
 
 log = logging.getLogger(__name__)
+
+_NEAR = 0.76
+"""Likeness, by difflib: sgima_line and roles are near a name, rule is not."""
 
 _NOISE = bytes(range(1, 256)) * 4
 """What no reader recognises, unless it recognises anything."""
@@ -227,6 +233,7 @@ def read_features(points: Path | None, lines: Path | None, *, areas: Path | None
     _refuse_idle(options or {}, chosen)
     sets = {path: reader.read(path) for path, reader in chosen.items()}
     for path, features in sets.items():
+        _say_misspelt(path, features)
         if chosen[path].areas or path == areas:
             _check_areas(path, chosen[path], path == areas and path not in (points, lines))
             continue
@@ -245,6 +252,19 @@ def read_features(points: Path | None, lines: Path | None, *, areas: Path | None
         place = next(path for path, one in sets.items() if error.ids[0] in one.ids)
         raise chosen[place].placed(error, place) from error
     return measured
+
+
+def _say_misspelt(path: Path, features: FeatureSet) -> None:
+    """Warn of columns that take no part in the fit and have nearly the name of one that does."""
+    points, lines = features.points, features.lines
+    for part, columns, roles in ((points, POINTS, points.roles), (lines, LINES, ())):
+        there = {"role": any(roles), "enabled": any(roles)}
+        missing = [name for meaning in sorted(OPTIONAL & columns.keys())
+                   if not there.get(meaning, part.sigma is not None) for name in columns[meaning]]
+        for name in part.attributes:
+            for near in get_close_matches(name.casefold(), missing, n=1, cutoff=_NEAR):
+                log.warning("Warning: column %r of %s takes no part in the fit. Is %s meant?",
+                            name, path, near)
 
 
 def _check_areas(path: Path, reader: Reader, asked: bool) -> None:

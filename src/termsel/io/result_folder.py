@@ -38,7 +38,7 @@ from termsel.measurements.scaling import Scaling
 from termsel.models.base import SensorModel
 from termsel.plugins.registry import registry
 from termsel.problems.base import Selection
-from termsel.results.checksums import SEALS, of_features, of_record
+from termsel.results.checksums import SEALS, of_attributes, of_features, of_record
 from termsel.results.result import SCHEMA, Outlier, Result
 
 RECORD, POINTS, LINES = "result.json", "points.csv", "lines.csv"
@@ -196,7 +196,8 @@ def read_result(folder: Path | str) -> Result:
         features = _read_features(Path(folder), record)
         files = [name for name, part in ((POINTS, features.points), (LINES, features.lines))
                  if len(part)]
-        _refuse_changed(seals["features"] != of_features(features),
+        _refuse_changed(seals["features"] != of_features(features)
+                        or seals.get("attributes") != of_attributes(features),
                         path.with_name(" or ".join(files)))
         return result_from(record, features)
     except TermselError as error:

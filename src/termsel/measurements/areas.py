@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from termsel.errors import TermselError
+from termsel.measurements.attributes import columns_of
 from termsel.measurements.features import FloatArray, Lines, Points
 from termsel.measurements.values import FARTHEST
 
@@ -50,6 +51,8 @@ class Area:
         X, Y, Z of the same corners; NaN for heights that are not known.
     role : str
         "control", "check", "independent", "off" or "".
+    attributes : mapping
+        Further text by name, such as source or date.
 
     Raises
     ------
@@ -62,6 +65,7 @@ class Area:
     image: FloatArray
     ground: FloatArray
     role: str = ""
+    attributes: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         image, ground = (np.array(ring, dtype=np.float64) for ring in (self.image, self.ground))
@@ -127,7 +131,9 @@ def boundary(areas: Sequence[Area]) -> Lines:
                  np.concatenate([np.empty((0, 2, 2)), *(
                      _edges(area.image)[edges] for area, edges in zip(on, own, strict=True))]),
                  np.concatenate([np.empty((0, 2, 3)), *(
-                     _edges(area.ground)[edges] for area, edges in zip(on, own, strict=True))]))
+                     _edges(area.ground)[edges] for area, edges in zip(on, own, strict=True))]),
+                 attributes=columns_of([area.attributes for area, edges in zip(on, own, strict=True)
+                                        for _ in edges]))
 
 
 def centroids(areas: Sequence[Area]) -> Points:
@@ -150,7 +156,8 @@ def centroids(areas: Sequence[Area]) -> Points:
     return Points(tuple(area.id for area in areas),
                   np.reshape([centroid(area.image) for area in areas], (-1, 2)),
                   np.reshape([centroid(area.ground) for area in areas], (-1, 3)),
-                  roles=tuple(area.role or "control" for area in areas))
+                  roles=tuple(area.role or "control" for area in areas),
+                  attributes=columns_of([area.attributes for area in areas]))
 
 
 def centroid(ring: ArrayLike) -> FloatArray:

@@ -12,12 +12,23 @@ from numpy.typing import ArrayLike, NDArray
 
 from termsel.display import Glance
 from termsel.errors import TermselError, counted
+from termsel.measurements.attributes import (
+    Attributes,
+    TextArray,
+    all_rows,
+    as_attributes,
+    as_numbers,
+    rows_at,
+)
 from termsel.measurements.frames import Tabular
 from termsel.measurements.ids import check_ids
 from termsel.measurements.values import (
     check_deviations,
     check_finite,
     check_heights,
+    check_places,
+    check_segments,
+    frozen,
 )
 
 FloatArray = NDArray[np.float64]
@@ -25,14 +36,6 @@ BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.intp]
 
 ROLES = ("control", "check", "independent", "off")
-
-
-def _frozen(values: ArrayLike, shape: tuple[int, ...], what: str) -> FloatArray:
-    array = np.array(values, dtype=np.float64)
-    if array.shape != shape:
-        raise TermselError(f"{what} has shape {array.shape}, expected {shape}")
-    array.setflags(write=False)
-    return array
 
 
 def _as_index(index: ArrayLike) -> IntArray | BoolArray:
@@ -57,6 +60,9 @@ class Points(Tabular):
         Standard deviations of line and sample [px].
     roles : sequence of str, length n, optional
         Role given in the file: "control", "check", "independent", "off" or "" for none.
+    attributes : mapping, optional
+        Further columns of the file by name, n values each, such as source or date. They are kept as
+        text, "" for what is not known.
 
     Raises
     ------
@@ -70,6 +76,7 @@ class Points(Tabular):
     ground: FloatArray
     sigma: FloatArray | None = None
     roles: tuple[str, ...] = ()
+    attributes: Attributes = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         ids = tuple(str(name).strip() for name in self.ids)  # as files hold them
@@ -77,8 +84,9 @@ class Points(Tabular):
         roles = tuple(self.roles) or ("",) * n
         object.__setattr__(self, "ids", ids)
         object.__setattr__(self, "roles", roles)
-        object.__setattr__(self, "image", _frozen(self.image, (n, 2), "image of points"))
-        object.__setattr__(self, "ground", _frozen(self.ground, (n, 3), "ground of points"))
+        object.__setattr__(self, "image", frozen(self.image, (n, 2), "image of points"))
+        object.__setattr__(self, "ground", frozen(self.ground, (n, 3), "ground of points"))
+        object.__setattr__(self, "attributes", as_attributes(self.attributes, n))
         check_ids(ids, "point", unique=True)
         if n == 0:
             return
@@ -86,7 +94,7 @@ class Points(Tabular):
         check_finite(self.ground[:, :2], ids, "point", "ground coordinates")
         check_heights(self.ground[:, 2], ids, "point")
         if self.sigma is not None:
-            object.__setattr__(self, "sigma", _frozen(self.sigma, (n, 2), "sigma of points"))
+            object.__setattr__(self, "sigma", frozen(self.sigma, (n, 2), "sigma of points"))
             check_deviations(self.sigma, ids, "point")
         if len(roles) != n:
             raise TermselError(f"{len(roles)} roles for {n} points")
@@ -94,21 +102,7 @@ class Points(Tabular):
             if role and role not in ROLES:
                 raise TermselError(f"point {name!r} has the unknown role {role!r}",
                                    hint=f"Roles are {', '.join(ROLES)}, or blank.", ids=[name])
-        self._check_duplicates()
-
-    def _check_duplicates(self) -> None:
-        # One image position with several ground points is a line of sight through several
-        # heights; one ground point cannot be seen at two image positions.
-        ground = np.nan_to_num(self.ground, nan=0.0)
-        _, first, inverse = np.unique(ground, axis=0, return_index=True, return_inverse=True)
-        repeated = np.flatnonzero(first[inverse.ravel()] != np.arange(len(self.ids)))
-        if repeated.size:
-            i = int(repeated[0])
-            twin = self.ids[int(first[inverse.ravel()[i]])]
-            raise TermselError(
-                f"points {twin!r} and {self.ids[i]!r} have the same ground coordinates",
-                hint="Remove one of them, or average their image coordinates.",
-                ids=[self.ids[i], twin])
+        check_places(self.ground, ids)
 
     def __len__(self) -> int:
         return len(self.ids)
@@ -124,7 +118,7 @@ class Points(Tabular):
             "sigma_line": self.sigma[:, 0], "sigma_sample": self.sigma[:, 1]}
         x, y, z = self.ground.T
         return {"id": self.ids, "role": self.roles, "line": self.image[:, 0],
-                "sample": self.image[:, 1], "x": x, "y": y, "z": z, **sigma}
+                "sample": self.image[:, 1], "x": x, "y": y, "z": z, **sigma, **self.attributes}
 
     def take(self, index: ArrayLike) -> Points:
         """Return the points at `index` (integers or a mask)."""
@@ -132,7 +126,7 @@ class Points(Tabular):
         return Points(
             tuple(self.ids[i] for i in chosen), self.image[chosen], self.ground[chosen],
             None if self.sigma is None else self.sigma[chosen],
-            tuple(self.roles[i] for i in chosen))
+            tuple(self.roles[i] for i in chosen), rows_at(self.attributes, chosen))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -152,6 +146,8 @@ class Lines(Tabular):
         Two ground vertices per line, X, Y, Z; NaN for heights that are not known.
     sigma : array_like, shape (n,), optional
         Standard deviation of the measured image points across the line [px].
+    attributes : mapping, optional
+        Further columns of the file by name, n values each; as of `Points`.
 
     Raises
     ------
@@ -164,13 +160,15 @@ class Lines(Tabular):
     image: FloatArray
     ground: FloatArray
     sigma: FloatArray | None = None
+    attributes: Attributes = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         ids = tuple(str(name).strip() for name in self.ids)  # as files hold them
         n = len(ids)
         object.__setattr__(self, "ids", ids)
-        object.__setattr__(self, "image", _frozen(self.image, (n, 2, 2), "image of lines"))
-        object.__setattr__(self, "ground", _frozen(self.ground, (n, 2, 3), "ground of lines"))
+        object.__setattr__(self, "image", frozen(self.image, (n, 2, 2), "image of lines"))
+        object.__setattr__(self, "ground", frozen(self.ground, (n, 2, 3), "ground of lines"))
+        object.__setattr__(self, "attributes", as_attributes(self.attributes, n, "sigma"))
         check_ids(ids, "line", unique=False)
         if n == 0:
             return
@@ -178,7 +176,7 @@ class Lines(Tabular):
         check_finite(self.ground[..., :2], ids, "line", "ground coordinates")
         check_heights(self.ground[..., 2], ids, "line")
         if self.sigma is not None:
-            object.__setattr__(self, "sigma", _frozen(self.sigma, (n,), "sigma of lines"))
+            object.__setattr__(self, "sigma", frozen(self.sigma, (n,), "sigma of lines"))
             check_deviations(self.sigma, ids, "line")
         for values, where in ((self.image, "image"), (self.ground[..., :2], "ground")):
             short = (values[:, 0] == values[:, 1]).all(axis=1)
@@ -188,24 +186,7 @@ class Lines(Tabular):
                                    if where == "ground" else
                                    f"line {name!r} has zero length in the {where}",
                                    hint="A control line needs two different points.", ids=[name])
-        self._check_duplicates()
-
-    def _check_duplicates(self) -> None:
-        ends = np.nan_to_num(self.ground, nan=0.0)
-        # One order of the ends, by X, then Y, then Z, so that a reversed line is found too.
-        differs = ends[:, 0] != ends[:, 1]
-        first_difference = np.argmax(differs, axis=1)
-        each = np.arange(len(ends))
-        swap = ends[each, 0, first_difference] > ends[each, 1, first_difference]
-        ends[swap] = ends[swap][:, ::-1]
-        _, first, inverse = np.unique(ends.reshape(len(self.ids), -1), axis=0,
-                                      return_index=True, return_inverse=True)
-        repeated = np.flatnonzero(first[inverse.ravel()] != np.arange(len(self.ids)))
-        if repeated.size:
-            i = int(repeated[0])
-            twin = self.ids[int(first[inverse.ravel()[i]])]
-            raise TermselError(f"lines {twin!r} and {self.ids[i]!r} have the same ground vertices",
-                               hint="Remove one of them.", ids=[self.ids[i], twin])
+        check_segments(self.ground, ids)
 
     def __len__(self) -> int:
         return len(self.ids)
@@ -219,7 +200,7 @@ class Lines(Tabular):
         (x1, y1, z1), (x2, y2, z2) = self.ground.transpose(1, 2, 0)
         sigma = {} if self.sigma is None else {"sigma": self.sigma}
         return {"id": self.ids, "line1": l1, "sample1": s1, "line2": l2, "sample2": s2, "x1": x1,
-                "y1": y1, "z1": z1, "x2": x2, "y2": y2, "z2": z2, **sigma}
+                "y1": y1, "z1": z1, "x2": x2, "y2": y2, "z2": z2, **sigma, **self.attributes}
 
     @cached_property
     def features(self) -> tuple[str, ...]:
@@ -252,31 +233,8 @@ class Lines(Tabular):
         """Return the lines at `index` (integers or a mask)."""
         chosen = np.arange(len(self))[_as_index(index)]
         return Lines(tuple(self.ids[i] for i in chosen), self.image[chosen], self.ground[chosen],
-                     None if self.sigma is None else self.sigma[chosen])
-
-
-def join_points(first: Points, second: Points) -> Points:
-    """Return the points of both; unknown standard deviations are the median of the known."""
-    return Points(first.ids + second.ids, np.concatenate([first.image, second.image]),
-                  np.concatenate([first.ground, second.ground]),
-                  _join_sigma(first, second), first.roles + second.roles)
-
-
-def join_lines(first: Lines, second: Lines) -> Lines:
-    """Return the lines of both; unknown standard deviations are the median of the known."""
-    return Lines(first.ids + second.ids, np.concatenate([first.image, second.image]),
-                 np.concatenate([first.ground, second.ground]), _join_sigma(first, second))
-
-
-def _join_sigma(first: Points | Lines, second: Points | Lines) -> FloatArray | None:
-    given = [part.sigma for part in (first, second) if part.sigma is not None]
-    if not given:
-        return None
-    # Features without a standard deviation have this weight in an adjustment.
-    shape = given[0].shape[1:]
-    return np.concatenate([
-        np.full((len(part), *shape), np.median(given[0])) if part.sigma is None else part.sigma
-        for part in (first, second)])
+                     None if self.sigma is None else self.sigma[chosen],
+                     rows_at(self.attributes, chosen))
 
 
 def no_points() -> Points:
@@ -375,6 +333,48 @@ class FeatureSet(Glance):
         n = len(self.points)
         return self.with_(points=self.points.take(mask[:n]),
                           lines=self.lines.take(mask[n:][self.lines.feature]))
+
+    def texts(self, name: str) -> TextArray:
+        """Return a column of attributes of all features.
+
+        Parameters
+        ----------
+        name : str
+            Such as "source", as in the header of the file.
+
+        Returns
+        -------
+        ndarray of str, shape (n_features,)
+            In the order of `ids`; of a line with pieces that of its first piece. "" where it is not
+            known.
+
+        Raises
+        ------
+        TermselError
+            If neither points nor lines have the column.
+        """
+        _, first = np.unique(self.lines.feature, return_index=True)
+        parts = (self.points.attributes, rows_at(self.lines.attributes, first))
+        return all_rows(parts, (len(self.points), len(first)), name)
+
+    def numbers(self, name: str) -> FloatArray:
+        """Return a column of attributes of all features as numbers.
+
+        Parameters
+        ----------
+        name : str
+
+        Returns
+        -------
+        ndarray, shape (n_features,)
+            In the order of `ids`; NaN where the column is blank.
+
+        Raises
+        ------
+        TermselError
+            If neither points nor lines have the column, or a cell is no finite number.
+        """
+        return as_numbers(self.texts(name), self.ids, name)
 
     def without_height(self) -> tuple[str, ...]:
         """Return the ids of features with an unknown height."""

@@ -15,10 +15,10 @@ from termsel.measurements.features import (
     FloatArray,
     Lines,
     Points,
-    join_points,
     no_lines,
     no_points,
 )
+from termsel.measurements.joined import join_points
 from termsel.measurements.longitudes import without_jump
 from termsel.measurements.order import in_order
 from termsel.measurements.places import spatial_order

@@ -72,14 +72,13 @@ class Scaling:
 
     def points(self, points: Points) -> Points:
         """Return the points in scaled coordinates."""
-        return Points(points.ids, self.image(points.image), self.ground(points.ground),
-                      None if points.sigma is None else points.sigma / self.image_scale,
-                      points.roles)
+        return replace(points, image=self.image(points.image), ground=self.ground(points.ground),
+                       sigma=None if points.sigma is None else points.sigma / self.image_scale)
 
     def lines(self, lines: Lines) -> Lines:
         """Return the lines in scaled coordinates."""
-        return Lines(lines.ids, self.image(lines.image), self.ground(lines.ground),
-                     None if lines.sigma is None else lines.sigma / self.image_scale)
+        return replace(lines, image=self.image(lines.image), ground=self.ground(lines.ground),
+                       sigma=None if lines.sigma is None else lines.sigma / self.image_scale)
 
     def features(self, features: FeatureSet) -> FeatureSet:
         """Return the features in scaled coordinates."""

@@ -10,6 +10,7 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
+from termsel.measurements.attributes import rows_at
 from termsel.measurements.features import FeatureSet, FloatArray, IntArray, Points
 
 NEAR = 0.01
@@ -66,7 +67,7 @@ def merged(features: FeatureSet) -> FeatureSet:
     Returns
     -------
     FeatureSet
-        Under the id and the role of the first of each group; the same object without twins.
+        Under id, role and attributes of the first of each group; the same object without twins.
     """
     points = features.points
     labels = twins(points.ground)
@@ -83,7 +84,7 @@ def merged(features: FeatureSet) -> FeatureSet:
     return features.with_(points=Points(
         tuple(points.ids[i] for i in first), mean(points.image), mean(points.ground),
         None if points.sigma is None else mean(points.sigma),
-        tuple(points.roles[i] for i in first)))
+        tuple(points.roles[i] for i in first), rows_at(points.attributes, first)))
 
 
 def with_twins(points: Points, ids: Iterable[str]) -> frozenset[str]:

@@ -1,11 +1,11 @@
-"""Coordinates and deviations that can be computed with."""
+"""Coordinates and deviations that can be computed with, and places that differ."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from termsel.errors import TermselError
 
@@ -13,6 +13,15 @@ FloatArray = NDArray[np.float64]
 
 FARTHEST = 1e50
 """Coordinates from which on squares and products of some of them overflow."""
+
+
+def frozen(values: ArrayLike, shape: tuple[int, ...], what: str) -> FloatArray:
+    """Return values as an array that cannot be written to; refuse another shape."""
+    array = np.array(values, dtype=np.float64)
+    if array.shape != shape:
+        raise TermselError(f"{what} has shape {array.shape}, expected {shape}")
+    array.setflags(write=False)
+    return array
 
 
 def check_finite(values: FloatArray, ids: Sequence[str], kind: str, what: str) -> None:
@@ -52,3 +61,39 @@ def check_deviations(sigma: FloatArray, ids: Sequence[str], kind: str) -> None:
         raise TermselError(f"{kind} {name!r} has a standard deviation that is not positive, "
                            "or beyond what can be computed with",
                            ids=[name])
+
+
+def check_places(ground: FloatArray, ids: Sequence[str]) -> None:
+    """Refuse two points at one place on the ground."""
+    # One image position with several ground points is a line of sight through several
+    # heights; one ground point cannot be seen at two image positions.
+    pair = _repeated(np.nan_to_num(ground, nan=0.0))
+    if pair:
+        first, again = (ids[i] for i in pair)
+        raise TermselError(f"points {first!r} and {again!r} have the same ground coordinates",
+                           hint="Remove one of them, or average their image coordinates.",
+                           ids=[again, first])
+
+
+def check_segments(ground: FloatArray, ids: Sequence[str]) -> None:
+    """Refuse two lines with the same ground vertices."""
+    ends = np.nan_to_num(ground, nan=0.0)
+    # One order of the ends, by X, then Y, then Z, so that a reversed line is found too.
+    differs = ends[:, 0] != ends[:, 1]
+    first_difference = np.argmax(differs, axis=1)
+    each = np.arange(len(ends))
+    swap = ends[each, 0, first_difference] > ends[each, 1, first_difference]
+    ends[swap] = ends[swap][:, ::-1]
+    pair = _repeated(ends.reshape(len(ids), -1))
+    if pair:
+        first, again = (ids[i] for i in pair)
+        raise TermselError(f"lines {first!r} and {again!r} have the same ground vertices",
+                           hint="Remove one of them.", ids=[again, first])
+
+
+def _repeated(rows: FloatArray) -> tuple[int, int] | None:
+    """Return the first row that repeats an earlier one, after that one."""
+    _, first, inverse = np.unique(rows, axis=0, return_index=True, return_inverse=True)
+    earlier = first[inverse.ravel()]
+    repeated = np.flatnonzero(earlier != np.arange(len(rows)))
+    return (int(earlier[repeated[0]]), int(repeated[0])) if repeated.size else None

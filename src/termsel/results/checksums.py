@@ -34,6 +34,21 @@ def of_features(features: FeatureSet) -> str:
     return digest.hexdigest()
 
 
+def of_attributes(features: FeatureSet) -> str | None:
+    """Return a checksum of the columns of attributes, None where there are none.
+
+    It is not part of `of_features`, so that earlier versions of termsel, which leave these columns
+    out, read results with attributes.
+
+    Parameters
+    ----------
+    features : FeatureSet
+    """
+    columns = [{name: cells.tolist() for name, cells in part.attributes.items()}
+               for part in (features.points, features.lines)]
+    return hashlib.sha256(json.dumps(columns).encode()).hexdigest() if any(columns) else None
+
+
 def of_record(record: Mapping[str, Any]) -> str:
     """Return a checksum of the content of result.json, whatever its layout, without checksums.
 
@@ -54,4 +69,6 @@ def sealed(record: Mapping[str, Any], features: FeatureSet) -> dict[str, Any]:
     record : mapping
     features : FeatureSet
     """
-    return {**record, SEALS: {"record": of_record(record), "features": of_features(features)}}
+    attributes = of_attributes(features)
+    return {**record, SEALS: {"record": of_record(record), "features": of_features(features),
+                              **({"attributes": attributes} if attributes else {})}}

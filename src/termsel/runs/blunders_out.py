@@ -46,10 +46,11 @@ def search_without_blunders(task: Task, **how: Any) -> Search:
         those of all.
     """
     found = recommended(task, search_in_steps(task, **how))
-    problem, names = task.problem, task.observations.control.ids
+    problem = task.problem
     if not isinstance(problem, SelectionProblem) \
             or task.options["problem"].get("blunders") != "leave-out":
         return found
+    names = problem.inputs.control.ids  # a problem may select among some of the control
     where = problem.genome.label_slices()[FEATURES]
     forced = problem.genome.on[where]
     out = np.zeros(len(names), dtype=bool)

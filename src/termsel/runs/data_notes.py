@@ -6,7 +6,8 @@ from collections.abc import Iterator
 
 from termsel.candidates.candidate import heights_differ
 from termsel.candidates.relief import carriers
-from termsel.measurements.features import FeatureSet, Points, join_points
+from termsel.measurements.features import FeatureSet, Points
+from termsel.measurements.joined import join_points
 from termsel.measurements.longitudes import jumps
 from termsel.measurements.roles import Observations, together
 from termsel.measurements.twins import groups, twins

@@ -14,7 +14,7 @@ from termsel.io.read import read
 from termsel.measurements.datasets import DatasetSpec
 from termsel.measurements.features import FeatureSet
 from termsel.plugins.registry import registry
-from termsel.results.checksums import of_features
+from termsel.results.checksums import of_attributes, of_features
 from termsel.studies.places import Path as Keys
 from termsel.studies.spec import Source, Spec
 
@@ -153,4 +153,4 @@ def _read(source: Source, files: Mapping[str, str], folder: Path) -> Data:
 
 
 def _key(features: FeatureSet) -> str:
-    return of_features(features)
+    return of_features(features) + (of_attributes(features) or "")

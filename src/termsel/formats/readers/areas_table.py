@@ -7,10 +7,8 @@ from pathlib import Path
 
 from termsel.errors import TermselError
 from termsel.formats.base import Reader, located
-from termsel.formats.readers.csv_tables import COORDINATES
 from termsel.formats.readers.tables import (
     COLUMNS,
-    USE,
     Aliases,
     Table,
     declared,
@@ -18,6 +16,8 @@ from termsel.formats.readers.tables import (
     sniff_table,
 )
 from termsel.measurements.areas import FORMS, Area, CornerError, boundary, centroids
+from termsel.measurements.attributes import alike
+from termsel.measurements.columns import COORDINATES, USE
 from termsel.measurements.features import FeatureSet
 from termsel.options import Option
 
@@ -56,7 +56,8 @@ class AreasCsv(Reader):
                                       row, "role" if "role" in table.names else "enabled",
                                       "Give it one role.")
             try:
-                areas.append(Area(name, image[own], ground[own], role))
+                areas.append(Area(name, image[own], ground[own], role, alike(
+                    [{key: cells[row] for key, cells in table.more.items()} for row in own])))
             except CornerError as error:
                 raise table.error(error.what, own[error.corner],
                                   "line" if error.where == "image" else "x", error.hint) from error

@@ -18,26 +18,14 @@ from termsel.formats.base import Reader
 from termsel.formats.readers.formulas import guarded
 from termsel.formats.readers.tables import (
     COLUMNS,
-    USE,
     Aliases,
     declared,
     read_table,
     sniff_table,
 )
+from termsel.measurements.attributes import Attributes
+from termsel.measurements.columns import LINES, POINTS
 from termsel.measurements.features import FeatureSet, FloatArray, Lines, Points
-
-COORDINATES = {
-    "line": ("line", "row", "y_px"),
-    "sample": ("sample", "col", "column", "x_px", "pixel"),
-    "x": ("x", "lon", "longitude", "easting"),
-    "y": ("y", "lat", "latitude", "northing"),
-    "z": ("z", "h", "height", "elev", "elevation", "alt", "altitude"),
-}
-_POINTS = USE | COORDINATES | {
-    "sigma_line": ("sigma_line", "sigma_px"), "sigma_sample": ("sigma_sample", "sigma_px")}
-LINES = USE | {"sigma": ("sigma", "sigma_px")} | {
-    f"{meaning}{end}": tuple(f"{alias}{end}" for alias in aliases)
-    for end in "12" for meaning, aliases in COORDINATES.items()}
 
 
 class PointsCsv(Reader):
@@ -52,7 +40,7 @@ class PointsCsv(Reader):
         return sniff_table(head, self._aliases())
 
     def _aliases(self) -> Aliases:
-        return declared(_POINTS, self.options["columns"])
+        return declared(POINTS, self.options["columns"])
 
     def read(self, path: Path) -> FeatureSet:
         """Return the points of a table; errors name file, line and column."""
@@ -94,7 +82,8 @@ class LinesCsv(Reader):
         ground = table.stack("x1", "y1", "z1", "x2", "y2", "z2").reshape(-1, 2, 3)
         sigma = table.sigma("sigma")
         try:
-            lines = Lines(tuple(ids), image, ground, None if sigma is None else sigma[:, 0])
+            lines = Lines(tuple(ids), image, ground, None if sigma is None else sigma[:, 0],
+                          table.more)
         except TermselError as error:
             raise table.placed(error) from error
         if "off" in roles:
@@ -132,7 +121,7 @@ def points_text(points: Points, crs: str) -> str:
         header += ["sigma_line", "sigma_sample"]
         columns.append(points.sigma)
     texts = [[name, role] for name, role in zip(points.ids, points.roles, strict=True)]
-    return table_text(crs, header, texts, np.concatenate(columns, axis=1))
+    return table_text(crs, header, texts, np.concatenate(columns, axis=1), points.attributes)
 
 
 def write_lines_csv(lines: Lines, path: Path | str, crs: str = "") -> None:
@@ -156,7 +145,8 @@ def write_lines_csv(lines: Lines, path: Path | str, crs: str = "") -> None:
 def lines_text(lines: Lines, crs: str) -> str:
     """Return the text of a table; see `write_lines_csv`."""
     header, values = line_columns(lines)
-    return table_text(crs, ["id", *header], [[name] for name in lines.ids], values)
+    return table_text(crs, ["id", *header], [[name] for name in lines.ids], values,
+                      lines.attributes)
 
 
 def line_columns(lines: Lines) -> tuple[list[str], FloatArray]:
@@ -170,7 +160,7 @@ def line_columns(lines: Lines) -> tuple[list[str], FloatArray]:
 
 
 def write_table(path: Path | str, crs: str, header: list[str], texts: list[list[str]],
-                values: FloatArray) -> None:
+                values: FloatArray, attributes: Attributes | None = None) -> None:
     """Write a table with the CRS in a comment line.
 
     Parameters
@@ -183,23 +173,29 @@ def write_table(path: Path | str, crs: str, header: list[str], texts: list[list[
         First cells of each row.
     values : ndarray, shape (rows, columns)
         The cells after them; NaN becomes a blank cell.
+    attributes : mapping, optional
+        Further columns of text.
 
     Raises
     ------
     TermselError
         If the file cannot be written.
     """
-    write_text(path, table_text(crs, header, texts, values))
+    write_text(path, table_text(crs, header, texts, values, attributes))
 
 
-def table_text(crs: str, header: list[str], texts: list[list[str]], values: FloatArray) -> str:
+def table_text(crs: str, header: list[str], texts: list[list[str]], values: FloatArray,
+               attributes: Attributes | None = None) -> str:
     """Return the text of a table; see `write_table`."""
     # repr() gives the fewest digits, 17 at most, that are read back to the same number.
-    rows = [",".join([_quoted(text) for text in row] + ["" if v != v else repr(v) for v in numbers])
-            for row, numbers in zip(texts, values.tolist(), strict=True)]
+    more = attributes or {}
+    rest = zip(*more.values(), strict=True) if more else [()] * len(texts)
+    rows = [",".join([*map(_quoted, row), *("" if v != v else repr(v) for v in numbers),
+                      *map(_quoted, last)])
+            for row, numbers, last in zip(texts, values.tolist(), rest, strict=True)]
     # WKT may span lines, a comment may not.
     declared = [f"# crs: {' '.join(crs.split())}"] if crs else []
-    return "\n".join([*declared, ",".join(header), *rows]) + "\n"
+    return "\n".join([*declared, ",".join([*header, *map(_quoted, more)]), *rows]) + "\n"
 
 
 def _quoted(text: str) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Container, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from math import isfinite
@@ -12,6 +12,7 @@ from typing import Any
 
 from termsel.errors import TermselError
 from termsel.formats.base import located, parse_json, read_text
+from termsel.measurements.attributes import is_free
 from termsel.measurements.crs import normalise
 
 
@@ -46,6 +47,17 @@ class Feature:
             raise self.error("this property is a list or an object, expected text or a number",
                              name)
         return "" if value is None else str(value).strip()
+
+    def attributes(self, used: Container[str]) -> dict[str, str]:
+        """Return the properties that are neither used nor lists or objects, as text.
+
+        Parameters
+        ----------
+        used : container of str
+            Names that the reader takes.
+        """
+        return {name: self.text(name) for name, value in self.properties.items()
+                if name not in used and is_free(name) and not isinstance(value, list | dict)}
 
     def pixels(self, name: str = "ji") -> Any:
         """Return a property that holds lists of numbers, which GDAL returns as JSON text."""

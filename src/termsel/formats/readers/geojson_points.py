@@ -16,8 +16,11 @@ from termsel.formats.readers.geojson import (
     sniff_geojson,
     vertices,
 )
+from termsel.measurements.attributes import columns_of
 from termsel.measurements.features import ROLES, FeatureSet, Points
 from termsel.options import Option
+
+_USED = frozenset({"id", "filename", "ji", "role", "enabled", "sigma_px", "info"})
 
 
 class GeoJsonPoints(Reader):
@@ -47,7 +50,8 @@ class GeoJsonPoints(Reader):
         ids = [feature.text("id") or f"P{feature.number}" for feature in features]
         roles = [_role(feature) for feature in features]
         try:
-            points = Points(tuple(ids), image, ground, _sigma(features), tuple(roles))
+            points = Points(tuple(ids), image, ground, _sigma(features), tuple(roles),
+                            columns_of([one.attributes(_USED) for one in features]))
         except TermselError as error:
             raise located(error, path) from error
         flat = bool(np.isnan(ground[:, 2]).all())

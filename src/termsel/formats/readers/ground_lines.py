@@ -15,7 +15,6 @@ from termsel.errors import TermselError
 from termsel.files.names import utf8_name
 from termsel.files.remote import local_alone
 from termsel.formats.base import Reader, located, read_head
-from termsel.formats.readers.csv_tables import LINES
 from termsel.formats.readers.geojson import (
     Feature,
     numbers_at,
@@ -24,6 +23,8 @@ from termsel.formats.readers.geojson import (
     vertices,
 )
 from termsel.formats.readers.tables import read_table
+from termsel.measurements.attributes import alike, columns_of
+from termsel.measurements.columns import LINES
 from termsel.measurements.features import FeatureSet, FloatArray, Lines
 from termsel.options import Option
 
@@ -153,6 +154,7 @@ def _joined(path: Path, features: list[Feature], crs: str, image_lines: str | No
                            hint=f"They have {', '.join(known) or 'no properties'}. Choose one with "
                                 "--set join=NAME.")
     ground: dict[str, list[FloatArray]] = {}
+    described: dict[str, list[dict[str, str]]] = {}
     image = {} if image_lines is None else _read_image_lines(Path(image_lines))
     for feature in features:
         name = feature.text(join)
@@ -163,6 +165,7 @@ def _joined(path: Path, features: list[Feature], crs: str, image_lines: str | No
         if name in image:
             ground.setdefault(name, []).extend(
                 _distinct(np.array(part)) for part in vertices(feature))
+            described.setdefault(name, []).append(feature.attributes({join, "ji", "sigma"}))
     missing = [name for name in image if name not in ground]
     if missing:
         named = ", ".join(missing[:_NAMED]) + (" ..." if len(missing) > _NAMED else "")
@@ -182,9 +185,11 @@ def _joined(path: Path, features: list[Feature], crs: str, image_lines: str | No
             raise located(error, path) from error
         ids += [name] * len(own)
         pieces += own
+    shared = {name: alike(rows) for name, rows in described.items()}
     try:
         lines = Lines(tuple(ids), np.stack([one for one, _ in pieces]),
-                      np.stack([other for _, other in pieces]))
+                      np.stack([other for _, other in pieces]),
+                      attributes=columns_of([shared[name] for name in ids]))
     except TermselError as error:
         raise located(error, path) from error
     return FeatureSet(lines=lines, crs=crs)

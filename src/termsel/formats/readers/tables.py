@@ -11,7 +11,7 @@ import io
 import logging
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from math import isfinite
 from pathlib import Path
 
@@ -20,6 +20,9 @@ import numpy as np
 from termsel.errors import TermselError, unknown_name
 from termsel.formats.base import located, read_text
 from termsel.formats.readers.formulas import unguarded
+from termsel.formats.readers.further import as_text, further
+from termsel.measurements.attributes import Attributes, rows_at, text_array
+from termsel.measurements.columns import OPTIONAL, USE
 from termsel.measurements.crs import normalise
 from termsel.measurements.features import ROLES, FloatArray, Points
 from termsel.measurements.ids import refused
@@ -30,14 +33,10 @@ log = logging.getLogger(__name__)
 Aliases = Mapping[str, tuple[str, ...]]
 """Names of the columns that hold each meaning, in lower case."""
 
-USE = {"id": ("id", "name"), "role": ("role",), "enabled": ("enabled", "enable")}
-"""Columns of text; all others hold numbers."""
-
 COLUMNS = Option("columns", "", "Columns with other names, as meaning:name, such as "
                                 "x:Rechtswert,y:Hochwert.")
 """The option of readers of tables that `declared` takes."""
 
-_OPTIONAL = frozenset({"role", "enabled", "sigma_line", "sigma_sample", "sigma"})
 _ENABLED = {"": True, "1": True, "true": True, "yes": True, "on": True,
             "0": False, "false": False, "no": False, "off": False}
 _DECLARATION = re.compile(r"#\s*(crs|units?)\s*[:=](.*)", re.IGNORECASE)
@@ -49,7 +48,7 @@ class Table:
     """The cells of a file, by the meaning of their columns.
 
     `names` holds the header's text for each meaning, `lines` the line of the file each row
-    begins on.
+    begins on, `more` the cells of the columns without a meaning.
     """
 
     path: Path
@@ -58,6 +57,7 @@ class Table:
     columns: Mapping[str, Sequence[str]]
     lines: Sequence[int]
     decimal_comma: bool
+    more: Attributes = field(default_factory=dict)
 
     def error(self, what: str, row: int, meaning: str, hint: str | None = None) -> TermselError:
         return TermselError(what, hint=hint, file=self.path, line=self.lines[row],
@@ -67,7 +67,8 @@ class Table:
         """Return the table of some rows."""
         return replace(self, lines=[self.lines[row] for row in rows],
                        columns={meaning: [cells[row] for row in rows]
-                                for meaning, cells in self.columns.items()})
+                                for meaning, cells in self.columns.items()},
+                       more=rows_at(self.more, np.asarray(rows, dtype=np.intp)))
 
     def placed(self, error: TermselError) -> TermselError:
         """Return `error` with the line of the first feature it names, and the name of the column.
@@ -99,7 +100,7 @@ class Table:
                 raise self.error(f"id {name!r} is already used on line {self.lines[first[name]]}",
                                  row, "id", "Give every point an id of its own.")
         try:
-            return Points(tuple(ids), image, ground, sigma, tuple(roles))
+            return Points(tuple(ids), image, ground, sigma, tuple(roles), self.more)
         except TermselError as error:
             raise self.placed(error) from error
 
@@ -241,7 +242,7 @@ def _columns(path: Path, line: int, header: Sequence[str],
                                hint="Rename or remove all but one of them.")
         if columns:
             found[meaning] = columns[0]
-        elif meaning not in _OPTIONAL or (sigma and meaning.startswith("sigma")):
+        elif meaning not in OPTIONAL or (sigma and meaning.startswith("sigma")):
             blank = " Its cells may be blank." if meaning[0] == "z" else ""
             raise TermselError(f"there is no column for {meaning}", file=path, line=line,
                                column=meaning, hint=f"{here} Accepted names: "
@@ -370,4 +371,6 @@ def read_table(path: Path, aliases: Aliases, *, flat: bool = False) -> Table:
     decimal_comma = delimiter != "," and any(
         "," in "".join(columns[meaning]) for meaning in columns.keys() - USE.keys())
     return Table(path, crs, {meaning: header[i].strip() for meaning, i in found.items()},
-                  columns, lines, decimal_comma)
+                  columns, lines, decimal_comma,
+                  {name: text_array([as_text(row[i], decimal_comma=decimal_comma) for row in rows])
+                   for name, i in further(header, found.values()).items()})

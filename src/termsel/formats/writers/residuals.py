@@ -14,6 +14,7 @@ from termsel.fits.scene import errors_on_ground
 from termsel.formats.base import Writer
 from termsel.formats.deviation import say_measured
 from termsel.formats.writers.qgis_style import OPTIONS, TABLE, styles
+from termsel.measurements.attributes import TextArray
 from termsel.measurements.crs import horizontal
 from termsel.measurements.features import FloatArray
 from termsel.options import Option
@@ -69,7 +70,8 @@ class ResidualsGeopackage(Writer):
             "residuals": shapely.points(ground[:, :2]),
             "vectors": shapely.linestrings(np.stack([ground[:, :2], ends], axis=1))}
         columns["exaggeration"] = np.full(len(residuals), exaggeration)
-        fields = [np.asarray(column, dtype=object) if column.dtype.kind == "U" else column
+        columns |= _attributes(result, [*columns, "fid", "geom"])
+        fields = [np.asarray(column, dtype=object) if column.dtype.kind in "UO" else column
                   for column in columns.values()]
         with private_folder() as folder, warnings.catch_warnings():
             whole = folder / "residuals.gpkg"
@@ -100,3 +102,12 @@ class ResidualsGeopackage(Writer):
             extent = float(np.ptp(ground[:, :2], axis=0).max())
             exaggeration = float(f"{_SHARE * extent / length:.1g}") if length > 0 else 1.0
         return ground[:, :2] + exaggeration * vectors, float(exaggeration)
+
+
+def _attributes(result: Result, taken: list[str]) -> dict[str, TextArray]:
+    """Return the attributes of the features that have residuals, whose names are not taken."""
+    features = result.features
+    row = {name: i for i, name in enumerate(features.ids)}
+    rows = [row[residual.id] for residual in result.residuals]
+    names = dict.fromkeys([*features.points.attributes, *features.lines.attributes])
+    return {name: features.texts(name)[rows] for name in names if name.casefold() not in taken}

@@ -119,6 +119,7 @@ class OrthorityGeojson(SelectionWriter):
             features.append({
                 "type": "Feature",
                 "properties": {
+                    **{key: texts[i] for key, texts in points.attributes.items()},
                     "filename": printable(Path(image).name) if image is not None else "",
                     "id": name, "ji": [sample, line], "info": "", "role": points.roles[i],
                     "residual": errors[i, ::-1].tolist()},
@@ -170,7 +171,7 @@ class PointsTable(SelectionWriter):
         values = np.concatenate([*columns, points.image - errors, errors], axis=1)
         texts = [[name, role, str(int(on or role != "control"))]
                  for name, role, on in zip(points.ids, points.roles, chosen, strict=True)]
-        write_table(path, result.features.crs, header, texts, values)
+        write_table(path, result.features.crs, header, texts, values, points.attributes)
         say_measured(self.name)
 
 
@@ -195,7 +196,7 @@ class LinesTable(Writer):
         texts = [[name, "control", str(int(name in chosen))] for name in lines.ids]
         write_table(path, result.features.crs,
                     ["id", "role", "enabled", *header, "residual1", "residual2"], texts,
-                    np.concatenate([values, distances], axis=1))
+                    np.concatenate([values, distances], axis=1), lines.attributes)
         say_measured(self.name)
 
 

@@ -1,0 +1,157 @@
+"""Attributes of features: further columns of their file, such as source or date, as text."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from termsel.errors import TermselError, is_printable, printable, unknown_name
+from termsel.measurements.columns import TAKEN
+
+TextArray = NDArray[np.object_]
+FloatArray = NDArray[np.float64]
+Attributes = Mapping[str, TextArray]
+"""Text by the name of the column, one for each row, "" where it is not known."""
+
+
+def is_free(name: str) -> bool:
+    """Return whether a column of attributes can have this name."""
+    return (bool(name) and name == name.strip() and is_printable(name) and len(name) <= 200
+            and name.casefold() not in TAKEN)
+
+
+def as_attributes(given: Mapping[str, Iterable[Any]], n: int, *taken: str,
+                  ) -> dict[str, TextArray]:
+    """Return columns as features have them: stripped text that cannot be written to.
+
+    Parameters
+    ----------
+    given : mapping
+        None and NaN stand for what is not known.
+    n : int
+        Rows of each column.
+    *taken : str
+        Further names that no column can have.
+
+    Raises
+    ------
+    TermselError
+        For a name that is taken or used twice, or a column of another length.
+    """
+    columns: dict[str, TextArray] = {}
+    for name, values in given.items():
+        if not is_free(name) or name.casefold() in taken:
+            raise TermselError(f"a column of attributes cannot have the name {name!r}",
+                               hint="Tables use it otherwise, or it is no short printable text.")
+        if name.casefold() in map(str.casefold, columns):
+            raise TermselError(f"two columns of attributes have the name {name!r}",
+                               hint="Upper and lower case count as the same.")
+        rows = [] if isinstance(values, str) else list(map(_cell, values))
+        if len(rows) != n:
+            raise TermselError(f"the attributes {name!r} have {len(rows)} values for {n} rows",
+                               hint="Give a list with a value for each.")
+        cells = text_array(rows)
+        cells.setflags(write=False)
+        columns[name] = cells
+    return columns
+
+
+def text_array(cells: Sequence[str]) -> TextArray:
+    """Return text as an array, whatever its length: one long cell makes the others no longer."""
+    array = np.empty(len(cells), dtype=object)
+    array[:] = cells
+    return array
+
+
+def _cell(value: Any) -> str:
+    if value is None or value != value:
+        return ""
+    return printable(str(value).replace("\r\n", "\n")).strip()
+
+
+def rows_at(attributes: Attributes, index: NDArray[Any]) -> dict[str, TextArray]:
+    """Return the rows at an index."""
+    return {name: cells[index] for name, cells in attributes.items()}
+
+
+def joined(first: Attributes, n: int, second: Attributes, m: int) -> dict[str, TextArray]:
+    """Return the rows of both, n and m of them, with "" where one has no such column."""
+    return {name: np.concatenate([part.get(name, np.full(rows, "", dtype=object))
+                                  for part, rows in ((first, n), (second, m))])
+            for name in {**first, **second}}
+
+
+def alike(rows: Sequence[Mapping[str, str]]) -> dict[str, str]:
+    """Return what parts of one feature have in common: "" where their text differs.
+
+    Parameters
+    ----------
+    rows : sequence of mapping
+        Text by column, of each part.
+    """
+    return {name: value if all(row.get(name, "") == value for row in rows) else ""
+            for name, value in rows[0].items()} if rows else {}
+
+
+def columns_of(rows: Sequence[Mapping[str, str]]) -> dict[str, TextArray]:
+    """Return attributes by column, "" where a row has none; of names alike the first."""
+    names: dict[str, str] = {}
+    for name in (name for row in rows for name in row):
+        names.setdefault(name.casefold(), name)
+    return {name: text_array([row.get(name, "") for row in rows])
+            for name in names.values()}
+
+
+def all_rows(parts: Sequence[Attributes], rows: Sequence[int], name: str) -> TextArray:
+    """Return a column of several tables one after another.
+
+    Parameters
+    ----------
+    parts : sequence of Attributes
+    rows : sequence of int
+        Of each part.
+    name : str
+
+    Raises
+    ------
+    TermselError
+        If no part has it.
+    """
+    known = dict.fromkeys(key for part in parts for key in part)
+    if name not in known:
+        raise unknown_name("column of attributes", name, known,
+                           "It is a further column of the file of the features.")
+    return np.concatenate([part.get(name, np.full(n, "", dtype=object))
+                           for part, n in zip(parts, rows, strict=True)])
+
+
+def as_numbers(cells: TextArray, ids: Sequence[str], name: str) -> FloatArray:
+    """Return text as numbers, NaN where it is blank.
+
+    Parameters
+    ----------
+    cells : ndarray of str, shape (n,)
+    ids : sequence of str
+        For the message.
+    name : str
+
+    Raises
+    ------
+    TermselError
+        Naming the first feature whose text is not a finite number.
+    """
+    found = np.empty(len(cells))
+    for row, cell in enumerate(cells):
+        try:
+            found[row] = float(cell or "nan")
+        except ValueError:
+            found[row] = math.inf
+        if cell and ("_" in cell or not math.isfinite(found[row])):
+            raise TermselError(f"{ids[row]!r} has {cell!r} in this column, expected a number",
+                               column=name, ids=[ids[row]],
+                               hint="Correct the cell, or leave it blank.")
+    return found
