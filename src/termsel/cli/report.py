@@ -21,29 +21,35 @@ REPORT = "report.html"
 @click.option("--overwrite", is_flag=True, help="Replace an existing file.")
 @allow_remote
 def report(folder: Path, output: Path | None, image: str | None, overwrite: bool) -> None:
-    """Write a page about a result that opens in any browser, without a connection.
+    """Write a page about a result or a study that opens in any browser, without a connection.
 
-    DIR is the folder that a run wrote with --out. The page says how accurate the result is, what
-    plain structures reach, which features are bad, where the model is weak, what was selected, and
-    how to repeat it.
+    DIR is the folder that `termsel run` or `termsel compare` wrote with --out. The page of a result
+    says how accurate it is, what plain structures reach, which features are bad, where the model
+    is weak, what was selected, and how to repeat it. The page of a study has its tables and
+    charts; of many images the worst first, each with a drawing of its residuals.
 
     \b
     Examples:
       termsel report result
       termsel report result -o report.html --image scene.tif
+      termsel report study --overwrite
     """
     output = folder / REPORT if output is None else output
     refuse_stdout(output)
     show_messages()
 
+    from termsel.files.atomic import write_text
     from termsel.io.replacing import require_replaceable
     from termsel.io.result_folder import read_result
-    from termsel.studies.plans import PLAN
+    from termsel.studies.plans import PLAN, read_study
+    from termsel.studies.report import report as study_page
 
-    if (folder / PLAN).is_file():
-        raise TermselError("this is the folder of a study, whose page termsel compare writes",
-                           file=folder / REPORT,
-                           hint="Open that page. The command of the study rewrites it.")
     require_replaceable([output], reads=[folder, image], overwrite=overwrite)
-    read_result(folder).report(output, image=image, overwrite=True)
+    if (folder / PLAN).is_file():
+        if image is not None:
+            raise TermselError("--image is for the page of one result, and this is a study",
+                               file=folder, hint="Leave --image out, or give one of its images/.")
+        write_text(output, study_page(read_study(folder)))
+    else:
+        read_result(folder).report(output, image=image, overwrite=True)
     say_written([output])

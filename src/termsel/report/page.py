@@ -38,6 +38,8 @@ class Table:
         What each row chooses, of the same length as the rows.
     folded : bool
         Whether it is shown only when asked for.
+    pictures : sequence of str
+        A drawing of each row as SVG, of the same length as the rows; none by default.
     """
 
     caption: str
@@ -46,6 +48,7 @@ class Table:
     choice: str = ""
     keys: Sequence[Any] = ()
     folded: bool = False
+    pictures: Sequence[str] = ()
 
 
 @dataclass(frozen=True)
@@ -173,8 +176,11 @@ def _figure(figure: Figure, specs: dict[str, Any]) -> str:
 def _table(table: Table) -> str:
     words = [""] + [' class="words"' * any(len(row[i]) > _NUMBER for row in table.rows)
                     for i in range(1, len(table.columns))]
-    head = "".join(f'<th scope="col"{kind}>{_text(name)}</th>'
-                   for name, kind in zip(table.columns, words, strict=True))
+    heads = [f'<th scope="col"{kind}>{_text(name)}</th>'
+             for name, kind in zip(table.columns, words, strict=True)]
+    if table.pictures:
+        heads.insert(1, '<th scope="col" class="words">residuals</th>')
+    head = "".join(heads)
     choice = f' data-choice="{_text(table.choice)}"' * bool(table.choice)
     rows = []
     for i, row in enumerate(table.rows):
@@ -183,7 +189,8 @@ def _table(table: Table) -> str:
         if table.choice:
             key = f' data-key="{_text(json.dumps(table.keys[i]))}"'
             name = f'<button type="button">{name}</button>'
-        rows.append(f'<tr{key}><th scope="row">{name}</th>'
+        picture = f'<td class="picture">{table.pictures[i]}</td>' if table.pictures else ""
+        rows.append(f'<tr{key}><th scope="row">{name}</th>{picture}'
                     + "".join(f"<td{kind}>{cell}</td>" for cell, kind in zip(
                         cells, words[1:], strict=True)) + "</tr>")
     shown = (f'<div class="scroll" tabindex="0"><table{choice}><caption>{_text(table.caption)}'

@@ -5,16 +5,13 @@ from __future__ import annotations
 from importlib.util import find_spec
 from pathlib import Path
 
-from termsel.errors import counted
 from termsel.files.atomic import atomic_path, write_text
-from termsel.report import page
-from termsel.report.page import Figure, Section
 from termsel.report.plots import save
 from termsel.report.theme import styled
-from termsel.studies.figures import figures_of
 from termsel.studies.groups import group
 from termsel.studies.ioh import ioh_files
-from termsel.studies.pages import latex, markdown, tables_of
+from termsel.studies.pages import latex, markdown
+from termsel.studies.report import charts_of, report
 from termsel.studies.study import Study
 from termsel.studies.table import csv_of
 
@@ -52,7 +49,7 @@ def write_outputs(study: Study, out: Path) -> list[Path]:
             study.to_pandas().to_parquet(path, index=False)
         written.insert(1, out / "study.parquet")
     drawn = find_spec("altair") and find_spec("vl_convert")
-    charts = figures_of(study) if drawn and study.spec.strategies != ("auto",) else []
+    charts = charts_of(study) if drawn else []
     if drawn:
         write_text(out / REPORT, report(study, charts))
         written.append(out / REPORT)
@@ -68,20 +65,3 @@ def write_outputs(study: Study, out: Path) -> list[Path]:
         save(styled(one.chart, one.title, one.look), path)
         written.append(path)
     return [*written, *[out / "ioh"] * bool(files)]
-
-
-def report(study: Study, charts: list[Figure]) -> str:
-    """Return a page with the tables and charts of a study, and what may be claimed.
-
-    Parameters
-    ----------
-    study : Study
-    charts : list of Figure
-    """
-    tables, said = tables_of(study)
-    sections = (
-        Section("What may be claimed", tuple(said)),
-        Section("Tables", tuple(page.Table(one.title, one.header, one.rows) for one in tables)),
-        Section("Charts", tuple(charts)))
-    return page.page(study.spec.title or "Study", counted(len(study.cells), "cell"),
-                     [section for section in sections if section.blocks])

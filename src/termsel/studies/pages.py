@@ -26,11 +26,14 @@ class Table:
     title : str
     header : tuple of str
     rows : list of tuple of str
+    cells : tuple of str
+        Of images: the key of each row's cell.
     """
 
     title: str
     header: tuple[str, ...]
     rows: list[tuple[str, ...]]
+    cells: tuple[str, ...] = ()
 
 
 def tables_of(study: Study) -> tuple[list[Table], list[str]]:
@@ -82,7 +85,7 @@ def _images(rows: list[Row]) -> Table:
         [(str(row["data"]) + (f", split {row['split']}" if row["split"] else ""),
           str(row["chosen"] or row["state"]), _predicted(row), shown(row["independent"], 3),
           ", ".join(row["blunders"] or ()), row["reason"] or " ".join(row["notes"] or ()))
-         for row in rows])
+         for row in rows], tuple(row["cell"] for row in rows))
 
 
 def _predicted(row: Row) -> str:

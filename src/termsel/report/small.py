@@ -1,0 +1,75 @@
+"""Residuals as a small drawing, for lists of many images."""
+
+from __future__ import annotations
+
+import math
+from html import escape
+
+import numpy as np
+
+from termsel.errors import counted
+from termsel.report.theme import BLUNDER, EDGE, INK, ROLE_COLOURS
+from termsel.report.view import Row, View, nice
+
+WIDE = 120
+"""Width and largest height of the drawing [px of the screen]."""
+MOST = 150
+"""Arrows drawn, the longest: more are not told apart at this size."""
+_LENGTH, _HEAD, _BELOW = 0.12, 3.0, 16
+
+
+def small_map(view: View) -> str:
+    """Return residuals as arrows over the outline of the image, as SVG without title and axes.
+
+    Each drawing has a scale of its own, which a bar shows.
+
+    Parameters
+    ----------
+    view : View
+    """
+    top, left, bottom, right = view.image_box
+    across, down = max(right - left, 1.0), max(bottom - top, 1.0)
+    pixel = WIDE / max(across, down)
+    wide, high = across * pixel, down * pixel
+    rows = sorted(view.in_image, key=lambda row: -row["distance"])
+    lengths = [row["distance"] for row in rows]
+    median = float(np.median(lengths)) if lengths else 0.0
+    longer = _LENGTH * WIDE / median if median > 0 else 0.0
+    arrows: dict[str, list[str]] = {role: [] for role in ROLE_COLOURS}
+    rings = []
+    for row in rows[:MOST]:
+        x, y = (row["sample"] - left) * pixel, (row["line"] - top) * pixel
+        arrows[row["role"]].append(_arrow(x, y, row, longer))
+        if row["blunder"]:
+            rings.append(f'<circle cx="{x:.1f}" cy="{y:.1f}" r="5" fill="none" '
+                         f'stroke="{BLUNDER}" stroke-width="1.4"/>')
+    drawn = "".join(f'<path d="{"".join(parts)}" fill="none" stroke="{ROLE_COLOURS[role]}"/>'
+                    for role, parts in arrows.items() if parts)
+    said = f"{counted(len(rows), 'residual')}, the largest {max(lengths, default=0.0):.3g} px"
+    return (f'<svg width="{wide + 2:.0f}" height="{high + _BELOW:.0f}" '
+            f'viewBox="-1 -1 {wide + 2:.0f} {high + _BELOW:.0f}" role="img" '
+            f'aria-label="{escape(said)}"><rect width="{wide:.1f}" height="{high:.1f}" '
+            # A drawing within a drawing clips what is longer.
+            f'fill="none" stroke="{EDGE}"/><svg width="{wide:.1f}" height="{high:.1f}">'
+            f'{drawn}{"".join(rings)}</svg>'
+            f"{_bar(high, longer, wide)}</svg>")
+
+
+def _arrow(x: float, y: float, row: Row, longer: float) -> str:
+    """Return a line with a head; it need not be longer than twice the drawing, which clips it."""
+    longer = min(longer, 2.0 * WIDE / max(row["distance"], 1e-300))
+    dx, dy = row["ds"] * longer, row["dl"] * longer
+    turn = math.atan2(dy, dx)
+    head = "".join(f"M{x + dx:.1f} {y + dy:.1f}l{-_HEAD * math.cos(turn + side):.1f} "
+                   f"{-_HEAD * math.sin(turn + side):.1f}" for side in (-0.5, 0.5))
+    return f"M{x:.1f} {y:.1f}l{dx:.1f} {dy:.1f}{head}"
+
+
+def _bar(high: float, longer: float, wide: float) -> str:
+    """Return the bar that says how long a residual is drawn."""
+    if not longer:
+        return ""
+    length = nice(0.4 * wide / longer)
+    return (f'<path d="M0 {high + 9:.1f}h{length * longer:.1f}" stroke="{INK}" '
+            f'stroke-width="2"/><text x="{length * longer + 4:.1f}" y="{high + 12.5:.1f}" '
+            f'font-size="10" fill="{INK}">{length:g} px</text>')

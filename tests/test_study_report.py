@@ -1,0 +1,145 @@
+"""The page of a study: the same from its folder as from its run; each image with its residuals."""
+
+from __future__ import annotations
+
+import re
+import shutil
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import termsel
+from termsel.report.page import Section, Table, page
+from termsel.report.small import MOST, small_map
+from termsel.studies.outputs import write_outputs
+
+pytest.importorskip("altair")
+pytest.importorskip("vl_convert")
+
+HOSTILE = "</script><img src=x onerror=alert(1)> {{7*7}} ${x} \u202e\u0627\u0644"
+Call = Callable[..., SimpleNamespace]
+
+
+def scene(n: int, noise: float) -> termsel.FeatureSet:
+    """Return control of an affine image."""
+    rng = np.random.default_rng(n)
+    ground = np.column_stack([rng.uniform(0, 4000, (n, 2)), np.zeros(n)])
+    image = ground[:, :2] * [0.5, -0.5] + [10, 2010] + rng.normal(0, noise, (n, 2))
+    return termsel.FeatureSet(termsel.Points([f"P{i}" for i in range(n)], image, ground),
+                              crs="local", image_size=(2100, 2100))
+
+
+@pytest.fixture(scope="module")
+def images(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the folder of a study of three images, the second the worst, one without a result."""
+    folder = tmp_path_factory.mktemp("images") / "study"
+    alone = scene(9, 0.1)
+    study = termsel.compare(
+        data={"good": scene(9, 0.1), HOSTILE: scene(10, 5.0),
+              "one point": alone.with_(points=alone.points.take([0]))},
+        out=folder, title=HOSTILE)
+    assert [row["state"] for row in study.rows] == ["failed", "done", "done"]
+    write_outputs(study, folder)
+    return folder
+
+
+def test_the_page_of_the_folder_is_that_of_the_run(call: Call, images: Path,
+                                                   tmp_path: Path) -> None:
+    made = images / "report.html"
+    again = call("report", images)
+    assert again.exit_code == 2
+    assert "already exists" in again.stderr
+    assert call("report", images, "-o", tmp_path / "page.html").exit_code == 0
+    assert (tmp_path / "page.html").read_text() == made.read_text()
+    refused = call("report", images, "-o", tmp_path / "x.html", "--image", "scene.tif")
+    assert refused.exit_code == 2
+    assert "--image is for the page of one result" in refused.stderr
+
+
+def test_images_stand_worst_first_with_their_residuals(images: Path) -> None:
+    text = (images / "report.html").read_text()
+    body = text[:text.index("<script")]
+    rows = re.findall(r'<tr><th scope="row">(.*?)</th><td class="picture">(.*?)</td>', body)
+    assert ["one point" in rows[0][0], "good" in rows[2][0]] == [True, True]
+    assert rows[0][1] == ""
+    for (_, drawn), folder in zip(rows[1:], sorted(
+            (images / "images").iterdir(), key=lambda one: one.name == "good"), strict=True):
+        result = termsel.read_result(folder)
+        largest = max(r.distance for r in result.residuals)
+        assert f'aria-label="{len(result.residuals)} residuals, the largest {largest:.3g} px"' \
+            in drawn
+
+
+def test_hostile_names_of_images_are_text(images: Path) -> None:
+    text = (images / "report.html").read_text()
+    body = text[:text.index("<script")]
+    assert "<img" not in body
+    assert text.count("</script>") == 3
+    assert body.count("&lt;img src=x onerror=alert(1)&gt; {{7*7}} ${x}") == 3  # title twice, row
+
+
+def test_a_study_under_way_has_a_page(call: Call, images: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "half"
+    shutil.copytree(images, folder)
+    (folder / "report.html").unlink()
+    journal = folder / "journal.jsonl"
+    lines = journal.read_text().splitlines(keepends=True)
+    for kept in (len(lines) - 3, len(lines) - 2):
+        journal.write_text("".join(lines[:kept]))
+        assert call("report", folder, "--overwrite").exit_code == 0
+        assert f"{kept - len(lines) + 3} of 3 images finished" in (
+            folder / "report.html").read_text()
+
+
+def test_an_image_that_was_changed_says_so_in_its_place(call: Call, images: Path,
+                                                        tmp_path: Path) -> None:
+    folder = tmp_path / "changed"
+    shutil.copytree(images, folder)
+    record = folder / "images" / "good" / "result.json"
+    record.write_text(record.read_text().replace('"seed": 1', '"seed": 2'))
+    assert call("report", folder, "--overwrite").exit_code == 0
+    text = (folder / "report.html").read_text()
+    assert '<td class="picture">this file was changed after the run wrote it</td>' in text
+
+
+def test_a_comparison_has_its_charts_again(call: Call, tmp_path: Path) -> None:
+    study = termsel.compare(problems=["poly-terms"], solvers=["random", "swap"], seeds=2,
+                            options={"degree": 2}, budget={"evaluations": 100}, out=tmp_path / "s")
+    assert study.complete
+    assert call("report", tmp_path / "s").exit_code == 0
+    text = (tmp_path / "s" / "report.html").read_text()
+    for name in ("ecdf-evaluations", "ecdf-cpu-seconds", "convergence"):
+        assert f'data-chart="{name}"' in text
+
+
+def test_an_arrow_of_a_drawing_points_from_computed_to_measured() -> None:
+    features = scene(12, 0.1)
+    points = features.points
+    image = points.image.copy()
+    image[4] += [0.0, 40.0]  # to the right
+    result = termsel.run("poly-terms", features=features.with_(points=replace(
+        points, image=image)))
+    assert [one.id for one in result.outliers] == ["P4"]
+    drawn = small_map(result.view)
+    ring = re.search(r'<circle cx="([\d.]+)" cy="([\d.]+)"', drawn)
+    assert ring is not None
+    x, y = map(float, ring.groups())
+    assert (x, y) == pytest.approx((image[4, 1] * 120 / 2099, image[4, 0] * 120 / 2099), abs=0.1)
+    arrow = re.search(rf"M{x:.1f} {y:.1f}l([-\d.]+) ([-\d.]+)", drawn)
+    assert arrow is not None
+    right, down = map(float, arrow.groups())
+    assert right > 50 * abs(down)
+
+
+def test_the_page_of_two_hundred_images_is_small() -> None:
+    many = small_map(termsel.run("poly-terms", solver="all-terms", features=scene(1000, 1.0),
+                                 options={"degree": 1}).view)
+    assert many.count("M") <= 3 * MOST + 1
+    drawn = [many] * 200
+    text = page("Study", "", [Section("Images", (Table(
+        "200 images", ("image",), [(f"image {i}",) for i in range(200)], pictures=drawn),))])
+    assert len(text) < 3.5e6
