@@ -14,8 +14,8 @@ import pytest
 import termsel
 from termsel.criteria import CheckRmse
 from termsel.errors import TermselError
+from termsel.guard.faults import PluginFault
 from termsel.problems.base import Selection
-from termsel.runs.assess import fit_of
 from termsel.solvers.base import Generation, Solver
 
 AFFINE = """
@@ -144,12 +144,25 @@ def test_anything_but_bits_of_the_genome_is_refused(
         termsel.search(problem, solver)
 
 
-def test_a_name_that_the_model_does_not_have_is_refused() -> None:
-    task = termsel.prepare("rfm-terms", solver="ga")
-    with pytest.raises(TermselError, match=r"unknown term 'line\.nom:X'"):
-        fit_of(task, Selection(("line.nom:X",), task.observations.control.ids))
-    with pytest.raises(TermselError, match="unknown control feature 'nobody'"):
-        fit_of(task, Selection(task.model.terms, ("nobody",)))
+@pytest.mark.parametrize(("selection", "said"), [
+    (Selection(("line.nom:X",), ()), r"names an unknown term 'line\.nom:X'"),
+    (Selection((), ("nobody",)), "names an unknown control feature 'nobody'")])
+def test_a_name_that_is_not_there_is_refused_with_the_line_of_the_problem(
+        selection: Selection, said: str) -> None:
+    class Naming(termsel.SelectionProblem):
+        """Decodes what there is not."""
+
+        def decode(self, genes: np.ndarray) -> Selection:
+            return selection
+
+    recipe = termsel.Recipe("naming", "Wrong names.", lambda inputs: Naming(
+        inputs, terms=True, features=False), model="affine", dataset="ikonos-hamedan")
+    with pytest.raises(PluginFault, match=rf"problem Naming of the module tests: decode\(\) {said}"
+                       ) as caught:
+        termsel.run(recipe, solver="random", generations=1)
+    line = Path(__file__).read_text().splitlines()[caught.value.line - 1]
+    assert (Path(caught.value.file).name, line.strip()) == (
+        Path(__file__).name, "def decode(self, genes: np.ndarray) -> Selection:")
 
 
 def test_objectives_are_names_and_not_letters() -> None:

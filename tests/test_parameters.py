@@ -5,13 +5,23 @@ from __future__ import annotations
 import json
 from itertools import product
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from scipy.optimize import fsolve
 
 import termsel
-from termsel import FeatureSet, Option, Points, TermselError, read_result
+from termsel import (
+    FeatureSet,
+    Option,
+    Points,
+    Recipe,
+    Selection,
+    SelectionProblem,
+    TermselError,
+    read_result,
+)
 from termsel.models.radial import Radial2D, Radial3D
 from termsel.problems.parameters import ParameterProblem, segment_of
 from termsel.simulate.photos import CENTRE, photo, seen
@@ -153,3 +163,30 @@ def test_parameters_that_change_the_terms_cannot_be_searched_with_them() -> None
     genes = problem.genome.random(np.random.default_rng(1), 5)
     with pytest.raises(TermselError, match="has other terms"):
         problem.evaluate(genes)
+
+
+@pytest.mark.parametrize("given", [
+    {"model": "radial2d", "options": {"centre_line": 0.0}},
+    {"model": Radial2D(centre_line=0.2)}])
+def test_an_option_that_is_searched_cannot_be_given(given: dict[str, Any]) -> None:
+    with pytest.raises(TermselError, match="problem 'distortion' searches the option 'centre_line'"
+                                           " of model 'radial2d', so it cannot be given"):
+        termsel.prepare("distortion", **given)
+
+
+def test_a_problem_that_replaces_an_option_says_so() -> None:
+    class Lower(SelectionProblem):
+        """Takes a degree less than it is given."""
+
+        def decode(self, genes: np.ndarray) -> Selection:
+            model = self.inputs.model.with_parameters({"degree": 2})
+            return Selection(model.terms, self.inputs.control.ids, {"degree": 2})
+
+    recipe = Recipe("lower", "A lower degree.", lambda inputs: Lower(
+        inputs, terms=True, features=False), model="poly2d", dataset="ikonos-hamedan")
+    note = "Option degree of the model was 3; the problem chose 2 in its place."
+    for degree, said in ((3, [note]), (2, [])):
+        task = termsel.prepare(recipe, options={"degree": degree})
+        genes = task.problem.genome.random(np.random.default_rng(1), 1)[0]
+        notes = termsel.assess(task, genes).notes
+        assert [note for note in notes if note.startswith("Option")] == said

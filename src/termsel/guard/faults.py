@@ -69,7 +69,7 @@ def name_of(thing: Any) -> str:
     return f"{getattr(cls, 'kind', '')} {called} of {distribution_of(package_of(thing))}".strip()
 
 
-def wrong(thing: Any, method: str, what: str) -> PluginFault:
+def wrong(thing: Any, method: str, what: str, hint: str = HINT) -> PluginFault:
     """Return the fault of a method that returned what it must not.
 
     Parameters
@@ -79,9 +79,11 @@ def wrong(thing: Any, method: str, what: str) -> PluginFault:
         Such as "score".
     what : str
         What it returned and what was expected, after the name of the method.
+    hint : str
+        What to do.
     """
     file, line = _defined(thing, method)
-    return PluginFault(f"{name_of(thing)}: {method}() {what}", file=file, line=line, hint=HINT)
+    return PluginFault(f"{name_of(thing)}: {method}() {what}", file=file, line=line, hint=hint)
 
 
 @contextmanager

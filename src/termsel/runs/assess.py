@@ -16,7 +16,9 @@ from termsel.fits.diagnosis import Doubts, diagnose
 from termsel.fits.figures import baseline, figures, plain_rmse, residuals_of
 from termsel.fits.fit import Fit
 from termsel.fits.least_squares import fit
+from termsel.guard.faults import HINT, wrong
 from termsel.measurements.features import BoolArray
+from termsel.models.base import SensorModel
 from termsel.models.poles import guard_points, pole_violation
 from termsel.problems.base import Selection
 from termsel.problems.segments import Genes
@@ -115,7 +117,7 @@ def assessed(task: Task, found: Search) -> Result:
                         blunders=len(comparison.blunders)),
         notes=(*notes_on_data(task.features, observations, task.model.uses_height),
                *notes_on(observations, task.criterion, found, chosen),
-               *notes_on_sessions(plugins_of(task))),
+               *_on_replaced(task.model, selection), *notes_on_sessions(plugins_of(task))),
         objectives=dict(zip(task.problem.objectives, objectives, strict=False)),
         evaluations=found.evaluations, lookups=found.lookups, generations=found.generations,
         seconds=found.seconds, interrupted=found.interrupted,
@@ -128,6 +130,15 @@ def assessed(task: Task, found: Search) -> Result:
         features=observations.features, versions=versions(),
         plugins=plugins_of(task),
         front=tuple(_front(task, found)), certificate=_certificate(task, found, chosen))
+
+
+def _on_replaced(model: SensorModel, selection: Selection) -> Iterable[str]:
+    """Yield which options of the model have other values than those they were given."""
+    for option in model.declared_options:
+        asked, name = model.options[option.name], option.name
+        if asked not in (option.default, selection.parameters.get(name, asked)):
+            yield (f"Option {name} of the model was {asked}; the problem chose "
+                   f"{selection.parameters[name]} in its place.")
 
 
 def _outliers(chosen: Fit, found: Doubts | None) -> Iterable[Outlier]:
@@ -210,15 +221,15 @@ def _front(task: Task, found: Search) -> Iterable[Mapping[str, Any]]:
 
 
 def fit_of(task: Task, selection: Selection) -> Fit:
-    """Return the model fitted with the terms and features of a selection.
+    """Return the model fitted with the terms and features that a problem's genes stand for.
 
     Where the iteration for lines under separate denominators ends with a pole in the scene,
     the solution it began with, which the search judged, is taken.
     """
     control = task.observations.control
     model = task.model.with_parameters(selection.parameters)
-    terms = _mask(model.terms, selection.terms, "term")
-    used = _mask(control.ids, selection.features, "control feature")
+    terms = _mask(task, model.terms, selection.terms, "term")
+    used = _mask(task, control.ids, selection.features, "control feature")
     chosen = fit(model, control, task.scaling, terms, used)
     return fit(model, control, task.scaling, terms, used, iterated=False) \
         if _has_pole(task, chosen) else chosen
@@ -231,10 +242,10 @@ def _has_pole(task: Task, chosen: Fit) -> bool:
     return bool(pole_violation(chosen.model, chosen.adjustment.coefficients[None], guard).any())
 
 
-def _mask(names: tuple[str, ...], chosen: Iterable[str], what: str) -> BoolArray:
+def _mask(task: Task, names: tuple[str, ...], chosen: Iterable[str], what: str) -> BoolArray:
     """Return which names a problem's `decode` gives; refuse one that there is not."""
     wanted = set(chosen)
     if not wanted <= set(names):
-        raise unknown_name(what, min(wanted - set(names)), names,
-                           "The selection that the problem decodes names it: tell its author.")
+        known = unknown_name(what, min(wanted - set(names)), names)
+        raise wrong(task.problem, "decode", f"names an {known.what}", f"{known.hint} {HINT}")
     return np.array([name in wanted for name in names], dtype=bool)

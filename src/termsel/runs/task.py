@@ -30,6 +30,7 @@ from termsel.options import SEED, Option, by_part, resolve
 from termsel.plugins.registry import registry
 from termsel.problems.base import Inputs, Problem
 from termsel.problems.constraints import MAX_SHARE
+from termsel.problems.parameters import ParameterProblem
 from termsel.problems.recipes import Recipe
 from termsel.runs.enough import require_enough
 from termsel.runs.fit_crs import FIT_CRS, with_fit_crs
@@ -83,6 +84,8 @@ class Request:
         Options by part: problem, data, search.
     then : Solver, optional
         Of the second of two steps, if it is another one.
+    set_options : tuple of str
+        Names of the options of the model that are given.
     """
 
     recipe: Recipe
@@ -93,6 +96,7 @@ class Request:
     source: str
     options: Mapping[str, Mapping[str, Any]]
     then: Solver | None = None
+    set_options: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -214,6 +218,9 @@ def ask(
     chosen = by_part(given, {
         "problem": recipe.options, "data": DATA_OPTIONS, "search": SEARCH_OPTIONS,
         **{word: part.declared_options for word, part in parts.items()}})
+    set_options = tuple(chosen["model"]) if isinstance(the_model, type) else tuple(
+        one.name for one in the_model.declared_options
+        if the_model.options[one.name] != one.default)
     if model in (None, recipe.model):
         chosen["model"] = {**recipe.model_options, **chosen["model"]}
     # As the recipe has a solver, or else, where it is named, as its paper does.
@@ -241,7 +248,7 @@ def ask(
     return Request(recipe, made["model"], made["criterion"], made["solver"], features,
                    printable(source or "given in Python"),
                    {"problem": of_problem, "data": of_data, "search": of_search},
-                   made.get("then") if of_problem.get("then") else None)
+                   made.get("then") if of_problem.get("then") else None, set_options)
 
 
 def observe(request: Request, least: int = MIN_CONTROL) -> Observations:
@@ -314,12 +321,24 @@ def build(request: Request, observations: Observations, scaling: Scaling,
     with blamed(request.recipe.build, "build"):
         problem = request.recipe.build(inputs)
     _require_type(request.recipe.build, "build", problem, Problem)
+    if isinstance(problem, ParameterProblem):
+        _refuse_searched(request, problem)
     for solver in filter(None, (request.solver, request.then)):
         require_able(problem, solver, [entry.object for entry in registry().entries("solvers")])
     data = {**request.options["data"], "check_as": _check_as(request, observations)}
     return Task(request.recipe, problem, inputs.model, request.solver, request.criterion,
                 observations, scaling, request.features, request.source,
                 {**request.options, "problem": inputs.options, "data": data}, request.then)
+
+
+def _refuse_searched(request: Request, problem: ParameterProblem) -> None:
+    """Refuse values for options of the model that the problem searches."""
+    for name in problem.parameters:
+        if name in request.set_options:
+            raise TermselError(
+                f"problem {request.recipe.name!r} searches the option {name!r} of model "
+                f"{request.model.name!r}, so it cannot be given",
+                hint="Remove the option, or choose another problem.")
 
 
 def _require_type(function: Callable[..., Any], name: str, value: Any, wanted: type) -> None:

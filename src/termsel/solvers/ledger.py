@@ -9,11 +9,16 @@ from typing import Any
 
 import numpy as np
 
-from termsel.errors import TermselError
 from termsel.guard.faults import wrong
 from termsel.guard.isolation import Returned
 from termsel.measurements.features import FloatArray
-from termsel.problems.base import EnumerablePart, Evaluation, Problem, Selection
+from termsel.problems.base import (
+    EnumerablePart,
+    Evaluation,
+    Problem,
+    Selection,
+    evaluation_fault,
+)
 from termsel.problems.genome import Genome
 from termsel.problems.segments import Genes
 from termsel.solvers.base import Generation, Solver
@@ -192,7 +197,8 @@ class Ledger(Problem):
         if new:
             rows = list(new.values())
             evaluation = self.problem.evaluate(genes[rows])
-            self._check(evaluation, len(rows))
+            if fault := evaluation_fault(self.problem, evaluation, genes[rows]):
+                raise wrong(self.problem, "evaluate", fault)
             for key in new:
                 self._row_of[key] = len(self._row_of)
             self._objectives.extend(evaluation.objectives)
@@ -204,16 +210,6 @@ class Ledger(Problem):
         return Evaluation(
             np.array([self._objectives[i] for i in where]).reshape(-1, len(self.objectives)),
             np.array([self._violation[i] for i in where]))
-
-    def _check(self, evaluation: Evaluation, n: int) -> None:
-        if (evaluation.objectives.shape != (n, len(self.objectives))
-                or evaluation.violation.shape != (n,)
-                or not np.isfinite(evaluation.objectives).all()
-                or not np.isfinite(evaluation.violation).all()):
-            raise TermselError(
-                f"the evaluation of problem {type(self.problem).__name__!r} is not finite with the "
-                f"shapes ({n}, {len(self.objectives)}) and ({n},)",
-                hint="This is a bug in the problem: tell its author.")
 
     def _remember(self, genes: Genes, evaluation: Evaluation) -> None:
         feasible = evaluation.objectives[evaluation.violation == 0]
