@@ -80,16 +80,16 @@ def foresee(found: Posterior, free: FloatArray, shrunken: FloatArray,
 
 def _weights(found: Posterior, axis: int, noises: FloatArray) -> FloatArray:
     """Return the noise of each solution of an axis by its probability, shape (g, s)."""
-    which, count = found.cells.which[axis], len(found.sides[axis].square)
+    which, count = found.cells.which[axis], len(found.odds[axis].square)
     return np.asarray(np.bincount(which, found.cells.share * noises, count), dtype=np.float64
                       ).reshape(len(found.scales), -1)
 
 
 def _shrunken(found: Posterior, axis: int, weight: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return mean and root of the covariance of the shrunken coefficients, (k,) and (k, k)."""
-    side, design, which = found.sides[axis], found.designs[axis], found.cells.which[axis]
+    side, design = found.sides[axis], found.designs[axis]
     k = found.scales.shape[1]
-    share = np.bincount(which, found.cells.share, len(side.square))
+    share = np.bincount(side.cell, found.cells.share)
     mean = share @ side.coefficients
     apart = side.coefficients - mean
     covariance = (apart * share[:, None]).T @ apart

@@ -5,8 +5,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property, lru_cache
 
 import numpy as np
 
@@ -46,17 +47,30 @@ AT_ONCE = 16
 
 
 @dataclass(frozen=True, eq=False)
-class Side:
-    """All solutions of one axis, groups of scales by sizes.
+class Odds:
+    """How likely all solutions of one axis are, groups of scales by sizes, shape (g s,).
 
-    `evidence` and `square`, shape (g s,), make up prior and marginal likelihood, square^-nu/2
-    exp(evidence); `left` is 1 minus the leverage of each point, `errors` are what the fit leaves,
-    shape (g s, n); `coefficients` are the shrunken ones, shape (g s, j); `free` is the target
-    along the free columns, shape (f,).
+    Both make up prior and marginal likelihood, square^-nu/2 exp(evidence). `along`, shape (g, m),
+    is the target along the singular vectors of each group.
     """
 
     evidence: FloatArray
     square: FloatArray
+    along: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Side:
+    """The solutions of one axis that matter.
+
+    `which`, shape (u,), are their places on the grid, and `cell`, shape (c,), is that of each cell
+    among them. `left` is 1 minus the leverage of each point, `errors` are what the fit leaves,
+    shape (u, n); `coefficients` are the shrunken ones, shape (u, k); `free` is the target along the
+    free columns, shape (f,).
+    """
+
+    which: IntArray
+    cell: IntArray
     left: FloatArray
     errors: FloatArray
     coefficients: FloatArray
@@ -104,6 +118,16 @@ class Design:
 
 def _design(columns: FloatArray, free: BoolArray, scales: FloatArray) -> Design | None:
     """Return the decompositions; None if the free columns lack a point's redundancy."""
+    return _decomposed(columns.tobytes(), free.tobytes(), scales.tobytes(), *columns.shape)
+
+
+@lru_cache(maxsize=4)
+def _decomposed(columns_of: bytes, free_of: bytes, scales_of_free: bytes, n: int,
+                k: int) -> Design | None:
+    """Return the decompositions; line and sample, and a field of no size, ask for the same ones."""
+    columns = np.frombuffer(columns_of).reshape(n, k)
+    free = np.frombuffer(free_of, dtype=bool)
+    scales = np.frombuffer(scales_of_free).reshape(-1, int((~free).sum()))
     lead = columns[:, free]
     count = lead.shape[1]
     if len(lead) <= count:
@@ -117,26 +141,42 @@ def _design(columns: FloatArray, free: BoolArray, scales: FloatArray) -> Design 
                   r[:count, :count], r[:count, count:])
 
 
-def _solutions(design: Design, target: FloatArray, scales: FloatArray) -> Side:
-    """Return the solutions of one axis for all scales and sizes."""
+def _odds(design: Design, target: FloatArray) -> Odds:
+    """Return how likely the solutions of one axis are, for all scales and sizes."""
     along = (design.basis.T @ target) @ design.u
-    u = design.basis @ design.u
-    n, k = len(target), scales.shape[1]
-    # What no column reaches is kept apart, so that nothing cancels where noise tends to 0.
-    beyond, room = np.zeros(n), np.zeros(n)
-    if design.explained.shape[1] < n:
-        beyond = target - design.explained @ (design.explained.T @ target)
-        room = np.maximum(1.0 - (design.explained**2).sum(axis=1), 0.0)
-    ratio = SIZES[:, None] * design.values[:, None, :]                        # (g, s, m)
-    keep = 1.0 / (1.0 + ratio**2)
-    part = keep * along[:, None, :]
-    return Side(
+    beyond = _beyond(design, target)
+    keep = 1.0 / (1.0 + (SIZES[:, None] * design.values[:, None, :]) ** 2)    # (g, s, m)
+    return Odds(
         (0.5 * np.log(keep).sum(axis=2) - 0.5 * np.log1p((SIZES / TYPICAL) ** 2)).ravel(),
-        (beyond @ beyond + (part * along[:, None, :]).sum(axis=2)).ravel(),
-        np.maximum(room + keep @ (u**2).transpose(0, 2, 1), TINY).reshape(-1, n),
-        (beyond + part @ u.transpose(0, 2, 1)).reshape(-1, n),
-        (scales[:, None, :] * ((SIZES[:, None] * ratio * part) @ design.vt)).reshape(-1, k),
-        design.explained[:, :len(design.lead)].T @ target)
+        (beyond @ beyond + (keep * along[:, None, :] ** 2).sum(axis=2)).ravel(), along)
+
+
+def _beyond(design: Design, target: FloatArray) -> FloatArray:
+    """Return what no column explains, apart: nothing cancels where noise tends to 0."""
+    if design.explained.shape[1] == len(target):
+        return np.zeros(len(target))
+    return np.asarray(target - design.explained @ (design.explained.T @ target))
+
+
+def _solutions(design: Design, target: FloatArray, scales: FloatArray, odds: Odds,
+               cells: IntArray) -> Side:
+    """Return the solutions of one axis that some cell is of."""
+    which, cell = np.unique(cells, return_inverse=True)
+    group, size = np.divmod(which, len(SIZES))
+    beyond, room = _beyond(design, target), np.zeros(len(target))
+    if design.explained.shape[1] < len(target):
+        room = np.maximum(1.0 - (design.explained**2).sum(axis=1), 0.0)
+    ratio = SIZES[size, None] * design.values[group]                              # (u, m)
+    keep = 1.0 / (1.0 + ratio**2)
+    part = keep * odds.along[group]
+    left = np.empty((len(which), len(target)))
+    for g in np.unique(group):
+        mine = group == g
+        left[mine] = keep[mine] @ ((design.basis @ design.u[g]) ** 2).T
+    turned = (design.u[group] @ part[:, :, None])[:, :, 0]
+    solved = ((SIZES[size, None] * ratio * part)[:, None, :] @ design.vt[group])[:, 0]
+    return Side(which, cell, np.maximum(room + left, TINY), beyond + turned @ design.basis.T,
+                scales[group] * solved, design.explained[:, :len(design.lead)].T @ target)
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,14 +191,14 @@ class Cells:
     log: float
 
 
-def _cells(sides: list[Side], freedom: int, noise: float) -> Cells:
+def _cells(odds: Sequence[Odds], freedom: int, noise: float) -> Cells:
     """Return what is on the grid of group, size of line and size of sample, and not NEVER."""
-    line, sample = (np.arange(len(side.square)).reshape(-1, len(SIZES)) for side in sides)
+    line, sample = (np.arange(len(one.square)).reshape(-1, len(SIZES)) for one in odds)
     shape = (*line.shape, len(SIZES))
     first = np.broadcast_to(line[:, :, None], shape).ravel()
     second = np.broadcast_to(sample[:, None, :], shape).ravel()
-    logarithm = (sides[0].evidence[first] + sides[1].evidence[second] - freedom / 2 * np.log(
-        sides[0].square[first] + sides[1].square[second] + noise))
+    logarithm = (odds[0].evidence[first] + odds[1].evidence[second] - freedom / 2 * np.log(
+        odds[0].square[first] + odds[1].square[second] + noise))
     kept = logarithm > logarithm.max() - NEVER
     share, log = shares(logarithm[kept])
     return Cells((first[kept], second[kept]), share, float(log))
@@ -186,10 +226,10 @@ class Posterior:
 
     Parameters
     ----------
-    sides : tuple of Side
+    odds : tuple of Odds
         Of line and of sample.
     cells : Cells
-        Which of them matter, and their probabilities.
+        Which solutions matter, and their probabilities.
     freedom : int
         Equations in use less the terms that are not shrunk.
     noise : float
@@ -198,32 +238,44 @@ class Posterior:
         Of line and of sample.
     scales : ndarray, shape (g, k)
         Of the shrunken coefficients for size 1.
+    targets : ndarray, shape (n, 2)
+        Weighted measurements.
     """
 
-    sides: tuple[Side, Side]
+    odds: tuple[Odds, Odds]
     cells: Cells
     freedom: int
     noise: float
     designs: tuple[Design, Design]
     scales: FloatArray
+    targets: FloatArray
+
+    @cached_property
+    def sides(self) -> tuple[Side, Side]:
+        """Solutions of line and of sample: of many points few matter, and of a model that is not
+        chosen none is asked for."""
+        line, sample = (_solutions(design, target, self.scales, odds, which)
+                        for design, target, odds, which in zip(
+                            self.designs, self.targets.T, self.odds, self.cells.which, strict=True))
+        return line, sample
 
     @property
     def square(self) -> FloatArray:
         """Sum of squares of each cell, shape (c,)."""
-        line, sample = (side.square[which]
-                        for side, which in zip(self.sides, self.cells.which, strict=True))
+        line, sample = (odds.square[which]
+                        for odds, which in zip(self.odds, self.cells.which, strict=True))
         return np.asarray(line + sample + self.noise)
 
     def mean(self, axis: int) -> tuple[FloatArray, float]:
         """Return the shrunken coefficients of an axis, averaged, and its effective parameters."""
-        side, which = self.sides[axis], self.cells.which[axis]
-        share = np.bincount(which, self.cells.share, len(side.square))
+        side = self.sides[axis]
+        share = np.bincount(side.cell, self.cells.share)
         return share @ side.coefficients, float(share @ (1.0 - side.left).sum(axis=1))
 
     @property
     def errors(self) -> FloatArray:
         """Measured minus predicted of each point by the others, weighted, shape (n, 2)."""
-        points = np.arange(self.sides[0].errors.shape[1])
+        points = np.arange(len(self.targets))
         return np.concatenate([self.without(some).error for some in together(points)])
 
     def without(self, points: IntArray) -> Prediction:
@@ -237,11 +289,12 @@ class Posterior:
         square = self.square[:, None]
         rest, logarithm = square, np.zeros(())
         errors, spread = [], []
-        for side, which in zip(self.sides, self.cells.which, strict=True):
+        for side, odds in zip(self.sides, self.odds, strict=True):
+            which = side.cell
             left, fitted = side.left[:, points], side.errors[:, points]
             # The determinant loses the factor `left`, the sum of squares errors^2 / left.
             rest = rest - (fitted**2 / left).take(which, axis=0)
-            logarithm = logarithm + (side.evidence[:, None] - 0.5 * np.log(left)).take(
+            logarithm = logarithm + (odds.evidence[side.which, None] - 0.5 * np.log(left)).take(
                 which, axis=0)
             errors.append((fitted / left).take(which, axis=0))
             spread.append((1.0 / left).take(which, axis=0))
@@ -269,8 +322,7 @@ class Posterior:
             np.repeat(self.cells.share[:, None], m, axis=1), np.full(m, self.cells.log))
 
     def _at(self, name: str, points: IntArray) -> list[FloatArray]:
-        return [getattr(side, name)[:, points].take(which, axis=0)
-                for side, which in zip(self.sides, self.cells.which, strict=True)]
+        return [getattr(side, name)[:, points].take(side.cell, axis=0) for side in self.sides]
 
 
 @dataclass(frozen=True, eq=False)
@@ -335,15 +387,12 @@ def posterior(columns: FloatArray, image: FloatArray, order: IntArray, weights: 
     """
     freedom = 2 * (in_use - int((order < 2).sum()))
     noise = 2 * in_use * (NO_NOISE * float(np.ptp(image, axis=0).max()) / 2) ** 2
-    if weights is None:
-        weights = np.ones_like(image)
-        designs = [_design(columns, order < 2, scales)] * 2
-    else:
-        designs = [_design(columns * w[:, None], order < 2, scales) for w in weights.T]
-    of_line, of_sample = designs
+    weights = np.ones_like(image) if weights is None else weights
+    of_line, of_sample = (_design(columns * w[:, None], order < 2, scales) for w in weights.T)
     if of_line is None or of_sample is None or freedom < 4:
         return None
-    line, sample = (_solutions(design, target, scales) for design, target in zip(
-        (of_line, of_sample), (image * weights).T, strict=True))
+    targets = image * weights
+    line, sample = (_odds(design, target)
+                    for design, target in zip((of_line, of_sample), targets.T, strict=True))
     return Posterior((line, sample), _cells([line, sample], freedom, noise), freedom, noise,
-                     (of_line, of_sample), scales)
+                     (of_line, of_sample), scales, targets)

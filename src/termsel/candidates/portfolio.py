@@ -163,7 +163,8 @@ Watch = Callable[[Judged | None], None]
 """Called with each candidate as soon as it is judged; with None where it is not determined."""
 
 
-def choose(control: FeatureSet, heights: bool, watch: Watch | None = None) -> Choice | None:
+def choose(control: FeatureSet, heights: bool, watch: Watch | None = None, *,
+           whole: bool = True) -> Choice | None:
     """Fit the portfolio to features and choose by leave-one-out.
 
     A shrunken polynomial is averaged over all that lies between the plain ones, by a measure
@@ -181,6 +182,9 @@ def choose(control: FeatureSet, heights: bool, watch: Watch | None = None) -> Ch
     control : FeatureSet
     heights : bool
     watch : callable, optional
+    whole : bool
+        Whether limits of the shrunken polynomials, which are not chosen next to these, are judged
+        all the same, to be shown.
 
     Returns
     -------
@@ -190,12 +194,14 @@ def choose(control: FeatureSet, heights: bool, watch: Watch | None = None) -> Ch
     scaling = scaling_of(control)
     judged: list[Judged] = []
     for candidate in portfolio(heights):
-        one = (_judged(candidate, control, heights, scaling) if _called_for(candidate, judged)
-               else None)
+        called = _called_for(candidate, judged) and (whole or candidate.kind != "contained")
+        one = _judged(candidate, control, heights, scaling) if called else None
         judged += [one] if one else []
         if watch:
             watch(one)
     if not any(one.candidate.kind == "shrunken" for one in judged):
+        if not whole:
+            return choose(control, heights)
         judged = [*_few(control, heights, scaling), *judged]
     return best_of(judged)
 
@@ -254,8 +260,8 @@ def best_of(candidates: Iterable[Judged]) -> Choice | None:
     return Choice(chosen, judged, _reason(chosen, base, shrunken, others, judged))
 
 
-def choose_features(control: FeatureSet, heights: bool,
-                    watch: Watch | None = None) -> Choice | None:
+def choose_features(control: FeatureSet, heights: bool, watch: Watch | None = None, *,
+                    whole: bool = True) -> Choice | None:
     """Choose as `choose`, and whether from points with lines, or from the points alone.
 
     Lines that add more error than redundancy are left out whole: where the points alone predict the
@@ -267,16 +273,18 @@ def choose_features(control: FeatureSet, heights: bool,
     heights : bool
     watch : callable, optional
         As for `choose`, of which only the choice from all features tells.
+    whole : bool
+        As for `choose`.
 
     Returns
     -------
     Choice or None
         As `choose`. The control of the chosen fit has no lines where points alone are better.
     """
-    choice, count = choose(control, heights, watch), len(control.points)
+    choice, count = choose(control, heights, watch, whole=whole), len(control.points)
     if choice is None or not count or not len(control.lines):
         return choice
-    alone = choose(control.with_(lines=no_lines()), heights)
+    alone = choose(control.with_(lines=no_lines()), heights, whole=whole)
     if alone is None:
         return choice
     gain = _gain_of(alone.chosen.squares, choice.chosen.squares[:count])
@@ -369,7 +377,8 @@ def repeated(control: FeatureSet, heights: bool,
             # Three features choose nothing: the model that all chose is fitted to them.
             choice = choose(control, heights)
         else:
-            choice = choose_features(rest, heights and heights_hold(rest, most=1), watch)
+            choice = choose_features(rest, heights and heights_hold(rest, most=1), watch,
+                                     whole=False)
         if choice is None:
             return None
         fitted = choice.chosen.fit if len(rest) > EXACT else \

@@ -124,10 +124,17 @@ def select_forward(columns: FloatArray, target: FloatArray, forced: BoolArray) -
         left = left - q * np.einsum("bn,bn->b", q, left)[:, None]
         chosen[rows, entering] = True
     errors = np.empty(n)
-    for out in range(folds):
-        others, mask = fold != out, best[out]
-        x = np.linalg.lstsq(systems[out][:, :k][:, mask], systems[out][:, k])[0]
-        errors[~others] = target[~others] - columns[~others][:, mask] @ x
+    # Most folds select the same terms, and are solved together.
+    masks, which = np.unique(best[:folds], axis=0, return_inverse=True)
+    for one, mask in enumerate(masks):
+        outs = np.flatnonzero(which.ravel() == one)
+        q, r = np.linalg.qr(systems[outs][:, :, :k][:, :, mask])
+        x = np.linalg.solve(r, q.transpose(0, 2, 1) @ systems[outs][:, :, k, None])[:, :, 0]
+        place = np.full(folds, -1)
+        place[outs] = np.arange(len(outs))
+        mine = place[fold] >= 0
+        errors[mine] = target[mine] - np.einsum("nk,nk->n", columns[mine][:, mask],
+                                                x[place[fold[mine]]])
     return AxisTerms(best[folds], errors)
 
 

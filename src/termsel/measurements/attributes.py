@@ -74,8 +74,11 @@ def _cell(value: Any) -> str:
 
 
 def rows_at(attributes: Attributes, index: NDArray[Any]) -> dict[str, TextArray]:
-    """Return the rows at an index."""
-    return {name: cells[index] for name, cells in attributes.items()}
+    """Return the rows at an index, which cannot be written to."""
+    rows = {name: cells[index] for name, cells in attributes.items()}
+    for cells in rows.values():
+        cells.setflags(write=False)
+    return rows
 
 
 def joined(first: Attributes, n: int, second: Attributes, m: int) -> dict[str, TextArray]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cache, cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -22,6 +22,7 @@ from termsel.measurements.attributes import (
 )
 from termsel.measurements.frames import Tabular
 from termsel.measurements.ids import check_ids
+from termsel.measurements.parts import rows_of, unchecked
 from termsel.measurements.values import (
     check_deviations,
     check_finite,
@@ -36,12 +37,6 @@ BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.intp]
 
 ROLES = ("control", "check", "independent", "off")
-
-
-def _as_index(index: ArrayLike) -> IntArray | BoolArray:
-    """Return integers or a mask as an array; numpy takes an empty list for numbers."""
-    array = np.asarray(index)
-    return array if array.size else np.zeros(0, dtype=np.intp)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -122,11 +117,11 @@ class Points(Tabular):
 
     def take(self, index: ArrayLike) -> Points:
         """Return the points at `index` (integers or a mask)."""
-        chosen = np.arange(len(self))[_as_index(index)]
-        return Points(
-            tuple(self.ids[i] for i in chosen), self.image[chosen], self.ground[chosen],
-            None if self.sigma is None else self.sigma[chosen],
-            tuple(self.roles[i] for i in chosen), rows_at(self.attributes, chosen))
+        rows = rows_of(self.ids, index)
+        return unchecked(
+            self, ids=tuple(self.ids[i] for i in rows), image=self.image[rows],
+            ground=self.ground[rows], sigma=None if self.sigma is None else self.sigma[rows],
+            roles=tuple(self.roles[i] for i in rows), attributes=rows_at(self.attributes, rows))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -231,17 +226,20 @@ class Lines(Tabular):
 
     def take(self, index: ArrayLike) -> Lines:
         """Return the lines at `index` (integers or a mask)."""
-        chosen = np.arange(len(self))[_as_index(index)]
-        return Lines(tuple(self.ids[i] for i in chosen), self.image[chosen], self.ground[chosen],
-                     None if self.sigma is None else self.sigma[chosen],
-                     rows_at(self.attributes, chosen))
+        rows = rows_of(self.ids, index)
+        return unchecked(
+            self, ids=tuple(self.ids[i] for i in rows), image=self.image[rows],
+            ground=self.ground[rows], sigma=None if self.sigma is None else self.sigma[rows],
+            attributes=rows_at(self.attributes, rows))
 
 
+@cache
 def no_points() -> Points:
     """Return an empty set of points."""
     return Points((), np.empty((0, 2)), np.empty((0, 3)))
 
 
+@cache
 def no_lines() -> Lines:
     """Return an empty set of lines."""
     return Lines((), np.empty((0, 2, 2)), np.empty((0, 2, 3)))

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 from termsel.measurements.crs import is_geographic, transformation
 from termsel.measurements.features import FeatureSet, FloatArray, Lines, Points
 from termsel.measurements.longitudes import TURN, continuous
+from termsel.measurements.parts import unchecked
 
 
 @dataclass(frozen=True)
@@ -72,18 +73,17 @@ class Scaling:
 
     def points(self, points: Points) -> Points:
         """Return the points in scaled coordinates."""
-        return replace(points, image=self.image(points.image), ground=self.ground(points.ground),
-                       sigma=None if points.sigma is None else points.sigma / self.image_scale)
+        return unchecked(points, image=self.image(points.image), ground=self.ground(points.ground),
+                         sigma=None if points.sigma is None else points.sigma / self.image_scale)
 
     def lines(self, lines: Lines) -> Lines:
         """Return the lines in scaled coordinates."""
-        return replace(lines, image=self.image(lines.image), ground=self.ground(lines.ground),
-                       sigma=None if lines.sigma is None else lines.sigma / self.image_scale)
+        return unchecked(lines, image=self.image(lines.image), ground=self.ground(lines.ground),
+                         sigma=None if lines.sigma is None else lines.sigma / self.image_scale)
 
     def features(self, features: FeatureSet) -> FeatureSet:
         """Return the features in scaled coordinates."""
-        return replace(features, points=self.points(features.points),
-                       lines=self.lines(features.lines))
+        return _scaled(self, features)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the scaling as plain numbers for result.json."""
@@ -103,6 +103,13 @@ class Scaling:
         return cls((offset[0], offset[1], offset[2]), (scale[0], scale[1], scale[2]),
                    (values["line_offset"], values["sample_offset"]), values["line_scale"],
                    values.get("crs", ""), values.get("fit_crs", ""), values.get("x_turn", 0.0))
+
+
+@lru_cache(maxsize=8)
+def _scaled(scaling: Scaling, features: FeatureSet) -> FeatureSet:
+    """Return scaled features, the same ones again: many models are fitted to the same control."""
+    return replace(features, points=scaling.points(features.points),
+                   lines=scaling.lines(features.lines))
 
 
 _FAR = 1e6

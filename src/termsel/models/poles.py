@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 
 from termsel.fits.fittable import Fittable
@@ -22,6 +24,7 @@ no room for a pole between so many."""
 _GRID = np.stack(np.meshgrid(*[np.linspace(-1.0, 1.0, n) for n in (5, 5, 3)]), -1).reshape(-1, 3)
 
 
+@lru_cache(maxsize=8)
 def guard_points(control: FeatureSet, check: Points) -> FloatArray:
     """Return scaled ground points at which denominators must stay positive.
 
@@ -38,7 +41,9 @@ def guard_points(control: FeatureSet, check: Points) -> FloatArray:
         even = np.linspace(0, len(vertices) - 1, GUARDED).astype(int)
         vertices = vertices[spatial_order(vertices[:, :2])[even]]
     grid = (low + high) / 2 + _GRID * (high - low) / 2
-    return np.concatenate([vertices, grid @ axes.T])
+    guard = np.concatenate([vertices, grid @ axes.T])
+    guard.setflags(write=False)  # all who ask for the same ones share them
+    return guard
 
 
 def pole_violation(model: Fittable, coefficients: FloatArray,
