@@ -350,6 +350,39 @@ def test_a_loop_is_found_where_the_command_runs(tmp_path: Path,
     assert json.loads(shown.stdout)["solver"] == "deap"
 
 
+def still(population: list[Any], toolbox: base.Toolbox) -> Iterator[list[Any]]:
+    """Breed nothing."""
+    while True:
+        yield population
+
+
+def stuck(population: list[Any], toolbox: base.Toolbox) -> Iterator[list[Any]]:
+    """Never return."""
+    yield population
+    while True:
+        pass
+
+
+def test_a_loop_that_breeds_nothing_comes_to_an_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("termsel.solvers.search.IDLE", 20)
+    for budget in ({}, {"evaluations": 500}, {"generations": 50}):
+        found = search(problems.twelve_terms(), termsel.from_deap(own_box, still)(), **budget)
+        assert (found.evaluations, found.generations) == (200, 20)
+        assert found.notes == (
+            "The search ended after 20 generations in which solver 'own-box' evaluated nothing.",)
+    assert search(problems.twelve_terms(), termsel.from_deap(own_box, still)(),
+                  generations=5).generations == 5
+
+
+def test_a_loop_that_never_returns_ends_with_its_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("termsel.solvers.silence.GRACE", 0.1)
+    monkeypatch.setattr("termsel.solvers.silence._EVERY", 0.1)
+    found = search(problems.twelve_terms(), termsel.from_deap(own_box, stuck)(), seconds=0.2)
+    assert found.evaluations == 200
+    assert Deap(algorithm="mine:loop").runs_code_of_users
+    assert not Deap().runs_code_of_users
+
+
 SEEDS = range(30)
 
 

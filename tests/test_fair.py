@@ -166,7 +166,7 @@ def test_history_holds_each_generation() -> None:
 
 
 def test_histories_of_repeated_searches_follow_each_other() -> None:
-    result = termsel.run("owdis-lines-terms", generations=2,
+    result = termsel.run("owdis-lines-terms", generations=4,
                          options={"steps": "terms-first", "population": 20, "polish": False,
                                   "blunders": "keep"})
     counts = [one["evaluations"] for one in result.history]

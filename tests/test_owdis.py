@@ -19,6 +19,8 @@ from termsel.measurements.features import Lines
 from termsel.measurements.scaling import scaling_of
 from termsel.models.polynomial import Polynomial3D
 from termsel.models.rpc import Rpc
+from termsel.runs import steps
+from termsel.runs.steps import search_in_steps
 
 QUICK = {"population": 40, "polish": False}
 
@@ -89,13 +91,13 @@ def test_names_that_are_not_there(options: dict[str, str], message: str) -> None
 def test_terms_first_then_features() -> None:
     result = run("owdis-lines-terms", steps="terms-first", blunders="keep")
     assert result.notes[0].startswith("In two steps: terms first, check-rmse ")
-    assert result.generations == 16
+    assert result.generations == 8
     # The first step by itself, of the same seed, finds the same terms.
     task = termsel.prepare("owdis-lines-terms", options={**QUICK, "steps": "terms-first"})
     genome = task.problem.genome
     is_feature = np.arange(genome.size) >= genome.slices()["features"].start
     alone = termsel.search(task.problem.frozen(np.ones(genome.size, dtype=bool), is_feature),
-                           task.solver, generations=8)
+                           task.solver, generations=4)
     assert task.problem.decode(alone.genes).terms == result.selection.terms
     assert task.problem.decode(alone.genes).features == task.observations.control.ids
 
@@ -124,18 +126,58 @@ def test_each_step_has_a_solver_and_options_of_its_own() -> None:
     is_feature = np.arange(task.problem.genome.size) >= task.problem.genome.slices()[
         "features"].start
     genes = is_feature & np.isin(task.problem.genome.labels, chosen)
-    alone = termsel.search(task.problem.frozen(genes, is_feature), task.solver, generations=8)
+    alone = termsel.search(task.problem.frozen(genes, is_feature), task.solver, generations=4)
     assert task.problem.decode(alone.genes).terms == result.selection.terms
+
+
+def test_two_steps_share_a_budget(monkeypatch: pytest.MonkeyPatch) -> None:
+    task = termsel.prepare("owdis-lines-terms", model="poly3d", options={
+        "steps": "terms-first", "then": "random", "degree": 1, "polish": False,
+        "solver.population": 10})
+    seen: list[int] = []
+    found = search_in_steps(task, evaluations=400, observers=[
+        lambda progress: seen.append(progress.evaluations)])
+    assert found.evaluations == 400
+    assert max(seen) == 200  # of one step
+    monkeypatch.setattr(steps, "EVALUATIONS", 300)
+    assert search_in_steps(task).evaluations == 300
+    # A second step there is, however little is left.
+    assert search_in_steps(task, evaluations=1).evaluations == 2
+    assert "then the rest by random" in search_in_steps(task, seconds=1e-6).notes[0]
+
+
+@pytest.mark.parametrize(("then", "options", "said"), [
+    ("exact", {}, "'exact' cannot do the second step: .* such as --then ga"),
+    ("stepwise", {}, "'stepwise' cannot do the second step"),
+    ("ridge", {}, "'ridge' cannot do the second step"),
+    ("ga-correlation", {}, "'ga-correlation' cannot .* such as --then ga"),
+    ("deap", {"then.select": "selMagic"}, "selMagic")])
+def test_a_solver_that_cannot_do_the_second_step_is_refused_before_the_first(
+        then: str, options: dict[str, str], said: str) -> None:
+    seen: list[object] = []
+    with pytest.raises(termsel.TermselError, match=said) as error:
+        termsel.run("owdis-lines-terms", generations=2, observers=[seen.append], options={
+            "polish": False, "steps": "features-first", "then": then, **options})
+    assert not seen
+    assert "--solver" not in str(error.value)
 
 
 @pytest.mark.parametrize(("given", "message"), [
     ({"then": "pso"}, "steps=joint has one. Add --set steps=features-first"),
+    ({"then.population": 9}, "then.population is for .* steps=joint has one"),
+    ({"then.population": 9, "steps": "terms-first"}, "and --then names none"),
     ({"then": "swarm", "steps": "terms-first"}, "unknown solver 'swarm'"),
     ({"then": "nsga2", "steps": "terms-first"}, "'nsga2' cannot handle 1 objective"),
     ({"then": "pso", "steps": "terms-first", "population": 9}, "write|Write solver.population")])
 def test_a_second_solver_that_cannot_be(given: dict[str, object], message: str) -> None:
     with pytest.raises(termsel.TermselError, match=message):
         termsel.prepare("owdis-lines-terms", options=given)
+
+
+@pytest.mark.parametrize("key", ["then", "problem.then", "then.population"])
+def test_a_problem_without_steps_says_so(key: str) -> None:
+    with pytest.raises(termsel.TermselError, match="problem 'poly-terms' has no steps"):
+        termsel.prepare("poly-terms", options={key: "pso"})
 
 
 def test_terms_alone_with_lines_as_control() -> None:

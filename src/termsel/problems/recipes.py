@@ -85,8 +85,8 @@ COUNTS = (
 
 TERMS = Option("terms", None, "Terms of the model in use, separated by commas; by default all.")
 STEPS = Option("steps", "joint", "Whether terms and features are selected together; or terms "
-               "first, with all features, then features with these terms; or the reverse. Each "
-               "of two steps has the whole budget.",
+               "first, with all features, then features with these terms; or the reverse. The "
+               "first of two steps has half of the budget, the second what is left.",
                choices=("joint", "terms-first", "features-first"))
 THEN = Option("then", None, "Solver of the second of two steps (--then); by default that of the "
               "first.")

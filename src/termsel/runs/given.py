@@ -11,6 +11,7 @@ from termsel.options import Configurable
 from termsel.plugins.registry import registry
 from termsel.problems.constraints import listed
 from termsel.problems.objectives import Objective
+from termsel.problems.recipes import Recipe
 
 
 def class_of(part: type[Configurable] | Configurable) -> type[Configurable]:
@@ -41,6 +42,44 @@ def with_options(word: str, part: type[Configurable] | Configurable,
                            "has its options already",
                            hint=f"Give them with the name or the class of the {word}.")
     return part
+
+
+def second_solver(recipe: Recipe, given: Mapping[str, Any]) -> Any:
+    """Return the solver of the second of two steps as asked for, or the problem's; or None.
+
+    Parameters
+    ----------
+    recipe : Recipe
+    given : mapping
+        The options of all parts.
+
+    Raises
+    ------
+    TermselError
+        For a solver, or options of one, where there is no second step, or no solver of its own.
+    """
+    options = {option.name: option.default for option in recipe.options}
+    own = [key for key in given if key.startswith("then.")]
+    asked = next((given[key] for key in ("then", "problem.then") if key in given), None)
+    if "then" not in options:
+        if asked is not None or own:
+            raise TermselError(
+                f"problem {recipe.name!r} has no steps, so no second step has a solver (--then)",
+                hint="Leave it out, or choose a problem of terms and features, such as "
+                     "owdis-lines-terms.")
+        return None
+    steps = next((given[key] for key in ("steps", "problem.steps") if key in given),
+                 options.get("steps"))
+    if steps == "joint" and (asked is not None or own):
+        raise TermselError(
+            f"{own[0] if asked is None else '--then'} is for the solver of the second of two "
+            "steps, and steps=joint has one",
+            hint="Add --set steps=features-first or steps=terms-first.")
+    solver = None if steps == "joint" else options["then"] if asked is None else asked
+    if own and solver is None:
+        raise TermselError(f"{own[0]} is for the solver of the second step, and --then names none",
+                           hint="Add --then NAME, such as --then pso.")
+    return solver
 
 
 def objectives_of(asked: str | None, criterion: Criterion) -> tuple[Objective, ...]:

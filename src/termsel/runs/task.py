@@ -34,7 +34,7 @@ from termsel.problems.parameters import ParameterProblem
 from termsel.problems.recipes import Recipe
 from termsel.runs.enough import require_enough
 from termsel.runs.fit_crs import FIT_CRS, with_fit_crs
-from termsel.runs.given import class_of, objectives_of, with_options
+from termsel.runs.given import class_of, objectives_of, second_solver, with_options
 from termsel.solvers.base import Solver
 from termsel.solvers.budget import SEARCH_OPTIONS
 from termsel.solvers.search import require_able
@@ -211,9 +211,7 @@ def ask(
                                       recipe.criterion if criterion is None else criterion),
              "solver": names.taken("solvers", usual if solver is None else solver)}
     given = options or {}
-    usual_then = next((one.default for one in recipe.options if one.name == "then"), None)
-    then = given.get("then", given.get("problem.then", usual_then))
-    if then is not None:
+    if (then := second_solver(recipe, given)) is not None:
         parts["then"] = names.get("solvers", then)
     chosen = by_part(given, {
         "problem": recipe.options, "data": DATA_OPTIONS, "search": SEARCH_OPTIONS,
@@ -248,7 +246,7 @@ def ask(
     return Request(recipe, made["model"], made["criterion"], made["solver"], features,
                    printable(source or "given in Python"),
                    {"problem": of_problem, "data": of_data, "search": of_search},
-                   made.get("then") if of_problem.get("then") else None, set_options)
+                   made.get("then"), set_options)
 
 
 def observe(request: Request, least: int = MIN_CONTROL) -> Observations:
@@ -356,11 +354,7 @@ def _of_problem(recipe: Recipe, given: Mapping[str, Any], criterion: Criterion,
         options["objectives"] = options["objectives"] or recipe.second
     if "max_share" in options and options["max_share"] is None:
         options["max_share"] = 1.0 if solver.uses_all else MAX_SHARE
-    if options.get("then") is not None and options.get("steps") == "joint":
-        if "then" in given:
-            raise TermselError("then names a solver for the second of two steps, and steps=joint "
-                               "has one",
-                               hint="Add --set steps=features-first or steps=terms-first.")
+    if options.get("steps") == "joint" and "then" in options:
         options["then"] = None
     if "recommend" in options:
         options["recommend"] = _rule(options["recommend"], criterion, solver)

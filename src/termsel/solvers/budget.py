@@ -15,6 +15,10 @@ EVALUATIONS = 16_040
 """Budget of a search that has none, whatever its solver: 80 generations of the genetic algorithm
 after its first population."""
 
+IDLE = 1000
+"""Generations in a row without an evaluation that end a search, such as those of a loop that breeds
+nothing."""
+
 TOLERANCE = 1e-4
 """Least gain that counts for `Patience`, relative to the objective."""
 

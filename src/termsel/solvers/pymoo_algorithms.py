@@ -168,6 +168,7 @@ def from_pymoo(algorithm: Algorithm, *, name: str | None = None) -> type[Solver]
         __doc__ = f"{type(algorithm).__name__} of pymoo, as a user set it up."
         min_objectives = 2 if several else 1
         max_objectives = 1 if single else 8
+        runs_code_of_users = True
 
         def generations(self, problem: Problem, rng: np.random.Generator) -> Iterator[Generation]:
             yield from steps(deepcopy(algorithm), problem, rng)

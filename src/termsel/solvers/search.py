@@ -16,7 +16,7 @@ from termsel.measurements.features import FloatArray
 from termsel.problems.base import Evaluation, Problem
 from termsel.problems.segments import Genes
 from termsel.solvers.base import Generation, Solver
-from termsel.solvers.budget import EVALUATIONS, TOLERANCE, Budget, Patience
+from termsel.solvers.budget import EVALUATIONS, IDLE, TOLERANCE, Budget, Patience
 from termsel.solvers.ledger import BudgetSpent, Ledger, Progress, Tally
 from termsel.solvers.refinement import POLISH_SHARE, Polish, refine
 from termsel.solvers.silence import heard
@@ -169,6 +169,8 @@ def search(
     waiting = Patience(patience, tolerance)
     generation: Generation | None = None
     refined, interrupted = None, False
+    idle = 0
+    notes: tuple[str, ...] = ()
     history: list[Tally] = []
     rng = np.random.default_rng(seed)
 
@@ -181,11 +183,16 @@ def search(
     try:
         with closing(_until_spent(running)) as yielded:
             for generation in yielded:
+                idle = 0 if not history or ledger.count > history[-1].evaluations else idle + 1
                 progress = ledger.progress(generation, budget.share(generation, ledger))
                 history.append(ledger.tally(generation))
                 for observe in observers:
                     observe(progress)
                 if budget.spent(generation, ledger) or waiting.lost(ledger):
+                    break
+                if idle >= IDLE and not solver.ends_by_itself:
+                    notes = (f"The search ended after {IDLE:,} generations in which solver "
+                             f"{solver.name!r} evaluated nothing.",)
                     break
         if polish and ledger.best_genes is not None:
             ledger.deadline = None if seconds is None else start + seconds
@@ -204,7 +211,25 @@ def search(
                   tuple(ledger.front() if len(problem.objectives) > 1
                         else generation.details.get("front", ()) if generation else ()),
                   generation.details.get("coefficients") if generation else None,
-                  history=tuple(history))
+                  notes=notes, history=tuple(history))
+
+
+def begin(problem: Problem, solver: Solver) -> None:
+    """Begin a search and end it before anything is evaluated, so that a solver may refuse it.
+
+    Parameters
+    ----------
+    problem : Problem
+    solver : Solver
+
+    Raises
+    ------
+    TermselError
+        That of the solver.
+    """
+    unevaluated = Ledger(problem, evaluations=0, solver=solver)
+    with closing(_until_spent(solver.generations(unevaluated, np.random.default_rng(0)))) as begun:
+        next(begun, None)
 
 
 def require_able(problem: Problem, solver: Solver,

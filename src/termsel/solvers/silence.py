@@ -1,4 +1,4 @@
-"""Solvers of plugins that yield nothing for long: the progress says so, time ends them."""
+"""Solvers of others that yield nothing for long: the progress says so, time ends them."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ class _Silence:
 
 def heard(running: Iterator[Generation], solver: Solver, ledger: Ledger,
           tell: Callable[[str], None]) -> Iterator[Generation]:
-    """Yield what a solver yields, and end a plugin's that is silent when its time is spent.
+    """Yield what a solver yields, and end one of others that is silent when its time is spent.
 
     Parameters
     ----------
@@ -70,7 +70,7 @@ def heard(running: Iterator[Generation], solver: Solver, ledger: Ledger,
     tell : callable
         Takes what the progress shows; called in another thread.
     """
-    if is_own(type(solver)):
+    if is_own(type(solver)) and not solver.runs_code_of_users:
         yield from running
         return
     silence = _Silence(solver, ledger, tell)
