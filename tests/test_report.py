@@ -7,6 +7,7 @@ import re
 import shlex
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from html import unescape
 from pathlib import Path
 from types import SimpleNamespace
@@ -213,6 +214,18 @@ def test_residuals_of_rounding_alone_are_not_exaggerated(kind: str, tmp_path: Pa
     from termsel.report.plots import save
     save(drawn, tmp_path / "map.png")
     assert (tmp_path / "map.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_the_map_of_uncertainty_reaches_to_the_last_feature() -> None:
+    features = termsel.simulate_scene("ikonos-hamedan", n_lines=0)
+    view = termsel.run("poly-terms", solver="all-terms", features=replace(
+        features, image_size=None)).view
+    image = features.points.image
+    for axis, (low, high) in (("line", ("line", "line2")), ("sample", ("sample", "sample2"))):
+        column = image[:, 0 if axis == "line" else 1]
+        margin = 0.04 * np.ptp(column)
+        assert min(cell[low] for cell in view.sigma) < column.min() + margin
+        assert max(cell[high] for cell in view.sigma) > column.max() - margin
 
 
 def test_baselines_show_the_record(chosen: termsel.Result) -> None:

@@ -12,7 +12,9 @@ INSET = 0.02
 """Part of the image's sides that a grid leaves out, where nothing can be measured."""
 
 
-def scene_grid(fitted: Fit, side: int, neighbours: int = 1) -> tuple[FloatArray, FloatArray]:
+def scene_grid(fitted: Fit, side: int, neighbours: int = 1,
+               box: tuple[float, float, float, float] | None = None,
+               ) -> tuple[FloatArray, FloatArray]:
     """Return positions on a grid over the image, and what is seen there on the ground.
 
     Parameters
@@ -23,6 +25,9 @@ def scene_grid(fitted: Fit, side: int, neighbours: int = 1) -> tuple[FloatArray,
     neighbours : int
         Number of nearest control vertices whose heights a position has the mean of, with weights
         by inverse squares of their distances.
+    box : tuple of float, optional
+        First line, first sample, last line, last sample of the grid [px]; by default those of the
+        image, or of the control where its size is not known.
 
     Returns
     -------
@@ -33,7 +38,10 @@ def scene_grid(fitted: Fit, side: int, neighbours: int = 1) -> tuple[FloatArray,
     """
     from scipy.spatial import cKDTree
 
-    (top, left), (bottom, right) = fitted.image_box()
+    if box is None:
+        (top, left), (bottom, right) = fitted.image_box()
+    else:
+        top, left, bottom, right = box
     lines, samples = (np.linspace(low + INSET * (high - low), high - INSET * (high - low), side)
                       for low, high in ((top, bottom), (left, right)))
     image = np.stack(np.meshgrid(lines, samples, indexing="ij"), axis=-1).reshape(-1, 2)

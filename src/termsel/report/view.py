@@ -139,7 +139,7 @@ class View:
     @cached_property
     def sigma(self) -> list[Row]:
         """Standard deviation of the fit in cells of the image: its ends and sigma [px]."""
-        image, ground = scene_grid(self.fit, SIGMA_SIDE, neighbours=SMOOTH)
+        image, ground = scene_grid(self.fit, SIGMA_SIDE, SMOOTH, self.image_box)
         sigma = np.linalg.norm(self.fit.sigma(ground), axis=1)
         half_line, half_sample = ((image[-1] - image[0]) / (SIGMA_SIDE - 1) / 2).tolist()
         return [{"line": _short(line - half_line), "line2": _short(line + half_line),
