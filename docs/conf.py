@@ -59,11 +59,23 @@ def displayed_math(writer: Any, node: nodes.math_block) -> None:
     raise nodes.SkipNode
 
 
-def fill(_app: Sphinx, _name: str, source: list[str]) -> None:
+def fill(app: Sphinx, name: str, source: list[str]) -> None:
     """Put what is generated from the code into a page that is read."""
     from generated import filled
 
-    source[0] = filled(source[0])
+    source[0] = filled(app.cases.get(name, source[0]))
+
+
+def run_gallery(app: Sphinx) -> None:
+    """Run the cases of the gallery: their pictures, and their pages by name."""
+    from gallery import made
+
+    app.cases = {f"how-to/gallery/{name}": text for name, text in made().items()}
+
+
+def outdated(app: Sphinx, *_args: Any) -> list[str]:
+    """Return the pages to be read whether they changed or not: the cases are run anew."""
+    return list(app.cases)
 
 
 def examples(_app: Sphinx, _context: Any, lines: list[str]) -> None:
@@ -83,6 +95,8 @@ def examples(_app: Sphinx, _context: Any, lines: list[str]) -> None:
 
 def setup(app: Sphinx) -> None:
     """Register how formulae are written and pages are filled."""
+    app.connect("builder-inited", run_gallery)
+    app.connect("env-get-outdated", outdated)
     app.connect("source-read", fill)
     app.connect("sphinx-click-process-description", examples)
     app.add_html_math_renderer("mathml", (inline_math, None), (displayed_math, None))

@@ -26,7 +26,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 ANYTHING = "..."
-_FENCE = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+_FENCE = re.compile(r"^```([^\n]*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 _OUTPUT = re.compile(r"\n\n```text\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 _NOT_RUN = re.compile(r"<!-- (not run|tests)[^>]*-->\s*$")
 _INSTALLS = re.compile(r".*\bpip install [^&|;]*(&& |$)")

@@ -1,0 +1,101 @@
+"""Run the cases of the gallery: their pictures, and the output that their pages show.
+
+Each page of `how-to/gallery` is a case. What it has the reader run is run here, in one process
+and in a folder of its own, and whatever is drawn there goes to the pages as their pictures.
+Output shown is replaced by what was printed. A line ``<!-- true: EXPRESSION -->`` states in Python
+what the page says of a result: there the name of a folder is the content of its result.json. A
+page that is not true any more fails the build.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shlex
+import shutil
+import tempfile
+from contextlib import chdir, redirect_stdout
+from io import StringIO
+from pathlib import Path
+from typing import Any
+
+from click.testing import CliRunner
+from snippets import Step, renewed, steps
+
+from termsel.cli.main import cli
+
+PAGES = Path(__file__).parent / "how-to" / "gallery"
+PICTURES = PAGES / "made"
+_TRUE = re.compile(r"^<!-- true: (.+) -->$", re.MULTILINE)
+
+
+class Untrue(Exception):
+    """What a page says and what its case gave differ."""
+
+
+def made(pages: Path = PAGES, pictures: Path = PICTURES) -> dict[str, str]:
+    """Run all cases, and return their pages with the output that was printed.
+
+    Parameters
+    ----------
+    pages : Path
+        Folder of the pages.
+    pictures : Path
+        Folder for what is drawn; what is there goes first.
+
+    Raises
+    ------
+    Untrue
+        If a page says what is not so.
+    """
+    shutil.rmtree(pictures, ignore_errors=True)
+    pictures.mkdir(parents=True)
+    found = {}
+    for page in sorted(pages.glob("*.md")):
+        if page.stem == "index":
+            continue
+        with tempfile.TemporaryDirectory() as name:
+            folder = Path(name)
+            found[page.stem] = _case(page, folder)
+            for picture in folder.glob("**/*.svg"):
+                shutil.copy(picture, pictures / "-".join(picture.relative_to(folder).parts))
+    return found
+
+
+def _case(page: Path, folder: Path) -> str:
+    """Return a page with the output that its steps print in a folder."""
+    text = page.read_text(encoding="utf-8")
+    new, done = "", 0
+    for step in steps(text):
+        printed = _run(step, folder)
+        if not step.shown:
+            continue
+        lines = renewed(step.shown, printed)
+        if lines is None:
+            raise Untrue(f"{page.name} shows of {step.code}\n{step.shown}\n"
+                         f"and it prints\n{printed}")
+        new += text[done:step.start] + lines
+        done = step.end
+    records: dict[str, Any] = {path.parent.name: json.loads(path.read_text(encoding="utf-8"))
+                               for path in folder.glob("*/result.json")}
+    for said in _TRUE.findall(text):
+        if not eval(said, {}, records):
+            raise Untrue(f"{page.name}: not true: {said}")
+    return new + text[done:]
+
+
+def _run(step: Step, folder: Path) -> str:
+    with chdir(folder):
+        if step.python:
+            printed = StringIO()
+            with redirect_stdout(printed):
+                exec(step.code, {})
+            return printed.getvalue()
+        program, *words = shlex.split(step.code.replace("\\\n", " "))
+        if program != "termsel":
+            raise Untrue(f"{step.code} is no command of termsel")
+        result = CliRunner(env={"COLUMNS": "100", **os.environ}).invoke(cli, words)
+        if result.exception is not None and not isinstance(result.exception, SystemExit):
+            raise result.exception
+        return result.output

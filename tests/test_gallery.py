@@ -1,0 +1,81 @@
+"""The gallery of the documentation: its form, and that a page which is not true is refused.
+
+The cases themselves are run when the documentation is built.
+"""
+
+from __future__ import annotations
+
+import importlib
+import re
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+DOCS = Path(__file__).parents[1] / "docs"
+PAGES = sorted(page for page in (DOCS / "how-to" / "gallery").glob("*.md")
+               if page.stem != "index")
+
+
+@pytest.fixture(scope="module")
+def gallery() -> ModuleType:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(str(DOCS))
+        return importlib.import_module("gallery")
+
+
+def test_there_are_ten_cases() -> None:
+    assert len(PAGES) == 10
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_a_case_has_picture_command_sight_and_remedy_in_this_order(page: Path) -> None:
+    text = page.read_text(encoding="utf-8")
+    order = [re.search(pattern, text, re.MULTILINE) for pattern in (
+        r"\A# .+\n\n```{image} made/[\w-]+\.svg\n:alt: .{40,}\n```$", r"^\$ termsel (run|compare) ",
+        r"^## What you see$", r"^## What you do then$")]
+    assert all(order)
+    places = [found.start() for found in order if found]
+    assert places == sorted(places)
+
+
+CASE = """# A case
+
+```python
+print("one", 2.5)
+```
+
+```text
+one 1.0
+```
+
+```console
+$ termsel plugins --json
+...
+]
+```
+
+"""
+
+
+def test_output_shown_is_what_is_printed(gallery: ModuleType, tmp_path: Path) -> None:
+    (tmp_path / "case.md").write_text(CASE + "<!-- true: 2 > 1 -->\n")
+    (tmp_path / "index.md").write_text("```console\n$ termsel nothing\n```\n")
+    pictures = tmp_path / "made"
+    pictures.mkdir()
+    (pictures / "stale.svg").write_text("<svg/>")
+    found = gallery.made(tmp_path, pictures)
+    assert list(found) == ["case"]
+    assert "one 2.5\n" in found["case"]
+    assert not list(pictures.iterdir())
+
+
+@pytest.mark.parametrize(("text", "says"), [
+    (CASE.replace("one 1.0", "two 1.0"), "shows of"),
+    (CASE + "<!-- true: 1 > 2 -->\n", "not true: 1 > 2"),
+    ("```console\n$ rm -r result\n```\n", "no command of termsel")])
+def test_a_page_that_is_not_true_is_refused(gallery: ModuleType, tmp_path: Path, text: str,
+                                            says: str) -> None:
+    (tmp_path / "case.md").write_text(text)
+    with pytest.raises(gallery.Untrue, match=says):
+        gallery.made(tmp_path, tmp_path / "made")
