@@ -7,6 +7,8 @@ import os
 import re
 import subprocess
 import sys
+import sysconfig
+import venv
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
@@ -16,36 +18,49 @@ import pytest
 from termsel.cli.new_plugin import KINDS, package
 
 LISTED = {"model": "models", "solver": "solvers", "problem": "problems", "criterion": "criteria",
-          "reader": "readers", "writer": "writers"}
+          "objective": "objectives", "dataset": "datasets", "reader": "readers",
+          "writer": "writers"}
 
 
-def _python(folder: Path, *words: object, target: Path) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([sys.executable, *map(str, words)], cwd=folder, text=True,
-                          capture_output=True, check=False,
-                          env={**os.environ, "PYTHONPATH": str(target), "PIP_NO_INDEX": "1",
-                               "PIP_DISABLE_PIP_VERSION_CHECK": "1"})
+def environment(folder: Path) -> Path:
+    """Make an environment that has termsel and what it needs, and return its interpreter."""
+    builder = venv.EnvBuilder(with_pip=False, symlinks=os.name != "nt")
+    builder.create(folder)
+    at = {"base": str(folder), "platbase": str(folder)}
+    packages = Path(sysconfig.get_path("purelib", "venv", at))
+    # termsel may be installed by a .pth file, which only addsitedir reads from another folder.
+    (packages / "termsel.pth").write_text("".join(
+        f"import site; site.addsitedir({path!r})\n" for path in sys.path
+        if path.endswith("site-packages")))
+    return Path(builder.ensure_directories(folder).env_exe)
+
+
+def _python(folder: Path, *words: object, by: Path) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([by, *map(str, words)], cwd=folder, text=True, capture_output=True,
+                          check=False, env={**os.environ, "PIP_NO_INDEX": "1",
+                                            "PIP_DISABLE_PIP_VERSION_CHECK": "1"})
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_new_package_installs_passes_its_tests_and_shows_up(
         kind: str, tmp_path: Path, call: Callable[..., SimpleNamespace]) -> None:
-    name, target = f"termsel-my-{kind}", tmp_path / "site"
+    name, python = f"termsel-my-{kind}", environment(tmp_path / "env")
     done = call("new-plugin", name, "--kind", kind, "--into", tmp_path)
     assert done.exit_code == 0
     folder = tmp_path / name
-    done = _python(tmp_path, "-m", "pip", "install", "--no-deps", "--no-build-isolation",
-                   "--target", target, folder, target=target)
+    done = _python(tmp_path, "-m", "pip", "--python", python, "install", "--no-build-isolation",
+                   folder, by=Path(sys.executable))
     assert done.returncode == 0, done.stderr
-    assert (target / f"termsel_my_{kind}.py").is_file()
-    tests = _python(folder / "tests", "-m", "unittest", "-v", target=target)
+    assert list((tmp_path / "env").rglob(f"termsel_my_{kind}.py"))
+    tests = _python(folder / "tests", "-m", "unittest", "-v", by=python)
     assert tests.returncode == 0, tests.stderr
     assert "Ran 2 tests" in tests.stderr
     if kind == "command":
-        shown = _python(tmp_path, "-m", "termsel", f"my-{kind}", "--help", target=target)
+        shown = _python(tmp_path, "-m", "termsel", f"my-{kind}", "--help", by=python)
         assert "Print the RMSE of a result" in shown.stdout
         return
-    shown = _python(tmp_path, "-m", "termsel", "list", LISTED[kind], "--json", target=target)
+    shown = _python(tmp_path, "-m", "termsel", "list", LISTED[kind], "--json", by=python)
     (found,) = [one for one in json.loads(shown.stdout) if one["provided_by"] == name]
     assert found["name"] == f"my-{kind}"
 
@@ -68,6 +83,7 @@ def test_all_marks_are_filled_in(kind: str) -> None:
     ("rfm", "model", "termsel has a model 'rfm' itself"),
     ("termsel-ga", "solver", "termsel has a solver 'ga' itself"),
     ("run", "command", "termsel has a command 'run' itself"),
+    ("termsel-ikonos-hamedan", "dataset", "termsel has a data set 'ikonos-hamedan' itself"),
     ("numpy", "model", "Python already has a module 'numpy'"),
     ("json", "model", "Python already has a module 'json'"),
     ("two words", "model", "'two words' cannot be the name of a package"),

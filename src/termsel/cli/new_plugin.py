@@ -15,7 +15,8 @@ import click
 from termsel.cli.messages import echo, say_written
 from termsel.errors import TermselError
 
-KINDS = ("model", "solver", "problem", "criterion", "reader", "writer", "command")
+KINDS = ("model", "solver", "problem", "criterion", "objective", "dataset", "reader", "writer",
+         "command")
 
 _NAME = re.compile(r"[A-Za-z](?:[A-Za-z0-9]|[-_.](?=[A-Za-z0-9]))*")
 
@@ -24,6 +25,9 @@ _USE = {
     "solver": "Use it: `termsel run --problem rfm-terms --solver {name}`",
     "problem": "Use it: `termsel run --problem {name}`",
     "criterion": "Use it: `termsel run --problem rfm-terms --criterion {name}`",
+    "objective": "Use it: `termsel run --problem owdis-points --solver nsga2 "
+                 "--set objectives={name}`",
+    "dataset": "Use it: `termsel run --problem rfm-terms --dataset {name}`",
     "reader": "Use it: `termsel run --points FILE --crs EPSG:n`; termsel recognises the format.",
     "writer": "Use it: `termsel export DIR --to {name} --output FILE`",
     "command": "Use it: `termsel {name} DIR`, with the folder of a result",
@@ -86,15 +90,19 @@ def package(name: str, kind: str) -> dict[str, str]:
     thing = re.sub(r"[-_.]+", "-", name).lower().removeprefix("termsel-")
     _require_free(name, module, thing, kind)
     words = {
-        "DISTRIBUTION": name, "MODULE": module, "NAME": thing, "KIND": kind,
+        "DISTRIBUTION": name, "MODULE": module, "NAME": thing,
         "CLASS": "".join(part.capitalize() for part in thing.split("-")),
-        "TITLE": f"The {kind} {thing}", "USE": _USE[kind].format(name=thing)}
+        "TITLE": f"The {_word(kind)} {thing}", "USE": _USE[kind].format(name=thing)}
     test = f"test_{module}.py"
     sources = {
         "pyproject.toml": "pyproject.toml", "build_wheel.py": "build_wheel.py",
         "README.md": "README.md", f"{module}.py": f"{kind}.py",
         f"tests/{test}": f"{kind}_test.py"}
     return {file: _filled(source, words) for file, source in sources.items()}
+
+
+def _word(kind: str) -> str:
+    return "data set" if kind == "dataset" else kind
 
 
 def _filled(source: str, words: dict[str, str]) -> str:
@@ -116,8 +124,8 @@ def _require_free(name: str, module: str, thing: str, kind: str) -> None:
     from termsel.plugins.kinds import KINDS as REGISTERED
     from termsel.plugins.registry import Registry
 
-    plural = next((key for key, value in REGISTERED.items() if value.word == kind), None)
+    plural = next((key for key, value in REGISTERED.items() if value.word == _word(kind)), None)
     taken = COMMANDS if plural is None else Registry([]).names(plural)
     if thing in taken:
-        raise TermselError(f"termsel has a {kind} {thing!r} itself",
+        raise TermselError(f"termsel has a {_word(kind)} {thing!r} itself",
                            hint="Choose another name.")
