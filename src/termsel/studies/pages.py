@@ -148,18 +148,26 @@ def markdown(study: Study) -> str:
     study : Study
     """
     tables, said = tables_of(study)
-    parts = [f"# {study.spec.title or 'Study'}\n"]
-    for table in tables:
-        marks = ["---", *("---:" if _numeric(table, i) else "---"
-                          for i in range(1, len(table.header)))]
-        parts.append(f"## {_escaped(table.title)}\n")
-        lines = ["| " + " | ".join(map(_escaped, row)) + " |"
-                 for row in (table.header, *table.rows)]
-        parts.append("\n".join([lines[0], f"|{'|'.join(marks)}|", *lines[1:], ""]))
+    parts = [f"# {study.spec.title or 'Study'}\n", *map(section, tables)]
     if said:
         parts.append("## What may be claimed\n")
         parts.append("\n".join(f"- {_escaped(sentence)}" for sentence in said) + "\n")
     return "\n".join(parts)
+
+
+def section(table: Table, depth: int = 2) -> str:
+    """Return a table with its heading as Markdown.
+
+    Parameters
+    ----------
+    table : Table
+    depth : int
+        Of the heading.
+    """
+    marks = ["---", *("---:" if _numeric(table, i) else "---" for i in range(1, len(table.header)))]
+    lines = ["| " + " | ".join(map(_escaped, row)) + " |" for row in (table.header, *table.rows)]
+    return "\n".join([f"{'#' * depth} {_escaped(table.title)}\n", lines[0],
+                      f"|{'|'.join(marks)}|", *lines[1:], ""])
 
 
 def _escaped(text: str) -> str:
