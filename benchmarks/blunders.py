@@ -1,7 +1,7 @@
 """How much blunders cost the strategy auto, and how many it finds.
 
 ``python -m benchmarks.blunders`` prints the tables, ``--write`` makes docs/evidence/blunders.md of
-them. The sets and splits are those of `benchmarks.accuracy`. One point in 15, or one in 5, is moved
+them. The sets and splits are those of `benchmarks.sets`. One point in 15, or one in 5, is moved
 by 10 to 100 standard deviations in a random direction; sizes are uniform in logarithms. Robust
 peers are quadratic polynomials by scikit-learn and statsmodels (``pip install scikit-learn
 statsmodels``).
@@ -18,7 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from benchmarks.accuracy import (
+from benchmarks.sets import (
     MEASURED,
     NOISE,
     OLD_MAP,

@@ -1,7 +1,7 @@
 """How often the interval of the predicted RMSE holds the independent RMSE.
 
 ``python -m benchmarks.coverage --write`` makes docs/evidence/coverage.md. Sets and splits are
-those of `benchmarks.accuracy`, with up to 300 independent points. The constant of the interval was
+those of `benchmarks.sets`, with up to 300 independent points. The constant of the interval was
 chosen on other splits of the same sets; the embedded scenes alone lead to the same value.
 """
 
@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from benchmarks.accuracy import heights_of, names, put, rmse_of, split
+from benchmarks.sets import heights_of, names, put, rmse_of, split
 from termsel.candidates.portfolio import choose, repeated
 from termsel.fits.accuracy import LEVEL, Predicted, predicted_rmse
 from termsel.measurements.features import FeatureSet, FloatArray

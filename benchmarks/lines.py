@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 import termsel
-from benchmarks.honest import DATA
+from benchmarks.sets import DATA
 from termsel.adjustment.equations import line_normals
 from termsel.candidates.candidate import CANDIDATES
 from termsel.candidates.compare import has_heights

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 import termsel
-from benchmarks.accuracy import DATA, PLAIN, heights_of, put, rmse_of, split
+from benchmarks.sets import DATA, PLAIN, heights_of, put, rmse_of, split
 from termsel.adjustment import field
 from termsel.candidates import local
 from termsel.candidates.portfolio import best_of, choose

@@ -15,7 +15,7 @@ from statistics import mean, median
 
 import numpy as np
 
-from benchmarks.accuracy import ROOT
+from benchmarks.sets import ROOT
 from termsel.candidates.candidate import named
 from termsel.fits.fit import Fit
 from termsel.fits.next_places import rank_places

@@ -16,6 +16,7 @@ from termsel.io.result_folder import read_result, write_result
 from termsel.measurements.features import FeatureSet, Points
 from termsel.results.checksums import of_record
 from termsel.results.result import Result
+from termsel.simulate.maps import simulate_map
 from termsel.testing import example_results
 
 
@@ -47,6 +48,17 @@ def test_read_again_with_lines(of_lines: Result, tmp_path: Path) -> None:
     assert again.residuals == of_lines.residuals
     assert len(again.features.lines) == 120
     assert len(again.residuals) == 2 * 120 + 24 + 26
+
+
+def test_a_random_field_that_auto_chose_is_read_again(tmp_path: Path) -> None:
+    points = simulate_map(seed=0, n_points=30).points
+    roles = ("control",) * 20 + ("independent",) * 10
+    result = termsel.run("poly-terms", strategy="auto",
+                         features=termsel.FeatureSet(replace(points, roles=roles)))
+    assert result.strategy is not None
+    assert result.strategy["chosen"] == "field"
+    again = _written(result, tmp_path)
+    assert again.to_json() == result.to_json()
 
 
 @pytest.mark.parametrize("how", [

@@ -345,8 +345,9 @@ def _refuse_other_model(record: Mapping[str, Any], fitted: Fit,
     """Refuse a model that has changed since the run, as another version of a plugin may have."""
     said = {role: _float(one["total"]) for role, one in record["rmse"].items()}
     now = {role: rmse.total for role, rmse in figures(fitted, observations).items() if rmse}
-    other = [role for role, value in now.items()
-             if not np.isclose(said[role], value, rtol=1e-3, atol=1e-6, equal_nan=True)]
+    # Leave-one-out of what auto chose is told by what it predicts, not here.
+    other = [role for role, value in now.items() if role in said and
+             not np.isclose(said[role], value, rtol=1e-3, atol=1e-6, equal_nan=True)]
     if not other:
         return
     plugin = record.get("plugins", {}).get("model", {})
