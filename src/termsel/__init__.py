@@ -17,12 +17,14 @@ if TYPE_CHECKING:
     from termsel.adjustment import Equations, image_equations, line_normals, row_weights
     from termsel.criteria import Criterion, Fits
     from termsel.errors import TermselError
+    from termsel.files.rasters import open_raster
     from termsel.files.remote import allow_remote
     from termsel.fits.accuracy import ce90
     from termsel.fits.fit import Fit
     from termsel.formats.base import Reader, Writer
+    from termsel.formats.heights import open_dem
     from termsel.formats.readers.csv_tables import write_lines_csv, write_points_csv
-    from termsel.formats.rpc_files import read_rpc
+    from termsel.formats.rpc_files import read_rpc, write_rpc
     from termsel.io.export import export
     from termsel.io.read import read
     from termsel.io.rectify import rectify
@@ -48,6 +50,7 @@ if TYPE_CHECKING:
         ThinPlate,
     )
     from termsel.models.rpc import Rpc
+    from termsel.models.rpc_fit import rpc_of
     from termsel.options import Option
     from termsel.plugins.hookspecs import hookimpl
     from termsel.plugins.session import register
@@ -148,6 +151,8 @@ _HOME = {
     "hookimpl": "termsel.plugins.hookspecs",
     "image_equations": "termsel.adjustment",
     "line_normals": "termsel.adjustment",
+    "open_dem": "termsel.formats.heights",
+    "open_raster": "termsel.files.rasters",
     "prepare": "termsel.runs.task",
     "read": "termsel.io.read",
     "read_result": "termsel.io.result_folder",
@@ -156,6 +161,7 @@ _HOME = {
     "rectify": "termsel.io.rectify",
     "register": "termsel.plugins.session",
     "row_weights": "termsel.adjustment",
+    "rpc_of": "termsel.models.rpc_fit",
     "run": "termsel.runs.run",
     "search": "termsel.solvers.search",
     "simulate_scene": "termsel.simulate",
@@ -165,6 +171,7 @@ _HOME = {
     "to_pymoo": "termsel.solvers.pymoo_problem",
     "write_lines_csv": "termsel.formats.readers.csv_tables",
     "write_points_csv": "termsel.formats.readers.csv_tables",
+    "write_rpc": "termsel.formats.rpc_files",
 }
 
 __all__ = [
@@ -233,6 +240,8 @@ __all__ = [
     "hookimpl",
     "image_equations",
     "line_normals",
+    "open_dem",
+    "open_raster",
     "prepare",
     "read",
     "read_result",
@@ -241,6 +250,7 @@ __all__ = [
     "rectify",
     "register",
     "row_weights",
+    "rpc_of",
     "run",
     "search",
     "simulate_scene",
@@ -250,6 +260,7 @@ __all__ = [
     "uncovered_share",
     "write_lines_csv",
     "write_points_csv",
+    "write_rpc",
 ]
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 from termsel.errors import TermselError
+from termsel.files.atomic import write_text
 from termsel.files.rasters import open_raster
 from termsel.formats.base import is_utf16, located, read_head, read_text
 from termsel.models.rpc import N_COEFFICIENTS, Rpc
@@ -221,6 +222,23 @@ def _texts(element: ElementTree.Element) -> Iterator[tuple[str, str]]:
 
 
 _UNKNOWN = -1.0  # what GDAL and vendors write for an error that is not known
+
+
+def write_rpc(rpc: Rpc, path: Path | str) -> None:
+    """Write an RPC as an RPB file, from which `read_rpc` reads the same RPC.
+
+    Parameters
+    ----------
+    rpc : Rpc
+    path : path-like
+        GDAL finds the RPC of image.tif in image.RPB next to it.
+
+    Raises
+    ------
+    TermselError
+        If the file cannot be written.
+    """
+    write_text(path, rpb_text(rpc))
 
 
 def rpb_text(rpc: Rpc) -> str:

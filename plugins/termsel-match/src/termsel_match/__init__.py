@@ -1,0 +1,37 @@
+"""Control from the image itself: points and lines matched with an orthoimage and with vectors.
+
+References
+----------
+Konugurthi, Kune, Nooka, Sarma 2016: Autonomous ortho-rectification of very high resolution
+imagery using SIFT and genetic algorithm. PE&RS 82(5), 377-388.
+Yavari, Valadan Zoej, Salehi 2018: An automatic optimum number of well-distributed ground control
+lines selection procedure. ISPRS Journal 139, 46-56.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import TYPE_CHECKING
+
+from termsel import hookimpl
+
+if TYPE_CHECKING:
+    import click
+
+    from termsel import Reader
+
+
+@hookimpl
+def termsel_commands(cli: click.Group) -> None:
+    """Add the commands."""
+    from termsel_match.commands import add_commands
+
+    add_commands(cli)
+
+
+@hookimpl
+def termsel_readers() -> Iterable[type[Reader]]:
+    """Return readers of what other programs have matched."""
+    from termsel_match.readers import ArosicsTable, AspMatches, MatchesCsv
+
+    return [ArosicsTable, AspMatches, MatchesCsv]

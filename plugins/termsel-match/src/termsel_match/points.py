@@ -1,0 +1,244 @@
+"""Candidates of control points: places of an image and a reference that look alike."""
+
+from __future__ import annotations
+
+import logging
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import product
+from pathlib import Path
+
+import numpy as np
+
+from termsel import Points, TermselError
+from termsel_match.features import Pairs, alike, described, refined
+from termsel_match.overview import start_by_overview
+from termsel_match.rasters import Picture, open_picture
+from termsel_match.starts import start_of
+from termsel_match.warps import Reference, open_reference
+
+log = logging.getLogger("termsel.match")
+
+LEAST = 8  # candidates; fewer cannot be selected from
+_EACH = 3  # candidates wanted in a cell
+_TRIED = 8  # keypoints of a cell that are refined
+_APART = 12.0  # px, reduced, between candidates
+_WINDOW = 480  # px, reduced: the largest part of a cell that is looked at once
+_BORDER = 24  # px, reduced, around a window, where keypoints have no descriptor
+_TRIES = ((0.5, 0.5), (0.2, 0.2), (0.8, 0.8))  # where in a cell, if it is larger
+
+FOUND, NO_DATA, OUTSIDE, NO_TEXTURE, UNLIKE = ("found", "no data", "outside", "no texture",
+                                               "unlike")
+
+
+@dataclass(frozen=True, eq=False)
+class Candidates:
+    """Candidates of control points, many of which may be wrong.
+
+    Parameters
+    ----------
+    points : Points
+        With standard deviations and, as the attribute `score`, the correlation of the surroundings,
+        at most 1. Ground coordinates are in the CRS.
+    crs : str
+    image_size : tuple of int
+        Lines and samples of the image.
+    cells : dict of str to int
+        How many cells of the image have candidates ("found"), or why they have none.
+    start : str
+        What was started from, in words.
+    """
+
+    points: Points
+    crs: str
+    image_size: tuple[int, int]
+    cells: dict[str, int]
+    start: str
+
+
+def match_points(
+    image: Path | str,
+    reference: Path | str,
+    *,
+    dem: Path | str | None = None,
+    start: Path | str | None = None,
+    search: float = 100.0,
+    count: int = 200,
+    band: int | None = None,
+    reference_band: int | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> Candidates:
+    """Return places of an image and of a georeferenced image that look alike.
+
+    In each cell of the image, the reference is resampled as the start says that the image shows
+    it. Keypoints that are alike (SIFT) are then placed to sub-pixel by least squares. Nothing else
+    is asked of them than to be within `search` of the start: which of them are right, the
+    selection decides.
+
+    Parameters
+    ----------
+    image, reference : path-like
+        Rasters of any size and type.
+    dem : path-like, optional
+        Raster of heights; without it, those of the points are unknown.
+    start : path-like or str, optional
+        See `termsel_match.starts.start_of`.
+    search : float
+        Largest distance from the start [px].
+    count : int
+        Candidates wanted, some in each cell.
+    band, reference_band : int, optional
+        Counted from 1; by default the mean of all.
+    progress : callable, optional
+        Called with the fraction that is done, 0 to 1.
+
+    Returns
+    -------
+    Candidates
+        At least 8.
+
+    Raises
+    ------
+    TermselError
+        If a raster cannot be read, the reference has no CRS, they show different places, or there
+        are fewer candidates, with the reason.
+
+    Notes
+    -----
+    P.K. Konugurthi et al., "Autonomous ortho-rectification of very high resolution imagery using
+    SIFT and genetic algorithm", PE&RS 82(5), 2016, 377-388: matches with a reference and heights
+    of a DEM as candidates of which a search selects.
+    """
+    image = Path(image)
+    known = start_of(start, image)
+    with open_picture(image, band) as picture:
+        if known is None:
+            known = start_by_overview(picture, reference, reference_band)
+        log.info("Start: %s.", known.what)
+        with open_reference(reference, known, dem, picture.size, reference_band) as other:
+            found, cells = _in_cells(picture, other, search, count, progress)
+            points = _points(found, other)
+        size = picture.size
+    if len(points) < LEAST:
+        raise TermselError(f"not enough candidates: {len(points)} found, at least {LEAST} "
+                           "needed", file=image, hint=_why(cells, search, dem))
+    if dem is None:
+        log.info("Note: the heights are unknown. Give --dem FILE for RPCs and 3D models.")
+    return Candidates(points, other.crs, size, cells, known.what)
+
+
+def _in_cells(picture: Picture, reference: Reference, search: float, count: int,
+              progress: Callable[[float], None] | None) -> tuple[list[Pairs], dict[str, int]]:
+    """Return pairs, first in the image and second in the reference [px], and how cells ended."""
+    step = reference.reduction(picture.size)
+    if step > 1:
+        log.info("Note: the image is matched at 1/%d of its resolution, that of the reference.",
+                 step)
+    across = max(2, round((count / _EACH) ** 0.5))
+    blocks = min(across, -(-max(picture.size) // (_WINDOW * step)))
+    inner = -(-across // blocks)  # several small cells are looked at together
+    found, ends = [], Counter[str]()
+    for done, block in enumerate(product(range(blocks), range(blocks))):
+        for window in _windows(picture.size, blocks, block, step):
+            parts, end = _in_window(picture, reference, window, inner, step, search / step)
+            if parts:
+                break
+        found += parts
+        ends[FOUND] += len(parts)
+        ends[end] += inner**2 - len(parts)
+        if progress is not None:
+            progress((done + 1) / blocks**2)
+    return found, dict(ends)
+
+
+def _windows(size: tuple[int, int], across: int, block: tuple[int, int], step: int,
+             ) -> list[tuple[int, int, int, int]]:
+    """Return line, sample, lines and samples of the parts of a block to look at, in turn."""
+    low = [extent * i // across for extent, i in zip(size, block, strict=True)]
+    sides = [extent * (i + 1) // across - start
+             for extent, i, start in zip(size, block, low, strict=True)]
+    wanted = [min(side, _WINDOW * step) for side in sides]
+    windows = []
+    for share in _TRIES if sides != wanted else _TRIES[:1]:
+        top, left = (start + int((side - want) * part)
+                     for start, side, want, part in zip(low, sides, wanted, share, strict=True))
+        windows.append((top, left, wanted[0], wanted[1]))
+    return windows
+
+
+def _in_window(picture: Picture, reference: Reference, window: tuple[int, int, int, int],
+               inner: int, step: int, search: float) -> tuple[list[Pairs], str]:
+    """Return the best pairs of each cell of a window, in px of image and reference.
+
+    And why the other cells have none.
+    """
+    top, left, lines, samples = window
+    border, reach = _BORDER * step, (_BORDER + int(np.ceil(search))) * step
+    own = picture.read(top - border, left - border, lines + 2 * border, samples + 2 * border, step)
+    if not own[1].any():
+        return [], NO_DATA
+    shape = (lines + 2 * reach) // step, (samples + 2 * reach) // step
+    patch = reference.patch(top - reach, left - reach, shape, step)
+    if not patch.known.any():
+        return [], OUTSIDE
+    first, own_vectors = described(*own)
+    sides = np.array(own[0].shape) - 2 * _BORDER
+    cell = np.floor((first - _BORDER) / sides * inner).astype(int)
+    within = ((cell >= 0) & (cell < inner)).all(axis=1)
+    second, vectors = described(patch.pixels, patch.known)
+    if not within.any() or not len(second):
+        return [], NO_TEXTURE
+    first, own_vectors, cell = first[within], own_vectors[within], cell[within]
+    one, other = alike(own_vectors, vectors)
+    moved = (reach - border) // step  # between the origins of the two
+    near = np.linalg.norm(second[other] - moved - first[one], axis=1) <= search
+    one, other = one[near], other[near]
+    parts = []
+    for wanted in product(range(inner), repeat=2):
+        some = np.flatnonzero((cell[one] == wanted).all(axis=1))[:_TRIED]
+        pairs = _apart(refined(own, (patch.pixels, patch.known), first[one[some]],
+                               second[other[some]]))
+        if len(pairs.score):
+            parts.append(Pairs((pairs.first + 0.5) * step - 0.5 + [top - border, left - border],
+                               patch.in_reference(pairs.second), pairs.sigma * step, pairs.score))
+    return parts, UNLIKE
+
+
+def _apart(pairs: Pairs) -> Pairs:
+    """Return the pairs with the best scores that are apart, at most those wanted in a cell."""
+    best: list[int] = []
+    for i in np.argsort(-pairs.score, kind="stable"):
+        if len(best) < _EACH and all(
+                min(np.linalg.norm(pairs.first[i] - pairs.first[j]),
+                    np.linalg.norm(pairs.second[i] - pairs.second[j])) >= _APART for j in best):
+            best.append(int(i))
+    return Pairs(pairs.first[best], pairs.second[best], pairs.sigma[best], pairs.score[best])
+
+
+def _points(found: list[Pairs], reference: Reference) -> Points:
+    """Return the pairs as points, those with a height if there is a DEM."""
+    none = np.empty((0, 2))
+    image, other, sigma = (np.concatenate([none, *(getattr(one, name) for one in found)])
+                           for name in ("first", "second", "sigma"))
+    score = np.concatenate([np.empty(0), *(one.score for one in found)])
+    ground = reference.ground(other)
+    kept = np.isfinite(ground[:, 2]) if callable(reference.map_heights) \
+        else np.ones(len(ground), dtype=bool)
+    ids = tuple(f"M{i + 1:03d}" for i in range(int(kept.sum())))
+    shown = np.array([f"{value:.3f}" for value in score[kept]], dtype=object)
+    return Points(ids, image[kept], ground[kept], sigma[kept], attributes={"score": shown})
+
+
+def _why(cells: dict[str, int], search: float, dem: Path | str | None) -> str:
+    """Return what to do where there are too few candidates."""
+    total = sum(cells.values())
+    worst = max((name for name in cells if name != FOUND), key=cells.__getitem__, default=UNLIKE)
+    where = f"{cells.get(worst, 0)} of {total} cells"
+    heights = " or heights" if dem is not None else ""
+    return {
+        NO_DATA: f"In {where} the image has no data.",
+        OUTSIDE: f"For {where} there is no reference{heights}. Give larger ones.",
+        NO_TEXTURE: f"In {where} there is no texture, as on sea or in clouds.",
+        UNLIKE: f"In {where} nothing looks alike. Are there clouds or sea, or another band? Is "
+                f"the start off by more than --search {search:g} px?"}[worst]

@@ -1,0 +1,122 @@
+"""Windows of rasters larger than memory, as brightness from 0 to 255."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from termsel import TermselError, open_raster
+
+FloatArray = NDArray[np.float64]
+Grey = NDArray[np.float32]
+Mask = NDArray[np.bool_]
+
+_DARK, _BRIGHT = 1.0, 99.0  # percentiles that become 0 and 255
+_FEW = 16  # distinct pixels; fewer have no texture
+
+
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """The brightness of a raster: the mean of its bands, or one of them.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+    raster : rasterio.DatasetReader
+        Open.
+    bands : tuple of int
+        Counted from 1.
+    """
+
+    path: Path
+    raster: Any
+    bands: tuple[int, ...]
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Lines and samples [px]."""
+        return int(self.raster.height), int(self.raster.width)
+
+    def read(self, top: int, left: int, lines: int, samples: int, step: int = 1,
+             ) -> tuple[Grey, Mask]:
+        """Return the pixels of a window and where it has data.
+
+        Parameters
+        ----------
+        top, left, lines, samples : int
+            The window [px]; it may extend beyond the raster, where there are no data.
+        step : int
+            Grey along either side of those returned, each of which is a mean; GDAL reads
+            overviews where the raster has them.
+
+        Returns
+        -------
+        pixels : ndarray of float32, shape (lines // step, samples // step)
+        known : ndarray of bool, same shape
+        """
+        from rasterio.enums import Resampling
+        from rasterio.windows import Window
+
+        shape = lines // step, samples // step
+        pixels, known = np.zeros(shape, dtype=np.float32), np.zeros(shape, dtype=bool)
+        height, width = self.size
+        # Whole steps, so that reduced pixels lie where they would without the edge.
+        first = max(-(-max(-top, 0) // step), 0), max(-(-max(-left, 0) // step), 0)
+        last = (min(shape[0], (height - top) // step), min(shape[1], (width - left) // step))
+        if first[0] >= last[0] or first[1] >= last[1]:
+            return pixels, known
+        window = Window(left + first[1] * step, top + first[0] * step,
+                        (last[1] - first[1]) * step, (last[0] - first[0]) * step)
+        inside = slice(first[0], last[0]), slice(first[1], last[1])
+        with np.errstate(all="ignore"):
+            found = self.raster.read(
+                list(self.bands), window=window, masked=True, resampling=Resampling.average,
+                out_shape=(len(self.bands), last[0] - first[0], last[1] - first[1]))
+            values = found.astype(np.float32).mean(axis=0)
+            there = ~np.ma.getmaskarray(values) & np.isfinite(values.data)
+        pixels[inside], known[inside] = np.where(there, values.data, 0), there
+        return pixels, known
+
+
+@contextmanager
+def open_picture(path: Path | str, band: int | None = None) -> Iterator[Picture]:
+    """Open a raster for its brightness.
+
+    Parameters
+    ----------
+    path : path-like
+    band : int, optional
+        Counted from 1; by default the mean of all bands but those of transparency.
+
+    Raises
+    ------
+    TermselError
+        If GDAL cannot read it, or it has no such band.
+    """
+    from rasterio.enums import ColorInterp
+
+    with open_raster(path) as raster:
+        if band is not None and not 1 <= band <= raster.count:
+            raise TermselError(f"this raster has no band {band}", file=path,
+                               hint=f"Give a band from 1 to {raster.count}.")
+        visible = tuple(index for index, kind in zip(raster.indexes, raster.colorinterp,
+                                                     strict=True) if kind != ColorInterp.alpha)
+        yield Picture(Path(path), raster, visible if band is None else (band,))
+
+
+def stretched(pixels: Grey, known: Mask) -> NDArray[np.uint8] | None:
+    """Return pixels as bytes from dark to bright; None if they have no texture."""
+    values = pixels[known]
+    if values.size < _FEW:
+        return None
+    dark, bright = np.percentile(values, (_DARK, _BRIGHT))
+    if not bright > dark:
+        return None
+    scaled = np.clip((pixels - dark) * (255 / (bright - dark)), 0, 255)
+    return np.asarray(np.where(known, scaled, 0), dtype=np.uint8)

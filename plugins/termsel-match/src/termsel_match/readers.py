@@ -1,0 +1,197 @@
+"""Readers of matches that other programs have found."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterator, Sequence
+from math import isfinite
+from pathlib import Path
+
+import numpy as np
+
+from termsel import FeatureSet, Option, Points, Reader, TermselError
+from termsel_match.rasters import FloatArray, open_picture
+from termsel_match.warps import crs_of
+
+REFERENCE = Option("reference", "", "Required: the georeferenced image in which the second places "
+                                    "were matched.")
+
+_AROSICS = ("POINT_ID", "X_IM", "Y_IM", "X_MAP", "Y_MAP", "X_SHIFT_M", "Y_SHIFT_M")
+_NO_MATCH = -9999.0  # AROSICS' fill value
+_PLACES = (("image_line", "image_sample", "reference_line", "reference_sample"),
+           ("y1", "x1", "y2", "x2"))
+_ASP_CELLS = 11  # of an interest point, before its descriptor
+
+
+class ArosicsTable(Reader):
+    """Tie points of AROSICS: the columns of its CoRegPoints_table, saved as CSV.
+
+    X_IM and Y_IM count from the corner of the image. The place on the map is X_MAP + X_SHIFT_M and
+    Y_MAP + Y_SHIFT_M, as in the GCPs that AROSICS makes. Points without a match are left out;
+    those that AROSICS takes for outliers have the role off. Heights are unknown, and the CRS is
+    not in the file.
+    """
+
+    name = "arosics-csv"
+    summary = "tie points of AROSICS as CSV: POINT_ID,X_IM,Y_IM,X_MAP,Y_MAP,X_SHIFT_M,Y_SHIFT_M"
+
+    def sniff(self, path: Path, head: bytes) -> bool:
+        """Return True if the header has AROSICS' columns."""
+        return set(_AROSICS) <= set(_header(head))
+
+    def read(self, path: Path) -> FeatureSet:
+        """Return the points; errors name file, line and column."""
+        ids, roles, rows = [], [], []
+        for line, cells in _rows(path, _AROSICS):
+            values = [_number(cells, name, path, line) for name in _AROSICS[1:]]
+            if _NO_MATCH in values:
+                continue
+            ids.append(f"A{cells['POINT_ID'].strip()}")
+            outlier = (cells.get("OUTLIER") or "").strip().lower()
+            roles.append("off" if outlier in ("true", "1", "1.0") else "")
+            rows.append(values)
+        if not rows:
+            raise TermselError("the table has no point with a match", file=path,
+                               hint="Was AROSICS successful?")
+        x, y, east, north, right, up = np.array(rows).T
+        ground = np.column_stack([east + right, north + up, np.full(len(rows), np.nan)])
+        return FeatureSet(Points(tuple(ids), np.column_stack([y, x]) - 0.5, ground, None,
+                                 tuple(roles)), crs="")
+
+
+class MatchesCsv(Reader):
+    """Matches of an image with a georeferenced one, as a table of pixels.
+
+    Columns image_line, image_sample, reference_line, reference_sample, or y1, x1, y2, x2; the
+    centre of the first pixel is (0, 0). Further columns: id, and sigma in px.
+    """
+
+    name = "matches-csv"
+    summary = ("matches as a table headed image_line,image_sample,reference_line,"
+               "reference_sample[,id,sigma]")
+    declared_options = (REFERENCE,)
+
+    def sniff(self, path: Path, head: bytes) -> bool:
+        """Return True if the header names lines and samples of both images."""
+        return set(_PLACES[0]) <= set(_header(head))
+
+    def read(self, path: Path) -> FeatureSet:
+        """Return the points; errors name file, line and column."""
+        header = _header(_text(path).encode())
+        names = next((names for names in _PLACES if set(names) <= set(header)), _PLACES[0])
+        ids, rows, sigma = [], [], []
+        for line, cells in _rows(path, names):
+            rows.append([_number(cells, name, path, line) for name in names])
+            ids.append((cells.get("id") or "").strip() or f"M{len(rows):03d}")
+            if "sigma" in cells:
+                sigma.append(_number(cells, "sigma", path, line))
+        places = np.array(rows).reshape(-1, 4)
+        return _with_ground(path, ids, places[:, :2], places[:, 2:], self.options["reference"],
+                            np.repeat(sigma, 2).reshape(-1, 2) if sigma else None)
+
+
+class AspMatches(Reader):
+    """Matches of the Ames Stereo Pipeline, as text from its parse_match_file.py.
+
+    The first image is the one to georeference, the second the reference.
+    """
+
+    name = "asp-match"
+    summary = "text from ASP's parse_match_file.py: two counts, then a row per interest point"
+    declared_options = (REFERENCE,)
+
+    def sniff(self, path: Path, head: bytes) -> bool:
+        """Return True if two equal counts are followed by a row of an interest point."""
+        lines = head.decode("utf-8", errors="replace").splitlines()
+        counts = lines[0].split() if lines else []
+        return (len(counts) == 2 and counts[0].isdigit() and counts[0] == counts[1]
+                and len(lines) > 1 and _is_interest_point(lines[1].split()))
+
+    def read(self, path: Path) -> FeatureSet:
+        """Return the points; errors name file and line."""
+        lines = _text(path).splitlines()
+        first_word = next(iter((lines or [""])[0].split()), "")
+        count = int(first_word) if first_word.isdecimal() else 0
+        if count == 0 or len(lines) < 1 + 2 * count:
+            raise TermselError(
+                f"the file announces {count} matches and has {max(len(lines) - 1, 0)} rows",
+                file=path, line=1, hint="Expected a row for each point of either image. Is the "
+                                        "file complete?")
+        places = []
+        for number, text in enumerate(lines[1:1 + 2 * count], 2):
+            cells = text.split()
+            if not _is_interest_point(cells):
+                raise TermselError("this row is not an interest point", file=path, line=number,
+                                   hint="Expected x, y and nine further numbers.")
+            places.append([float(cells[1]), float(cells[0])])
+        first, second = np.array(places[:count]), np.array(places[count:])
+        return _with_ground(path, [f"M{i + 1:03d}" for i in range(count)], first, second,
+                            self.options["reference"], None)
+
+
+def _with_ground(path: Path, ids: Sequence[str], image: FloatArray, at: FloatArray,
+                 reference: str, sigma: FloatArray | None) -> FeatureSet:
+    """Return points whose ground coordinates are those of pixels of a reference."""
+    if not reference:
+        raise TermselError("the matches are pixels of two images, so the reference is needed",
+                           file=path, hint="Give it with --set reference=ORTHO.tif.")
+    if not len(image):
+        raise TermselError("the table has no matches", file=path, hint="Add one row per match.")
+    with open_picture(reference) as picture:
+        crs = crs_of(picture)
+        x, y = picture.raster.transform @ (at[:, 1] + 0.5, at[:, 0] + 0.5)
+    ground = np.column_stack([x, y, np.full(len(at), np.nan)])
+    # A keypoint may have two directions, and then comes twice.
+    _, first = np.unique(np.column_stack([ground[:, :2]]), axis=0, return_index=True)
+    kept = np.sort(first)
+    return FeatureSet(Points(tuple(ids[i] for i in kept), image[kept], ground[kept],
+                             None if sigma is None else sigma[kept]), crs=crs)
+
+
+def _text(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise TermselError("the text of this file is not UTF-8", file=path,
+                           hint="Save it with the encoding UTF-8.") from error
+    except OSError as error:
+        raise TermselError(f"cannot read this file: {error.strerror}", file=path,
+                           hint="Check the name and the folder.") from error
+
+
+def _header(head: bytes) -> list[str]:
+    text = head.decode("utf-8-sig", errors="replace")
+    first = next((line for line in text.splitlines() if line.strip()), "")
+    return [cell.strip().strip('"') for cell in first.split(",")]
+
+
+def _rows(path: Path, needed: Sequence[str]) -> Iterator[tuple[int, dict[str, str]]]:
+    """Yield the number and the cells of each row of a table that has the columns needed."""
+    reader = csv.DictReader(_text(path).splitlines(), skipinitialspace=True)
+    names = [name.strip() for name in reader.fieldnames or []]
+    reader.fieldnames = names
+    lacking = [name for name in needed if name not in names]
+    if lacking:
+        raise TermselError(f"the table has no column {lacking[0]}", file=path, line=1,
+                           hint=f"Expected the columns {','.join(needed)}.")
+    for cells in reader:
+        yield reader.line_num, cells
+
+
+def _number(cells: dict[str, str], name: str, path: Path, line: int) -> float:
+    text = (cells[name] or "").strip()
+    try:
+        value = float(text)
+    except ValueError:
+        value = float("nan")
+    if not isfinite(value):
+        raise TermselError(f"{text!r} is not a number", file=path, line=line, column=name,
+                           hint="Write a number with a decimal point.")
+    return value
+
+
+def _is_interest_point(cells: Sequence[str]) -> bool:
+    try:
+        return len(cells) >= _ASP_CELLS and all(isfinite(float(cell)) for cell in cells[:2])
+    except ValueError:
+        return False

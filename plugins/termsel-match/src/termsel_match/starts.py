@@ -1,0 +1,137 @@
+"""Rough geometry of an image to start from: an RPC, a result, a few points, or nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from termsel import FeatureSet, Points, TermselError, fit, open_raster, read, read_result, read_rpc
+from termsel_match.rasters import FloatArray
+
+Heights = float | Callable[[FloatArray], FloatArray]
+
+_LEAST = 3  # points that determine an affine transformation
+
+
+@dataclass(frozen=True, eq=False)
+class Start:
+    """Rough geometry of an image.
+
+    Parameters
+    ----------
+    what : str
+        What it is, in words.
+    crs : str
+        Of its ground coordinates.
+    height : float
+        Of the ground, where there is no DEM.
+    project : callable
+        Line and sample (n, 2) of ground places (n, 3).
+    locate : callable
+        Ground places (n, 3) of image places (n, 2) and heights, or what gives them.
+    """
+
+    what: str
+    crs: str
+    height: float
+    project: Callable[[FloatArray], FloatArray]
+    locate: Callable[[FloatArray, Heights], FloatArray]
+
+
+def start_of(given: str | Path | None, image: Path) -> Start | None:
+    """Return the start that a user names; None for none.
+
+    Parameters
+    ----------
+    given : str or path, optional
+        A file with an RPC, a folder with a result, a file of three points or more, "corners" for
+        what the image itself says of its position, or "none". By default the RPC of the image, or
+        next to it, else its position, else none.
+    image : pathlib.Path
+
+    Raises
+    ------
+    TermselError
+        If it is none of these, or cannot be read.
+    """
+    if given is None:
+        try:
+            return _of_rpc(image)
+        except TermselError:
+            return _of_position(image)
+    name = str(given)
+    if name == "none":
+        return None
+    if name == "corners":
+        found = _of_position(image)
+        if found is None:
+            raise TermselError("this image has neither GCPs nor a geotransform with a CRS",
+                               file=image, hint="Give --start FILE with an RPC or with points.")
+        return found
+    path = Path(given)
+    if path.is_dir():
+        result = read_result(path)
+        height = float(result.fit.ground_box()[0][2])
+        return Start(f"the result {path}", result.features.crs,
+                     height if np.isfinite(height) else 0.0, result.project, result.locate)
+    try:
+        return _of_rpc(path)
+    except TermselError as error:
+        if not path.is_file():
+            raise
+        reason = error
+    try:
+        return start_by_points(read(path), f"the points of {path.name}")
+    except TermselError as error:
+        if "holds an RPC" in error.what:  # but one that cannot be read
+            raise reason from error
+        raise
+
+
+def _of_rpc(path: Path) -> Start:
+    rpc = read_rpc(path)
+    return Start(f"the RPC of {path.name}", "EPSG:4979", rpc.ground_offset[2], rpc.project,
+                 rpc.locate)
+
+
+def start_by_points(features: FeatureSet, what: str) -> Start:
+    """Return an affine transformation by points, whose heights are not used.
+
+    Raises
+    ------
+    TermselError
+        If they are fewer than three, or on one straight line.
+    """
+    points = features.points
+    if len(points) < _LEAST:
+        raise TermselError(f"{what} are {len(points)}, and a start requires at least {_LEAST}",
+                           hint="Add points, for example the corners of the image.")
+    free = replace(features, points=replace(points, roles=()))
+    fitted = fit(free, "poly2d", degree=1)
+    heights = points.ground[:, 2]
+    height = float(np.nanmean(heights)) if np.isfinite(heights).any() else 0.0
+    return Start(what, features.crs, height, fitted.project, fitted.locate)
+
+
+def _of_position(image: Path) -> Start | None:
+    """Return the start by an image's own GCPs or geotransform, if it has any."""
+    with open_raster(image) as raster:
+        gcps, crs = raster.gcps
+        if not gcps and raster.crs is not None and not raster.transform.is_identity:
+            crs = raster.crs
+            corners = [(line, sample) for line in (0, raster.height - 1)
+                       for sample in (0, raster.width - 1)]
+            places = [(line, sample, *(raster.transform @ (sample + 0.5, line + 0.5)))
+                      for line, sample in corners]
+        else:
+            places = [(one.row - 0.5, one.col - 0.5, one.x, one.y) for one in gcps]
+    if len(places) < _LEAST or crs is None:
+        return None
+    values = np.array(places)
+    ground = np.column_stack([values[:, 2:], np.full(len(values), np.nan)])
+    points = Points(tuple(map(str, range(len(values)))), values[:, :2], ground)
+    return start_by_points(FeatureSet(points, crs=crs.to_wkt()),
+                           f"the position that {image.name} states")

@@ -1,0 +1,233 @@
+"""A reference image as the camera would see it, by a rough start."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from scipy.ndimage import map_coordinates
+
+from termsel import TermselError, open_dem
+from termsel_match.rasters import FloatArray, Grey, Mask, Picture, open_picture
+from termsel_match.starts import Heights, Start
+
+_MESH = 24  # px between places that are computed; those between are interpolated
+_COVERS = 33  # places along either side of an image by which its overlap is judged
+_SAME = 1.5  # ratio of pixel sizes up to which none is reduced
+
+
+@dataclass(frozen=True, eq=False)
+class Patch:
+    """A part of the reference, resampled to pixels of the image.
+
+    Parameters
+    ----------
+    pixels : ndarray of float32, shape (lines, samples)
+    known : ndarray of bool, same shape
+    mesh : ndarray, shape (2, a, b)
+        Line and sample of the reference at every 24th pixel.
+    """
+
+    pixels: Grey
+    known: Mask
+    mesh: FloatArray
+
+    def in_reference(self, at: FloatArray) -> FloatArray:
+        """Return where in the reference, line and sample (n, 2), places of the patch are."""
+        where = np.asarray(at).T / _MESH
+        return np.stack([map_coordinates(axis, where, order=1) for axis in self.mesh], axis=1)
+
+
+@dataclass(frozen=True, eq=False)
+class Reference:
+    """A georeferenced image, seen by a start.
+
+    Parameters
+    ----------
+    picture : Picture
+    crs : str
+    start : Start
+    heights, map_heights : float or callable
+        Of places in the CRS of the start, and of the reference; a number without a DEM.
+    to_map : pyproj.Transformer
+        From the CRS of the start.
+    """
+
+    picture: Picture
+    crs: str
+    start: Start
+    heights: Heights
+    map_heights: Heights
+    to_map: Any
+
+    def seen(self, image: FloatArray) -> FloatArray:
+        """Return line and sample of the reference, (n, 2), of image places; NaN for none."""
+        ground = self.start.locate(image, self.heights)
+        x, y = self.to_map.transform(ground[:, 0], ground[:, 1])
+        places = _pixels(self.picture.raster.transform, np.asarray(x), np.asarray(y))
+        places[~np.isfinite(places).all(axis=1)] = np.nan
+        return places
+
+    def ground(self, at: FloatArray) -> FloatArray:
+        """Return ground coordinates, (n, 3), of places in the reference, (n, 2).
+
+        Heights are NaN without a DEM and where it has none.
+        """
+        x, y = self.picture.raster.transform @ (at[:, 1] + 0.5, at[:, 0] + 0.5)
+        place = np.column_stack([x, y])
+        heights = self.map_heights(place) if callable(self.map_heights) \
+            else np.full(len(place), np.nan)
+        return np.column_stack([place, heights])
+
+    def patch(self, top: int, left: int, shape: tuple[int, int], step: int) -> Patch:
+        """Return the reference as the image would show it from a line and a sample on.
+
+        Parameters
+        ----------
+        top, left : int
+            Of the image [px].
+        shape : tuple of int
+            Lines and samples of the patch, each of `step` px of the image.
+        step : int
+        """
+        lines, samples = (np.arange(0, -(-size // _MESH) + 1) * _MESH for size in shape)
+        nodes = np.stack(np.meshgrid(lines, samples, indexing="ij"), axis=-1).reshape(-1, 2)
+        # The middle of a reduced pixel is that of its pixels.
+        seen = self.seen((nodes + 0.5) * step - 0.5 + [top, left])
+        mesh = seen.T.reshape(2, len(lines), len(samples))
+        empty = Patch(np.zeros(shape, dtype=np.float32), np.zeros(shape, dtype=bool), mesh)
+        finite = np.isfinite(seen).all(axis=1)
+        if not finite.any():
+            return empty
+        size = max(1, round(_spacing(mesh) / _MESH / _SAME))
+        low = np.floor(seen[finite].min(axis=0)).astype(int) - 4 * size
+        extent = np.ceil(seen[finite].max(axis=0)).astype(int) + 4 * size - low
+        low, high = np.maximum(low, 0), np.minimum(low + extent, self.picture.size)
+        low -= low % size
+        if (high - low < size).any():
+            return empty
+        top_left, extent = low.tolist(), (high - low).tolist()
+        pixels, known = self.picture.read(top_left[0], top_left[1], extent[0], extent[1], size)
+        grid = np.stack(np.meshgrid(*(np.arange(n) / _MESH for n in shape), indexing="ij"))
+        where = [((map_coordinates(axis, grid, order=1) - start + 0.5) / size - 0.5
+                  ).astype(np.float32) for axis, start in zip(mesh, low, strict=True)]
+        there = np.isfinite(where[0])
+        where = [np.where(there, axis, -9).astype(np.float32) for axis in where]
+        seen_known = cv2.remap(known.astype(np.float32), where[1], where[0], cv2.INTER_LINEAR)
+        return Patch(cv2.remap(pixels, where[1], where[0], cv2.INTER_CUBIC),
+                     np.asarray(there & (seen_known > 0.999)), mesh)
+
+    def reduction(self, size: tuple[int, int]) -> int:
+        """Return how many pixels of the image, along a side, are one of the reference.
+
+        Parameters
+        ----------
+        size : tuple of int
+            Lines and samples of the image.
+        """
+        middle = np.array(size) / 2
+        seen = self.seen(middle + np.array([[0, 0], [_MESH, 0], [0, _MESH]]))
+        return max(1, round(_MESH / _spacing(seen[[0, 1, 0, 2]].T.reshape(2, 2, 2)) / _SAME))
+
+
+def _spacing(mesh: FloatArray) -> float:
+    """Return the distance of neighbours of a mesh, in the median."""
+    steps = np.concatenate([np.linalg.norm(np.diff(mesh, axis=axis), axis=0).ravel()
+                            for axis in (1, 2)])
+    steps = steps[np.isfinite(steps) & (steps > 0)]
+    return float(np.median(steps)) if len(steps) else float(_MESH)
+
+
+def _pixels(transform: Any, x: FloatArray, y: FloatArray) -> FloatArray:
+    """Return line and sample, (n, 2), of coordinates; the first pixel's centre is (0, 0)."""
+    with np.errstate(invalid="ignore", over="ignore"):
+        column, row = ~transform @ (x, y)
+    return np.stack([row, column], axis=1) - 0.5
+
+
+@contextmanager
+def open_reference(path: Path | str, start: Start, dem: Path | str | None, size: tuple[int, int],
+                   band: int | None = None) -> Iterator[Reference]:
+    """Open a georeferenced image and the heights of its place.
+
+    Parameters
+    ----------
+    path : path-like
+    start : Start
+    dem : path-like, optional
+    size : tuple of int
+        Lines and samples of the image that is to be georeferenced.
+    band : int, optional
+        See `open_picture`.
+
+    Raises
+    ------
+    TermselError
+        If the image has no CRS; if it or the DEM cannot be read, or does not cover any part of
+        what the start says that the image shows.
+    """
+    from pyproj import CRS, Transformer
+    from pyproj.exceptions import ProjError
+
+    with ExitStack() as stack:
+        picture = stack.enter_context(open_picture(path, band))
+        crs = crs_of(picture)
+        heights: list[Heights] = [
+            start.height if dem is None else stack.enter_context(open_dem(Path(dem), one))
+            for one in (start.crs, crs)]
+        try:
+            to_map = Transformer.from_crs(CRS.from_user_input(start.crs).to_2d(), crs,
+                                          always_xy=True)
+        except ProjError as error:
+            raise TermselError(f"the CRS of {start.what} cannot be transformed to that of this "
+                               f"raster: {error}", file=path,
+                               hint="Give a reference in a CRS of the Earth.") from error
+        reference = Reference(picture, crs, start, heights[0], heights[1], to_map)
+        _require_overlap(reference, size, dem)
+        yield reference
+
+
+def crs_of(picture: Picture) -> str:
+    """Return the CRS of a georeferenced picture, as its code where it has one.
+
+    Raises
+    ------
+    TermselError
+        If it has none, or no geotransform.
+    """
+    raster = picture.raster
+    if raster.crs is None or raster.transform.is_identity:
+        lacks = "CRS" if raster.crs is None else "geotransform"
+        raise TermselError(f"the reference has no {lacks}", file=picture.path,
+                           hint="Give an image on a map, such as an orthophoto as GeoTIFF.")
+    code = raster.crs.to_epsg()
+    return str(raster.crs.to_wkt()) if code is None else f"EPSG:{code}"
+
+
+def _require_overlap(reference: Reference, size: tuple[int, int],
+                     dem: Path | str | None) -> None:
+    steps = (np.linspace(0, extent - 1, _COVERS) for extent in size)
+    image = np.stack(np.meshgrid(*steps, indexing="ij"), axis=-1).reshape(-1, 2)
+    seen = reference.seen(image)
+    known = np.isfinite(seen).all(axis=1)
+    if not known.any():
+        what = f"{dem} does not cover what the image shows by {reference.start.what}"
+        if dem is None:
+            what = f"{reference.start.what} has no ground position for the image"
+        raise TermselError(what, hint="Give a DEM of the place, and the RPC of this image.")
+    inside = known & ((seen >= 0) & (seen <= np.array(reference.picture.size) - 1)).all(axis=1)
+    if not inside.any():
+        raise TermselError(
+            f"the reference does not show the place of the image: by {reference.start.what} the "
+            f"image is at line {_range(seen[known, 0])} and sample {_range(seen[known, 1])} of it",
+            file=reference.picture.path,
+            hint="Give a reference of the same place, and the start of this image.")
+
+
+def _range(values: FloatArray) -> str:
+    return f"{values.min():.0f} to {values.max():.0f}"

@@ -1,0 +1,163 @@
+"""Candidate points by matching an image with a reference."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("termsel_match", reason="termsel-match is not installed: "
+                    "pip install -e plugins/termsel-match")
+
+import cv2
+from rasterio.transform import from_origin
+
+import termsel
+from termsel import TermselError
+from termsel.testing import command_checks
+from termsel_match.commands import match_example, match_points
+from termsel_match.points import Candidates
+from termsel_match.points import match_points as match
+
+CHECKS = (*command_checks(match_points, ["none.tif", "--reference", "none.tif"]),
+          *command_checks(match_example, ["/dev/null"]))
+
+
+@pytest.mark.parametrize("check", CHECKS, ids=lambda check: check.name)
+def test_conforms(check: Any) -> None:
+    check.run()
+
+
+@pytest.fixture(scope="module")
+def found(place: Any) -> Candidates:
+    return match(place / "image.tif", place / "ortho.tif", dem=place / "dem.tif", count=120)
+
+
+def test_most_candidates_are_right_to_a_third_of_a_pixel(place: Any, found: Candidates) -> None:
+    errors = place.errors(found.points, found.crs)
+    assert len(errors) >= 60
+    assert (errors < 1).mean() > 0.85
+    assert np.sqrt((errors[errors < 1] ** 2).mean()) < 0.35
+    assert found.start == "the RPC of image.tif"
+
+
+def test_their_standard_deviations_hold(place: Any, found: Candidates) -> None:
+    errors = place.errors(found.points, found.crs)
+    assert found.points.sigma is not None
+    sigma = np.linalg.norm(found.points.sigma, axis=1)
+    right = errors < 1
+    assert 0.5 < np.sqrt((errors[right] ** 2 / sigma[right] ** 2).mean()) < 2
+
+
+def test_they_are_spread_over_the_image_and_have_scores(found: Candidates) -> None:
+    corner = (found.points.image > 250) @ [1, 2]
+    assert np.bincount(corner, minlength=4).min() >= 8
+    score = found.points.attributes["score"].astype(float)
+    assert ((score >= 0.5) & (score <= 1)).all()
+    assert sum(found.cells.values()) >= found.cells["found"] > 15
+
+
+def test_without_a_start_the_place_is_found(place: Any) -> None:
+    other = match(place / "image.tif", place / "ortho.tif", dem=place / "dem.tif", count=60,
+                  start="none")
+    assert "affine" in other.start
+    assert (place.errors(other.points, other.crs) < 1).mean() > 0.8
+
+
+def test_three_corners_are_a_start(place: Any, tmp_path: Path) -> None:
+    points = place.world.independent().take([0, 40, 80, 120])
+    rough = termsel.Points(points.ids, points.image + np.array([9, -7]), points.ground)
+    termsel.write_points_csv(rough, tmp_path / "rough.csv", "EPSG:32633")
+    other = match(place / "image.tif", place / "ortho.tif", dem=place / "dem.tif", count=60,
+                  start=tmp_path / "rough.csv")
+    assert (place.errors(other.points, other.crs) < 1).mean() > 0.8
+
+
+def test_bands_and_types_do_not_matter(place: Any, altered: Callable[..., Path]) -> None:
+    image = altered("image.tif", lambda pixels: np.concatenate(
+        [pixels * 7, pixels * 0 + 5, pixels * 3]).astype(np.float32))
+    other = match(image, place / "ortho.tif", dem=place / "dem.tif", count=60)
+    assert (place.errors(other.points, other.crs) < 1).mean() > 0.8
+    with pytest.raises(TermselError, match="no band 4"):
+        match(image, place / "ortho.tif", band=4)
+
+
+def test_a_coarser_reference_is_matched_at_its_resolution(place: Any,
+                                                         altered: Callable[..., Path]) -> None:
+    west, north = place.world.corner
+    ortho = altered("ortho.tif", lambda pixels: cv2.resize(
+        pixels[0], None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)[None],
+        transform=from_origin(west, north, 2, 2))
+    other = match(place / "image.tif", ortho, dem=place / "dem.tif", count=60)
+    errors = place.errors(other.points, other.crs)
+    assert (errors < 2).mean() > 0.8
+    assert np.median(errors) < 0.7
+
+
+def test_the_command_writes_candidates_for_a_run(place: Any, says: Any, tmp_path: Path) -> None:
+    table = tmp_path / "c.csv"
+    words = ("match-points", place / "image.tif", "--reference", place / "ortho.tif", "--dem",
+             place / "dem.tif", "--count", 60, "--output", table)
+    code, text = says(*words)
+    assert code == 0
+    assert "candidates in" in text
+    assert "Give --overwrite to replace it, or another --output." in says(*words)[1]
+    features = termsel.read(table)
+    assert table.read_text().splitlines()[1].endswith(",score")
+    result = termsel.run("rpc-gcps", features=features, criterion="median", generations=10,
+                         options={"rpc": str(place / "image.RPB")})
+    independent = place.world.independent()
+    errors = np.linalg.norm(result.project(independent.ground) - independent.image, axis=1)
+    assert np.sqrt((errors**2).mean()) < 0.7
+
+
+def _cloud(pixels: Any) -> Any:
+    rng = np.random.default_rng(0)
+    soft = cv2.resize(rng.standard_normal((8, 8)).astype(np.float32), pixels.shape[1:],
+                      interpolation=cv2.INTER_CUBIC)
+    return (1700 + 60 * soft + rng.normal(0, 10, soft.shape)).round().astype(np.uint16)[None]
+
+
+@pytest.mark.parametrize(("change", "reason"), [
+    (_cloud, "not enough candidates"),
+    (lambda pixels: np.full_like(pixels, 100), "no texture"),
+    (lambda pixels: 2047 - pixels, "another band"),
+], ids=["cloud", "flat", "band"])
+def test_an_image_without_likeness_ends_with_the_reason(
+        place: Any, altered: Callable[..., Path], change: Any, reason: str) -> None:
+    with pytest.raises(TermselError, match="not enough candidates") as caught:
+        match(altered("image.tif", change), place / "ortho.tif", dem=place / "dem.tif", count=60)
+    assert reason in str(caught.value)
+
+
+def test_a_reference_elsewhere_or_nowhere_is_refused(place: Any,
+                                                    altered: Callable[..., Path]) -> None:
+    west, north = place.world.corner
+    dem = place / "dem.tif"
+    for profile, reason in (({"crs": None, "transform": None}, "the reference has no CRS"),
+                            ({"transform": from_origin(west + 9000, north, 1, 1)},
+                             "does not show the place of the image"),
+                            ({"transform": from_origin(west + 300, north, 1, 1)},
+                             "more than --search")):
+        with pytest.raises(TermselError, match=reason):
+            match(place / "image.tif", altered("ortho.tif", **profile), dem=dem, count=60)
+    far = altered("dem.tif", transform=from_origin(west + 90000, north, 8, 8))
+    with pytest.raises(TermselError, match="does not cover what the image shows"):
+        match(place / "image.tif", place / "ortho.tif", dem=far)
+
+
+def test_without_heights_it_is_said(place: Any, caplog: pytest.LogCaptureFixture) -> None:
+    with caplog.at_level("INFO", logger="termsel.match"):
+        other = match(place / "image.tif", place / "ortho.tif", count=60)
+    assert np.isnan(other.points.ground[:, 2]).all()
+    assert "the heights are unknown" in caplog.text
+
+
+@pytest.mark.parametrize(("start", "reason"), [
+    ("corners", "neither GCPs nor a geotransform"), ("nowhere", "does not exist")])
+def test_a_start_that_is_none_is_refused(place: Any, start: str, reason: str) -> None:
+    with pytest.raises(TermselError, match=reason):
+        match(place / "image.tif", place / "ortho.tif", start=start)

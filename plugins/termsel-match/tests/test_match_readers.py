@@ -1,0 +1,105 @@
+"""Readers of matches of other programs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("termsel_match", reason="termsel-match is not installed: "
+                    "pip install -e plugins/termsel-match")
+
+from termsel import FeatureSet, Points, TermselError, read
+from termsel.testing import check_reader, reader_checks
+from termsel_match.readers import ArosicsTable, AspMatches, MatchesCsv
+
+AROSICS = """POINT_ID,X_IM,Y_IM,X_MAP,Y_MAP,X_WIN_SIZE,X_SHIFT_PX,X_SHIFT_M,Y_SHIFT_M,OUTLIER
+7,100,200,439000.0,5228000.0,256,1.5,3.0,-2.0,False
+8,300,200,439400.0,5228000.0,256,-9999,-9999,-9999,-9999
+9,300,400,439400.0,5227600.0,256,9.5,19.0,-2.0,True
+"""
+ASP = """2 2
+20.5 10.25 20 10 0.1 1.0 0.5 1 0 0 0
+40.0 30.0 40 30 0.1 1.0 0.5 1 0 0 0
+5.0 6.0 5 6 0.1 1.0 0.5 1 0 0 0
+7.0 9.0 7 9 0.1 1.0 0.5 1 0 0 0
+"""
+MATCHES = """id,image_line,image_sample,reference_line,reference_sample,sigma
+a,10.25,20.5,6,5,0.2
+b,30,40,9,7,0.3
+"""
+
+
+CHECKS = reader_checks(ArosicsTable, AROSICS.encode(), FeatureSet(Points(
+    ("A7", "A9"), np.array([[199.5, 99.5], [399.5, 299.5]]),
+    np.array([[439003, 5227998, np.nan], [439419, 5227598, np.nan]]), None, ("", "off")),
+    crs=""), filename="tie_points.csv")
+
+
+@pytest.mark.parametrize("check", CHECKS, ids=lambda check: check.name)
+def test_conforms(check: Any) -> None:
+    check.run()
+
+
+@pytest.mark.parametrize(("reader", "text"), [(AspMatches, ASP), (MatchesCsv, MATCHES)])
+def test_conforms_with_its_reference(place: Any, reader: Any, text: str) -> None:
+    west, north = place.world.corner
+    points = Points(("a", "b") if reader is MatchesCsv else ("M001", "M002"),
+                    np.array([[10.25, 20.5], [30, 40]]),
+                    np.array([[west + 5.5, north - 6.5, np.nan],
+                              [west + 7.5, north - 9.5, np.nan]]),
+                    np.array([[0.2, 0.2], [0.3, 0.3]]) if reader is MatchesCsv else None)
+    check_reader(reader(reference=str(place / "ortho.tif")), text.encode(),
+                 FeatureSet(points, crs="EPSG:32633"))
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> Any:
+    def write(text: str) -> Path:
+        (tmp_path / "matches.txt").write_text(text)
+        return tmp_path / "matches.txt"
+
+    return write
+
+
+def test_arosics_shifts_the_map_and_counts_from_the_corner(file: Any) -> None:
+    features = read(file(AROSICS), crs="EPSG:32633")
+    assert features.points.ids == ("A7", "A9")
+    assert features.points.roles == ("", "off")
+    assert features.points.image.tolist() == [[199.5, 99.5], [399.5, 299.5]]
+    assert features.points.ground[:, :2].tolist() == [[439003, 5227998], [439419, 5227598]]
+
+
+@pytest.mark.parametrize("text", [ASP, MATCHES], ids=["asp", "csv"])
+def test_pixels_of_the_reference_become_coordinates(place: Any, file: Any, text: str) -> None:
+    features = read(file(text), reference=str(place / "ortho.tif"), dem=place / "dem.tif")
+    west, north = place.world.corner
+    assert features.points.image.tolist() == [[10.25, 20.5], [30, 40]]
+    assert np.allclose(features.points.ground[:, :2],
+                       [[west + 5.5, north - 6.5], [west + 7.5, north - 9.5]])
+    assert np.isfinite(features.points.ground[:, 2]).all()
+    assert features.crs == "EPSG:32633"
+
+
+def test_other_names_of_columns_by_format(place: Any, file: Any) -> None:
+    features = read(file("x1,y1,x2,y2\n20.5,10.25,5,6\n"), format="matches-csv",
+                    reference=str(place / "ortho.tif"))
+    assert features.points.image.tolist() == [[10.25, 20.5]]
+
+
+@pytest.mark.parametrize(("text", "format", "reason"), [
+    (MATCHES, None, "the reference is needed"),
+    (MATCHES.replace("30", "thirty"), None, "line 3, column 'image_line': 'thirty' is not"),
+    (ASP.replace("2 2\n", "3 3\n"), "asp-match", "announces 3 matches"),
+    (ASP.replace("7.0 9.0", "seven 9.0"), None, "line 5: this row is not an interest point"),
+    (AROSICS.replace("100,200", "x,200"), None, "line 2, column 'X_IM': 'x' is not a number"),
+    ("POINT_ID,X_IM\n1,2\n", "arosics-csv", "no column Y_IM"),
+    ("", "matches-csv", "empty"),
+], ids=range(7))
+def test_what_is_wrong_is_said_with_its_place(file: Any, text: str, format: str | None,
+                                              reason: str) -> None:
+    with pytest.raises(TermselError) as caught:
+        read(file(text), crs="EPSG:32633", format=format or ())
+    assert reason in str(caught.value)
