@@ -46,7 +46,8 @@ def small_map(view: View) -> str:
     drawn = "".join(f'<path d="{"".join(parts)}" fill="none" stroke="{ROLE_COLOURS[role]}"/>'
                     for role, parts in arrows.items() if parts)
     said = f"{counted(len(rows), 'residual')}, the largest {max(lengths, default=0.0):.3g} px"
-    return (f'<svg width="{wide + 2:.0f}" height="{high + _BELOW:.0f}" '
+    return ('<svg xmlns="http://www.w3.org/2000/svg" '
+            f'width="{wide + 2:.0f}" height="{high + _BELOW:.0f}" '
             f'viewBox="-1 -1 {wide + 2:.0f} {high + _BELOW:.0f}" role="img" '
             f'aria-label="{escape(said)}"><rect width="{wide:.1f}" height="{high:.1f}" '
             # A drawing within a drawing clips what is longer.

@@ -113,7 +113,7 @@ def sigma_map(view: View) -> Any:
     made = view.fit.made or view.fit
     used = made.control.take(made.used).image_vertices()
     layers = [
-        alt.Chart(data(cells)).mark_rect(strokeWidth=0).encode(
+        alt.Chart(data(cells)).mark_rect(strokeWidth=0, clip=True).encode(
             x=x, y=y, x2="sample2:Q", y2="line2:Q", color=colour,
             tooltip=[alt.Tooltip("sigma:Q", title="standard deviation [px]", format=".3g")]),
         alt.Chart(data(_hull(used))).mark_line(
