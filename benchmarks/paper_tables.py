@@ -27,6 +27,11 @@ def main() -> None:
     parser.add_argument("--runs", help="runs of each setting, or `published`")
     parser.add_argument("--write", action="store_true", help="write the pages in docs/evidence")
     asked = parser.parse_args()
+    if unknown := set(asked.names) - set(NAMES):
+        parser.error(f"there is no paper {min(unknown)!r}; known are {', '.join(NAMES)}")
+    if asked.runs and asked.runs != "published" and not (
+            asked.runs.isdecimal() and int(asked.runs)):
+        parser.error(f"--runs takes a number or `published`, not {asked.runs!r}")
     for name in asked.names or NAMES:
         module = import_module(f"benchmarks.papers.{NAMES[name]}")
         runs = module.PUBLISHED_RUNS if asked.runs == "published" else (

@@ -7,6 +7,7 @@ import pkgutil
 import random
 import sys
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,7 @@ from deap import algorithms, base, tools
 from pymoo.algorithms.moo.moead import MOEAD
 from pymoo.algorithms.moo.nsga2 import NSGA2
 from pymoo.algorithms.soo.nonconvex.ga import GA
+from pymoo.algorithms.soo.nonconvex.pso import PSO
 from pymoo.operators.crossover.pntx import TwoPointCrossover
 from pymoo.operators.crossover.ux import UX
 from pymoo.operators.mutation.bitflip import BitflipMutation
@@ -255,10 +257,26 @@ def test_every_algorithm_of_pymoo_is_offered_or_has_a_reason() -> None:
     assert known == set(ALGORITHMS) | set(UNFIT)
 
 
-def test_an_algorithm_without_constraints_makes_no_solver() -> None:
-    with pytest.raises(TermselError, match="MOEAD refuses constraints"):
-        termsel.from_pymoo(MOEAD(np.eye(2), sampling=BinaryRandomSampling(), crossover=UX(),
-                                 mutation=BitflipMutation()))
+@pytest.mark.parametrize(("algorithm", "said"), [
+    (MOEAD(np.eye(2), sampling=BinaryRandomSampling(), crossover=UX(),
+           mutation=BitflipMutation()), "MOEAD refuses constraints"),
+    (PSO(pop_size=20), "PSO moves real numbers"), (GA, "is no algorithm of pymoo"),
+    ("GA", "'GA' is no algorithm of pymoo")])
+def test_an_algorithm_that_cannot_do_makes_no_solver(algorithm: Any, said: str) -> None:
+    with pytest.raises(TermselError, match=said):
+        termsel.from_pymoo(algorithm)
+
+
+@pytest.mark.parametrize(("given", "said"), [
+    ([None], "toolbox_factory is None"), ([termsel.to_deap, 7], "algorithm is 7"),
+    ([lambda problem: None], "'<lambda>' returned no DEAP toolbox")])
+def test_what_gives_no_toolbox_makes_no_solver(given: list[Any], said: str) -> None:
+    with pytest.raises(TermselError, match=said):
+        search(problems.twelve_terms(), termsel.from_deap(*given)(), generations=1)
+
+
+def test_a_partial_function_gives_a_toolbox() -> None:
+    assert termsel.from_deap(partial(termsel.to_deap)).name == "from-deap"
 
 
 def test_rvea_runs_beyond_its_horizon() -> None:

@@ -21,6 +21,7 @@ from termsel.models.polynomial import Polynomial3D
 from termsel.models.rpc import Rpc
 from termsel.runs import steps
 from termsel.runs.steps import search_in_steps
+from termsel.simulate import simulate_scene
 
 QUICK = {"population": 40, "polish": False}
 
@@ -294,6 +295,13 @@ def test_lines_are_selected_under_all_terms_of_an_rfm() -> None:
     assert np.abs(held.fit.adjustment.coefficients[below]).max() < 0.1
     everything = held.baselines[0].rmse["independent"]
     assert held.rmse["independent"].total < everything.total / 2
+
+
+@pytest.mark.slow
+def test_all_terms_of_an_rfm_do_by_the_defaults() -> None:
+    found = [termsel.run("owdis-lines-terms", options={"order": 3}, features=simulate_scene(
+        "ikonos-hamedan", seed=seed)).rmse["independent"].total for seed in range(1, 21)]
+    assert np.median(found) <= 1.1, sorted(found)
 
 
 def test_what_is_not_so_of_pseudo_observations_is_not_said() -> None:

@@ -2,6 +2,12 @@
 
 from __future__ import annotations
 
+import re
+import runpy
+import subprocess
+import sys
+from pathlib import Path
+
 import pytest
 from click.testing import CliRunner
 
@@ -10,6 +16,7 @@ from termsel.cli.main import cli
 from termsel.plugins.registry import registry
 from termsel.simulate import simulate_scene
 
+ROOT = Path(__file__).parents[1]
 NAMES = ("valadan-zoej-2002", "zakaryaie-2015", "yavari-2018", "akhoundi-2020")
 
 
@@ -108,3 +115,24 @@ def test_a_description_tells_no_default_that_is_none() -> None:
         assert "default" not in options[name].doc
     assert options["max_share"].doc.endswith("At least one degree of freedom is kept.")
     assert "By default" in options["objectives"].doc
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["valadan-zoej", "zakaryaie", "akhoundi", "yavari", "konugurthi"])
+def test_the_tables_of_a_paper_are_made_by_one_command(name: str) -> None:
+    made = subprocess.run([sys.executable, "-m", "benchmarks.paper_tables", name, "--runs", "1"],
+                          cwd=ROOT, capture_output=True, text=True, check=True).stdout
+    kept = (ROOT / "docs" / "evidence" / f"paper-{name}.md").read_text()
+    headers = [line for line in kept.splitlines() if line.startswith(("#", "|--"))]
+    assert [line for line in made.splitlines() if line.startswith(("#", "|--"))] \
+        == [re.sub(r"\b\d+ runs on", "24 runs on", line) for line in headers]
+    assert "nan" not in made
+
+
+@pytest.mark.parametrize("wrong", [["yavary"], ["yavari", "--runs", "x"], ["--runs", "0"]])
+def test_a_command_for_tables_that_cannot_be(wrong: list[str],
+                                             monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(ROOT))
+    monkeypatch.setattr(sys, "argv", ["paper_tables", *wrong])
+    with pytest.raises(SystemExit, match="2"):
+        runpy.run_module("benchmarks.paper_tables", run_name="__main__")

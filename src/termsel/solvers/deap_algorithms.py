@@ -197,6 +197,11 @@ def from_deap(toolbox_factory: Callable[[Problem], base.Toolbox],
     type[Solver]
         With the option ``population``.
 
+    Raises
+    ------
+    TermselError
+        For what is no function; in the search for one that returns no toolbox or population.
+
     Examples
     --------
     >>> import termsel
@@ -205,7 +210,13 @@ def from_deap(toolbox_factory: Callable[[Problem], base.Toolbox],
     >>> result.solver
     'to-deap'
     """
+    for given_as, what in (("toolbox_factory", toolbox_factory), ("algorithm", algorithm)):
+        if not callable(what):
+            raise TermselError(f"{given_as} is {what!r:.100}, which is no function",
+                               hint="Give a function, such as termsel.to_deap and "
+                                    "deap.algorithms.eaSimple.")
     given = {"cxpb": 0.5, "mutpb": 0.2, **arguments}
+    called = getattr(toolbox_factory, "__name__", "from-deap")
     doc = inspect.getdoc(toolbox_factory) or "A DEAP toolbox of a user's own."
 
     class FromDeap(Solver):
@@ -216,8 +227,11 @@ def from_deap(toolbox_factory: Callable[[Problem], base.Toolbox],
 
         def generations(self, problem: Problem, rng: np.random.Generator) -> Iterator[Generation]:
             n = self.options["population"]
-            yield from evolved(toolbox_factory(problem), algorithm, rng, n,
-                               {"mu": n, "lambda_": 2 * n, **given})
+            box = toolbox_factory(problem)
+            if not isinstance(box, base.Toolbox):
+                raise TermselError(f"the function {called!r} returned no DEAP toolbox",
+                                   hint="Return what termsel.to_deap(problem) returned.")
+            yield from evolved(box, algorithm, rng, n, {"mu": n, "lambda_": 2 * n, **given})
 
-    FromDeap.name = name or toolbox_factory.__name__.strip("_").replace("_", "-").lower()
+    FromDeap.name = name or called.strip("_").replace("_", "-").lower()
     return FromDeap

@@ -143,7 +143,7 @@ def from_pymoo(algorithm: Algorithm, *, name: str | None = None) -> type[Solver]
     Raises
     ------
     TermselError
-        For one that refuses constraints.
+        For one that refuses constraints, or moves real numbers.
 
     Examples
     --------
@@ -157,10 +157,15 @@ def from_pymoo(algorithm: Algorithm, *, name: str | None = None) -> type[Solver]
     >>> termsel.run("poly-terms", solver=mine, evaluations=200, options={"degree": 2}).solver
     'ga-pymoo'
     """
-    homes = [one.__module__ for one in type(algorithm).__mro__]
-    if any(UNFIT.get(home.rpartition(".")[2]) == _UNCONSTRAINED for home in homes):
-        raise TermselError(f"pymoo's {type(algorithm).__name__} {_UNCONSTRAINED}",
-                           hint="Choose another algorithm, such as NSGA2.")
+    if not isinstance(algorithm, Algorithm):
+        raise TermselError(f"{algorithm!r:.100} is no algorithm of pymoo",
+                           hint="Give an object, such as GA(pop_size=60, ...).")
+    homes = [one.__module__ for one in type(algorithm).__mro__
+             if one.__module__.startswith("pymoo.")]
+    for reason in (UNFIT.get(home.rpartition(".")[2]) for home in homes):
+        if reason in (_UNCONSTRAINED, _NUMBERS):
+            raise TermselError(f"pymoo's {type(algorithm).__name__} {reason}",
+                               hint="Choose another algorithm, such as GA or NSGA2.")
     single = any(home.startswith("pymoo.algorithms.soo") for home in homes)
     several = any(home.startswith("pymoo.algorithms.moo") for home in homes)
 
