@@ -6,6 +6,7 @@ import logging
 import os
 import random
 import sys
+import threading
 import time
 import warnings
 from collections.abc import Callable, Iterator
@@ -158,6 +159,39 @@ def test_what_a_plugin_changes_of_the_process_is_put_back(
     # termsel's evaluation, which the solver calls, has the state from before as well.
     assert seen[0][:-1] == before[:-1]
     assert capsys.readouterr() == ("", "hello\n")
+
+
+def test_two_plugins_in_two_threads_leave_the_process_as_it_was(
+        tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The first begins first and ends first, so that neither is within the other."""
+    begun, both, ended = (threading.Event() for _ in range(3))
+
+    def first() -> None:
+        os.chdir(tmp_path)
+        random.seed(5)
+        begun.set()
+        assert both.wait(10)
+
+    def second() -> None:
+        warnings.simplefilter("error")
+        both.set()
+        assert ended.wait(10)
+        print("of a plugin")
+        worker = threading.Thread(target=print, args=("of its thread",))
+        worker.start()
+        worker.join()
+
+    before = _state()
+    with ThreadPoolExecutor(2) as pool:
+        one = pool.submit(search, Ones(), _solver(first))
+        assert begun.wait(10)
+        other = pool.submit(search, Ones(), _solver(second))
+        one.result()
+        print("of the program")
+        ended.set()
+        other.result()
+    assert _state() == before
+    assert capsys.readouterr() == ("of the program\n", "of a plugin\nof its thread\n")
 
 
 def test_numbers_from_the_global_generator_are_not_spent() -> None:
