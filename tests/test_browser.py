@@ -18,7 +18,7 @@ pytest.importorskip("altair")
 pytest.importorskip("vl_convert")
 
 HOSTILE = ("</script><img src=x onerror=document.title='run'>", "{{7*7}} ${document.title='run'}",
-           "\u0627\u0644\u0646\u0642\u0637\u0629 42", "a \"quoted\" & 'single' id", "x" * 200,
+           "\u0627\u0644\u0646\u0642\u0637\u0629 42", "a \"quoted\" & 'single' id", "x" * 10_000,
            "datum['id'] + toString.constructor('document.title=1')()", "<b>bold</b>")
 SWITCHES = ("--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",
             "--disable-background-networking", "--disable-component-update", "--disable-sync",
@@ -160,6 +160,41 @@ def test_hostile_ids_appear_as_text_and_run_nothing(
     assert browser.title == title != "run"
     assert not browser.find_elements("css selector", "img, b, iframe, object")
     silent(browser)
+
+
+def test_charts_of_a_notebook_are_live_without_a_connection(
+        browser: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    import altair
+
+    from termsel.report import notebook
+
+    monkeypatch.setattr(notebook, "_sent", False)
+    plot = termsel.run("poly-terms", features=hostile()).plot
+    assert altair.renderers.active == "default"
+    charts = [plot.worst(), plot.residuals().properties(background="#fafafa")]
+    outputs = [chart._repr_mimebundle_()["text/html"] for chart in charts]
+    assert isinstance(charts[1], altair.LayerChart)
+    assert len(outputs[1]) < 400_000 < len(outputs[0])  # the library comes once
+    for name, shown, live in (("live", outputs, 2), ("alone", outputs[1:], 0)):
+        page = tmp_path / f"{name}.html"
+        page.write_text("<!DOCTYPE html><meta charset='utf-8'><title>notebook</title>"
+                        "<link rel='icon' href='data:,'>" + "".join(shown))
+        for log in ("browser", "performance"):
+            browser.get_log(log)
+        browser.get(page.as_uri())
+        wait(lambda live=live: len(browser.find_elements(
+            "css selector", "svg .mark-symbol.role-mark")) >= live)
+        assert len(browser.find_elements("css selector", "input[type=range]")) == live
+        # Without the library the picture stays.
+        assert len(browser.find_elements("css selector", "img[src^='data:image/svg']")) \
+            == len(shown) - live
+        asked = [message["params"]["request"]["url"] for message in (
+            json.loads(entry["message"])["message"] for entry in browser.get_log("performance"))
+            if message["method"] == "Network.requestWillBeSent"]
+        assert [url for url in asked if not url.startswith(("data:", "chrome"))] == [
+            page.as_uri()]
+        assert browser.title == "notebook"
+        silent(browser)
 
 
 def test_a_tooltip_shows_a_hostile_id_as_text(

@@ -29,7 +29,7 @@ altair = pytest.importorskip("altair")
 pytest.importorskip("vl_convert")
 
 HOSTILE = ("</script><img src=x onerror=alert(1)>", "{{7*7}} ${x} %s",
-           "\u0627\u0644\u0646\u0642\u0637\u0629 42", "a \"quoted\" & 'single' id", "x" * 200,
+           "\u0627\u0644\u0646\u0642\u0637\u0629 42", "a \"quoted\" & 'single' id", "x" * 10_000,
            "=cmd|' /C calc'!A0", "datum['id']")
 Call = Callable[..., SimpleNamespace]
 
@@ -166,6 +166,14 @@ def test_the_empires_in_the_history_are_those_of_the_search() -> None:
                          options={"population": 12, "imperialists": 0.25, "contested": 3})
     assert [one["empires"] for one in result.history] == seen
     assert 0 in seen[-1]  # one has vanished, and keeps its place
+
+
+def test_who_enables_a_renderer_of_altair_gets_it(chosen: termsel.Result) -> None:
+    drawn = chosen.plot.candidates()
+    with altair.renderers.enable("mimetype"):
+        shown = drawn._repr_mimebundle_()
+    assert any("vegalite" in kind for part in (shown if isinstance(shown, tuple) else (shown,))
+               for kind in part)
 
 
 def test_a_long_search_is_thinned_and_keeps_its_ends() -> None:

@@ -58,7 +58,7 @@
   };
 
   const draw = async (element) => {
-    const { view } = await vegaEmbed(element, specs[element.dataset.chart], {
+    const { view } = await window.termselEmbed(element, specs[element.dataset.chart], {
       ast: true, actions: false, renderer: "svg", defaultStyle: false, mode: "vega-lite",
       tooltip: { disableDefaultStyle: true } });
     views.push(view);

@@ -12,14 +12,14 @@ import hashlib
 import json
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
-from functools import cache
 from html import escape
 from importlib.resources import files
 from itertools import groupby
 from typing import Any
 
-from termsel.errors import TermselError, printable
-from termsel.report.theme import require_altair, styled
+from termsel.errors import printable
+from termsel.report.library import library
+from termsel.report.theme import styled
 
 
 @dataclass(frozen=True)
@@ -118,8 +118,8 @@ def page(title: str, subtitle: str, sections: Iterable[Section]) -> str:
         shown = "\n".join(_blocks(section.blocks, specs))
         parts.append(f'<section aria-labelledby="s{number}"><h2 id="s{number}">'
                      f"{_text(section.title)}</h2>\n{shown}\n</section>")
-    style, script, library = _resource("page.css"), _resource("page.js"), _library()
-    policy = (f"default-src 'none'; script-src {_checksum(library)} {_checksum(script)}; "
+    style, script, drawing = _resource("page.css"), _resource("page.js"), library()
+    policy = (f"default-src 'none'; script-src {_checksum(drawing)} {_checksum(script)}; "
               f"style-src {_checksum(style)}; img-src data:; base-uri 'none'; form-action 'none'")
     # Nothing in a block of data may end it.
     charts = json.dumps(specs, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
@@ -140,7 +140,7 @@ def page(title: str, subtitle: str, sections: Iterable[Section]) -> str:
 </main>
 <p id="chosen" role="status" aria-live="polite"></p>
 <script type="application/json" id="charts">{charts}</script>
-<script>{library}</script>
+<script>{drawing}</script>
 <script>{script}</script>
 </body>
 </html>
@@ -207,18 +207,6 @@ def _text(text: str) -> str:
 
 def _resource(name: str) -> str:
     return (files("termsel.report") / name).read_text(encoding="utf-8")
-
-
-@cache
-def _library() -> str:
-    """Return Vega, Vega-Lite and Vega-Embed with the interpreter of expressions."""
-    require_altair()
-    try:
-        from vl_convert import javascript_bundle
-    except ImportError:
-        raise TermselError("pages require vl-convert-python, which is not installed",
-                           hint='Install it: pip install "termsel[report]".') from None
-    return javascript_bundle("window.vegaEmbed = vegaEmbed;").replace("</script", "<\\/script")
 
 
 def _checksum(text: str) -> str:

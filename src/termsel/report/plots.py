@@ -11,6 +11,7 @@ from typing import Any
 from termsel.errors import TermselError, unknown_name
 from termsel.files.atomic import write_bytes
 from termsel.report.charts import bars, maps, search, terms
+from termsel.report.notebook import offline
 from termsel.report.theme import require_altair, styled
 from termsel.report.view import View
 
@@ -143,7 +144,7 @@ def chart(view: View, name: str) -> Any:
         there = ", ".join(one.name for one in KINDS.values() if not one.missing(view))
         raise TermselError(f"this result has no chart {name}: {why}",
                            hint=f"Charts that it has: {there}.")
-    return styled(kind.draw(view), kind.title, kind.look)
+    return offline(styled(kind.draw(view), kind.title, kind.look))
 
 
 class Plots:

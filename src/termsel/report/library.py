@@ -1,0 +1,29 @@
+"""The library that draws charts in a browser, to be part of what shows them."""
+
+from __future__ import annotations
+
+from functools import cache
+
+from termsel.errors import TermselError
+from termsel.report.theme import require_altair
+
+EMBED = "termselEmbed"
+"""The function of the library, by a name that no other script on a page has."""
+
+
+@cache
+def library() -> str:
+    """Return Vega, Vega-Lite and Vega-Embed with the interpreter of expressions.
+
+    Raises
+    ------
+    TermselError
+        If altair or vl-convert-python is not installed.
+    """
+    require_altair()
+    try:
+        from vl_convert import javascript_bundle
+    except ImportError:
+        raise TermselError("pages require vl-convert-python, which is not installed",
+                           hint='Install it: pip install "termsel[report]".') from None
+    return javascript_bundle(f"window.{EMBED} = vegaEmbed;").replace("</script", "<\\/script")

@@ -1,0 +1,75 @@
+"""Charts in notebooks, where Altair would load its scripts from a server.
+
+The output of a chart is its picture, and a script that puts the live chart in its place. The
+library of that script comes with the first chart of a session; where a notebook is opened again
+without that output, the pictures stay.
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+from functools import cache
+from html import escape
+from importlib.util import find_spec
+from typing import Any
+from uuid import uuid4
+
+from termsel.report.library import EMBED, library
+from termsel.report.theme import require_altair
+
+_sent = False
+
+
+def offline(chart: Any) -> Any:
+    """Return a chart that shows itself in a notebook without a connection.
+
+    It remains an Altair chart. So does what is made of it by its methods, such as ``properties``.
+    Who enables a renderer of Altair gets that one.
+
+    Parameters
+    ----------
+    chart : altair.Chart
+    """
+    shown = chart.copy(deep=False)
+    kind: Any = type(chart)
+    object.__setattr__(shown, "__class__", _offline(kind))
+    return shown
+
+
+@cache
+def _offline(kind: Any) -> type:
+    def bundle(self: Any, *args: Any, **kwds: Any) -> Any:
+        if require_altair().renderers.active != "default" or find_spec("vl_convert") is None:
+            return kind._repr_mimebundle_(self, *args, **kwds)
+        return {"text/html": html_of(self), "text/plain": repr(self)}
+
+    return type(kind.__name__, (kind,), {"_repr_mimebundle_": bundle, "__module__": __name__,
+                                         "__doc__": kind.__doc__})
+
+
+def html_of(chart: Any) -> str:
+    """Return a chart for the output of a cell.
+
+    Parameters
+    ----------
+    chart : altair.Chart
+    """
+    global _sent
+    import vl_convert
+
+    spec = chart.to_dict()
+    picture = base64.b64encode(vl_convert.vegalite_to_svg(spec).encode()).decode()
+    title = spec.get("title", "")
+    said = title.get("text", "") if isinstance(title, dict) else title
+    place = f"termsel-{uuid4().hex}"
+    # Nothing in the data may end the script.
+    content = json.dumps(spec, allow_nan=False).replace("<", "\\u003c")
+    scripts = "" if _sent else f"<script>{library()}</script>"
+    _sent = True
+    return (f'<div id="{place}"><img alt="{escape(str(said))}" '
+            f'src="data:image/svg+xml;base64,{picture}"></div>{scripts}<script>(() => {{\n'
+            f"const place = document.getElementById({json.dumps(place)});\n"
+            f"if (!place || !window.{EMBED}) return;\nplace.replaceChildren();\n"
+            f'window.{EMBED}(place, {content}, {{ actions: false, renderer: "svg", '
+            'mode: "vega-lite" });\n})();</script>')
