@@ -18,7 +18,7 @@ pytest.importorskip("altair")
 pytest.importorskip("vl_convert")
 
 HOSTILE = ("</script><img src=x onerror=document.title='run'>", "{{7*7}} ${document.title='run'}",
-           "\u0627\u0644\u0646\u0642\u0637\u0629 42", "a \"quoted\" & 'single' id", "x" * 10_000,
+           "\u0627\u0644\u0646\u0642\u0637\u0629 42", "a \"quoted\" & 'single' id", "x" * 200,
            "datum['id'] + toString.constructor('document.title=1')()", "<b>bold</b>")
 SWITCHES = ("--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",
             "--disable-background-networking", "--disable-component-update", "--disable-sync",
@@ -115,13 +115,21 @@ def test_the_page_of_a_study_is_drawn_offline_and_in_silence(
         opened: Callable[[Path, int], Any], tmp_path: Path) -> None:
     from termsel.studies.outputs import write_outputs
 
+    title = f"{HOSTILE[0]} {HOSTILE[1]} {HOSTILE[2]} {'x' * 10_000}"  # ids end at 200
+    features = termsel.simulate_scene("ikonos-hamedan", n_lines=0)
     study = termsel.compare(problems=["poly-terms"], solvers=["random", "swap"], seeds=2,
-                            options={"degree": 2}, budget={"evaluations": 200},
-                            title="</script><img src=x onerror=document.title='run'>")
+                            data={HOSTILE[0]: features, " ".join(HOSTILE[1:4]): features},
+                            options={"degree": 2}, budget={"evaluations": 200}, title=title)
     write_outputs(study, tmp_path)
     for width in (400, 1400):
         browser = opened(tmp_path / "report.html", width)
         assert browser.find_element("css selector", "h1").text == study.spec.title
+        assert browser.title == " ".join(title.split())
+        assert not browser.find_elements("css selector", "img, iframe, object")
+        assert browser.execute_script(
+            "return document.documentElement.scrollWidth <= window.innerWidth")
+        said = browser.find_element("id", "convergence").text
+        assert HOSTILE[0] in said
         for name in ("ecdf-evaluations", "ecdf-cpu-seconds", "convergence"):
             assert browser.find_elements("css selector",
                                          f"#{name} svg .mark-line.role-mark path"), name
