@@ -384,6 +384,28 @@ def test_faulty_read(fault: Any, message: str, tmp_path: Path) -> None:
     _said(caught, message, "reader 'faulty'")
 
 
+@pytest.mark.parametrize(("fault", "message"), [
+    (_raise, "failed in placed(): ValueError"),
+    (_always(None), "placed() returned nothing; expected TermselError")])
+def test_faulty_place_of_an_error(fault: Any, message: str, tmp_path: Path,
+                                  monkeypatch: pytest.MonkeyPatch) -> None:
+    far = FeatureSet(termsel.Points(("a",), [[1.0, 2.0]], [[3.0, 400.0, 5.0]]), crs="EPSG:4979")
+    reader = _made(_made(Bars, "read", _always(far)), "placed", fault)
+    monkeypatch.setattr(Registry, "entries", lambda self, kind: [SimpleNamespace(object=reader)])
+    (tmp_path / "a.txt").write_text("|")
+    with pytest.raises(PluginFault) as caught:
+        termsel.read(tmp_path / "a.txt")
+    _said(caught, message, "reader 'faulty'")
+
+
+def test_faulty_attribute_that_is_computed(scene: FeatureSet) -> None:
+    solver = type("Faulty", (RandomSearch,), {
+        "__module__": __name__, "name": "faulty", "uses_all": property(_raise)})
+    with pytest.raises(PluginFault) as caught:
+        prepare("poly-terms", features=scene, solver=solver)
+    _said(caught, "failed in uses_all(): ValueError", "solver 'faulty'")
+
+
 class Note(termsel.Writer):
     """A sound writer."""
 

@@ -165,6 +165,26 @@ BROKEN = {
             def generations(self, problem, rng): yield
         @hookimpl
         def termsel_models(): return [Mine]""", "the class Mine, not a subclass of SensorModel"),
+    "attribute of another type": ("""
+        from termsel import Affine, hookimpl
+        class Mine(Affine):
+            name = 'mine'
+            uses_height = 'no'
+        @hookimpl
+        def termsel_models(): return [Mine]""", "Mine with uses_height = 'no', which is no bool"),
+    "options that are none": ("""
+        from termsel import Affine, hookimpl
+        class Mine(Affine):
+            name = 'mine'
+            declared_options = ({'name': 'degree'},)
+        @hookimpl
+        def termsel_models(): return [Mine]""",
+        "Mine with declared_options that hold {'name': 'degree'}, which is no Option"),
+    "option of no type": ("""
+        from termsel import Affine, Option, hookimpl
+        class Mine(Affine):
+            declared_options = (Option('degree', 2, 'Degree.', list),)""",
+        "option 'degree' has the type <class 'list'>"),
     "instance for a class": ("""
         from termsel import hookimpl
         @hookimpl

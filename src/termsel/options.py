@@ -20,6 +20,7 @@ MOST_RUNS = 100_000
 SEED = 2**63 - 1
 """Greatest seed."""
 
+_WORDS = {int: "whole number", float: "number", bool: "true | false", str: "text"}
 _TRUE = {"true", "yes", "on", "1"}
 _FALSE = {"false", "no", "off", "0"}
 
@@ -52,12 +53,17 @@ class Option:
     maximum: float | None = None
     choices: tuple[str, ...] = ()
 
+    def __post_init__(self) -> None:
+        if self.type not in _WORDS:
+            raise TermselError(f"option {self.name!r} has the type {self.type!r:.100}",
+                               hint="Give int, float, bool or str.")
+
     @property
     def accepts(self) -> str:
         """The accepted values, in words."""
         if self.choices:
             return " | ".join(self.choices)
-        kind = {int: "whole number", float: "number", bool: "true | false", str: "text"}[self.type]
+        kind = _WORDS[self.type]
         if self.minimum is not None and self.maximum is not None:
             return f"{kind} from {_plain(self.minimum)} to {_plain(self.maximum)}"
         if self.minimum is not None:

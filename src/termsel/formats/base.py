@@ -36,6 +36,10 @@ def _features_fault(_own: Configurable, value: Any, *_args: Any) -> str | None:
     return of_type(value, FeatureSet)
 
 
+def _error_fault(_own: Configurable, value: Any, *_args: Any) -> str | None:
+    return of_type(value, TermselError)
+
+
 def _files_fault(_own: Configurable, value: Any, *_args: Any) -> str | None:
     return None if isinstance(value, tuple) and value \
         and all(isinstance(file, Path) for file in value) \
@@ -60,7 +64,7 @@ class Reader(Configurable, ABC):
 
     kind = "reader"
     guards: ClassVar[Mapping[str, Check | None]] = {
-        "sniff": _answer_fault, "read": _features_fault}
+        "sniff": _answer_fault, "read": _features_fault, "placed": _error_fault}
 
     name: ClassVar[str]
     summary: ClassVar[str]

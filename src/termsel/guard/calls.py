@@ -47,7 +47,9 @@ class Guarded:
         super().__init_subclass__(**options)
         if package_of(cls) == OWN:
             return
-        for name, check in _guards(cls).items():
+        guards = dict.fromkeys((name for name, found in vars(cls).items()
+                                if isinstance(found, property) and _is_own(cls, name)))
+        for name, check in {**guards, **_guards(cls)}.items():
             found = cls.__dict__.get(name)
             if isinstance(found, property) and found.fget is not None:
                 setattr(cls, name, property(_guarded(name, found.fget, check), found.fset,
@@ -59,6 +61,11 @@ class Guarded:
             elif callable(found) and not isinstance(found, type):
                 wrapped = _iterated if name == "generations" else _guarded
                 setattr(cls, name, wrapped(name, found, check))
+
+
+def _is_own(cls: type, name: str) -> bool:
+    """Return whether termsel declares an attribute, which a plugin may compute."""
+    return any(name in vars(base) for base in cls.__mro__ if package_of(base) == OWN)
 
 
 def _guards(cls: type) -> dict[str, Check | None]:

@@ -12,11 +12,13 @@ from __future__ import annotations
 
 import inspect
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from importlib import import_module
 from typing import Any
 
-from termsel.options import Configurable
+from termsel.guard.faults import is_own
+from termsel.options import Configurable, Option
 
 _NAME = re.compile(r"[^\s:]+")
 
@@ -74,10 +76,31 @@ class Kind:
             cls = made if isinstance(made, type) else type(made)
             raise TypeError(f"returned {cls.__name__} with the name {name!r}; a name is text "
                             "without blanks and colons")
+        if isinstance(made, type) and (fault := _attribute_fault(made)):
+            raise TypeError(f"returned {made.__name__} with {fault}")
         if self.tried:
             made()
         return made
 
+
+def _attribute_fault(cls: type) -> str | None:
+    """Return which attribute of a class is of another type than where termsel declares it."""
+    for base in cls.__mro__:
+        for name, usual in vars(base).items() if is_own(base) else ():
+            found = getattr(cls, name)
+            kind = next((kind for kind in _PLAIN if isinstance(usual, kind)), None)
+            if name.startswith("_") or kind is None or isinstance(found, property):
+                continue
+            accepted = (list, tuple) if kind is tuple else kind
+            if not isinstance(found, accepted):
+                return f"{name} = {found!r:.100}, which is no {kind.__name__}"
+    options: Sequence[Any] = getattr(cls, "declared_options", ())
+    return next((f"declared_options that hold {one!r:.100}, which is no Option"
+                 for one in options if not isinstance(one, Option)), None)
+
+
+_PLAIN = (bool, int, str, tuple, dict)
+"""Types of the attributes by which a class says what it is."""
 
 KINDS = {
     "problems": Kind("problem", "termsel.problems.recipes", "Recipe"),
