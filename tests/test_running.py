@@ -6,6 +6,7 @@ import json
 import subprocess
 import sys
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -125,18 +126,29 @@ MOVES = [pytest.param(path, side, id=f"{path}, {side}") for path in PATHS
              ("blank" not in path and "coordinates" in path) or path in ("auto", "ga", "lines"))]
 
 
+@cache
+def scene_of(path: str) -> FeatureSet:
+    features = simulate_scene("ikonos-hamedan", roles=(24, 24, 20), n_lines=60)
+    blank = replace(features.points, roles=())
+    return features.with_(points=blank) if "blank" in path else features
+
+
+@cache
+def unmoved(path: str) -> termsel.Result:
+    problem, given = PATHS[path]
+    return termsel.run(problem, features=scene_of(path), **given)
+
+
 @pytest.mark.parametrize(("path", "side"), MOVES)
 def test_independent_points_change_nothing_but_their_own_rmse(path: str, side: str) -> None:
     problem, given = PATHS[path]
-    features = simulate_scene("ikonos-hamedan")
-    if "blank" in path:
-        features = features.with_(points=replace(features.points, roles=()))
+    features = scene_of(path)
     if side == "off":
         first, second = (termsel.run(problem, features=with_off(features, lon), **given)
                          for lon in (48.5, -140.0))
         assert but_independent(first) == but_independent(second)
         return
-    first = termsel.run(problem, features=features, **given)
+    first = unmoved(path)
     independent = np.isin(features.points.ids, first.data["roles"]["independent"])
     image, ground = features.points.image.copy(), features.points.ground.copy()
     if side == "image":

@@ -129,7 +129,7 @@ def typed_genomes(trial: Trial) -> None:
     for types in (*([one] for one in declared), declared):
         if trial.takes(problems.typed(types)):
             problem = Watched(problems.typed(types))
-            for generation in trial.few(problem, 10):
+            for generation in trial.few(problem, 4):
                 require_genes(problem.genome, generation.genes,
                               f"generation {generation.index} has")
 
