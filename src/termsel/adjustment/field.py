@@ -140,16 +140,26 @@ class Collocation:
 
         In closed form: without a point the solutions change, and so do their probabilities.
         """
-        errors = [self.without(some).error for some in together(np.arange(len(self.points)))]
+        errors = [self.without(some).error
+                  for some in together(np.arange(len(self.points)), self.solutions)]
         return np.concatenate(errors) / weights_of(self.points)
+
+    @cached_property
+    def _likely(self) -> list[Part]:
+        highest = max(part.log for part in self.parts)
+        return [part for part in self.parts if part.log > highest - NEVER]
+
+    @property
+    def solutions(self) -> int:
+        """Number of solutions that matter."""
+        return sum(len(part.found.cells.share) for part in self._likely)
 
     def without(self, points: IntArray) -> Prediction:
         """Return what all points but one predict for it, for each of some, shape (m,).
 
         Under the solutions of all parts.
         """
-        highest = max(part.log for part in self.parts)
-        parts = [part for part in self.parts if part.log > highest - NEVER]
+        parts = self._likely
         each = [part.found.without(points) for part in parts]
         # What is known of a part beforehand is its logarithm without that of its points.
         logs = np.array([part.log - part.found.cells.log + one.log

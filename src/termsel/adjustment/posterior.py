@@ -42,8 +42,8 @@ NEVER = 30.0
 TINY = 1e-14
 """What is left of 1 by rounding error."""
 
-AT_ONCE = 16
-"""Points that are predicted together: what all solutions say of them stays in a fast cache."""
+AT_ONCE = 2**15
+"""Predictions that are made together, those of all solutions counted: they stay in a fast cache."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -214,10 +214,11 @@ def shares(logarithm: FloatArray) -> tuple[FloatArray, FloatArray]:
     return share, highest + np.log(total)
 
 
-def together(points: IntArray) -> Iterator[IntArray]:
-    """Yield some points at a time."""
-    for start in range(0, len(points), AT_ONCE):
-        yield points[start:start + AT_ONCE]
+def together(points: IntArray, solutions: int) -> Iterator[IntArray]:
+    """Yield some points at a time, of which each has as many predictions as there are solutions."""
+    some = max(16, AT_ONCE // solutions)
+    for start in range(0, len(points), some):
+        yield points[start:start + some]
 
 
 @dataclass(frozen=True, eq=False)
@@ -275,8 +276,8 @@ class Posterior:
     @property
     def errors(self) -> FloatArray:
         """Measured minus predicted of each point by the others, weighted, shape (n, 2)."""
-        points = np.arange(len(self.targets))
-        return np.concatenate([self.without(some).error for some in together(points)])
+        some = together(np.arange(len(self.targets)), len(self.cells.share))
+        return np.concatenate([self.without(points).error for points in some])
 
     def without(self, points: IntArray) -> Prediction:
         """Return what all points but one predict for it, for each of some.

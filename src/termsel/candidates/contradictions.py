@@ -115,7 +115,7 @@ def local_test(every: FeatureSet, used: BoolArray, heights: bool) -> Test | None
                      np.sqrt((1 + variance / noise).max(axis=1))], axis=1)
     # Of points in use that holds, whatever their own errors, without them.
     rows[used] = np.concatenate([_rows(found.without(some))
-                                 for some in together(np.arange(len(control)))])
+                                 for some in together(np.arange(len(control)), found.solutions)])
     rows[used, :2] /= weights_of(control)
     pixels = rows[:, :2] * scaling.image_scale
     return Test(np.abs(pixels).max(axis=1), rows[:, 2], rows[:, 3], rows[:, 4],
@@ -151,10 +151,10 @@ def _test_of_points(control: FeatureSet, used: BoolArray, heights: bool,
                       scales_of(np.array(exponents)[order > 1]), int(used.sum()))
     if found is None:
         return None
-    rows = np.empty((len(points), 5))
-    for some in together(np.flatnonzero(used)):
+    rows, count = np.empty((len(points), 5)), len(found.cells.share)
+    for some in together(np.flatnonzero(used), count):
         rows[some] = _rows(found.without(some))
-    for some in together(np.flatnonzero(~used)):
+    for some in together(np.flatnonzero(~used), count):
         rows[some] = _rows(found.beyond(some, UNUSED))
     pixels = rows[:, :2] / weights_of(points) * scaling.image_scale
     noise = float(np.sqrt(found.cells.share @ found.square / found.freedom)) * scaling.image_scale
