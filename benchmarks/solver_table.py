@@ -23,7 +23,8 @@ INTRODUCTION = """# Solver table
 
 Made by the studies `benchmarks/solver-table-terms.toml` and `solver-table-features.toml`:
 `python -m benchmarks.solver_table --out DIR --write`. The scene `ikonos-hamedan` is embedded and
-simulated. Every search has 10,000 evaluations, and its paper's options. A solver that is "refined"
+simulated. Every search has 10,000 evaluations, and its paper's options; one that
+is repeated without blunders has them again. A solver that is "refined"
 has the same budget, of which the local refinement takes three quarters. Values are the fitness, the
 check RMSE [px]. "Optimum reached" counts the seeds that end at the proven optimum, where `exact`
 can tell it within seconds; its interval is that of Wilson. Solvers without chance run once, and are

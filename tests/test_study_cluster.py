@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
+import re
+import signal
 import socket
 import subprocess
 import sys
@@ -10,6 +13,7 @@ import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -102,6 +106,63 @@ def test_a_cluster_gives_what_one_process_gives_whatever_is_lost(cluster: Cluste
     assert lost == ["worker", "scheduler"]
     assert found.complete
     assert _plain(found) == _plain(alone)
+
+
+@pytest.mark.slow
+def test_workers_without_a_plugin_are_named_before_anything_runs(
+        cluster: Cluster, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    from termsel.studies import compare
+    from termsel.studies.journal import read_journal
+
+    asked = {**ASKED, "budget": {"evaluations": 50}}
+    for needed, said in ({"termsel-other": "1.0"}, "lacks termsel-other, which the study needs"), (
+            {"numpy": "0.1"}, "has numpy .*, this machine 0.1"):
+        monkeypatch.setattr(compare, "_plugins", lambda cells, spec, needed=needed: needed)
+        out = tmp_path / next(iter(needed))
+        with pytest.raises(TermselError, match=rf"worker tcp://127\.0\.0\.1:\d+ {said}"):
+            termsel.compare(**asked, scheduler=cluster.address, out=out)
+        assert not read_journal(out).records
+
+
+SBATCH = """#!/bin/sh
+cp "$1" {folder}/job.sh
+sh {folder}/job.sh > {folder}/job.log 2>&1 &
+echo $! > {folder}/job.pid
+echo Submitted batch job 1
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform == "win32", reason="needs a shell")
+def test_the_page_on_clusters_starts_workers_through_a_queue(
+        tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("dask_jobqueue")
+    page = (Path(__file__).parents[1] / "docs" / "how-to" / "cluster.md").read_text()
+    (snippet,) = re.findall(r"```python\n(import time\n\nfrom dask_jobqueue.*?)```", page, re.S)
+    # The queue takes the job and runs it here: one worker in place of 64.
+    for name, text in (("sbatch", SBATCH.format(folder=tmp_path)), ("scancel", "#!/bin/sh\n")):
+        (tmp_path / name).write_text(text)
+        (tmp_path / name).chmod(0o755)
+    monkeypatch.setenv("PATH", f"{tmp_path}{os.pathsep}{os.environ['PATH']}")
+    for old, new in (("cores=16, processes=16", "cores=1, processes=1"), ("jobs=4", "jobs=1"),
+                     ("8786", str(_free_port())), ("source ~/venv/bin/activate", "set -e")):
+        assert old in snippet
+        snippet = snippet.replace(old, new)
+    names: dict[str, Any] = {}
+    exec(compile(snippet.partition("while True")[0], "cluster.md", "exec"), names)
+    try:
+        asked = {**ASKED, "budget": {"evaluations": 100}}
+        found = termsel.compare(**asked, scheduler=names["cluster"].scheduler_address)
+    finally:
+        names["cluster"].close()
+        job = tmp_path / "job.pid"
+        if job.exists():
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(int(job.read_text()), signal.SIGTERM)
+    script = (tmp_path / "job.sh").read_text()
+    for line in ("#SBATCH -p normal", "#SBATCH -t 04:00:00", "export NUMBA_CACHE_DIR="):
+        assert line in script
+    assert _plain(found) == _plain(termsel.compare(**asked))
 
 
 @pytest.mark.slow

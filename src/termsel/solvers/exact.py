@@ -29,6 +29,9 @@ AFFORDABLE = 1 << 28
 QUICK = 1 << 22
 """Subsets that are enumerated for a heuristic's gap: less than a second."""
 
+ALL = "all selections"
+"""Space of a certificate that leaves no selection out."""
+
 TIE = 1e-9
 """Objectives that differ relatively by less than this are equal: rounding differs."""
 
@@ -207,7 +210,7 @@ def gap(problem: Problem, found: float) -> dict[str, Any] | None:
     if found < optimum - TIE * abs(optimum):  # what was enumerated is not this criterion
         return None
     return {"optimal": found <= optimum + TIE * abs(optimum), "subsets": proof.decided,
-            "of": proof.total, "space": "all selections", **gap_of(found, optimum)}
+            "of": proof.total, "space": ALL, **gap_of(found, optimum)}
 
 
 def gap_of(found: float, optimum: float) -> dict[str, float | None]:
@@ -252,7 +255,7 @@ class Exact(Solver):
             subsets.estimate_seconds(part.system, part.score, folds=part.folds, workers=workers,
                                      max_terms=_limits(problem, part, most)[1])
             for part in parts)
-        space = f"selections of up to {most} terms" if most else "all selections"
+        space = f"selections of up to {most} terms" if most else ALL
         log.info("exact: deciding %s subsets (%s, %d %s); about %s",
                  f"{count(problem, most):,}", space, len(parts),
                  "part" if len(parts) == 1 else "parts", _duration(seconds))

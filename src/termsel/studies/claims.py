@@ -38,7 +38,8 @@ def claims(groups: Groups, comparison: Comparison | None, rows: list[Row]) -> li
                         "small: trust what holds over many data sets.")
     failed = sum(row["state"] not in ("done", "waiting") for row in rows)
     if failed:
-        said.append(f"{counted(failed, 'cell')} of {len(rows)} have no result and count as worst.")
+        said.append(f"Without a result, and counted as worst: {failed} of "
+                    f"{counted(len(rows), 'cell')}.")
     if groups.measure == "fitness":
         said.append("The fitness chose the selections, so it is not the accuracy: compare the "
                     "column independent.")

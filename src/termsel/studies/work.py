@@ -24,7 +24,7 @@ from termsel.runs.blunders_out import search_without_blunders
 from termsel.runs.run import run
 from termsel.runs.task import Task, prepare
 from termsel.solvers.budget import SEARCH_OPTIONS
-from termsel.solvers.exact import TIE, gap
+from termsel.solvers.exact import ALL, TIE, gap
 from termsel.solvers.ledger import Progress
 from termsel.solvers.search import Search
 from termsel.threads import one_blas_thread
@@ -201,7 +201,7 @@ def _as_asked(work: Work, features: FeatureSet, trace: _Trace) -> tuple[
     judged = feasible and chosen.estimator.least_squares
     figures: dict[str, Any] = {
         "objective": task.problem.objectives[0],
-        "proven": bool((found.certificate or {}).get("optimal")),
+        "proven": _proven(found),
         "fitness": float(found.objectives[0]) if judged else None,
         "optimum": _optimum(work, task, found) if judged else None,
         **_rmse({"control": chosen.control_rmse(),
@@ -233,10 +233,16 @@ def _rmse(by_role: Mapping[str, Rmse | None]) -> dict[str, float | int | None]:
             **{f"n_{role}": 0 if one is None else one.n for role, one in by_role.items()}}
 
 
+def _proven(found: Search) -> bool:
+    """Return whether a search proved the optimum of all selections, not of the smaller ones."""
+    said = found.certificate or {}
+    return bool(said.get("optimal")) and said.get("space") == ALL
+
+
 def _optimum(work: Work, task: Task, found: Search) -> float | None:
     """Return the proven optimum of the problem, if that is known quickly."""
     value = float(found.objectives[0])
-    if found.certificate and found.certificate.get("optimal"):
+    if _proven(found):
         return value
     if len(task.problem.objectives) > 1:
         return None
