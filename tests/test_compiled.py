@@ -53,3 +53,27 @@ def test_damaged_code_is_compiled_again(share: float, tmp_path: Path) -> None:
         assert again.returncode == 0, again.stderr
         assert again.stdout == whole.stdout
         assert all(path.stat().st_size >= 0.9 * size for path, size in sizes.items())
+
+
+TELL = """
+from own import kernel
+from termsel.adjustment.compiled import is_compiled
+told = is_compiled(kernel)
+kernel(1.0)
+print(told, bool(kernel.stats.cache_hits))
+"""
+
+
+def test_a_compilation_is_foretold_where_there_will_be_one(tmp_path: Path) -> None:
+    source = tmp_path / "own.py"
+    source.write_text("from termsel.adjustment.compiled import compiled\n\n\n@compiled\n"
+                      "def kernel(x):\n    return x + 1.0\n")
+
+    def told() -> str:
+        return _python(TELL, PYTHONPATH=str(tmp_path)).stdout.strip()
+
+    assert [told(), told()] == ["False False", "True True"]
+    os.utime(source)  # installed again, with the date of today
+    assert told() in ("True True", "False False")
+    source.write_text(source.read_text().replace("1.0", "2.0"))
+    assert [told(), told()] == ["False False", "True True"]

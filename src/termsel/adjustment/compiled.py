@@ -34,6 +34,13 @@ class _Cache(FunctionCache):  # type: ignore[misc]  # numba has no types
         except (EOFError, UnpicklingError, OSError) as error:
             log.info("The compiled code cannot be kept: %s", error)
 
+    def has_code(self) -> bool:
+        """Return whether code of this very source, compiled by this numba, is kept."""
+        try:
+            return bool(self._cache_file._load_index())
+        except (EOFError, UnpicklingError, OSError):  # it will be compiled again
+            return False
+
     def _forget(self) -> None:
         try:
             self.flush()
@@ -56,6 +63,18 @@ def compiled(function: _Function, **flags: Any) -> _Function:
     except RuntimeError:  # numba finds no folder that it can write to
         _say_that_nothing_is_kept()
     return cast(_Function, dispatcher)
+
+
+def is_compiled(function: Callable[..., Any]) -> bool:
+    """Return whether a compiled function can be called at once.
+
+    Parameters
+    ----------
+    function : callable
+        As `compiled` returned it.
+    """
+    kept = cast(Any, function)._cache
+    return bool(cast(Any, function).signatures) or (isinstance(kept, _Cache) and kept.has_code())
 
 
 @cache

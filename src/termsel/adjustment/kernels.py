@@ -22,14 +22,12 @@ from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any, cast
 from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
 
-from termsel.adjustment.compiled import compiled
+from termsel.adjustment.compiled import compiled, is_compiled
 from termsel.adjustment.distinct import distinct
 from termsel.adjustment.equations import Equations
 from termsel.adjustment.reflections import LANES, apply_one, apply_two
@@ -378,9 +376,4 @@ def needs_compilation() -> bool:
 
     It does so once per machine and version; later the machine code is read from disk.
     """
-    kernel = cast(Any, _solve)
-    if kernel.stats.cache_path is None:
-        return not kernel.signatures
-    source = Path(__file__).stat().st_mtime
-    kept = Path(kernel.stats.cache_path).glob(f"kernels.{kernel.__name__}-*.nbi")
-    return not kernel.signatures and all(one.stat().st_mtime < source for one in kept)
+    return not is_compiled(_solve)
