@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import json
 import os
 import shutil
@@ -14,8 +15,11 @@ import pytest
 
 import termsel
 
-pytest.importorskip("altair")
-pytest.importorskip("vl_convert")
+REQUIRED = os.environ.get("TERMSEL_BROWSER") == "required"
+"""Whether the browser was installed for these tests, so that none may skip."""
+needed: Callable[[str], Any] = importlib.import_module if REQUIRED else pytest.importorskip
+needed("altair")
+needed("vl_convert")
 
 HOSTILE = ("</script><img src=x onerror=document.title='run'>", "{{7*7}} ${document.title='run'}",
            "\u0627\u0644\u0646\u0642\u0637\u0629 42", "a \"quoted\" & 'single' id", "x" * 200,
@@ -30,11 +34,9 @@ def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
     """Return headless Chromium, driven by its driver."""
     programs = [shutil.which(name) for name in ("chromium", "chromedriver")]
     if not all(programs):
-        # Where browsers were installed for the tests, none may skip.
-        (pytest.fail if os.environ.get("TERMSEL_BROWSER") == "required" else pytest.skip)(
-            "chromium and chromedriver are not installed")
-    webdriver = pytest.importorskip("selenium.webdriver")
-    service = pytest.importorskip("selenium.webdriver.chrome.service")
+        (pytest.fail if REQUIRED else pytest.skip)("chromium and chromedriver are not installed")
+    webdriver = needed("selenium.webdriver")
+    service = needed("selenium.webdriver.chrome.service")
     options = webdriver.ChromeOptions()
     options.binary_location = programs[0]
     for switch in (*SWITCHES, f"--user-data-dir={tmp_path_factory.mktemp('profile')}"):
