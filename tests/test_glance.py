@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import ast
+import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -82,6 +85,25 @@ def test_a_missing_library_is_named(features: termsel.FeatureSet, monkeypatch: p
         getattr(features.points, verb)()
 
 
+def test_the_cells_of_the_notebook_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for package in ("altair", "vl_convert", "pandas", "geopandas"):
+        pytest.importorskip(package)
+    monkeypatch.chdir(tmp_path)
+    scope: dict[str, Any] = {}
+    shown = []
+    for cell in json.loads(NOTEBOOK.read_text(encoding="utf-8"))["cells"]:
+        if cell["cell_type"] == "code":
+            body = ast.parse("".join(cell["source"])).body
+            last = body.pop() if isinstance(body[-1], ast.Expr) else None
+            exec(compile(ast.Module(body, []), "cell", "exec"), scope)
+            if isinstance(last, ast.Expr):
+                shown.append(eval(compile(ast.Expression(last.value), "cell", "eval"), scope))
+    assert len(shown) == 9
+    assert all(hasattr(value, "_repr_html_") or hasattr(value, "_repr_mimebundle_")
+               for value in shown if value is not None)
+    assert (tmp_path / "report.html").exists()
+
+
 @pytest.mark.slow
 def test_the_notebook_runs(tmp_path: Path) -> None:
     nbclient, nbformat = pytest.importorskip("nbclient"), pytest.importorskip("nbformat")
@@ -92,7 +114,7 @@ def test_the_notebook_runs(tmp_path: Path) -> None:
                             resources={"metadata": {"path": tmp_path}}).execute()
     kinds = [kind for cell in notebook.cells if cell.cell_type == "code"
              for output in cell.outputs for kind in output.get("data", ())]
-    assert kinds.count("text/html") == 6  # two values, two charts, two tables
+    assert kinds.count("text/html") == 8  # three values, two charts, three tables
     said = [output["data"]["text/plain"] for cell in notebook.cells if cell.cell_type == "code"
             for output in cell.outputs if output.output_type == "display_data"]
     assert any("evaluations" in text for text in said)  # the line of progress

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import shutil
+import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -143,3 +144,63 @@ def test_the_page_of_two_hundred_images_is_small() -> None:
     text = page("Study", "", [Section("Images", (Table(
         "200 images", ("image",), [(f"image {i}",) for i in range(200)], pictures=drawn),))])
     assert len(text) < 3.5e6
+
+
+def test_rows_are_tables_and_images_a_map(images: Path) -> None:
+    pytest.importorskip("pandas")
+    study = termsel.read_study(images)
+    table = study.rows.to_pandas()
+    assert list(table.columns) == list(study.columns)
+    assert list(table["data"]) == ["one point", HOSTILE, "good"]
+    pytest.importorskip("geopandas")
+    outlines = study.to_geopandas()
+    assert list(outlines["data"]) == [HOSTILE, "good"]
+    assert outlines.crs is None
+    ground = scene(9, 0.1).points.ground
+    assert outlines.geometry[1].bounds == pytest.approx(
+        (*ground[:, :2].min(axis=0), *ground[:, :2].max(axis=0)))
+
+
+def test_a_map_of_images_is_in_longitude_and_latitude(tmp_path: Path) -> None:
+    pytest.importorskip("geopandas")
+    there = scene(6, 0.1)
+    moved = replace(there.points, ground=np.add(there.points.ground, [500000.0, 3850000.0, 0]))
+    study = termsel.compare(data={
+        "placed": replace(there, points=moved, crs="EPSG:32639"), "local": there},
+        out=tmp_path / "s")
+    outlines = study.to_geopandas()
+    assert list(outlines["data"]) == ["placed"]
+    west, south, east, north = outlines.total_bounds
+    assert 50.9 < west < east < 51.1
+    assert 34.7 < south < north < 34.9
+    with pytest.raises(termsel.TermselError, match="without a folder"):
+        replace(study, folder=None).to_geopandas()
+
+
+def test_a_study_shows_itself_on_a_screen(images: Path) -> None:
+    study = termsel.read_study(images)
+    assert repr(study).startswith("<Study of 3 cells: </script>")
+    assert len(repr(study).splitlines()) <= 9
+    assert "1 failed, 2 done" in repr(study)
+    assert "<img" not in study._repr_html_()
+    assert repr(study.rows) == f"<Rows: 3 of {len(study.columns)} columns>"
+
+
+def test_a_study_in_a_notebook_has_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    lines: list[list[str]] = []
+
+    class Line:
+        def update(self, data: dict[str, str], **_: object) -> None:
+            lines[-1].append(data["text/plain"])
+
+    def display(data: dict[str, str], **_: object) -> Line:
+        lines.append([data["text/plain"]])
+        return Line()
+
+    shell = SimpleNamespace(get_ipython=lambda: SimpleNamespace(kernel=True))
+    monkeypatch.setitem(sys.modules, "IPython", shell)
+    monkeypatch.setitem(sys.modules, "IPython.display", SimpleNamespace(display=display))
+    termsel.compare(data={"one": scene(6, 0.1), "two": scene(7, 0.1)}, title="Scenes")
+    assert len(lines) == 1
+    assert lines[0][0] == "Scenes: ..."
+    assert lines[0][-1] == "Scenes: 2 of 2 cells, finished"

@@ -5,7 +5,9 @@ from __future__ import annotations
 import math
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from typing import Any
 
 from termsel.solvers.ledger import Progress
@@ -13,33 +15,68 @@ from termsel.solvers.ledger import Progress
 _EVERY = 0.2
 """Seconds between two renewals."""
 
+_inside = ContextVar("_inside", default=False)
+"""Whether a line of many runs is shown, so that a run shows none of its own."""
+
 
 def notebook_observer(title: str) -> Callable[[Progress], None] | None:
-    """Return an observer that shows how far a run is, or None outside a notebook.
+    """Return an observer that shows how far a run is; None outside a notebook and in a study.
 
     Parameters
     ----------
     title : str
     """
+    show = _line(title)
+    if show is None:
+        return None
+
+    def observe(progress: Progress) -> None:
+        share = "" if progress.share is None else f" {100 * progress.share:.0f} %,"
+        found = progress.violation == 0 and math.isfinite(progress.best)
+        best = f"{progress.best:.4g}" if found else "-"
+        show(f"{progress.what or title}:{share} best {best}, {progress.evaluations} evaluations",
+             progress.share is not None and progress.share >= 1)
+
+    return observe
+
+
+@contextmanager
+def line_of_many(title: str) -> Iterator[Callable[[str, bool], None]]:
+    """Show one line for many runs, which show none of their own.
+
+    Parameters
+    ----------
+    title : str
+
+    Yields
+    ------
+    show : callable
+        Takes the text of the line, and whether it is the last one. Outside a notebook it shows
+        nothing.
+    """
+    show = _line(title)
+    token = _inside.set(True)
+    try:
+        yield show or (lambda _text, _last: None)
+    finally:
+        _inside.reset(token)
+
+
+def _line(title: str) -> Callable[[str, bool], None] | None:
+    """Return what renews a line in a notebook; None elsewhere, or where there is one already."""
     # Where there is a notebook, IPython is imported already.
     shell: Any = getattr(sys.modules.get("IPython"), "get_ipython", lambda: None)()
-    if shell is None or not hasattr(shell, "kernel"):
+    if shell is None or not hasattr(shell, "kernel") or _inside.get():
         return None
     from IPython.display import display
 
     line = display({"text/plain": f"{title}: ..."}, raw=True, display_id=True)
     shown = 0.0
 
-    def observe(progress: Progress) -> None:
+    def show(text: str, last: bool) -> None:
         nonlocal shown
-        done = progress.share is not None and progress.share >= 1
-        if time.monotonic() - shown < _EVERY and not done:
-            return
-        shown = time.monotonic()
-        share = "" if progress.share is None else f" {100 * progress.share:.0f} %,"
-        found = progress.violation == 0 and math.isfinite(progress.best)
-        best = f"{progress.best:.4g}" if found else "-"
-        line.update({"text/plain": f"{progress.what or title}:{share} best {best}, "
-                                   f"{progress.evaluations} evaluations"}, raw=True)
+        if time.monotonic() - shown >= _EVERY or last:
+            shown = time.monotonic()
+            line.update({"text/plain": text}, raw=True)
 
-    return observe
+    return show

@@ -19,6 +19,7 @@ from termsel.measurements.scaling import scaling_of
 from termsel.measurements.twins import twins
 from termsel.models.poles import guard_points, pole_violation
 from termsel.problems.segments import Bits
+from termsel.runs.notebook import notebook_observer
 from termsel.runs.recommend import recommended
 from termsel.runs.task import Task, prepare
 from termsel.solvers.ledger import Progress
@@ -116,7 +117,8 @@ def stability(
     features, dataset, model, solver, criterion, options
         As for `termsel.prepare`.
     observers : iterable of callable
-        Called with `Progress` as in `termsel.search`; its share is that of all repetitions.
+        Called with `Progress` as in `termsel.search`; its share is that of all repetitions. In a
+        notebook one more shows the progress.
 
     Returns
     -------
@@ -152,6 +154,9 @@ def stability(
         raise TermselError(f"the problem {problem} selects {min(others)}",
                            hint="Choose a problem that selects terms alone: rfm-terms, "
                                 "poly-terms.")
+    shown = notebook_observer(f"stability of {task.recipe.name}")
+    if shown is not None:
+        observers = (*observers, shown)
     rng = np.random.default_rng(seed)
     # The drawn roles are those of the features, which take the place of roles that are named.
     given = {key: value for key, value in (options or {}).items() if key not in ("off", "role")}

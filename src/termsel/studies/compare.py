@@ -9,11 +9,12 @@ from pathlib import Path
 from typing import Any
 
 from termsel.adjustment.kernels import needs_compilation
-from termsel.errors import TermselError
+from termsel.errors import TermselError, counted
 from termsel.files.atomic import private_folder
 from termsel.io.export import writer_of
 from termsel.measurements.features import FeatureSet
 from termsel.plugins.registry import registry
+from termsel.runs.notebook import line_of_many
 from termsel.runs.provenance import versions
 from termsel.studies.cells import Cell, cells_of, kind_of
 from termsel.studies.data import data_of
@@ -57,7 +58,8 @@ def compare(
     scheduler : str, optional
         Address of a dask scheduler, such as "tcp://host:8786"; its workers run the cells.
     observers : tuple of callable
-        Called with `Progress` when the study begins and after every cell.
+        Called with `Progress` when the study begins and after every cell. In a notebook one more
+        shows the progress.
     **keys
         Keys of a study file, in place of `study` or of what it says: problems, models, solvers,
         criteria, strategies, data, seeds, splits, budget, options, exports, measure, title.
@@ -98,6 +100,11 @@ def compare(
         finished = {cell.key: journal.records[cell.key] for cell in cells
                     if cell.key in journal.records}
         tally = plan.tally(finished)
+        title = spec.title or "Study"
+        show = stack.enter_context(line_of_many(title))
+        observers = (*observers, lambda progress: show(
+            f"{title}: {progress.finished} of {counted(progress.total, 'cell')}, "
+            f"{progress.time_left()}", progress.finished == progress.total))
         for remark in (*journal.remarks, *_aside(journal, finished)):
             log.warning(remark)
         _tell(observers, tally)

@@ -2,22 +2,57 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from termsel.errors import TermselError
+from termsel.display import Glance
+from termsel.errors import TermselError, counted
 from termsel.studies.spec import Spec
 from termsel.studies.table import Row, columns_of, rows_of
 
 if TYPE_CHECKING:
+    import geopandas as gpd
     import pandas as pd
 
 
-@dataclass(frozen=True, eq=False)
-class Study:
+class Rows(list[Row]):
+    """Rows of a study as a table: `to_pandas` gives a DataFrame.
+
+    Parameters
+    ----------
+    rows : iterable of dict
+    columns : tuple of str
+    """
+
+    def __init__(self, rows: Iterable[Row], columns: tuple[str, ...]) -> None:
+        super().__init__(rows)
+        self.columns = columns
+
+    def __repr__(self) -> str:
+        return f"<Rows: {len(self)} of {len(self.columns)} columns>"
+
+    def to_pandas(self) -> pd.DataFrame:
+        """Return the rows as a table of pandas.
+
+        Raises
+        ------
+        TermselError
+            If pandas is not installed.
+        """
+        try:
+            import pandas as pd
+        except ImportError as error:
+            raise TermselError("pandas is not installed", hint="Run: pip install "
+                               '"termsel[studies]".') from error
+        return pd.DataFrame(list(self), columns=list(self.columns))
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Study(Glance):
     """Cells and what came of them.
 
     Parameters
@@ -49,21 +84,43 @@ class Study:
         return columns_of(self.spec.strategies)
 
     @cached_property
-    def rows(self) -> list[Row]:
+    def rows(self) -> Rows:
         """One row a cell; of the strategy auto alone the worst first."""
-        return rows_of(self.cells, self.records, self.spec.strategies)
+        return Rows(rows_of(self.cells, self.records, self.spec.strategies), self.columns)
 
     def to_pandas(self) -> pd.DataFrame:
-        """Return the rows as a table of pandas.
+        """Return the rows as a table of pandas (see `Rows.to_pandas`)."""
+        return self.rows.to_pandas()
+
+    def to_geopandas(self) -> gpd.GeoDataFrame:
+        """Return the images as a map of geopandas: their rows, with the outline of the control.
+
+        Only images of the strategy auto that have a result are on it, in longitude and latitude.
+        Images without a CRS are on it only where no image has one.
 
         Raises
         ------
         TermselError
-            If pandas is not installed.
+            If geopandas is not installed, or the study has no folder.
         """
-        try:
-            import pandas as pd
-        except ImportError as error:
-            raise TermselError("pandas is not installed", hint="Run: pip install "
-                               '"termsel[studies]".') from error
-        return pd.DataFrame(self.rows, columns=list(self.columns))
+        from termsel.studies.outlines import map_of
+
+        if self.folder is None:
+            raise TermselError("this study was run without a folder, so its images are not kept",
+                               hint="Pass out= to termsel.compare.")
+        return map_of(self.rows, self.columns, self.cells, self.folder)
+
+    def _glance(self) -> tuple[str, Mapping[str, str]]:
+        spec = self.spec
+        each = {"problems": spec.problems, "models": spec.models, "criteria": spec.criteria,
+                "solvers": spec.solvers}
+        named = {kind: ", ".join(part.label for part in parts)
+                 for kind, parts in each.items() if parts}
+        data = list(dict.fromkeys(str(one["data"]) for one in self.cells.values()))
+        states = Counter(row["state"] for row in self.rows)
+        return f"Study of {counted(len(self.cells), 'cell')}: {spec.title or 'no title'}", {
+            "state": ", ".join(f"{n} {state}" for state, n in states.items()) or "empty",
+            "data": f"{len(data)}: {', '.join(data)}", **named,
+            "strategies": ", ".join(spec.strategies),
+            **({"folder": str(self.folder)} if self.folder else {}),
+            "see": "rows.to_pandas(), to_pandas()"}
