@@ -167,6 +167,19 @@ def test_solvers_find_an_individual_of_mixed_genes(solver: str) -> None:
     np.testing.assert_array_equal(found.genes, again.genes)
 
 
+def test_deap_keeps_mixed_genes() -> None:
+    genome, one = mixed(), distance(mixed())
+
+    def judge(genes: Genes) -> tuple[np.ndarray, np.ndarray]:
+        valid(genome, genes)
+        return one.evaluate(genes).objectives, np.zeros(len(genes))
+
+    first = search(Toy(genome, judge), registry().get("solvers", "deap")(population=20),
+                   generations=1).objectives[0]
+    assert search(Toy(genome, judge), registry().get("solvers", "deap")(population=20),
+                  generations=8).objectives[0] < first
+
+
 @pytest.mark.parametrize("solver", ["nsga2", "age-moea2", "sms-emoa", "spea2"])
 def test_pymoo_keeps_mixed_genes(solver: str) -> None:
     genome, one = mixed(), distance(mixed())

@@ -119,6 +119,24 @@ def test_what_no_plugin_provides_runs_and_its_record_says_so(
     np.testing.assert_allclose(again.project(ground), result.project(ground), atol=1e-9)
 
 
+def test_a_result_of_a_model_with_other_terms_is_refused(fresh: Registry, tmp_path: Path) -> None:
+    termsel.register(Crossed)
+    termsel.run("poly-terms", model="crossed", solver="all-terms", out=tmp_path)
+
+    class Other(Crossed):
+        """Other terms under the same name."""
+
+        @property
+        def terms(self) -> tuple[str, ...]:
+            return tuple(f"{name}b" for name in super().terms)
+
+    termsel.register(Other)
+    with pytest.raises(TermselError, match=r"the installed model has no term '.*', which is in "
+                                           "the record: the model is not the one of the run. "
+                                           r"The run used the class .*\.Crossed as it was then"):
+        read_result(tmp_path)
+
+
 def test_a_name_that_is_registered_works_like_any(fresh: Registry) -> None:
     assert termsel.register(Crossed) is Crossed
     termsel.register(Hundred)

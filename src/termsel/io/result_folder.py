@@ -298,6 +298,9 @@ def _fit(record: Mapping[str, Any], features: FeatureSet) -> Fit:
     model = asked.with_parameters(record["selection"].get("parameters", {}))
     scaling = Scaling.from_dict(record["scaling"])
     coefficients, deviations = np.zeros(len(model.terms)), np.zeros(len(model.terms))
+    if unknown := [name for name in record["coefficients"] if name not in model.terms]:
+        raise TermselError(f"the installed model has no term {unknown[0]!r}, which is in the "
+                           "record: the model is not the one of the run", hint=_made_by(record))
     for name, value in record["coefficients"].items():
         term = model.terms.index(name)
         coefficients[term] = value
@@ -350,13 +353,20 @@ def _refuse_other_model(record: Mapping[str, Any], fitted: Fit,
              not np.isclose(said[role], value, rtol=1e-3, atol=1e-6, equal_nan=True)]
     if not other:
         return
-    plugin = record.get("plugins", {}).get("model", {})
-    made_by = (f"{plugin['name']} of version {plugin['version']}" if plugin else
-               f"{record['model']} of termsel {record['versions']['termsel']}")
     raise TermselError(
         f"the {other[0]} RMSE is {now[other[0]]:.4g} px by the installed model and "
         f"{said[other[0]]:.4g} px in the record: the model is not the one of the run",
-        hint=f"The run used {made_by}. Install that version, or run the search again.")
+        hint=_made_by(record))
+
+
+def _made_by(record: Mapping[str, Any]) -> str:
+    plugin = record.get("plugins", {}).get("model", {})
+    if "class" in plugin:
+        return (f"The run used the class {plugin['class']} as it was then. Register that one, or "
+                "run the search again.")
+    made_by = (f"{plugin['name']} of version {plugin['version']}" if plugin else
+               f"{record['model']} of termsel {record['versions']['termsel']}")
+    return f"The run used {made_by}. Install that version, or run the search again."
 
 
 def _final(record: Mapping[str, Any], final: Mapping[str, Any], fitted: Fit,
