@@ -39,7 +39,7 @@ from termsel.testing import problems
 from termsel.testing.checks import Check
 from termsel.testing.problems import Watched
 from termsel.testing.solvers import solver_checks
-from termsel.testing.trial import global_states
+from termsel.testing.trial import Counted, global_states
 
 
 class Free(termsel.Problem):
@@ -221,13 +221,25 @@ def test_each_algorithm_of_pymoo_runs_and_repeats(algorithm: str) -> None:
         "degree": 2, "algorithm": algorithm, "population": 20})
     before = global_states()
     one, two = (search(task.problem, task.solver, generations=4) for _ in range(2))
-    assert global_states() == before
-    assert np.random.default_rng().random() != np.random.default_rng().random()
-    assert one.violation == 0
     assert np.array_equal(one.genes, two.genes)
     assert np.array_equal(one.front, two.front)
+    assert global_states() == before
+    assert np.random.default_rng().random() != np.random.default_rng().random()
+    assert one.violation == two.violation == 0
     assert len(one.objectives) == (1 if algorithm in SINGLE else 2)
     assert bool(one.front) == (algorithm not in SINGLE)
+
+
+@pytest.mark.parametrize("algorithm", ["nsga3", "unsga3", "ga_niching"])
+def test_generators_that_pymoo_makes_without_a_seed_have_one(algorithm: str) -> None:
+    """It draws from them where two are equally infeasible."""
+    solver = Pymoo(algorithm=algorithm, population=20)
+    problem = problems.trap() if algorithm in SINGLE else Counted(problems.trap())
+    seen: list[bytes] = []
+    for _ in range(2):
+        search(problem, solver, generations=6, observers=[
+            lambda progress: seen.append(progress.generation.genes.tobytes())])
+    assert seen[:7] == seen[7:]
 
 
 @pytest.mark.slow
@@ -383,7 +395,7 @@ def stuck(population: list[Any], toolbox: base.Toolbox) -> Iterator[list[Any]]:
 
 def test_a_loop_that_breeds_nothing_comes_to_an_end(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("termsel.solvers.search.IDLE", 20)
-    for budget in ({}, {"evaluations": 500}, {"generations": 50}):
+    for budget in ({"generations": 50}, {"evaluations": 500}, {}):
         found = search(problems.twelve_terms(), termsel.from_deap(own_box, still)(), **budget)
         assert (found.evaluations, found.generations) == (200, 20)
         assert found.notes == (
@@ -395,8 +407,9 @@ def test_a_loop_that_breeds_nothing_comes_to_an_end(monkeypatch: pytest.MonkeyPa
 def test_a_loop_that_never_returns_ends_with_its_time(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("termsel.solvers.silence.GRACE", 0.1)
     monkeypatch.setattr("termsel.solvers.silence._EVERY", 0.1)
-    found = search(problems.twelve_terms(), termsel.from_deap(own_box, stuck)(), seconds=0.2)
-    assert found.evaluations == 200
+    found = search(problems.twelve_terms(), termsel.from_deap(own_box, stuck)(population=10),
+                   seconds=0.8)
+    assert found.evaluations == 10
     assert Deap(algorithm="mine:loop").runs_code_of_users
     assert not Deap().runs_code_of_users
 
