@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import re
+import time
 
 import numpy as np
 import pytest
@@ -183,3 +184,12 @@ def test_no_gap_to_an_optimum_that_the_find_beats() -> None:
     optimum = gap(problem, 1e6)["optimum"]
     assert gap(problem, optimum)["optimal"]
     assert gap(problem, 0.9 * optimum) is None
+
+
+def test_the_number_of_evaluations_is_the_same_on_a_slow_machine() -> None:
+    task = termsel.prepare("poly-terms", solver="exact", options={"degree": 5, "workers": 1})
+    found = [termsel.search(task.problem, task.solver,
+                            observers=[lambda _, wait=wait: time.sleep(wait)])
+             for wait in (0.0, 0.01)]
+    assert found[0].evaluations == found[1].evaluations
+    assert found[0].generations == found[1].generations > 10

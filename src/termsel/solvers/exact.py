@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import os
-import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -35,7 +34,9 @@ ALL = "all selections"
 TIE = 1e-9
 """Objectives that differ relatively by less than this are equal: rounding differs."""
 
-_REPORT_SECONDS = 0.25
+_REPORT_SHARE = 1 / 200
+"""Share of the subsets between two reports. Each costs an evaluation, so no clock decides: the
+same search has the same number of evaluations on any machine."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -262,13 +263,14 @@ class Exact(Solver):
         index, reported = 0, 0.0
         proof: Proof | None = None
         for proof in prove(problem, most, workers):
-            if index and not proof.complete and time.perf_counter() - reported < _REPORT_SECONDS:
+            share = proof.decided / proof.total
+            if index and not proof.complete and share - reported < _REPORT_SHARE:
                 continue
             generation = self._report(problem, proof, index, space, most)
             if generation is not None:
                 yield generation
                 index += 1
-            reported = time.perf_counter()
+            reported = share
 
     def _report(self, problem: Problem, proof: Proof, index: int, space: str,
                 most: int | None) -> Generation | None:

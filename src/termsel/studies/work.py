@@ -122,14 +122,12 @@ def do(work: Work, features: FeatureSet) -> Outcome:
 
 
 def _done(work: Work, features: FeatureSet) -> Outcome:
-    clock, cpu = time.perf_counter(), time.thread_time()
     trace = _Trace(work.call.get("timeout"))
     try:
         state, figures, front, files = (_auto if work.call["strategy"] == "auto" else _as_asked)(
             work, features, trace)
     except TermselError as error:
         return failed(work.key, str(error))
-    figures |= {"seconds": time.perf_counter() - clock, "cpu_seconds": time.thread_time() - cpu}
     reason = "no selection satisfies all conditions" if state == INFEASIBLE else ""
     return Outcome({"cell": work.key, "state": state, "reason": reason, "figures": figures,
                     "trace": trace.points, "front": front}, files)
@@ -151,8 +149,13 @@ class _Trace:
     def __init__(self, timeout: float | None) -> None:
         self.points: list[list[float]] = []
         self._timeout = timeout
-        self._start, self._cpu = time.perf_counter(), time.thread_time()
+        self._start, self._cpu = time.perf_counter(), time.process_time()
         self._before, self._last = 0, 0
+
+    def times(self) -> dict[str, float]:
+        """Return the seconds since the cell began. Of all threads: `exact` has its own."""
+        return {"seconds": time.perf_counter() - self._start,
+                "cpu_seconds": time.process_time() - self._cpu}
 
     def end(self, evaluations: int, best: float | None) -> None:
         """Add what was found last: a budget may end a generation that no observer sees."""
@@ -174,7 +177,7 @@ class _Trace:
     def _add(self, best: float) -> None:
         """Add the best value after the last evaluation that is known of, if it is better."""
         if not self.points or best < self.points[-1][1]:
-            self.points.append([self._before + self._last, best, time.thread_time() - self._cpu])
+            self.points.append([self._before + self._last, best, time.process_time() - self._cpu])
 
 
 def _as_asked(work: Work, features: FeatureSet, trace: _Trace) -> tuple[
@@ -197,6 +200,7 @@ def _as_asked(work: Work, features: FeatureSet, trace: _Trace) -> tuple[
     selection = task.problem.decode(found.genes)
     chosen = estimated(task, selection, found)
     feasible = is_feasible(task, found, chosen)
+    times = trace.times()  # what follows tells about the study, and takes no part in the run
     # The objectives of least squares are not those of other coefficients.
     judged = feasible and chosen.estimator.least_squares
     figures: dict[str, Any] = {
@@ -210,7 +214,7 @@ def _as_asked(work: Work, features: FeatureSet, trace: _Trace) -> tuple[
         "n_terms": len(selection.terms), "n_features": len(selection.features),
         "evaluations": found.evaluations,
         "refinement_evaluations": found.polish.evaluations if found.polish else 0,
-        "generations": found.generations, "notes": list(found.notes)}
+        "generations": found.generations, "notes": list(found.notes), **times}
     trace.end(figures["evaluations"], figures["fitness"])
     front = [_member(task, genes) for genes in found.front]
     return DONE if feasible else INFEASIBLE, figures, front, {}
@@ -275,7 +279,7 @@ def _auto(work: Work, features: FeatureSet, trace: _Trace) -> tuple[
             export(result, to, out / f"result{suffix}")
         files = {path.relative_to(out).as_posix(): path.read_bytes()
                  for path in sorted(out.rglob("*")) if path.is_file()}
-    return DONE, _figures_of(result), [], files
+    return DONE, {**_figures_of(result), **trace.times()}, [], files
 
 
 def _figures_of(result: Result) -> dict[str, Any]:
