@@ -19,6 +19,7 @@ from click.testing import CliRunner
 from deap import algorithms, base, tools
 from pymoo.algorithms.moo.moead import MOEAD
 from pymoo.algorithms.moo.nsga2 import NSGA2
+from pymoo.algorithms.moo.rnsga2 import RNSGA2
 from pymoo.algorithms.soo.nonconvex.ga import GA
 from pymoo.algorithms.soo.nonconvex.pso import PSO
 from pymoo.operators.crossover.pntx import TwoPointCrossover
@@ -254,7 +255,7 @@ def test_each_algorithm_of_pymoo_conforms(check: Check) -> None:
 
 @pytest.mark.parametrize(("options", "said"), [
     ({"algorithm": "moead"}, "'moead' refuses constraints"),
-    ({"algorithm": "rnsga3"}, "'rnsga3' needs reference points"),
+    ({"algorithm": "rnsga3"}, "'rnsga3' requires reference points; make .* termsel.from_pymoo"),
     ({"algorithm": "de"}, "'de' moves real numbers"),
     ({"algorithm": "nsga2", "horizon": 5}, "'horizon' is for algorithm=rvea")])
 def test_what_pymoo_cannot_do_here_is_refused_with_the_reason(options: dict[str, Any],
@@ -317,7 +318,9 @@ def test_c_taea_has_as_many_directions_as_its_population_allows() -> None:
     (GA(pop_size=20, sampling=BinaryRandomSampling(), crossover=TwoPointCrossover(),
         mutation=BitflipMutation()), 1),
     (NSGA2(pop_size=20, sampling=BinaryRandomSampling(), crossover=UX(),
-           mutation=BitflipMutation()), 2)])
+           mutation=BitflipMutation()), 2),
+    (RNSGA2(np.array([[3.0, 9.0]]), pop_size=20, sampling=BinaryRandomSampling(), crossover=UX(),
+            mutation=BitflipMutation()), 2)])
 def test_an_algorithm_of_ones_own_is_a_solver(algorithm: Any, objectives: int) -> None:
     solver = termsel.from_pymoo(algorithm)
     runs = [termsel.run("poly-terms", solver=solver, evaluations=200, seed=4,

@@ -36,7 +36,7 @@ DIRECTED = frozenset({"nsga3", "unsga3", "rvea", "ctaea"})
 """Those with reference directions."""
 
 _UNCONSTRAINED = "refuses constraints, so it would not keep infeasible selections out"
-_POINTS = "needs reference points, which no option gives"
+_POINTS = "requires reference points; make a solver of it with termsel.from_pymoo"
 _NUMBERS = "moves real numbers, not bits"
 UNFIT = {
     **dict.fromkeys(("moead", "dnsga2", "kgb"), _UNCONSTRAINED),
@@ -59,8 +59,9 @@ class Pymoo(Solver):
     objectives as long as few are feasible: where good objectives lead away from what is feasible,
     it may find nothing feasible.
 
-    Not offered are MOEA/D, D-NSGA-II and KGB-DMOEA, which refuse constraints; R-NSGA-II and
-    R-NSGA-III, which need reference points; and algorithms for real numbers.
+    Not offered are MOEA/D, D-NSGA-II and KGB-DMOEA, which refuse constraints, and algorithms for
+    real numbers. R-NSGA-II and R-NSGA-III require reference points: make a solver of them with
+    `termsel.from_pymoo`.
     """
 
     name = "pymoo"
