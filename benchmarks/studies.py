@@ -153,20 +153,35 @@ def kills(number: int, workers: int) -> None:
                   flush=True)
 
 
-def executors(workers: int) -> None:
-    """Print how much faster several processes are than one, for runs of about a second."""
+def executors(cells: int, workers: int) -> None:
+    """Print how much faster several processes are than one, and how much CPU time they take.
+
+    The wall times are worth something on a quiet machine alone. The CPU times say what is lost to
+    further processes, their start and what they send, on any machine.
+    """
     asked: dict[str, Any] = {
-        "problems": [{"name": "rfm-terms"}], "solvers": ["ga"], "seeds": 24,
-        "budget": {"evaluations": 40_000}, "options": {"polish": False}}
-    times, rows = [], []
+        "problems": [{"name": "rfm-terms"}], "solvers": ["ga"], "seeds": cells,
+        "budget": {"evaluations": 150_000}, "options": {"polish": False}}
+    termsel.compare(**{**asked, "seeds": 1, "budget": {"evaluations": 200}})  # loads what it needs
+    walls, cpus, rows = [], [], []
     for count in (1, workers):
-        start = time.perf_counter()
+        start, cpu = time.perf_counter(), cpu_of_all()
         study = termsel.compare(**asked, workers=count)
-        times.append(time.perf_counter() - start)
+        walls.append(time.perf_counter() - start)
+        cpus.append(cpu_of_all() - cpu)
         rows.append([{key: value for key, value in row.items() if key not in TIMES}
                      for row in study.rows])
-    print(f"1 process {times[0]:.1f} s, {workers} processes {times[1]:.1f} s: "
-          f"{times[0] / times[1]:.2f} times; the same rows: {rows[0] == rows[1]}")
+    print(f"{cells} cells: 1 process {walls[0]:.1f} s, {workers} processes {walls[1]:.1f} s: "
+          f"{walls[0] / walls[1]:.2f} times; the same rows: {rows[0] == rows[1]}")
+    print(f"CPU: 1 process {cpus[0]:.1f} s, {workers} processes {cpus[1]:.1f} s, "
+          f"{cpus[1] / cpus[0]:.3f} times as much; so at most "
+          f"{workers * cpus[0] / cpus[1]:.2f} times as fast on {workers} free cores")
+
+
+def cpu_of_all() -> float:
+    """Return the CPU seconds of this process and of those it started that have ended."""
+    now = os.times()
+    return now.user + now.system + now.children_user + now.children_system
 
 
 def images(number: int, workers: int) -> None:
@@ -190,14 +205,12 @@ def main() -> None:
     """Run what is asked for."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("what", choices=["overhead", "cluster", "kills", "executors", "images"])
-    parser.add_argument("--number", type=int, default=100, help="cells, kills or images")
+    parser.add_argument("--number", type=int, default=100, help="cells, kills or images; for "
+                        "executors 100 cells are a bit more than a minute of one core")
     parser.add_argument("--workers", type=int, default=2)
     asked = parser.parse_args()
-    if asked.what == "executors":
-        executors(asked.workers)
-        return
-    {"overhead": overhead, "cluster": cluster, "kills": kills, "images": images}[asked.what](
-        asked.number, asked.workers)
+    {"overhead": overhead, "cluster": cluster, "kills": kills, "executors": executors,
+     "images": images}[asked.what](asked.number, asked.workers)
 
 
 if __name__ == "__main__":
