@@ -95,7 +95,7 @@ def pages(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     folder = tmp_path_factory.mktemp("pages")
     results = {
         "front": termsel.run("rfm-terms", solver="nsga2", evaluations=2000),
-        "lines": termsel.run("owdis-lines", evaluations=2000),
+        "lines": termsel.run("owdis-lines", solver="ica", evaluations=2000),
         "auto": termsel.run("poly-terms"),
         "hostile": termsel.run("poly-terms", features=hostile())}
     for name, result in results.items():
@@ -149,7 +149,9 @@ def test_a_page_is_drawn_offline_and_in_silence(
         marks = chart.find_elements(
             "css selector", "svg .mark-symbol.role-mark path, svg .mark-rect.role-mark path")
         curves = chart.find_elements("css selector", "svg .mark-line.role-mark path")
-        assert len(marks) > 3 or len(curves) == 2, chart.get_attribute("data-chart")
+        areas = chart.find_elements("css selector", "svg .mark-area.role-mark path")
+        assert len(marks) > 3 or len(curves) == 2 or len(areas) > 3, \
+            chart.get_attribute("data-chart")
     wait(lambda: browser.execute_script(
         "return document.documentElement.scrollWidth <= window.innerWidth && "
         "[...document.querySelectorAll('.chart svg')].every("
@@ -266,6 +268,24 @@ def test_a_baseline_is_chosen_in_chart_and_table(
     browser.execute_script("arguments[0].scrollIntoView({block: 'center'})", symbol)
     symbol.click()
     wait(lambda: browser.find_element("id", "chosen").text.startswith("this result"))
+
+
+def test_the_page_of_many_images_is_drawn_offline_and_in_silence(
+        opened: Callable[[Path, int], Any], tmp_path: Path) -> None:
+    from termsel.studies.outputs import write_outputs
+
+    points = termsel.simulate_scene("ikonos-hamedan", n_lines=0).points
+    some = termsel.Points(points.ids[:9], points.image[:9], points.ground[:9])
+    study = termsel.compare(out=tmp_path, data={
+        f"{HOSTILE[0]} {i}": termsel.FeatureSet(some, crs="EPSG:4979") for i in range(2)})
+    write_outputs(study, tmp_path)
+    for width in (400, 1400):
+        browser = opened(tmp_path / "report.html", width)
+        assert len(browser.find_elements("css selector", "td.picture svg path")) >= 4
+        assert HOSTILE[0] in browser.find_element("css selector", "tbody th").text
+        assert not browser.find_elements("css selector", "img, iframe, object")
+        assert browser.execute_script(
+            "return document.documentElement.scrollWidth <= window.innerWidth")
 
 
 def test_a_member_of_the_front_shows_its_residuals_and_terms(

@@ -1,7 +1,10 @@
 // Draws the charts of a page and links their choices with each other and with the tables.
 (() => {
   "use strict";
-  const specs = JSON.parse(document.getElementById("charts").textContent);
+  const { data, charts: specs } = JSON.parse(document.getElementById("charts").textContent);
+  for (const spec of Object.values(specs)) {
+    spec.datasets = Object.fromEntries(spec.datasets.map((name) => [name, data[name]]));
+  }
   const fields = { picked: "id", fit: "fit", member: "member" };
   const views = [];
   const status = document.getElementById("chosen");

@@ -122,7 +122,8 @@ def page(title: str, subtitle: str, sections: Iterable[Section]) -> str:
     policy = (f"default-src 'none'; script-src {_checksum(drawing)} {_checksum(script)}; "
               f"style-src {_checksum(style)}; img-src data:; base-uri 'none'; form-action 'none'")
     # Nothing in a block of data may end it.
-    charts = json.dumps(specs, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
+    charts = json.dumps(_sharing(specs), separators=(",", ":"), allow_nan=False).replace(
+        "<", "\\u003c")
     return f"""<!DOCTYPE html>
 <html lang="en">
 <head>
@@ -145,6 +146,14 @@ def page(title: str, subtitle: str, sections: Iterable[Section]) -> str:
 </body>
 </html>
 """
+
+
+def _sharing(specs: dict[str, Any]) -> dict[str, Any]:
+    """Return charts that name their data, and all data once: charts share many."""
+    return {"data": {name: rows for spec in specs.values()
+                     for name, rows in spec.get("datasets", {}).items()},
+            "charts": {name: {**spec, "datasets": list(spec.get("datasets", ()))}
+                       for name, spec in specs.items()}}
 
 
 def _blocks(blocks: Iterable[Block], specs: dict[str, Any]) -> Iterator[str]:

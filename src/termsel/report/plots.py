@@ -84,7 +84,8 @@ KINDS = {kind.name: kind for kind in (
     Kind("convergence", "Convergence of the search",
          "The best should be level at the end. If it still falls, give the search more "
          "evaluations.", search.convergence,
-         lambda view: "" if view.record.get("history") else "it has no history of a search"),
+         lambda view: "" if len(view.record.get("history", ())) > 1 else
+         "it has no history of a search"),
     Kind("empires", "Empires of the search",
          "The imperialist competitive algorithm ends where one band is left. Many bands at the end "
          "mean that the budget ended it.", search.empires,

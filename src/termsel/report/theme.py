@@ -71,8 +71,9 @@ def _wrapped(text: str, width: int = 84) -> list[str]:
 
 
 def data(rows: list[dict[str, Any]]) -> Any:
-    """Return rows as data of a chart."""
-    return _shared()(values=rows)
+    """Return rows as data of a chart; what is false is left out, as what is missing is false."""
+    return _shared()(values=[{key: value for key, value in row.items() if value is not False}
+                             for row in rows])
 
 
 @cache

@@ -163,21 +163,34 @@ class View:
 
     @cached_property
     def members(self) -> list[Row]:
-        """Residuals in the image by all members of the front: dls, dss [px], one a member.
+        """Residuals in the image by all members of the front: dls, dss [`unit`], one a member.
 
         `uses` has 1 for each member that the feature supports, else 0.
         """
-        roles = by_roles(self.features)
-        each = [residuals_of(self._member(one), roles) for one in self.record["front"]]
-        rows = []
+        each, unit, rows = self._by_member, self.unit, []
         for i, (r, (line, sample)) in enumerate(zip(self.residuals, self.seen, strict=True)):
             if np.isfinite([line, sample, *(value for member in each for value in (
                     member[i].line, member[i].sample))]).all():
                 rows.append({**self._named(r), "line": _short(line), "sample": _short(sample),
-                             "dls": [_short(member[i].line, 3) for member in each],
-                             "dss": [_short(member[i].sample, 3) for member in each],
+                             "dls": [round(member[i].line / unit) for member in each],
+                             "dss": [round(member[i].sample / unit) for member in each],
                              "uses": [int(member[i].used) for member in each]})
         return rows
+
+    @cached_property
+    def unit(self) -> float:
+        """Unit of the residuals of members [px]: their median has three digits or four in it.
+
+        Whole numbers of it take half the space of numbers in px.
+        """
+        lengths = [r.distance for member in self._by_member for r in member]
+        median = float(np.median([one for one in lengths if np.isfinite(one)] or [0.0]))
+        return float(f"{10.0 ** (np.floor(np.log10(median)) - 2):.0e}") if median > 0 else 1.0
+
+    @cached_property
+    def _by_member(self) -> list[Residuals]:
+        roles = by_roles(self.features)
+        return [residuals_of(self._member(one), roles) for one in self.record["front"]]
 
     def _member(self, one: Mapping[str, Any]) -> Fit:
         fitted = self.fit

@@ -156,7 +156,8 @@ def _arrows(view: View, rows: list[Row], x: Any, y: Any, vector: tuple[str, str]
     if member is not None:
         number = "(member.member ? member.member[0] : 0)"
         base = base.transform_calculate(
-            dl=f"datum.dls[{number}]", ds=f"datum.dss[{number}]").transform_calculate(
+            dl=f"{view.unit:g} * datum.dls[{number}]", ds=f"{view.unit:g} * datum.dss[{number}]",
+        ).transform_calculate(
             distance="sqrt(datum.dl * datum.dl + datum.ds * datum.ds)",
             role=f"datum.role != 'control' && datum.role != 'left out' ? datum.role : "
                  f"datum.uses[{number}] ? 'control' : 'left out'")
