@@ -122,8 +122,8 @@ def page(title: str, subtitle: str, sections: Iterable[Section]) -> str:
     policy = (f"default-src 'none'; script-src {_checksum(drawing)} {_checksum(script)}; "
               f"style-src {_checksum(style)}; img-src data:; base-uri 'none'; form-action 'none'")
     # Nothing in a block of data may end it.
-    charts = json.dumps(_sharing(specs), separators=(",", ":"), allow_nan=False).replace(
-        "<", "\\u003c")
+    charts = json.dumps(_sharing(specs), separators=(",", ":"), allow_nan=False)
+    charts = charts.replace("<", "\\u003c")
     return f"""<!DOCTYPE html>
 <html lang="en">
 <head>
