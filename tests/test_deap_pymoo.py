@@ -264,6 +264,14 @@ def test_what_pymoo_cannot_do_here_is_refused_with_the_reason(options: dict[str,
         Pymoo(**options)
 
 
+@pytest.mark.parametrize("algorithm", ["nsga3", "ctaea"])
+def test_a_population_smaller_than_the_directions_is_refused(algorithm: str) -> None:
+    problem = Counted(Counted(Counted(problems.two_aims())))
+    solver = Pymoo(algorithm=algorithm, population=4)
+    with pytest.raises(TermselError, match="each of 5 objectives, but a population of 4"):
+        search(problem, solver, generations=1)
+
+
 def test_every_algorithm_of_pymoo_is_offered_or_has_a_reason() -> None:
     known = {one.name for where in (pymoo.algorithms.moo, pymoo.algorithms.soo.nonconvex)
              for one in pkgutil.iter_modules(where.__path__)}

@@ -99,6 +99,11 @@ class Pymoo(Solver):
         given = operators(problem.genome, self.options["mutation"], rng)
         if name in DIRECTED:
             given["ref_dirs"] = directions(len(problem.objectives), population)
+            if len(given["ref_dirs"]) > population:
+                raise TermselError(
+                    f"algorithm={name} has a direction for each of {len(problem.objectives)} "
+                    f"objectives, but a population of {population}",
+                    hint=f"Set population={len(given['ref_dirs'])} or more.")
         if name == "rvea":
             given["survival"] = RveaSurvival(given["ref_dirs"])
         if name in ("ctaea", "omni"):
