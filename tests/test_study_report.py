@@ -61,6 +61,28 @@ def test_the_page_of_the_folder_is_that_of_the_run(call: Call, images: Path,
     assert "--image is for the page of one result" in refused.stderr
 
 
+@pytest.mark.parametrize("name", ["plan.json", "journal.jsonl", "images/good/result.json"])
+def test_a_page_replaces_no_file_of_its_study(call: Call, images: Path, name: str) -> None:
+    before = (images / name).read_bytes()
+    done = call("report", images, "-o", images / name, "--overwrite")
+    assert done.exit_code == 2
+    assert "would replace it" in done.stderr
+    assert (images / name).read_bytes() == before
+
+
+def test_a_picture_is_not_of_a_study_and_a_damaged_plan_is_named(
+        call: Call, images: Path, tmp_path: Path) -> None:
+    done = call("plot", images, "residuals", "-o", tmp_path / "x.svg")
+    assert done.exit_code == 2
+    assert "this is the folder of a study" in done.stderr
+    folder = tmp_path / "damaged"
+    folder.mkdir()
+    (folder / "plan.json").write_text("{")
+    done = call("report", folder)
+    assert done.exit_code == 2
+    assert f"{folder / 'plan.json'}, line 1: this is not JSON" in done.stderr
+
+
 def test_images_stand_worst_first_with_their_residuals(images: Path) -> None:
     text = (images / "report.html").read_text()
     body = text[:text.index("<script")]

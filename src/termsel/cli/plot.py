@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from termsel.cli.messages import refuse_stdout, say_written, show_messages
+from termsel.errors import TermselError
 
 KINDS = ("residuals", "ground", "worst", "baselines", "candidates", "front", "convergence",
          "empires", "frequency", "terms", "correlations", "sigma")
@@ -48,7 +49,12 @@ def plot(folder: Path, kind: str, output: Path, overwrite: bool) -> None:
     from termsel.io.replacing import require_replaceable
     from termsel.io.result_folder import read_result
     from termsel.report.plots import chart, require_picture, save
+    from termsel.studies.plans import PLAN
 
+    if (folder / PLAN).is_file():
+        raise TermselError("this is the folder of a study, and a picture is of one result",
+                           file=folder, hint="Its own pictures are in figures; the folder of an "
+                                             "image is in images.")
     require_picture(output)
     require_replaceable([output], reads=[folder], overwrite=overwrite)
     save(chart(read_result(folder).view, kind), output)

@@ -41,10 +41,13 @@ def report(folder: Path, output: Path | None, image: str | None, overwrite: bool
     from termsel.files.atomic import write_text
     from termsel.io.replacing import require_replaceable
     from termsel.io.result_folder import read_result
+    from termsel.studies.images import IMAGES
+    from termsel.studies.journal import JOURNAL
     from termsel.studies.plans import PLAN, read_study
     from termsel.studies.report import report as study_page
 
-    require_replaceable([output], reads=[folder, image], overwrite=overwrite)
+    own = [folder / PLAN, folder / JOURNAL, *(folder / IMAGES).glob("*")]  # of a study
+    require_replaceable([output], reads=[folder, image, *own], overwrite=overwrite)
     if (folder / PLAN).is_file():
         if image is not None:
             raise TermselError("--image is for the page of one result, and this is a study",

@@ -10,7 +10,7 @@ from typing import Any
 
 from termsel.errors import TermselError
 from termsel.files.atomic import write_text
-from termsel.formats.base import parse_json, read_text
+from termsel.formats.base import located, parse_json, read_text
 from termsel.studies.cells import LABELS, Cell
 from termsel.studies.journal import read_journal
 from termsel.studies.lock import holder
@@ -95,7 +95,10 @@ def read_plan(folder: Path) -> Plan:
     if not file.is_file():
         raise TermselError("there is no study in this folder", file=folder,
                            hint="Give the folder of --out.")
-    table = parse_json(read_text(file), repeat)
+    try:
+        table = parse_json(read_text(file), repeat)
+    except TermselError as error:
+        raise located(error, file) from error
     try:
         cells = {key: {name: labels[name] for name in LABELS}
                  for key, labels in table["cells"].items()}
