@@ -200,13 +200,15 @@ def _as_asked(work: Work, features: FeatureSet, trace: _Trace) -> tuple[
     selection = task.problem.decode(found.genes)
     chosen = estimated(task, selection, found)
     feasible = is_feasible(task, found, chosen)
-    times = trace.times()  # what follows tells about the study, and takes no part in the run
     # The objectives of least squares are not those of other coefficients.
     judged = feasible and chosen.estimator.least_squares
+    fitness = float(found.objectives[0]) if judged else None
+    trace.end(found.evaluations, fitness)
+    times = trace.times()  # what follows tells about the study, and takes no part in the run
     figures: dict[str, Any] = {
         "objective": task.problem.objectives[0],
         "proven": _proven(found),
-        "fitness": float(found.objectives[0]) if judged else None,
+        "fitness": fitness,
         "optimum": _optimum(work, task, found) if judged else None,
         **_rmse({"control": chosen.control_rmse(),
                  "check": chosen.rmse(task.observations.check),
@@ -215,7 +217,6 @@ def _as_asked(work: Work, features: FeatureSet, trace: _Trace) -> tuple[
         "evaluations": found.evaluations,
         "refinement_evaluations": found.polish.evaluations if found.polish else 0,
         "generations": found.generations, "notes": list(found.notes), **times}
-    trace.end(figures["evaluations"], figures["fitness"])
     front = [_member(task, genes) for genes in found.front]
     return DONE if feasible else INFEASIBLE, figures, front, {}
 
