@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import itertools
 import json
+import shutil
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -15,6 +16,7 @@ import numpy as np
 import pytest
 
 import termsel
+from benchmarks import accuracy, solver_table
 from termsel import TermselError
 from termsel.formats.readers.csv_tables import write_lines_csv, write_points_csv
 from termsel.studies import compare
@@ -376,3 +378,15 @@ def test_bad_calls_from_python_are_refused() -> None:
         termsel.compare(problems=["poly-terms"], solver="ga")
     with pytest.raises(TermselError, match="neither data nor a problem"):
         termsel.compare(solvers=["ga"])
+
+
+def test_the_study_files_of_the_documentation_can_be_planned(tmp_path: Path) -> None:
+    for name in solver_table.STUDIES:
+        cells = compare.plan_cells(*compare.asked(solver_table.HERE / f"{name}.toml", {}))
+        assert {cell.labels["seed"] for cell in cells} == set(range(1, 11))
+    accuracy.draw(tmp_path, ["ikonos-hamedan"], [20], 1)
+    for name in accuracy.STUDIES:
+        shutil.copy(accuracy.HERE / f"{name}.toml", tmp_path)
+        cells = compare.plan_cells(*compare.asked(tmp_path / f"{name}.toml", {}))
+        assert {cell.labels["strategy"] for cell in cells} == {"auto", "as-asked"}
+        assert {accuracy.parts_of(cell.data.label) for cell in cells} == {("ikonos-hamedan", 20, 0)}

@@ -179,6 +179,12 @@ def test_a_scheduler_that_does_not_answer_is_told(monkeypatch: pytest.MonkeyPatc
         termsel.compare(**asked, scheduler="nonsense://x")
 
 
+@pytest.mark.parametrize("address", ["tcp://127.0.0.1", "head", "tcp://head:many", ""])
+def test_what_has_no_port_is_no_address(address: str) -> None:
+    with pytest.raises(TermselError, match="no address of a scheduler"):
+        termsel.compare(**ASKED, budget={"evaluations": 50}, scheduler=address)
+
+
 def test_a_worker_that_differs_is_named_with_its_address() -> None:
     from termsel.studies.cluster import require_alike, versions_here
 

@@ -9,6 +9,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from functools import cache
 from queue import Empty, Queue
 from typing import TYPE_CHECKING, Any
+from urllib.parse import urlsplit
 
 from termsel.errors import TermselError
 from termsel.measurements.features import FeatureSet
@@ -83,6 +84,10 @@ def _connected(address: str) -> Client:
     except ImportError as error:
         raise TermselError("dask.distributed is not installed", hint="Run: pip install "
                            '"termsel[distributed]".') from error
+    wrong = TermselError(f"{address!r} is no address of a scheduler",
+                         hint="Write --scheduler tcp://host:8786.")
+    if not _has_port(address):  # a client of dask would wait, then fail in its own words
+        raise wrong
     until = time.monotonic() + PATIENCE
     told = False
     while True:
@@ -90,8 +95,7 @@ def _connected(address: str) -> Client:
             client = Client(address, timeout=5, set_as_default=False)
             client.wait_for_workers(1, timeout=max(until - time.monotonic(), 1))
         except ValueError as error:
-            raise TermselError(f"{address!r} is no address of a scheduler",
-                               hint="Write --scheduler tcp://host:8786.") from error
+            raise wrong from error
         except (OSError, TimeoutError) as error:
             if time.monotonic() > until:
                 raise TermselError(
@@ -104,6 +108,13 @@ def _connected(address: str) -> Client:
             time.sleep(_LOOK)
         else:
             return client
+
+
+def _has_port(address: str) -> bool:
+    try:
+        return urlsplit("//" + address.rpartition("://")[2]).port is not None
+    except ValueError:
+        return False
 
 
 def _require_alike(client: Client, needed: Mapping[str, str]) -> None:
