@@ -135,7 +135,7 @@ def rows_of(study: termsel.Study) -> Iterator[Row]:
     by_file: dict[str, list[dict[str, Any]]] = {}
     for row in study.rows:
         by_file.setdefault(row["data"], []).append(row)
-    folders = folders_of({row["cell"]: row for row in study.rows if row["strategy"] == "auto"})
+    folders = folders_of(study.cells)
     found: dict[tuple[str, int], list[Split]] = {}
     for label, cells in sorted(by_file.items(), key=lambda one: parts_of(one[0])):
         name, count, _ = parts_of(label)

@@ -276,7 +276,7 @@ def test_a_collection_has_a_row_and_a_folder_an_image_the_worst_first(
 
 
 def test_no_two_images_share_a_folder() -> None:
-    labels = {"data": "a/x.csv", "split": 0, "problem": "rfm-terms"}
+    labels = {"data": "a/x.csv", "split": 0, "problem": "rfm-terms", "strategy": "auto"}
     assert folders_of({"1": labels, "2": {**labels, "split": 3},
                        "3": {**labels, "data": "y.csv"}}) == {
         "1": "a_x.csv", "2": "a_x.csv-split-3", "3": "y.csv"}

@@ -51,7 +51,8 @@ def report(folder: Path, output: Path | None, image: str | None, overwrite: bool
     if (folder / PLAN).is_file():
         if image is not None:
             raise TermselError("--image is for the page of one result, and this is a study",
-                               file=folder, hint="Leave --image out, or give one of its images/.")
+                               file=folder, hint=f"Leave --image out, or give the folder of one "
+                                                 f"image in {folder / IMAGES}.")
         write_text(output, study_page(read_study(folder)))
     else:
         read_result(folder).report(output, image=image, overwrite=True)

@@ -22,7 +22,7 @@ class Glance:
 
     def __repr__(self) -> str:
         title, rows = self._glance()
-        return "\n".join([f"<{title}>", *(f"  {name}: {_value(value)}"
+        return "\n".join([f"<{_value(title)}>", *(f"  {name}: {_value(value)}"
                                           for name, value in rows.items())])
 
     def _repr_html_(self) -> str:
@@ -31,7 +31,7 @@ class Glance:
             f"<tr><th style='text-align:left'>{escape(name)}</th>"
             f"<td style='text-align:left'>{escape(_value(value))}</td></tr>"
             for name, value in rows.items())
-        return f"<div><strong>{escape(printable(title))}</strong><table>{cells}</table></div>"
+        return f"<div><strong>{escape(_value(title))}</strong><table>{cells}</table></div>"
 
 
 def _value(text: str) -> str:

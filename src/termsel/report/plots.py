@@ -93,9 +93,7 @@ KINDS = {kind.name: kind for kind in (
          else "its solver was not the ICA"),
     Kind("frequency", "How often terms are selected",
          "Terms that nearly all selections have can be relied on. Those that few have fit noise, "
-         "or stand for each other.", terms.frequency_bars,
-         lambda view: "" if view.record["front"] or view.record.get("stability") else
-         "it is one selection, without a front and not of termsel stability"),
+         "or stand for each other.", terms.frequency_bars, terms.no_frequencies),
     Kind("terms", "Terms and their significance",
          "Terms in orange could be zero. Many of them mean that fewer terms would do.",
          terms.term_bars, lambda view: "" if view.record["significance"] else

@@ -89,8 +89,7 @@ def compare(
         raise TermselError(f"{workers} workers cannot run anything", hint="Give 1 or more.")
     spec, folder = asked(study, keys)
     cells = plan_cells(spec, folder)
-    folders = folders_of({cell.key: cell.labels for cell in cells
-                          if cell.call["strategy"] == "auto"})
+    folders = folders_of({cell.key: cell.labels for cell in cells})
     with ExitStack() as stack:
         place = Path(out) if out is not None else stack.enter_context(private_folder())
         plugins = _plugins(cells, spec)

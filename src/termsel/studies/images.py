@@ -23,13 +23,14 @@ def folders_of(labels: Mapping[str, Mapping[str, Any]]) -> dict[str, str]:
     Parameters
     ----------
     labels : mapping
-        Of the cells of the strategy auto, by their keys.
+        Of the cells, by their keys; those that are not of the strategy auto have no folder.
 
     Raises
     ------
     TermselError
         If two images would have the same folder, also where capitals do not count.
     """
+    labels = {key: one for key, one in labels.items() if one["strategy"] == "auto"}
     problems = Counter((one["data"], one["split"]) for one in labels.values())
     names, owners = {}, dict[str, str]()
     for key, one in labels.items():

@@ -43,7 +43,7 @@ def map_of(rows: Sequence[Row], columns: Sequence[str], cells: Mapping[str, Mapp
     except ImportError:
         raise TermselError("maps of images require geopandas, which is not installed",
                            hint="Install it: pip install geopandas.") from None
-    folders = folders_of({key: one for key, one in cells.items() if one["strategy"] == "auto"})
+    folders = folders_of(cells)
     found: dict[str, tuple[str, Any]] = {}
     for key in (row["cell"] for row in rows if row["state"] == "done" and row["cell"] in folders):
         features = read_result(folder / IMAGES / folders[key]).features

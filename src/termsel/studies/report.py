@@ -81,9 +81,8 @@ def thumbnails(study: Study) -> dict[str, str]:
     """
     if study.folder is None:
         return {}
-    labels = {key: one for key, one in study.cells.items() if one["strategy"] == "auto"}
     found = {}
-    for key, name in folders_of(labels).items():
+    for key, name in folders_of(study.cells).items():
         if study.records.get(key, {}).get("state") != "done":
             continue
         try:

@@ -123,4 +123,4 @@ class Study(Glance):
             "data": f"{len(data)}: {', '.join(data)}", **named,
             "strategies": ", ".join(spec.strategies),
             **({"folder": str(self.folder)} if self.folder else {}),
-            "see": "rows.to_pandas(), to_pandas()"}
+            "see": "rows.to_pandas(), to_geopandas()"}

@@ -92,12 +92,19 @@ def frequency_rows(view: View) -> list[Row]:
     else:
         counts = Counter(term for one in record["front"] for term in one["selection"]["terms"])
         shares = {term: n / len(record["front"]) for term, n in counts.items()}
-    return sorted(({"term": term, "share": _rounded(share), "used": term in used}
+    return sorted(({"term": term, "share": round(share, 4), "used": term in used}
                    for term, share in shares.items() if share), key=lambda row: -row["share"])
 
 
-def _rounded(share: float) -> float:
-    return float(f"{share:.4g}")
+def no_frequencies(view: View) -> str:
+    """Return why a result says nothing of how often terms are selected; "" if it does."""
+    if view.record.get("stability"):
+        return ""
+    members = {tuple(one["selection"]["terms"]) for one in view.record["front"]}
+    if len(members) > 1:
+        return ""
+    return "all members of its front have the same terms" if members else \
+        "it is one selection, without a front and not of termsel stability"
 
 
 def correlation_map(view: View) -> Any:
