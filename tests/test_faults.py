@@ -7,6 +7,7 @@ test_conformance_broken.py and test_conformance_kinds.py.
 
 from __future__ import annotations
 
+import re
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -115,6 +116,8 @@ MODEL = [
     ("project", _of_base("project", lambda image: image[..., 0]), "project() returned an array"),
     ("project", _of_base("project", lambda image: image.tolist()), "project() returned an object"),
     ("predict", _of_base("predict", lambda image: image[..., :1]), "predict() returned an array"),
+    ("axis", property(lambda _: "line"), "axis() returned an object of type str; expected an"),
+    ("axis", property(lambda _: np.full(8, 3)), "axis() returned an array with other numbers than"),
     ("residual_weights", lambda self, control, ground: np.zeros((1, 1, 1)),
      "residual_weights() returned an array of shape (1, 1, 1)"),
     ("denominators", lambda self, coefficients, ground: np.ones(3), "denominators() returned an"),
@@ -271,6 +274,9 @@ PROBLEM = [
     ("decode", _always(["a"]), "decode() returned an object of type list; expected Selection"),
     ("decode", _always(Selection(["a"], ())), "decode() returned as terms ['a']; expected a"),
     ("decode", _always(Selection((), (1, 2))), "decode() returned as features (1, 2); expected"),
+    ("genome", None, "the genome of problem 'Faulty' is None, not a Genome"),
+    ("genome", property(_raise), "failed in genome(): ValueError"),
+    ("objectives", None, "are None, not a tuple of names"),
     ("objectives", "off", "are 'off', not a tuple of names"),
     ("objectives", (), "are (), not a tuple of names"),
 ]
@@ -283,6 +289,31 @@ def test_faulty_problem(method: str, fault: Any, message: str) -> None:
     with pytest.raises(TermselError) as caught:
         problem.decode(search(problem, RandomSearch(population=4), generations=1).genes)
     _said(caught, message, "problem")
+
+
+@pytest.mark.parametrize(("method", "solver", "message"), [
+    ("parts", "exact", "parts() returned [1]; expected a tuple of EnumerablePart"),
+    ("design", "ga-correlation", "design() returned an object of type list; expected an array")])
+def test_faulty_columns_of_a_problem(method: str, solver: str, message: str) -> None:
+    made = _made(Sound, method, _always([1]))()
+    with pytest.raises(PluginFault) as caught:
+        search(made, Registry([]).get("solvers", solver)(), generations=1)
+    _said(caught, message, "problem")
+
+
+@pytest.mark.parametrize(("given", "message"), [
+    ({"options": ({"name": "x"},)}, "recipe 'faulty' has the option {'name': 'x'}"),
+    ({"control": "planes"}, "recipe 'faulty' has the control 'planes'")])
+def test_recipe_that_cannot_be(given: dict[str, Any], message: str) -> None:
+    with pytest.raises(TermselError, match=re.escape(message)):
+        Recipe("faulty", "A recipe.", _raise, model="affine", dataset="ikonos-hamedan", **given)
+
+
+def test_faulty_rpc(scene: FeatureSet) -> None:
+    model = _made(termsel.Affine, "as_rpc", _always(5))
+    with pytest.raises(PluginFault) as caught:
+        run("poly-terms", features=scene, model=model, solver="all-terms").to_rpc()
+    _said(caught, "as_rpc() returned an object of type int; expected Rpc", "model 'faulty'")
 
 
 def test_a_selection_of_names_that_there_are_not(task: Task) -> None:

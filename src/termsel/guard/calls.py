@@ -65,7 +65,8 @@ class Guarded:
 
 def _is_own(cls: type, name: str) -> bool:
     """Return whether termsel declares an attribute, which a plugin may compute."""
-    return any(name in vars(base) for base in cls.__mro__ if package_of(base) == OWN)
+    return any(name in vars(base) or name in vars(base).get("__annotations__", {})
+               for base in cls.__mro__ if package_of(base) == OWN)
 
 
 def _guards(cls: type) -> dict[str, Check | None]:

@@ -14,7 +14,7 @@ from termsel.adjustment.interpolation import Interpolation
 from termsel.errors import TermselError
 from termsel.fits.fit import Fit
 from termsel.fits.of_features import control_of, fit_all_terms
-from termsel.guard.arrays import of_shape, of_type
+from termsel.guard.arrays import of_optional_type, of_shape, of_type
 from termsel.guard.calls import Check
 from termsel.measurements.crs import to_wgs84
 from termsel.measurements.features import FeatureSet, FloatArray, IntArray
@@ -63,6 +63,27 @@ def _weights_fault(_model: SensorModel, value: Any, control: FloatArray, ground:
     return None if value is None else of_shape(value, (len(ground), len(control)))
 
 
+def _axis_fault(model: SensorModel, value: Any) -> str | None:
+    what = of_shape(value, (len(model.terms),))
+    if what is None and not np.isin(value, (LINE, SAMPLE, BOTH)).all():
+        return "returned an array with other numbers than 0, 1 and 2"
+    return what
+
+
+def _rpc_fault(_model: SensorModel, value: Any, *_args: Any) -> str | None:
+    from termsel.models.rpc import Rpc
+
+    return of_optional_type(value, Rpc)
+
+
+def _degree_fault(_model: SensorModel, value: Any) -> str | None:
+    return of_optional_type(value, int)
+
+
+def _interpolation_fault(_model: SensorModel, value: Any, *_args: Any) -> str | None:
+    return of_optional_type(value, Interpolation)
+
+
 def _model_fault(_model: SensorModel, value: Any, *_args: Any) -> str | None:
     return of_type(value, SensorModel)
 
@@ -77,11 +98,11 @@ class SensorModel(Configurable, ABC):
 
     kind = "model"
     guards: ClassVar[Mapping[str, Check | None]] = {
-        "terms": _terms_fault, "axis": None, "prepared": _model_fault,
+        "terms": _terms_fault, "axis": _axis_fault, "prepared": _model_fault,
         "equations": _equations_fault, "linearised": _equations_fault, "project": _image_fault,
         "predict": _image_fault, "denominators": _denominators_fault,
-        "residual_weights": _weights_fault, "interpolation": None, "as_rpc": None,
-        "polynomial_degree": None}
+        "residual_weights": _weights_fault, "interpolation": _interpolation_fault,
+        "as_rpc": _rpc_fault, "polynomial_degree": _degree_fault}
 
     uses_height: ClassVar[bool] = True
     """Whether it requires the heights of the features."""

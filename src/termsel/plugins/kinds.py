@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import inspect
 import re
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from importlib import import_module
 from typing import Any
@@ -94,9 +93,11 @@ def _attribute_fault(cls: type) -> str | None:
             accepted = (list, tuple) if kind is tuple else kind
             if not isinstance(found, accepted):
                 return f"{name} = {found!r:.100}, which is no {kind.__name__}"
-    options: Sequence[Any] = getattr(cls, "declared_options", ())
-    return next((f"declared_options that hold {one!r:.100}, which is no Option"
-                 for one in options if not isinstance(one, Option)), None)
+    for name, wanted in (("declared_options", Option), ("segments", type)):
+        for one in getattr(cls, name, ()):
+            if not isinstance(one, wanted):
+                return f"{name} that hold {one!r:.100}, which is no {wanted.__name__}"
+    return None
 
 
 _PLAIN = (bool, int, str, tuple, dict)

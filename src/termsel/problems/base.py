@@ -127,12 +127,23 @@ def _selection_fault(_problem: Problem, value: Any, *_args: Any) -> str | None:
     return what
 
 
+def _parts_fault(_problem: Problem, value: Any) -> str | None:
+    return None if isinstance(value, tuple) and all(
+        isinstance(part, EnumerablePart) for part in value) \
+        else f"returned {value!r:.200}; expected a tuple of EnumerablePart"
+
+
+def _design_fault(problem: Problem, value: Any) -> str | None:
+    return of_shape(value, (-1, problem.genome.size))
+
+
 class Problem(Guarded, ABC):
     """What a solver sees: a genome, names of objectives, and an evaluation of genes."""
 
     kind = "problem"
     guards: ClassVar[Mapping[str, Check | None]] = {
-        "evaluate": evaluation_fault, "decode": _selection_fault, "parts": None, "design": None}
+        "evaluate": evaluation_fault, "decode": _selection_fault, "parts": _parts_fault,
+        "design": _design_fault}
 
     genome: Genome
     """The genes, which `Genome.random` draws and `Genome.repair` corrects."""

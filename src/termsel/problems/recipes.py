@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from termsel.errors import unknown_name
+from termsel.errors import TermselError, unknown_name
 from termsel.options import COUNT, Option
 from termsel.problems.base import Inputs, Problem
 from termsel.problems.constraints import FORCE_OPTIONS, TERM_OPTIONS
@@ -68,6 +68,15 @@ class Recipe:
     patience: int | None = None
     refined: bool = True
     source: str = ""
+
+    def __post_init__(self) -> None:
+        if self.control not in ("points", "lines"):
+            raise TermselError(f"recipe {self.name!r} has the control {self.control!r:.100}",
+                               hint="Give points or lines.")
+        other = [one for one in self.options if not isinstance(one, Option)]
+        if other:
+            raise TermselError(f"recipe {self.name!r} has the option {other[0]!r:.100}",
+                               hint="Give objects of Option.")
 
 
 MASK = Option("mask", "per-axis", "Whether line and sample select their terms separately or "

@@ -14,6 +14,7 @@ from termsel.errors import TermselError
 from termsel.interrupts import answered
 from termsel.measurements.features import FloatArray
 from termsel.problems.base import Evaluation, Problem
+from termsel.problems.genome import Genome
 from termsel.problems.segments import Genes
 from termsel.solvers.base import Generation, Solver
 from termsel.solvers.budget import EVALUATIONS, IDLE, TOLERANCE, Budget, Patience
@@ -157,7 +158,7 @@ def search(
                         ("seconds", seconds), ("generations of patience", patience)):
         if value is not None and not value > 0:
             raise TermselError(f"the budget of {value} {name} is not positive")
-    _require_names(problem)
+    _require_declared(problem)
     require_able(problem, solver)
     part = 1 + POLISH_SHARE if polish else 1
     own = None if evaluations is None else max(evaluations // part, 1)
@@ -247,6 +248,7 @@ def require_able(problem: Problem, solver: Solver,
     ------
     TermselError
     """
+    _require_declared(problem)
     wanted = len(problem.objectives)
     types = {type(segment) for segment in problem.genome.segments}
     many = solver.min_objectives <= wanted <= solver.max_objectives
@@ -272,13 +274,19 @@ def require_able(problem: Problem, solver: Solver,
         f"are {type(segment).__name__}", hint=others_hint)
 
 
-def _require_names(problem: Problem) -> None:
-    """Refuse objectives that are not named one by one: the letters of a str would be taken."""
-    names = problem.objectives
-    if isinstance(names, str) or not names or not all(isinstance(name, str) for name in names):
-        raise TermselError(
-            f"the objectives of problem {type(problem).__name__!r} are {names!r}, not a tuple of "
-            "names", hint="This is a bug in the problem: tell its author.")
+def _require_declared(problem: Problem) -> None:
+    """Refuse a genome that is none, and objectives that are not named one by one: the letters of a
+    str would be taken."""
+    genome, names = getattr(problem, "genome", None), getattr(problem, "objectives", None)
+    what = ""
+    if not isinstance(genome, Genome):
+        what = f"genome of problem {type(problem).__name__!r} is {genome!r:.200}, not a Genome"
+    elif not isinstance(names, tuple | list) or not names \
+            or not all(isinstance(name, str) for name in names):
+        what = (f"objectives of problem {type(problem).__name__!r} are {names!r:.200}, not a tuple "
+                "of names")
+    if what:
+        raise TermselError(f"the {what}", hint="This is a bug in the problem: tell its author.")
 
 
 def _until_spent(running: Iterator[Generation]) -> Generator[Generation]:
