@@ -18,7 +18,7 @@ from termsel import hookimpl
 if TYPE_CHECKING:
     import click
 
-    from termsel import Reader
+    from termsel import Criterion, Reader, Recipe
 
 
 @hookimpl
@@ -35,3 +35,19 @@ def termsel_readers() -> Iterable[type[Reader]]:
     from termsel_match.readers import ArosicsTable, AspMatches, MatchesCsv
 
     return [ArosicsTable, AspMatches, MatchesCsv]
+
+
+@hookimpl
+def termsel_criteria() -> Iterable[type[Criterion]]:
+    """Return the agreement of candidates."""
+    from termsel_match.criteria import Agreement
+
+    return [Agreement]
+
+
+@hookimpl
+def termsel_problems() -> Iterable[Recipe]:
+    """Return the selection of matched lines."""
+    from termsel_match.problem import RECIPE
+
+    return [RECIPE]

@@ -14,13 +14,16 @@ import click
 from termsel import TermselError
 
 _FILE = click.Path(path_type=Path)
+NOT_GOOD_ENOUGH = 3
+"""Exit code of `auto-georeference` without a map."""
+
 _START = ("Rough geometry: a file with an RPC, a folder with a result, a file of three points or "
           "more, 'corners' or 'none'. By default what the image says of itself.")
 
 
 def add_commands(cli: click.Group) -> None:
     """Add the commands to a group."""
-    for command in (match_example, match_points):
+    for command in (auto_georeference, match_example, match_lines, match_points):
         cli.add_command(command)
 
 
@@ -76,6 +79,106 @@ def match_points(image: Path, reference: Path, output: Path, overwrite: bool, qu
     click.echo(f"Written: {output}", err=True)
 
 
+@click.command("match-lines")
+@click.argument("image", metavar="IMAGE", type=_FILE)
+@click.option("--vectors", metavar="FILE", required=True, type=_FILE,
+              help="Lines of a map, such as roads, in any CRS.")
+@click.option("--dem", metavar="FILE", type=_FILE, help="Raster of heights of the place.")
+@click.option("--start", metavar="START", help=_START)
+@click.option("--search", metavar="PX", default=60.0, show_default=True,
+              type=click.FloatRange(4, 2000), help="Largest distance of a line from the start.")
+@click.option("--band", type=int, help="Band of the image, from 1; by default the mean of all.")
+@click.option("--iterate", is_flag=True, help="Select, and match again from the new model, until "
+                                              "it stays the same.")
+@click.option("--out", "folder", metavar="DIR", type=_FILE,
+              help="With --iterate, new folder for the result.")
+@click.option("--output", "-o", metavar="FILE", default="lines.csv", show_default=True,
+              type=_FILE, help="Table of candidate lines to write.")
+@click.option("--overwrite", is_flag=True, help="Replace an existing table.")
+@click.option("--quiet", is_flag=True, help="Show no progress.")
+def match_lines(image: Path, vectors: Path, iterate: bool, folder: Path | None, output: Path,
+                overwrite: bool, quiet: bool, **options: Any) -> None:
+    """Find candidates of control lines: bands of an image near projected vectors.
+
+    Each straight piece of a vector has up to four candidates, so most are wrong; `termsel run`
+    selects those that agree. With --iterate, the table has only those.
+
+    \b
+    Examples:
+      termsel match-lines scene.tif --vectors roads.gpkg --dem dem.tif
+      termsel run --problem matched-lines --model rpc-drift --set rpc=scene.RPB --lines lines.csv
+      termsel match-lines scene.tif --vectors roads.gpkg --dem dem.tif --iterate --out result
+    """
+    from termsel import write_lines_csv
+    from termsel_match.chain import model_for
+    from termsel_match.lines import match_lines as match
+    from termsel_match.rounds import iterate_lines
+
+    refuse_existing(output, overwrite)
+    if folder is not None and not iterate:
+        raise TermselError("--out requires --iterate", hint="Add --iterate, or leave --out out.")
+    refuse_folder(folder)
+    show_log()
+    with bar("match-lines", quiet) as progress:
+        if iterate:
+            done = iterate_lines(image, vectors, *model_for(options["start"], image), out=folder,
+                                 progress=progress, **options)
+            lines, crs, text = done.lines, done.candidates.crs, done.text()
+        else:
+            found = match(image, vectors, progress=progress, **options)
+            lines, crs = found.lines, found.crs
+            text = f"{len(lines)} candidates for {found.pieces} straight pieces of vectors\n"
+    write_lines_csv(lines, output, crs)
+    click.echo(text, nl=False)
+    click.echo(f"Written: {output}" + (f", {folder}" if folder is not None else ""), err=True)
+
+
+@click.command("auto-georeference")
+@click.argument("image", metavar="IMAGE", type=_FILE)
+@click.option("--reference", metavar="FILE", required=True, type=_FILE,
+              help="Georeferenced image of the place, such as an orthophoto.")
+@click.option("--vectors", metavar="FILE", type=_FILE,
+              help="Lines of a map, such as roads, to use together with the points.")
+@reference_options
+@click.option("--output", "-o", metavar="FILE", required=True, type=_FILE,
+              help="The map to write, a cloud-optimised GeoTIFF.")
+@click.option("--accept", metavar="PX", default=2.0, show_default=True,
+              type=click.FloatRange(0, 1000), help="Largest RMSE with which a map is made.")
+@click.option("--out", "folder", metavar="DIR", type=_FILE,
+              help="New folder for candidates, result and report.")
+@click.option("--seed", default=1, show_default=True, type=click.IntRange(0),
+              help="Seed of the selection.")
+@click.option("--overwrite", is_flag=True, help="Replace an existing map.")
+@click.option("--quiet", is_flag=True, help="Show no progress.")
+@click.pass_context
+def auto_georeference(context: click.Context, /, image: Path, output: Path, folder: Path | None,
+                      dem: Path | None, quiet: bool, **options: Any) -> None:
+    """Make a map of a raw image: match it, select candidates, judge and rectify.
+
+    Ends with exit code 3 and the reasons, and without a map, if the result is not good enough.
+
+    \b
+    Examples:
+      termsel auto-georeference scene.tif --reference ortho.tif --dem dem.tif -o map.tif
+      termsel auto-georeference scene.tif --reference ortho.tif --dem dem.tif -o map.tif --accept 1
+    """
+    from termsel_match.chain import georeference
+
+    refuse_existing(output, options["overwrite"])
+    if dem is None:
+        raise TermselError("auto-georeference requires heights", hint="Give --dem FILE.")
+    refuse_folder(folder)
+    show_log()
+    with bar("match", quiet) as progress:
+        done = georeference(image, output=output, dem=dem, folder=folder, progress=progress,
+                            **options)
+    click.echo(done.text(), nl=False)
+    if done.reasons:
+        click.echo("No map was written.", err=True)
+        context.exit(NOT_GOOD_ENOUGH)
+    click.echo(f"Written: {output}", err=True)
+
+
 @click.command("match-example")
 @click.argument("folder", metavar="DIR", type=_FILE)
 @click.option("--size", default=1000, show_default=True, type=click.IntRange(200, 4000),
@@ -111,6 +214,12 @@ def refuse_existing(output: Path, overwrite: bool) -> None:
     if not output.absolute().parent.is_dir():
         raise TermselError("the folder of this file does not exist", file=output,
                            hint="Make the folder, or give another --output.")
+
+
+def refuse_folder(folder: Path | None) -> None:
+    """Refuse a folder that exists."""
+    if folder is not None and folder.exists():
+        raise TermselError("this folder exists already", file=folder, hint="Name a new one.")
 
 
 def show_log() -> None:

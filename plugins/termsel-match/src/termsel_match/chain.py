@@ -1,0 +1,178 @@
+"""From a raw image to a map: candidates, selection, judgement, rectification."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from termsel import FeatureSet, TermselError, read_rpc, rectify, write_points_csv
+from termsel.files.atomic import write_text
+from termsel_match.points import Candidates, match_points
+from termsel_match.rounds import Matched, iterate_lines
+from termsel_match.selection import Selected, select_points, with_lines
+from termsel_match.starts import Start
+
+CANDIDATES, REPORT, RESULT = "candidates.csv", "report.txt", "result"
+
+_SEARCH = 12.0  # px for lines, from the model of the points
+_LEAST_INDEPENDENT = 5  # candidates that agree; of fewer the RMSE says little
+_LEAST_SHARE = 0.25  # of the independent candidates that agree
+_LEAST_COVERED = 0.4  # part of the image
+
+
+@dataclass(frozen=True, eq=False)
+class Georeferenced:
+    """What came of an image.
+
+    Parameters
+    ----------
+    candidates : Candidates
+    selected : Selected
+    accept : float
+        Largest accepted RMSE [px].
+    reasons : tuple of str
+        Why the result is not good enough; empty where it is.
+    lines : Matched, optional
+        The lines that are control too.
+    """
+
+    candidates: Candidates
+    selected: Selected
+    accept: float
+    reasons: tuple[str, ...]
+    lines: Matched | None = None
+
+    def text(self) -> str:
+        """Return the report."""
+        one, points = self.selected, self.candidates.points
+        agree = one.agrees
+        lines = [
+            f"Start: {self.candidates.start}",
+            f"Candidates: {len(points)} in {self.candidates.cells.get('found', 0)} of "
+            f"{sum(self.candidates.cells.values())} cells of the image",
+            f"Model: {one.result.model}, fitted to {int((agree & ~one.independent).sum())} of "
+            f"{int((~one.independent).sum())} candidates, which agree within {one.limit:.2f} px",
+            f"Covered by them: {100 * one.covered:.0f} % of the image",
+            f"Independent candidates: {int((agree & one.independent).sum())} of "
+            f"{int(one.independent.sum())} agree, with an RMSE of {one.rmse:.2f} px; accepted: "
+            f"{self.accept:g} px",
+            "Those that do not agree are taken for wrong matches, so the RMSE is that of the right "
+            "ones."]
+        if self.lines is not None:
+            last = self.lines.rounds[-1]
+            lines.append(f"Lines: {last.agreeing} of {last.pieces} straight pieces of vectors "
+                         f"agree, with an RMS distance of {last.rms:.2f} px")
+        if self.reasons:
+            lines += ["Not good enough:", *(f"  {reason}" for reason in self.reasons)]
+        return "\n".join(lines) + "\n"
+
+
+def georeference(
+    image: Path | str,
+    reference: Path | str,
+    output: Path | str,
+    *,
+    dem: Path | str,
+    start: Path | str | None = None,
+    vectors: Path | str | None = None,
+    accept: float = 2.0,
+    folder: Path | str | None = None,
+    seed: int = 1,
+    overwrite: bool = False,
+    progress: Callable[[float], None] | None = None,
+    **matching: Any,
+) -> Georeferenced:
+    """Make a map of an image, if the result is good enough.
+
+    An RPC is refined by a shift and a drift (`rpc-drift`). Without one, the model is an affine
+    transformation of the ground coordinates.
+
+    Parameters
+    ----------
+    image, reference, dem, start
+        As for `match_points`.
+    vectors : path-like, optional
+        Lines of a map, such as roads. The bands of the image that agree with them are control
+        together with the points.
+    output : path-like
+        The map, a cloud-optimised GeoTIFF. It is written only if the result is good enough.
+    accept : float
+        Largest accepted RMSE of the independent candidates that agree [px].
+    folder : path-like, optional
+        For candidates, result and report.
+    seed : int
+        Of the selection.
+    overwrite : bool
+        Whether the map may replace a file.
+    progress : callable, optional
+        Called with the fraction of the matching that is done.
+    **matching
+        Further arguments of `match_points`.
+
+    Returns
+    -------
+    Georeferenced
+
+    Raises
+    ------
+    TermselError
+        As `match_points`; or if too few candidates agree.
+
+    Notes
+    -----
+    P.K. Konugurthi et al., PE&RS 82(5), 2016, 377-388: matching, selection by a GA, and the
+    decision by the error that is accepted. The limits of the share of candidates that agree and of
+    the part of the image that they cover are termsel's.
+    """
+    found = match_points(image, reference, dem=dem, start=start, progress=progress, **matching)
+    features = FeatureSet(found.points, crs=found.crs, image_size=found.image_size)
+    model, options = model_for(start, Path(image))
+    if folder is not None:
+        Path(folder).mkdir(parents=True, exist_ok=True)
+        write_points_csv(found.points, Path(folder) / CANDIDATES, found.crs)
+    result_folder = None if folder is None else Path(folder) / RESULT
+    selected = select_points(features, model, options, seed=seed,
+                             out=result_folder if vectors is None else None)
+    lines = None
+    if vectors is not None:
+        at = Start("the model of the points", found.crs, 0.0, selected.result.project,
+                   selected.result.locate)
+        lines = iterate_lines(image, vectors, model, options, dem=dem, start=at, search=_SEARCH,
+                              band=matching.get("band"), seed=seed)
+        selected = with_lines(selected, lines.features, model, options, seed=seed,
+                              out=result_folder)
+    done = Georeferenced(found, selected, accept, _reasons(selected, accept), lines)
+    if folder is not None:
+        write_text(Path(folder) / REPORT, done.text())
+    if not done.reasons:
+        rectify(selected.result, image, output, dem=dem, overwrite=overwrite)
+    return done
+
+
+def model_for(start: Path | str | None, image: Path) -> tuple[str, dict[str, Any]]:
+    """Return the model by what there is to refine, and its options."""
+    path = image if start is None else Path(start)
+    if path.is_file():
+        with suppress(TermselError):  # a start of another kind, which match_points has read
+            read_rpc(path)
+            return "rpc-drift", {"rpc": str(path)}
+    return "affine", {}
+
+
+def _reasons(selected: Selected, accept: float) -> tuple[str, ...]:
+    """Return why a result is not good enough."""
+    reasons = []
+    there, agree = int(selected.independent.sum()), int(
+        (selected.agrees & selected.independent).sum())
+    if agree < _LEAST_INDEPENDENT or selected.share < _LEAST_SHARE:
+        reasons.append(f"Only {agree} of {there} independent candidates agree with the model; at "
+                       f"least {_LEAST_INDEPENDENT} and {100 * _LEAST_SHARE:.0f} % must.")
+    if selected.rmse > accept:
+        reasons.append(f"The RMSE is {selected.rmse:.2f} px; accepted are {accept:g} px.")
+    if selected.covered < _LEAST_COVERED:
+        reasons.append(f"The candidates that agree cover {100 * selected.covered:.0f} % of the "
+                       f"image; at least {100 * _LEAST_COVERED:.0f} % must be.")
+    return tuple(reasons)

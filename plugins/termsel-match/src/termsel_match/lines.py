@@ -1,0 +1,119 @@
+"""Candidates of control lines: vectors, and bands of the image that may show them."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from termsel import Lines, TermselError
+from termsel_match.rasters import FloatArray, open_picture
+from termsel_match.ridges import bands
+from termsel_match.starts import Start, start_of
+from termsel_match.vectors import pieces_of
+
+log = logging.getLogger("termsel.match")
+
+LEAST = 6  # pieces with a band
+MOST = 4  # bands for each piece
+
+
+@dataclass(frozen=True, eq=False)
+class LineCandidates:
+    """Candidates of control lines, most of which are wrong: a piece has several.
+
+    Parameters
+    ----------
+    lines : Lines
+        With standard deviations, and the attributes `vector`, `piece`, `offset` [px] and `score`.
+    crs : str
+    image_size : tuple of int
+    pieces : int
+        Straight pieces of vectors in the image.
+    start : str
+    """
+
+    lines: Lines
+    crs: str
+    image_size: tuple[int, int]
+    pieces: int
+    start: str
+
+
+def match_lines(
+    image: Path | str,
+    vectors: Path | str,
+    *,
+    dem: Path | str | None = None,
+    start: Path | str | Start | None = None,
+    search: float = 60.0,
+    band: int | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> LineCandidates:
+    """Return the bands of an image that may show vectors such as roads.
+
+    Vectors are projected by the start and cut into straight pieces. Across each, in a strip as wide
+    as the search, bright and dark bands are found; the clearest four are its candidates, placed to
+    sub-pixel along the piece.
+
+    Parameters
+    ----------
+    image, vectors : path-like
+    dem : path-like, optional
+        Raster of heights.
+    start : path-like, str or Start, optional
+        See `termsel_match.starts.start_of`.
+    search : float
+        Largest distance across from the start [px].
+    band : int, optional
+        Counted from 1; by default the mean of all.
+    progress : callable, optional
+        Called with the fraction that is done, 0 to 1.
+
+    Raises
+    ------
+    TermselError
+        If a file cannot be read, there is no start, or fewer than six pieces have a band.
+    """
+    image = Path(image)
+    known = start if isinstance(start, Start) else start_of(start, image)
+    if known is None:
+        raise TermselError("lines cannot be matched without a start", file=image,
+                           hint="Give --start with an RPC, a result or points.")
+    with open_picture(image, band) as picture:
+        size = picture.size
+        pieces = pieces_of(vectors, known, dem, size)
+        found = []
+        for i, ends in enumerate(pieces.image):
+            found.append(bands(picture, ends, search, MOST))
+            if progress is not None:
+                progress((i + 1) / len(pieces.image))
+    seen = sum(map(bool, found))
+    log.info("Start: %s. %d straight pieces of vectors, %d with bands of the image.", known.what,
+             len(found), seen)
+    if seen < LEAST:
+        raise TermselError(f"not enough candidates: {seen} pieces of vectors have a band in the "
+                           f"image, at least {LEAST} needed", file=image,
+                           hint="Do the vectors show what can be seen? Is the start off by more "
+                                f"than --search {search:g} px?")
+    rows = [(i, k, one) for i, several in enumerate(found) for k, one in enumerate(several)]
+    attributes = {
+        "vector": [pieces.vector[i] for i, _, _ in rows], "piece": [str(i + 1) for i, _, _ in rows],
+        "offset": [f"{one.offset:.2f}" for _, _, one in rows],
+        "score": [f"{one.score:.2f}" for _, _, one in rows]}
+    lines = Lines(tuple(f"L{i + 1:03d}.{k + 1}" for i, k, _ in rows),
+                  np.array([one.image for _, _, one in rows]),
+                  np.array([_shortened(pieces.ground[i], k) for i, k, _ in rows]),
+                  np.array([one.sigma for _, _, one in rows]),
+                  attributes={name: np.array(cells, dtype=object)
+                              for name, cells in attributes.items()})
+    return LineCandidates(lines, pieces.crs, size, len(found), known.what)
+
+
+def _shortened(ends: FloatArray, k: int) -> FloatArray:
+    """Return two vertices of the same ground line, others for each band: they must differ."""
+    share = np.array([[0.01 * k], [1 - 0.01 * k]])
+    return np.asarray(ends[0] + share * (ends[1] - ends[0]))

@@ -1,0 +1,156 @@
+"""Bright and dark bands of an image along a direction: where a road may be."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from termsel_match.rasters import FloatArray, Picture
+
+_STEP = 0.5  # px across
+_WIDTHS = (4.0, 6.0, 8.0, 10.0, 13.0)  # px of a band
+_FLANK = 4.0  # px on either side that are compared with it
+_BLOCK = 12.0  # px along, in which the place across is found
+_APART = 5.0  # px between bands
+_AROUND = 3.0  # px about a band in which its blocks are placed
+_COMPARED = 40.0  # px to either side, at least, whose responses are compared
+_LEAST = 3.0  # response of a band, in standard deviations of those of the strip
+_LEAST_BLOCKS = 3
+_SEEN = 0.6  # part of the length that must be in the image
+_LEAST_SIGMA = 0.1  # px
+
+
+@dataclass(frozen=True, eq=False)
+class Band:
+    """A straight band of an image.
+
+    Parameters
+    ----------
+    image : ndarray, shape (2, 2)
+        Two places on its middle line, line and sample [px].
+    sigma : float
+        Standard deviation of its place across [px].
+    offset : float
+        Distance across from where it was looked for [px].
+    score : float
+        Response, in standard deviations of the responses of the strip.
+    """
+
+    image: FloatArray
+    sigma: float
+    offset: float
+    score: float
+
+
+def bands(picture: Picture, ends: FloatArray, search: float, most: int) -> list[Band]:
+    """Return the clearest bands that are parallel to a line.
+
+    Parameters
+    ----------
+    picture : Picture
+    ends : ndarray, shape (2, 2)
+        Two places of the line, line and sample [px].
+    search : float
+        Largest distance across [px].
+    most : int
+        Largest number of bands.
+    """
+    run = ends[1] - ends[0]
+    length = float(np.linalg.norm(run))
+    along, across = run / length, np.array([-run[1], run[0]]) / length
+    compared = max(search, _COMPARED)
+    reach = compared + max(_WIDTHS) / 2 + _FLANK + 2
+    offset = np.arange(-reach, reach + _STEP / 2, _STEP)
+    place = np.arange(0.0, length + 0.5)
+    where = ends[0] + place[:, None, None] * along + offset[:, None] * across
+    low = np.floor(where.reshape(-1, 2).min(axis=0)).astype(int) - 1
+    extent = np.ceil(where.reshape(-1, 2).max(axis=0)).astype(int) + 2 - low
+    grey, known = picture.read(int(low[0]), int(low[1]), int(extent[0]), int(extent[1]))
+    at = [(where[..., axis] - low[axis]).astype(np.float32) for axis in (1, 0)]
+    strip = cv2.remap(grey, *at, cv2.INTER_LINEAR).astype(np.float64)
+    seen = cv2.remap(known.astype(np.float32), *at, cv2.INTER_LINEAR) > 0.999
+    strip[~seen] = np.nan
+    count = seen.sum(axis=0)
+    profile = np.where(seen, strip, 0.0).sum(axis=0) / np.maximum(count, 1)
+    profile[count < _SEEN * len(strip)] = np.nan
+    responses = np.stack([_response(profile[None], width)[0] for width in _WIDTHS])
+    best = np.abs(np.nan_to_num(responses)).max(axis=0) * (np.abs(offset) <= compared)
+    if not best.any():
+        return []
+    spread = float(np.median(best[best > 0]))
+    best[np.abs(offset) > search] = 0.0
+    found: list[Band] = []
+    for i in np.argsort(-best):
+        if len(found) == most or best[i] < _LEAST * spread:
+            break
+        if all(abs(offset[i] - other.offset) >= _APART for other in found):
+            width = _WIDTHS[int(np.nanargmax(np.abs(responses[:, i])))]
+            sign = float(np.sign(responses[_WIDTHS.index(width), i]))
+            band = _placed(strip, offset, float(offset[i]), width, sign)
+            if band is not None:
+                (first, last), sigma = band
+                found.append(Band(np.stack([ends[0] + first * across, ends[1] + last * across]),
+                                  sigma, (first + last) / 2, float(best[i] / spread)))
+    return found
+
+
+def _response(profiles: FloatArray, width: float) -> FloatArray:
+    """Return how much each place is the middle of a band, negative for dark ones, (rows, n).
+
+    The smaller of the differences to either side, where both have the same sign: of an edge it is
+    small.
+    """
+    half, flank = round(width / 2 / _STEP), round(_FLANK / _STEP)
+    unknown = ~np.isfinite(profiles)
+    total, gaps = (np.pad(np.cumsum(one, axis=1), ((0, 0), (1, 0)))
+                   for one in (np.where(unknown, 0.0, profiles), unknown))
+    n = profiles.shape[1]
+    out = np.full(profiles.shape, np.nan)
+    middle = np.arange(half + flank + 1, n - half - flank - 1)
+
+    def mean(first: int, last: int) -> FloatArray:
+        return np.asarray((total[:, middle + last + 1] - total[:, middle + first])
+                          / (last - first + 1))
+
+    core = mean(-half + 1, half - 1)
+    left, right = core - mean(-half - flank, -half - 1), core - mean(half + 1, half + flank)
+    same = np.sign(left) == np.sign(right)
+    value = np.where(same, np.sign(left) * np.minimum(np.abs(left), np.abs(right)), 0.0)
+    reach = half + flank
+    gap = gaps[:, middle + reach + 1] > gaps[:, middle - reach]
+    out[:, middle] = np.where(gap, np.nan, value)
+    return out
+
+
+def _placed(strip: FloatArray, offset: FloatArray, about: float, width: float, sign: float,
+            ) -> tuple[tuple[float, float], float] | None:
+    """Return where across a band is at either end, and the standard deviation; None if unclear."""
+    count = max(_LEAST_BLOCKS, round(len(strip) / _BLOCK))
+    blocks = np.array_split(np.arange(len(strip)), count)
+    means = np.stack([strip[block].mean(axis=0) for block in blocks])
+    middles = np.array([block.mean() for block in blocks])
+    near = np.flatnonzero(np.abs(offset - about) <= _AROUND)
+    value = sign * _response(means, width)[:, near]
+    clear = np.flatnonzero(np.isfinite(value).all(axis=1) & (value.max(axis=1) > 0))
+    if len(clear) < _LEAST_BLOCKS:
+        return None
+    weight = np.clip(value[clear] - 0.5 * value[clear].max(axis=1, keepdims=True), 0, None)
+    at, s = (weight * offset[near]).sum(axis=1) / weight.sum(axis=1), middles[clear]
+    kept = np.ones(len(s), dtype=bool)
+    for _ in range(4):
+        line = np.polynomial.Polynomial.fit(s[kept], at[kept], 1).convert()
+        away = np.abs(at - line(s))
+        spread = 1.4826 * float(np.median(away[kept]))
+        again = away <= max(3 * spread, 0.3)
+        if again.sum() < _LEAST_BLOCKS:
+            return None
+        if np.array_equal(again, kept):
+            break
+        kept = again
+    if kept.sum() < 0.5 * count:
+        return None
+    rms = float(np.sqrt((away[kept] ** 2).sum() / max(1, kept.sum() - 2)))
+    return ((float(line(0.0)), float(line(len(strip) - 1.0))),
+            max(rms / float(np.sqrt(kept.sum())), _LEAST_SIGMA))

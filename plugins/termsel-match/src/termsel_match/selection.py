@@ -1,0 +1,169 @@
+"""The candidates that agree with one model, and what the others say of it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import shapely
+
+import termsel
+from termsel import FeatureSet, Points, Result, TermselError
+from termsel_match.rasters import FloatArray, Mask
+
+TOLERANCE = 2.0  # px at which a candidate counts half in the search
+_INDEPENDENT, _CHECK = 0.25, 0.25  # parts of the candidates
+_NEAR = 2 * TOLERANCE  # px within which the spread of those that agree is estimated
+_SIGMAS = 3.5
+_LEAST_LIMIT = 0.5  # px
+_ROUNDS = 20
+_MEDIAN = 1.1774  # of the distance in two dimensions, in standard deviations of one
+
+
+@dataclass(frozen=True, eq=False)
+class Selected:
+    """A model, and the candidates that agree with it.
+
+    Parameters
+    ----------
+    result : Result
+        Fitted to the candidates for control and check that agree; its independent points are the
+        independent candidates that agree.
+    agrees : ndarray of bool, shape (n,)
+        Which candidates agree.
+    independent : ndarray of bool, shape (n,)
+        Which candidates took no part in the choice or the fit.
+    limit : float
+        Largest distance of those that agree [px].
+    covered : float
+        Part of the image in the hull of the control that agrees.
+    """
+
+    result: Result
+    agrees: Mask
+    independent: Mask
+    limit: float
+    covered: float
+
+    @property
+    def share(self) -> float:
+        """Part of the independent candidates that agree."""
+        return float(self.agrees[self.independent].mean())
+
+    @property
+    def rmse(self) -> float:
+        """RMSE [px] of the independent candidates that agree; infinite where none does."""
+        found = self.result.rmse["independent"]
+        return float("inf") if found is None else found.total
+
+
+def select_points(features: FeatureSet, model: str, options: Mapping[str, Any], *, seed: int = 1,
+                  out: Path | str | None = None) -> Selected:
+    """Return the model with which most candidates agree.
+
+    A quarter of the candidates is set aside as independent. A steady-state GA selects m of the
+    others so that the model agrees with as many as possible (problem `rpc-gcps`, criterion
+    `agreement`). The model is then fitted to all of them that agree, until they stay the same.
+
+    Parameters
+    ----------
+    features : FeatureSet
+        Candidate points, with heights.
+    model : str
+    options : mapping
+        Options of the model.
+    seed : int
+        Draws the roles, and drives the search.
+    out : path-like, optional
+        Folder for the result.
+
+    Raises
+    ------
+    TermselError
+        If too few agree to determine the model.
+    """
+    points = features.points
+    roles = _roles(len(points), seed)
+    independent = roles == "independent"
+    with_roles = features.with_(points=replace(points, roles=tuple(roles)))
+    least = len(termsel.fit(features, model, **options).terms)
+    found = termsel.run("rpc-gcps", features=with_roles, model=model, criterion="agreement",
+                        options={**options, "half_at": TOLERANCE, "max_uncovered": 0.9,
+                                 "min_features": max(6, least), "max_features": max(6, least)},
+                        seed=seed)
+    agrees, limit, errors = np.zeros(0, dtype=bool), 0.0, _errors(found, points)
+    for _ in range(_ROUNDS):
+        before = agrees
+        agrees, limit = _agreeing(errors, ~independent)
+        if agrees.sum() < max(6, least):
+            raise TermselError(f"not enough candidates agree: {int(agrees.sum())} of "
+                               f"{int((~independent).sum())}",
+                               hint="Most matches are wrong. Give a start that is nearer, a larger "
+                                    "--search, or a better reference.")
+        if np.array_equal(agrees, before):
+            break
+        control = FeatureSet(replace(points.take(agrees), roles=()), crs=features.crs)
+        errors = _errors(termsel.fit(control, model, **options), points)
+    agrees = errors <= limit
+    kept = with_roles.with_(points=with_roles.points.take(agrees))
+    result = termsel.run("owdis-points", features=kept, model=model, solver="all-terms",
+                         options=dict(options), seed=seed, out=out)
+    return Selected(result, agrees, independent, limit,
+                    _covered(points.take(agrees & ~independent), features.image_size))
+
+
+def with_lines(selected: Selected, lines: FeatureSet, model: str, options: Mapping[str, Any], *,
+               seed: int = 1, out: Path | str | None = None) -> Selected:
+    """Return the model fitted to the points that agree and to lines together.
+
+    Points and lines weigh by their standard deviations.
+
+    Parameters
+    ----------
+    selected : Selected
+    lines : FeatureSet
+        In the CRS of the points or another one.
+    model, options, seed, out
+        As for `select_points`.
+    """
+    from pyproj import CRS, Transformer
+
+    features = selected.result.features
+    turn = Transformer.from_crs(CRS.from_user_input(lines.crs).to_2d(),
+                                CRS.from_user_input(features.crs).to_2d(), always_xy=True)
+    ground = lines.lines.ground.copy()
+    ground[..., 0], ground[..., 1] = turn.transform(ground[..., 0], ground[..., 1])
+    both = features.with_(lines=replace(lines.lines, ground=ground))
+    result = termsel.run("owdis-lines", features=both, model=model, solver="all-terms",
+                         options={**options, "mixed": True}, seed=seed, out=out)
+    return replace(selected, result=result)
+
+
+def _roles(count: int, seed: int) -> Any:
+    order = np.random.default_rng([seed, 1]).permutation(count)
+    roles = np.full(count, "control", dtype=object)
+    set_aside, check = round(_INDEPENDENT * count), round(_CHECK * count)
+    roles[order[:set_aside]], roles[order[set_aside:set_aside + check]] = "independent", "check"
+    return roles
+
+
+def _errors(fitted: Any, points: Points) -> FloatArray:
+    errors = np.linalg.norm(points.image - fitted.project(points.ground), axis=1)
+    return np.asarray(np.where(np.isfinite(errors), errors, np.inf))
+
+
+def _agreeing(errors: FloatArray, used: Mask) -> tuple[Mask, float]:
+    """Return which of the candidates in use agree, and the limit, by the spread of near ones."""
+    near = errors[used & (errors < _NEAR)]
+    sigma = float(np.median(near)) / _MEDIAN if len(near) else 0.0
+    limit = max(_SIGMAS * sigma, _LEAST_LIMIT)
+    return np.asarray(used & (errors <= limit)), limit
+
+
+def _covered(points: Points, size: tuple[int, int] | None) -> float:
+    assert size is not None  # candidates come from an image
+    hull = shapely.convex_hull(shapely.MultiPoint(points.image))
+    return float(hull.area / (size[0] * size[1]))

@@ -1,0 +1,151 @@
+"""Straight pieces of vectors, and where a start says that the image shows them."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import shapely
+
+from termsel import TermselError, open_dem
+from termsel_match.rasters import FloatArray
+from termsel_match.starts import Start
+
+_STRAIGHT = 0.7  # px by which a vector may bend within a piece
+SHORTEST, _LONGEST = 40.0, 150.0  # px of a piece
+
+
+@dataclass(frozen=True, eq=False)
+class Pieces:
+    """Straight pieces of vectors.
+
+    Parameters
+    ----------
+    vector : tuple of str
+        Which vector each is of.
+    ground : ndarray, shape (n, 2, 3)
+        Their ends, in the CRS.
+    image : ndarray, shape (n, 2, 2)
+        Where the start sees the ends [px].
+    crs : str
+    """
+
+    vector: tuple[str, ...]
+    ground: FloatArray
+    image: FloatArray
+    crs: str
+
+
+def pieces_of(path: Path | str, start: Start, dem: Path | str | None, size: tuple[int, int],
+              ) -> Pieces:
+    """Return the straight pieces of vectors that the image shows, as the start says.
+
+    Parameters
+    ----------
+    path : path-like
+        Lines, or areas for their boundaries, in any format of GDAL and any CRS.
+    start : Start
+    dem : path-like, optional
+        Raster of heights; without it the height of the start is taken.
+    size : tuple of int
+        Lines and samples of the image.
+
+    Raises
+    ------
+    TermselError
+        If the file cannot be read, has no CRS or no lines, the DEM does not cover the vectors, or
+        none of them is in the image.
+    """
+    from pyproj import CRS, Transformer
+
+    lines, crs = _read(Path(path))
+    to_start = Transformer.from_crs(CRS.from_user_input(crs).to_2d(),
+                                    CRS.from_user_input(start.crs).to_2d(), always_xy=True)
+    owner = np.repeat(np.arange(len(lines)), [len(line) for line in lines])
+    plane = np.concatenate(lines)
+    with ExitStack() as stack:
+        heights = np.full(len(plane), start.height) if dem is None else \
+            stack.enter_context(open_dem(Path(dem), crs))(plane)
+    if not np.isfinite(heights).any():
+        raise TermselError("the DEM does not cover any of the vectors", file=dem,
+                           hint="Give a DEM of the place. Vectors may be in another CRS.")
+    x, y = to_start.transform(*plane.T)
+    seen = start.project(np.column_stack([x, y, heights]))
+    ground = np.column_stack([plane, heights])
+    vector, ends, image = [], [], []
+    for i in range(len(lines)):
+        known = np.flatnonzero((owner == i) & np.isfinite(seen).all(axis=1))
+        # Without the vertices that have no height the line is not one.
+        for own in np.split(known, np.flatnonzero(np.diff(known) > 1) + 1):
+            for first, last in _straight(seen[own]):
+                of_image, of_ground = seen[own[[first, last]]], ground[own[[first, last]]]
+                for share in _shares(of_image, size):
+                    vector.append(str(i + 1))
+                    image.append(of_image[0] + share[:, None] * (of_image[1] - of_image[0]))
+                    ends.append(of_ground[0] + share[:, None] * (of_ground[1] - of_ground[0]))
+    if not vector:
+        raise TermselError(
+            f"no straight piece of {SHORTEST:.0f} px of the vectors is in the image, by "
+            f"{start.what}", file=path, hint="Give vectors of the same place.")
+    return Pieces(tuple(vector), np.array(ends), np.array(image), crs)
+
+
+def _read(path: Path) -> tuple[list[FloatArray], str]:
+    """Return the vertices of the lines of a file, shape (n, 2) each, and the CRS."""
+    from pyogrio.errors import DataLayerError, DataSourceError
+    from pyogrio.raw import read
+
+    if not path.exists():
+        raise TermselError("this file does not exist", file=path,
+                           hint="Check the name and the folder.")
+    try:
+        meta, _, geometry, _ = read(path, columns=[])
+    except (DataSourceError, DataLayerError) as error:
+        raise TermselError(f"GDAL cannot read these vectors: {error}", file=path,
+                           hint="Give lines as GeoPackage, GeoJSON or Shapefile.") from error
+    if meta["crs"] is None:
+        raise TermselError("the vectors have no CRS", file=path,
+                           hint="Assign the CRS in a GIS and save them again.")
+    shapes = shapely.force_2d(shapely.from_wkb(geometry))
+    areal = shapely.get_dimensions(shapes) == 2
+    shapes = np.where(areal, shapely.boundary(shapes), shapes)
+    parts = shapely.get_parts(shapely.line_merge(shapes[~shapely.is_empty(shapes)]))
+    lines = [shapely.get_coordinates(part) for part in parts
+             if shapely.get_dimensions(part) == 1 and len(shapely.get_coordinates(part)) > 1]
+    if not lines:
+        raise TermselError("the file has no lines", file=path,
+                           hint="Give a file of lines, such as roads.")
+    return lines, str(meta["crs"])
+
+
+def _straight(image: FloatArray) -> list[tuple[int, int]]:
+    """Return first and last vertex of the straight pieces of a polyline in the image."""
+    if len(image) < 2:
+        return []
+    kept = shapely.get_coordinates(shapely.simplify(shapely.LineString(image), _STRAIGHT))
+    # Vertices that are kept are those of the polyline, in its order.
+    at, places = 0, []
+    for vertex in kept:
+        at += int(np.argmin(np.abs(image[at:] - vertex).sum(axis=1)))
+        places.append(at)
+    return list(pairwise(places))
+
+
+def _shares(image: FloatArray, size: tuple[int, int]) -> list[FloatArray]:
+    """Return the parts of a straight piece in the image, first and last share of each."""
+    run = image[1] - image[0]
+    length = float(np.linalg.norm(run))
+    if length < SHORTEST:
+        return []
+    with np.errstate(divide="ignore", invalid="ignore"):
+        low, high = (0 - image[0]) / run, (np.array(size) - 1 - image[0]) / run
+    enter = np.nanmax(np.minimum(low, high), initial=0.0)
+    leave = np.nanmin(np.maximum(low, high), initial=1.0)
+    if (leave - enter) * length < SHORTEST:
+        return []
+    count = int(np.ceil((leave - enter) * length / _LONGEST))
+    steps = np.linspace(enter, leave, count + 1)
+    return [steps[i:i + 2] for i in range(count)]

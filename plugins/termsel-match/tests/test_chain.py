@@ -1,0 +1,96 @@
+"""From a raw image to a map, or to the reasons why there is none."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("termsel_match", reason="termsel-match is not installed: "
+                    "pip install -e plugins/termsel-match")
+
+import rasterio
+
+from termsel import FeatureSet, TermselError
+from termsel.testing import command_checks, criterion_checks
+from termsel_match.commands import NOT_GOOD_ENOUGH, auto_georeference
+from termsel_match.criteria import Agreement
+from termsel_match.selection import select_points
+
+CHECKS = (*criterion_checks(Agreement()), *command_checks(
+    auto_georeference, ["none.tif", "--reference", "none.tif", "-o", "none.tif"]))
+
+
+@pytest.mark.parametrize("check", CHECKS, ids=lambda check: check.name)
+def test_conforms(check: Any) -> None:
+    check.run()
+
+
+def candidates(place: Any, wrong: float) -> FeatureSet:
+    """Return exact places measured to 0.2 px, a part of them 5 to 100 px off."""
+    points, rng = place.world.independent(), np.random.default_rng(1)
+    image = points.image + rng.normal(0, 0.2, points.image.shape)
+    off = rng.permutation(len(points))[:round(wrong * len(points))]
+    turn, far = rng.uniform(0, 2 * np.pi, len(off)), rng.uniform(5, 100, len(off))
+    image[off] += np.stack([np.sin(turn), np.cos(turn)], axis=1) * far[:, None]
+    return FeatureSet(replace(points, image=image, roles=()), crs="EPSG:32633",
+                      image_size=(500, 500))
+
+
+def test_half_of_the_candidates_may_be_wrong(place: Any) -> None:
+    true, errors = place.world.independent(), []
+    for wrong in (0.0, 0.5):
+        found = select_points(candidates(place, wrong), "rpc-drift",
+                              {"rpc": str(place / "image.RPB")})
+        away = found.result.project(true.ground) - true.image
+        errors.append(np.sqrt((away**2).sum(axis=1).mean()))
+        assert found.share == pytest.approx(1 - wrong, abs=0.2)
+    assert errors[1] < max(1.2 * errors[0], 0.15)
+
+
+def test_wrong_candidates_alone_are_no_success(place: Any) -> None:
+    with pytest.raises(TermselError, match="not enough candidates agree"):
+        select_points(candidates(place, 1.0), "rpc-drift", {"rpc": str(place / "image.RPB")})
+
+
+def test_a_map_shows_the_ground_where_it_is(place: Any, says: Any, tmp_path: Path) -> None:
+    output, folder = tmp_path / "map.tif", tmp_path / "out"
+    words = ("auto-georeference", place / "image.tif", "--reference", place / "ortho.tif", "--dem",
+             place / "dem.tif", "--vectors", place / "roads.gpkg", "--count", 100, "-o", output)
+    code, text = says(*words, "--out", folder)
+    assert code == 0, text
+    assert "Not good enough" not in text
+    assert (folder / "report.txt").read_text() in text
+    assert {"candidates.csv", "report.txt", "result"} == {one.name for one in folder.iterdir()}
+    with rasterio.open(output) as raster, rasterio.open(place / "ortho.tif") as ortho:
+        window = ortho.window(*raster.bounds)
+        other = ortho.read(1, window=window, out_shape=raster.shape, boundless=True).astype(float)
+        own = raster.read(1).astype(float)
+
+    def likeness(down: int, right: int) -> float:
+        moved = np.roll(other, (down, right), axis=(0, 1))
+        both = (own > 0) & (moved > 0)
+        return float(np.corrcoef(own[both], moved[both])[0, 1])
+
+    assert likeness(0, 0) > 1.05 * max(likeness(2, 0), likeness(-2, 0), likeness(0, 2),
+                                       likeness(0, -2))
+
+
+def test_a_result_that_is_not_good_enough_ends_with_three(place: Any, says: Any, tmp_path: Path,
+                                                         altered: Callable[..., Path]) -> None:
+    output = tmp_path / "map.tif"
+    words = ("--reference", place / "ortho.tif", "--dem", place / "dem.tif", "--count", 60, "-o",
+             output)
+    code, text = says("auto-georeference", place / "image.tif", *words, "--accept", 0.01)
+    assert code == NOT_GOOD_ENOUGH
+    assert "accepted are 0.01 px" in text
+    sea = altered("image.tif", lambda pixels: (300 + np.random.default_rng(0).normal(
+        0, 5, pixels.shape)).astype(np.uint16))
+    code, text = says("auto-georeference", sea, *words)
+    assert code == 2
+    assert "not enough candidates" in text
+    assert not output.exists()

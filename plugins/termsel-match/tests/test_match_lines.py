@@ -1,0 +1,154 @@
+"""Candidate lines by matching an image with vectors, and the selection of those that agree."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("termsel_match", reason="termsel-match is not installed: "
+                    "pip install -e plugins/termsel-match")
+
+import shapely
+from pyogrio.raw import write
+
+import termsel
+from termsel import FeatureSet, Lines, TermselError
+from termsel.testing import command_checks, problem_checks
+from termsel_match.commands import match_lines
+from termsel_match.lines import LineCandidates
+from termsel_match.lines import match_lines as match
+from termsel_match.problem import RECIPE
+from termsel_match.rounds import iterate_lines, undetermined
+from termsel_match.starts import Start
+
+CHECKS = (*command_checks(match_lines, ["none.tif", "--vectors", "none.gpkg"]),
+          *problem_checks(RECIPE))
+
+
+@pytest.mark.parametrize("check", CHECKS, ids=lambda check: check.name)
+def test_conforms(check: Any) -> None:
+    check.run()
+
+
+@pytest.fixture(scope="module")
+def found(place: Any) -> LineCandidates:
+    return match(place / "image.tif", place / "roads.gpkg", dem=place / "dem.tif")
+
+
+def _away(place: Any, lines: Lines) -> Any:
+    """Return the largest distance of both ground vertices from each image line."""
+    ground = lines.ground.reshape(-1, 3)
+    seen = place.world.camera.project(place.geographic(ground)).reshape(-1, 2, 2)
+    run = lines.image[:, 1] - lines.image[:, 0]
+    normal = np.stack([-run[:, 1], run[:, 0]], axis=1) / np.linalg.norm(run, axis=1)[:, None]
+    return np.abs(np.einsum("nva,na->nv", seen - lines.image[:, :1], normal)).max(axis=1)
+
+
+def test_most_candidates_are_wrong_and_many_pieces_have_a_right_one(
+        place: Any, found: LineCandidates) -> None:
+    right, piece = _away(place, found.lines) < 2, found.lines.attributes["piece"]
+    assert right.mean() < 0.6
+    with_right = [right[piece == one].any() for one in set(piece)]
+    assert len(with_right) >= 10
+    assert np.mean(with_right) > 0.35
+    assert np.abs(found.lines.attributes["offset"].astype(float)).max() <= 63
+
+
+def test_rounds_find_the_camera_from_thirty_px_off(place: Any, tmp_path: Path) -> None:
+    done = iterate_lines(place / "image.tif", place / "roads.gpkg", "rpc-drift",
+                         {"rpc": str(place / "image.RPB")}, dem=place / "dem.tif",
+                         out=tmp_path / "result")
+    true = place.world.independent()
+    errors = np.linalg.norm(done.result.project(true.ground) - true.image, axis=1)
+    assert np.sqrt((errors**2).mean()) < 2
+    assert done.settled
+    assert done.rounds[0].moved > 15 > 1 > done.rounds[-1].moved
+    assert "round  search" in done.text()
+    assert "in all directions" in done.text()
+    assert termsel.read_result(tmp_path / "result").selection.features == done.lines.ids
+
+
+def test_the_table_runs_as_a_problem(place: Any, found: LineCandidates, tmp_path: Path) -> None:
+    termsel.write_lines_csv(found.lines, tmp_path / "lines.csv", found.crs)
+    features = termsel.read(lines=tmp_path / "lines.csv")
+    result = termsel.run("matched-lines", features=features, model="rpc-shift",
+                         options={"rpc": str(place / "image.RPB")}, generations=30)
+    chosen = features.lines.take(np.isin(features.lines.ids, result.selection.features))
+    assert len(set(chosen.attributes["piece"])) == len(chosen)
+    assert (_away(place, chosen) < 3).mean() > 0.6
+
+
+def test_lines_of_one_direction_leave_the_other_undetermined() -> None:
+    along = np.array([[0.0, 0], [0, 100]])  # along the samples: only the line is fixed
+    image = np.stack([along + np.array([shift, 0]) for shift in (10, 200, 400)])
+    ground = np.dstack([image, np.zeros((3, 2))])
+    lines = Lines(("a", "b", "c"), image, ground, np.full(3, 0.5))
+    assert "along it not at all" in undetermined(lines)
+    crossing = image[:1, :, ::-1] + 5
+    more = Lines(("a", "b", "c", "d"), np.concatenate([image, crossing]),
+                 np.dstack([np.concatenate([image, crossing]), np.zeros((4, 2))]),
+                 np.full(4, 0.5))
+    assert "in all directions" in undetermined(more)
+
+
+@pytest.fixture
+def vectors(tmp_path: Path) -> Callable[..., Path]:
+    def save(lines: Any, crs: str | None = "EPSG:32633") -> Path:
+        path = tmp_path / "vectors.gpkg"
+        write(path, shapely.to_wkb(np.array([shapely.LineString(one) for one in lines])), [],
+              fields=[], geometry_type="LineString", crs=crs)
+        return path
+
+    return save
+
+
+def test_vectors_in_another_crs_give_the_same(place: Any, found: LineCandidates,
+                                              vectors: Callable[..., Path]) -> None:
+    other = match(place / "image.tif", vectors(
+        [place.geographic(np.column_stack([one, one[:, 0] * 0]))[:, :2]
+         for one in place.world.vectors()], "EPSG:4326"), dem=place / "dem.tif")
+    assert len(other.lines) == len(found.lines)
+    assert np.abs(other.lines.image - found.lines.image).max() < 0.5
+
+
+def test_what_cannot_be_matched_is_refused(place: Any, vectors: Callable[..., Path],
+                                           says: Any, tmp_path: Path) -> None:
+    far = [one + 90000 for one in place.world.vectors()]
+    image, dem = place / "image.tif", place / "dem.tif"
+    for path, heights, reason in (
+            (vectors(far), None, "no straight piece"), (vectors(far), dem, "does not cover"),
+            (tmp_path / "none.gpkg", dem, "does not exist"),
+            (place / "image.RPB", dem, "cannot read these vectors")):
+        with pytest.raises(TermselError, match=reason):
+            match(image, path, dem=heights)
+    with pytest.raises(TermselError, match="have no CRS"):
+        match(image, vectors(place.world.vectors(), None), dem=dem)
+    code, text = says("match-lines", image, "--vectors", place / "roads.gpkg", "--out",
+                      tmp_path / "r", "--output", tmp_path / "l.csv")
+    assert code == 2
+    assert "--out requires --iterate" in text
+    with pytest.raises(TermselError, match="without a start"):
+        match(image, place / "roads.gpkg", start="none")
+
+
+def test_a_start_beyond_the_search_is_no_success(place: Any) -> None:
+    rpc = place.world.rpc
+    far = Start("a wrong RPC", "EPSG:4979", 520.0, lambda ground: rpc.project(ground) + 70,
+                rpc.locate)
+    with pytest.raises(TermselError, match="not enough"):
+        iterate_lines(place / "image.tif", place / "roads.gpkg", "rpc-drift",
+                      {"rpc": str(place / "image.RPB")}, dem=place / "dem.tif", start=far,
+                      search=30)
+
+
+def test_points_are_refused(place: Any) -> None:
+    points = place.world.independent()
+    lines = Lines(("a",), np.array([[[0.0, 0], [9, 9]]]), points.ground[None, :2])
+    with pytest.raises(TermselError, match="lines"):
+        termsel.run("matched-lines", features=FeatureSet(
+            replace(points, roles=()), lines, "EPSG:32633"))
