@@ -188,9 +188,9 @@ the truth.
 
 ## With wrong candidates
 
-A share of the candidate points is moved by 5 to 100 px in any direction, besides those that are
-wrong anyway. This is the comparison of figure 6 of Konugurthi et al. (2016) on other data. Medians
-of the scenes:
+A share of the candidate points is moved by 5 to 100 px in any direction, in addition to those that
+are wrong anyway. This is the comparison of figure 6 of Konugurthi et al. (2016) on other data.
+Medians of the scenes:
 
 | method | {head} |
 |---|{"---|" * len(SHARES)}

@@ -22,7 +22,7 @@ from termsel.runs.task import DATA_OPTIONS
 from termsel.solvers.budget import SEARCH_OPTIONS
 
 OF_EVERY_RUN = {"data": DATA_OPTIONS, "search": SEARCH_OPTIONS}
-OWN = ("termsel", "termsel-hybrids", "termsel-rpc")
+OWN = ("termsel", "termsel-hybrids", "termsel-match", "termsel-rpc")
 """Packages of the repository: others that happen to be installed are not documented here."""
 
 SCHEMA = Path(termsel.__file__).parent / "results" / "result.schema.json"
