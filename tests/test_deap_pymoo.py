@@ -22,6 +22,7 @@ from pymoo.algorithms.moo.nsga2 import NSGA2
 from pymoo.algorithms.moo.rnsga2 import RNSGA2
 from pymoo.algorithms.soo.nonconvex.ga import GA
 from pymoo.algorithms.soo.nonconvex.pso import PSO
+from pymoo.algorithms.soo.nonconvex.random_search import RandomSearch
 from pymoo.operators.crossover.pntx import TwoPointCrossover
 from pymoo.operators.crossover.ux import UX
 from pymoo.operators.mutation.bitflip import BitflipMutation
@@ -257,6 +258,7 @@ def test_each_algorithm_of_pymoo_conforms(check: Check) -> None:
     ({"algorithm": "moead"}, "'moead' refuses constraints"),
     ({"algorithm": "rnsga3"}, "'rnsga3' requires reference points; make .* termsel.from_pymoo"),
     ({"algorithm": "de"}, "'de' moves real numbers"),
+    ({"algorithm": ["nsga2"]}, "does not accept"),
     ({"algorithm": "nsga2", "horizon": 5}, "'horizon' is for algorithm=rvea")])
 def test_what_pymoo_cannot_do_here_is_refused_with_the_reason(options: dict[str, Any],
                                                               said: str) -> None:
@@ -337,6 +339,11 @@ def test_an_algorithm_of_ones_own_is_a_solver(algorithm: Any, objectives: int) -
     assert len(runs[0].objectives) == objectives
     assert runs[0].evaluations == 200
     assert not algorithm.is_initialized
+
+
+def test_an_algorithm_without_a_population_is_a_solver() -> None:
+    mine = termsel.from_pymoo(RandomSearch(10, sampling=BinaryRandomSampling()))
+    assert search(problems.twelve_terms(), mine(), evaluations=35).evaluations == 35
 
 
 def test_forced_genes_are_kept_by_algorithms_of_ones_own() -> None:

@@ -79,7 +79,7 @@ class Pymoo(Solver):
 
     def __init__(self, **options: Any) -> None:
         asked = options.get("algorithm")
-        if asked in UNFIT:
+        if isinstance(asked, str) and asked in UNFIT:
             raise TermselError(f"pymoo's algorithm {asked!r} {UNFIT[asked]}",
                                hint=f"Choose one of: {', '.join(ALGORITHMS)}.")
         super().__init__(**options)

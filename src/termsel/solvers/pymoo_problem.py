@@ -146,7 +146,7 @@ def steps(algorithm: Algorithm, problem: Problem, rng: np.random.Generator,
     # By default pymoo gives all algorithms of a class one survival, with what an earlier run left.
     if survival := getattr(algorithm, "survival", None):
         algorithm.survival = deepcopy(survival)
-    expected = horizon or max(EVALUATIONS // (algorithm.pop_size or 1), 1)
+    expected = horizon or max(EVALUATIONS // (getattr(algorithm, "pop_size", None) or 1), 1)
     with chance:
         algorithm.setup(_Posed(problem), termination=_Horizon(expected))
     algorithm.random_state = rng
