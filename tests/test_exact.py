@@ -11,10 +11,11 @@ import pytest
 
 import termsel
 import termsel.report.text
+from termsel.adjustment import subsets
 from termsel.criteria import CheckRmse, Fits
 from termsel.errors import TermselError
 from termsel.runs.assess import assessed
-from termsel.solvers.exact import Exact, count, gap
+from termsel.solvers.exact import Exact, count, gap, prove
 from termsel.solvers.ga import GeneticAlgorithm
 from termsel.testing import check_criterion
 
@@ -43,8 +44,15 @@ def test_exact_finds_what_brute_force_finds(case: str, dataset: str) -> None:
     genes, objectives = brute_force(task.problem)
     result = termsel.run(task)
     assert result.objectives["check-rmse"] == pytest.approx(objectives.min(), rel=1e-9)
-    assert result.certificate == {"optimal": True, "subsets": count(task.problem),
-                                  "of": count(task.problem), "space": "all selections"}
+    optimum = result.objectives["check-rmse"]
+    most = task.problem.genome.segments[0].maximum
+    space = "all selections" + (
+        "" if most is None or most >= len(genes[0]) // len(task.problem.parts())
+        else f" of up to {most} terms" + " an axis" * (case != "shared"))
+    assert result.certificate == {
+        "optimal": True, "subsets": count(task.problem), "of": count(task.problem),
+        "bounded": result.certificate["bounded"], "space": space, "bound": optimum,
+        "gap": 0.0}
     # The front is the best of every size that beats all smaller ones.
     terms = task.problem.masks(genes)[0].sum(axis=1)
     best, expected = np.inf, {}
@@ -71,18 +79,36 @@ def test_forced_genes_and_cardinality_hold() -> None:
 
 def test_max_terms_is_the_space_of_the_certificate() -> None:
     result = termsel.run("poly-terms", solver="exact", options={"degree": 3, "max_terms": 4})
-    assert result.certificate["space"] == "selections of up to 4 terms"
+    assert result.certificate["space"] == "selections of up to 4 terms an axis"
     assert result.certificate["subsets"] == 2 * sum([1, 10, 45, 120, 210])
     assert len(result.selection.terms) <= 8
 
 
-def test_a_space_too_large_is_cut_and_announced(caplog: pytest.LogCaptureFixture) -> None:
-    task = termsel.prepare("rfm-terms", solver="exact")
+def test_a_large_space_is_not_cut_and_ends_with_a_certificate(
+        caplog: pytest.LogCaptureFixture) -> None:
+    task = termsel.prepare("poly-terms", solver="exact", options={"degree": 7, "max_share": 1.0})
     with caplog.at_level("INFO", logger="termsel"):
         found = termsel.search(task.problem, task.solver, seconds=0.3)
-    assert re.search(r"exact: deciding [\d,]+ subsets \(selections of up to 8 terms, 2 parts\); "
-                     r"about \S", caplog.text)
-    assert found.certificate == {**found.certificate, "optimal": False}
+    assert re.search(r"exact: deciding 132,955,328,176 subsets \(all selections of up to 23 terms "
+                     r"an axis, 2 parts\)", caplog.text)
+    certificate = assessed(task, found).certificate
+    assert not certificate["optimal"]
+    assert certificate["subsets"] < certificate["of"] == count(task.problem)
+    assert 0 <= certificate["bound"] <= found.objectives[0]
+
+
+@pytest.mark.parametrize("criterion", ["check-rmse", "ebic"])
+def test_at_any_time_the_bound_holds_and_rises(criterion: str,
+                                               monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(subsets, "_BRANCH", 1 << 9)
+    problem = termsel.prepare("poly-terms", criterion=criterion, options={"degree": 4}).problem
+    states = list(prove(problem))
+    found = problem.evaluate(np.array([state.front()[-1] for state in states[1:]]))
+    bounds = [state.bound(best) for state, best in
+              zip(states[1:], found.objectives[:, 0], strict=True)]
+    assert bounds == sorted(bounds)
+    assert bounds[0] < bounds[-1] == found.objectives[-1, 0] == found.objectives.min()
+    assert len(set(bounds)) > 2
 
 
 def test_an_interrupted_proof_proves_nothing_but_has_the_best_so_far() -> None:
@@ -187,7 +213,8 @@ def test_no_gap_to_an_optimum_that_the_find_beats() -> None:
 
 
 def test_the_number_of_evaluations_is_the_same_on_a_slow_machine() -> None:
-    task = termsel.prepare("poly-terms", solver="exact", options={"degree": 5, "workers": 1})
+    task = termsel.prepare("poly-terms", solver="exact", criterion="press",
+                           options={"degree": 5, "workers": 1})
     found = [termsel.search(task.problem, task.solver,
                             observers=[lambda _, wait=wait: time.sleep(wait)])
              for wait in (0.0, 0.01)]

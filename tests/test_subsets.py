@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from termsel.adjustment import subsets
 from termsel.adjustment.equations import Equations
 from termsel.adjustment.solve import solve
-from termsel.adjustment.subset_stack import stack
+from termsel.adjustment.subset_stack import Stack, stack
 from termsel.adjustment.subset_system import SCORES, Piece, SubsetSystem, count_subsets
 from termsel.adjustment.subsets import SubsetResult, estimate_seconds, search
 from termsel.errors import TermselError
@@ -107,8 +107,10 @@ def assert_proven(system: SubsetSystem, score: str, folds: Sequence[np.ndarray] 
     np.testing.assert_allclose(result.best, best, rtol=rtol, atol=tiny)
     assert result.complete
     assert result.subsets == result.total == n
-    if not result.pruned:
+    assert result.infeasible <= infeasible
+    if score in ("press", "kfold"):  # others are ruled out without a look at their denominators
         assert result.infeasible == infeasible
+    np.testing.assert_array_equal(result.floor, result.best)
     for size in np.flatnonzero(np.isfinite(best)):
         columns = result.columns(size)
         assert columns.sum() == size
@@ -229,6 +231,7 @@ def test_workers_and_pieces_do_not_matter(score: str, monkeypatch: pytest.Monkey
     folds = folds_of(16) if score == "kfold" else ()
     whole = last(system, score, folds=folds, max_terms=9)
     monkeypatch.setattr(subsets, "_PIECE", 20)
+    monkeypatch.setattr(subsets, "_BRANCH", 20)
     one, two = (list(search(system, score, folds=folds, max_terms=9, workers=w)) for w in (1, 2))
     assert len(one) == len(two) > 50
     for a, b in zip(one, two, strict=True):
@@ -271,10 +274,11 @@ def test_the_bound_spares_work_and_changes_nothing(max_terms: int | None) -> Non
     system = replace(system, target=system.design[:, 3:7].sum(axis=1, keepdims=True)
                      + 0.3 * system.target)
     bounded = last(system, "rss", max_terms=max_terms)
-    # Control points that are check points as well: the same sums without a bound.
-    plain = last(replace(system, check_design=system.design, check_target=system.target), "check",
-                 max_terms=max_terms)
-    np.testing.assert_allclose(bounded.best, plain.best, rtol=1e-9)
+    # Two equal right-hand sides: twice the same sums, without a bound if they are check points'.
+    twice = np.repeat(system.target, 2, axis=1)
+    plain = last(replace(system, target=twice, check_design=system.design, check_target=twice),
+                 "check", max_terms=max_terms)
+    np.testing.assert_allclose(bounded.best, plain.best / 2, rtol=1e-9)
     np.testing.assert_array_equal(bounded.masks, plain.masks)
     assert bounded.complete
     assert bounded.pruned > 0.9 * bounded.total
@@ -282,7 +286,7 @@ def test_the_bound_spares_work_and_changes_nothing(max_terms: int | None) -> Non
 
 
 def test_interrupted_search_leaves_the_best_so_far(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(subsets, "_PIECE", 64)
+    monkeypatch.setattr(subsets, "_BRANCH", 64)
     system = polynomial(np.random.default_rng(11), k=12, m=14)
     running = search(system, "check", workers=2)
     states = [next(running) for _ in range(3)]
@@ -331,3 +335,71 @@ def test_what_a_developer_can_correct() -> None:
         last(SubsetSystem(system.design, system.target), "check")
     with pytest.raises(ValueError, match="score 'kfold' requires folds"):
         last(system, "kfold")
+
+
+def decided_without_bounds(system: SubsetSystem, score: str, max_terms: int | None,
+                           monkeypatch: pytest.MonkeyPatch) -> SubsetResult:
+    """Look at every subset, as for scores that have no bound."""
+    with monkeypatch.context() as patch:
+        patch.setattr(Stack, "branches", False)
+        return last(system, score, max_terms=max_terms)
+
+
+def random_system(rng: np.random.Generator, rational: bool) -> SubsetSystem:
+    """Return 9 to 12 columns, some nearly dependent, whose fit leaves little or much."""
+    k, m, c = rng.integers((9, 6, 5), (13, 16, 14))
+    rows = rng.normal(size=(m + c, k)) * 10.0 ** rng.uniform(-2, 1, size=k)
+    rows[:, -1] = rows[:, 0] + 10.0 ** rng.uniform(-6, 0) * rows[:, -1]
+    target = rows[:, :3].sum(axis=1, keepdims=True) + 10.0 ** rng.uniform(-4, 0) * rng.normal(
+        size=(m + c, 1))
+    linear = SubsetSystem(rows[:m], target[:m], rows[m:], target[m:])
+    if not rational:
+        return linear
+    below = np.where(np.arange(k) < k // 2, 0.0, rng.normal(size=(m + c, k)))
+    design = np.where(np.arange(k) < k // 2, rows, -target * below)
+    return replace(linear, design=design[:m], check_design=design[m:], denominator=below[:m],
+                   check_denominator=below[m:], margin=float(rng.uniform(0.05, 0.9)),
+                   guard_denominator=below[:3] if rng.random() < 0.3 else None)
+
+
+@pytest.mark.parametrize(("kind", "problems"), [
+    pytest.param(kind, n, marks=marks)
+    for kind in ("check", "rational", "rss")
+    for n, marks in ((150, ()), (4000, pytest.mark.slow))])
+def test_bounds_lose_no_best_subset(kind: str, problems: int,
+                                    monkeypatch: pytest.MonkeyPatch) -> None:
+    """Scores, masks and poles of random problems, with and without caps, against every subset."""
+    pruned = 0
+    for seed in range(problems):
+        rng = np.random.default_rng([seed, problems])
+        system = random_system(rng, kind == "rational")
+        score = "rss" if kind == "rss" else "check"
+        most = None if rng.random() < 0.5 else int(rng.integers(1, 8))
+        plain = decided_without_bounds(system, score, most, monkeypatch)
+        bounded = last(system, score, max_terms=most)
+        # A score of rounding error alone is anyone's.
+        np.testing.assert_allclose(bounded.best, plain.best, rtol=1e-6, atol=1e-11, err_msg=seed)
+        assert bounded.complete
+        pruned += bounded.pruned
+    assert pruned > 100 * problems  # the bounds had something to lose
+
+
+def test_a_bound_holds_for_every_piece_and_rises() -> None:
+    rng = np.random.default_rng(12)
+    found = 0
+    for _ in range(40):
+        system = random_system(rng, True)
+        ready = stack(system, "check", (), None)
+        best = last(system, "check").best
+        if not 0 < best.min() < np.inf:
+            continue
+        order = rng.permutation(system.design.shape[1])
+        used, rest = order[:rng.integers(1, 4)], order[4:]
+        piece = ready.bounded(Piece(used, rest, len(rest)), best)
+        half = ready.bounded(piece.halves()[0], best)
+        k = len(order)
+        inside = ready.walk(piece, np.full(k + 1, np.inf), np.zeros(k + 1, dtype=np.uint64))
+        assert piece.least <= inside.best.min() * (1 + 1e-9)
+        assert piece.least <= half.least <= best.min()
+        found += piece.least > 0
+    assert found > 10

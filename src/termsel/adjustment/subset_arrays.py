@@ -90,3 +90,68 @@ class Records(NamedTuple):
     guard: FloatArray
     x: FloatArray
     sums: FloatArray
+
+
+class Space(NamedTuple):
+    """Space for a bound of n columns and e rows of the score.
+
+    Parameters
+    ----------
+    gram, triangle : ndarray, shape (n + 1, n + 1)
+    rows : ndarray, shape (n + 1, e)
+    x : ndarray, shape (3, max(n + 1, e))
+    """
+
+    gram: FloatArray
+    triangle: FloatArray
+    rows: FloatArray
+    x: FloatArray
+
+
+class Products(NamedTuple):
+    """Inner products of few columns and the target, at every level of their elimination.
+
+    Parameters
+    ----------
+    M : ndarray, shape (levels, n, n)
+        Of the columns; only above the diagonal.
+    own, f : ndarray, shape (levels, n)
+        The diagonal, and the products with the target.
+    total : ndarray, shape (levels,)
+        Of the target with itself.
+    """
+
+    M: FloatArray
+    own: FloatArray
+    f: FloatArray
+    total: FloatArray
+
+
+class Blocks(NamedTuple):
+    """What a block of subsets is decided from.
+
+    Parameters
+    ----------
+    control, errors, below : Products
+        In the control rows, and of the errors and the denominators of the score.
+    sums : ndarray, shape (levels, n + 1)
+        Sums over the denominators' rows; the target is the last.
+    inverse, a, u, row, below_row, weight : ndarray
+        Inverse squared lengths before any elimination, (n,), and space: (n,) twice and
+        (max(n, rows),) thrice.
+    share, cursor : ndarray, shape (levels,)
+        Product of the shares of length that were left; columns in use.
+    """
+
+    control: Products
+    errors: Products
+    below: Products
+    sums: FloatArray
+    inverse: FloatArray
+    a: FloatArray
+    u: FloatArray
+    row: FloatArray
+    below_row: FloatArray
+    weight: FloatArray
+    share: FloatArray
+    cursor: Any

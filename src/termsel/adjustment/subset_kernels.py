@@ -32,7 +32,7 @@ _compiled = partial(compiled, _nrt=False, forceinline=True,
 
 
 @_compiled
-def _dot(a: FloatArray, b: FloatArray) -> float:
+def dot(a: FloatArray, b: FloatArray) -> float:
     total = 0.0
     for row in range(len(a)):
         total += a[row] * b[row]
@@ -40,14 +40,14 @@ def _dot(a: FloatArray, b: FloatArray) -> float:
 
 
 @_compiled
-def _less(out: FloatArray, a: FloatArray, b: FloatArray, ratio: float) -> None:
+def less(out: FloatArray, a: FloatArray, b: FloatArray, ratio: float) -> None:
     """Write a - ratio b."""
     for row in range(len(out)):
         out[row] = a[row] - ratio * b[row]
 
 
 @_compiled
-def _less_measured(out: FloatArray, a: FloatArray, b: FloatArray, ratio: float,
+def less_measured(out: FloatArray, a: FloatArray, b: FloatArray, ratio: float,
                    t: FloatArray) -> tuple[float, float]:
     """Write a - ratio b; return its squared length and its product with t."""
     square = 0.0
@@ -106,7 +106,7 @@ def _press_squares(t: FloatArray, v: FloatArray, t_below: FloatArray, v_below: F
 
 
 @_compiled
-def _score(kind: int, top: FloatArray, extra: FloatArray, square: FloatArray, share: FloatArray,
+def score_of(kind: int, top: FloatArray, extra: FloatArray, square: FloatArray, share: FloatArray,
            leverage: FloatArray, cross: FloatArray, c: int, systems: int, r: int,
            limits: Limits) -> float:
     """Return the score of one depth's column c."""
@@ -144,11 +144,11 @@ def _keeps_guard(levels: Levels, depth: int, cursor: IntArray, records: Records,
         sums[i] = -guard[n, i]
     for q in range(depth, -1, -1):
         v = levels.top[q, 0, cursor[q]]
-        product = _dot(v, levels.top[q, 0, n])
+        product = dot(v, levels.top[q, 0, n])
         for s in range(q + 1, depth + 1):
-            product -= _dot(v, levels.top[q, 0, cursor[s]]) * x[s]
+            product -= dot(v, levels.top[q, 0, cursor[s]]) * x[s]
         x[q] = product / levels.square[q, 0, cursor[q]]
-        _less(sums, sums, guard[cursor[q]], -x[q])
+        less(sums, sums, guard[cursor[q]], -x[q])
     poles = 0
     for i in range(len(sums)):
         poles += not sums[i] >= margin
@@ -166,7 +166,7 @@ def _has_parents(mask: Any, parents: Any) -> bool:
 
 
 @_compiled
-def _record(score: float, size: int, mask: Any, levels: Levels, depth: int, cursor: IntArray,
+def record(score: float, size: int, mask: Any, levels: Levels, depth: int, cursor: IntArray,
             records: Records, margin: float) -> None:
     """Keep a subset that is the best of its size; in a tie the smaller mask."""
     best, masks, some_of = records.best, records.masks, records.some_of[0]
@@ -199,15 +199,15 @@ def _remaining_rss(top: FloatArray, first: int, n: int, work: FloatArray) -> flo
     """
     vectors = len(top)
     for j in range(first, vectors):
-        _less(work[j], top[j], top[j], 0.0)
+        less(work[j], top[j], top[j], 0.0)
     for i in range(first, n):
-        square = _dot(work[i], work[i])
+        square = dot(work[i], work[i])
         if square > 0.0:
             for j in range(i + 1, vectors):
-                _less(work[j], work[j], work[i], _dot(work[i], work[j]) / square)
+                less(work[j], work[j], work[i], dot(work[i], work[j]) / square)
     total = 0.0
     for j in range(n, vectors):
-        total += _dot(work[j], work[j])
+        total += dot(work[j], work[j])
     return total
 
 
@@ -271,31 +271,32 @@ def walk(kind: int, levels: Levels, limits: Limits, records: Records, used: Any,
         if depth > 0:
             for f in range(systems):
                 for j in range(r):
-                    _less(top[f, n + j], top0[f, n + j], top0[f, i], share0[f, i, j])
-                    _less(extra[f, n + j], extra0[f, n + j], extra0[f, i], share0[f, i, j])
+                    less(top[f, n + j], top0[f, n + j], top0[f, i], share0[f, i, j])
+                    less(extra[f, n + j], extra0[f, n + j], extra0[f, i], share0[f, i, j])
         for c in range(first, last):
             dependent = False
             for f in range(systems):
                 if depth > 0:
-                    ratio = _dot(top0[f, i], top0[f, c]) / square0[f, i]
-                    length, product = _less_measured(top[f, c], top0[f, c], top0[f, i], ratio,
+                    ratio = dot(top0[f, i], top0[f, c]) / square0[f, i]
+                    length, product = less_measured(top[f, c], top0[f, c], top0[f, i], ratio,
                                                      top[f, n])
-                    _less(extra[f, c], extra0[f, c], extra0[f, i], ratio)
+                    less(extra[f, c], extra0[f, c], extra0[f, i], ratio)
                     square[f, c] = length
                     share[f, c, 0] = product / length
                     for j in range(1, r):
-                        share[f, c, j] = _dot(top[f, c], top[f, n + j]) / length
+                        share[f, c, j] = dot(top[f, c], top[f, n + j]) / length
                 dependent |= square[f, c] <= levels.floor[f, c]
             if dependent:
                 square[0, c] = 0.0
                 infeasible += counts[n - 1 - c, room - depth - 1]
                 continue
-            score = _score(kind, top, extra, square, share, leverage, cross, c, systems, r, limits)
+            score = score_of(kind, top, extra, square, share, leverage, cross, c, systems, r,
+                             limits)
             infeasible += not score < np.inf
             new = size + depth + (c < n)
             if score <= records.best[new]:
                 cursor[depth] = c
-                _record(score, new, mask[depth] | records.bits[c], levels, depth, cursor, records,
+                record(score, new, mask[depth] | records.bits[c], levels, depth, cursor, records,
                         limits.margin)
         cursor[depth] = first
         last = n

@@ -2,18 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
 
 import numpy as np
 
 from termsel.adjustment.solve import TOLERANCE
-from termsel.adjustment.subset_arrays import Levels, Limits, Records
+from termsel.adjustment.subset_arrays import Blocks, Levels, Limits, Products, Records, Space
+from termsel.adjustment.subset_bounds import first_closed
+from termsel.adjustment.subset_branches import branch
 from termsel.adjustment.subset_kernels import LINEAR, PRESS, RATIONAL, RSS, largest_open, walk
 from termsel.adjustment.subset_system import BITS, SCORES, Masks, Piece, SubsetSystem, Walked
 from termsel.errors import TermselError, unknown_name
 from termsel.measurements.features import FloatArray, IntArray
+
+_HALVINGS = 7  # of the interval in which a bound lies: less than a per cent of the RMSE is left
+
+
+_RESTARTS = 8  # of the descent before all is decided
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,6 +59,12 @@ class Stack:
     parents: Masks
     everything: Piece
 
+    @property
+    def branches(self) -> bool:
+        """Whether subsets are decided by branch and bound."""
+        return (self.kind != PRESS and len(self.systems) == 1
+                and self.systems[0].control.shape[1] == self.k + 1)
+
     @cached_property
     def _targets(self) -> IntArray:
         return np.arange(self.k, self.systems[0].control.shape[1])
@@ -64,10 +77,42 @@ class Stack:
     @property
     def starts(self) -> list[Piece]:
         """Single subsets, each a candidate for the best of its size: bounds need some."""
-        if self.kind != RSS:
+        if self.kind != RSS or self.branches:
             return []
         used, rest, room = self.everything.used, self.everything.rest, self.everything.room
         return [Piece(np.concatenate([used, rest[:n]]), rest[:0], 0) for n in range(room + 1)]
+
+    def descents(self) -> Iterator[tuple[FloatArray, Masks]]:
+        """Yield good subsets of every size, found by adding, dropping and swapping columns.
+
+        From each best subset of a size every single change is tried, until none helps: first from
+        no column, then from random subsets, always the same.
+        """
+        used, rest, room = self.everything.used, self.everything.rest, self.everything.room
+        rng = np.random.default_rng(0)
+        for size in (0, *rng.integers(1, room + 1, size=_RESTARTS).tolist()):
+            chosen = rng.permutation(len(rest))[:size]
+            around = [int(BITS[np.concatenate([used, rest[chosen]])].sum())]
+            best, masks = np.full(self.k + 1, np.inf), np.zeros(self.k + 1, dtype=np.uint64)
+            seen = set(around)
+            while around:
+                for piece in (piece for mask in around for piece in self._changes(mask)):
+                    walked = self.walk(piece, best, masks)
+                    best, masks = walked.best, walked.masks
+                around = [mask for mask in masks.tolist() if mask and mask not in seen]
+                seen.update(around)
+            yield best, masks
+
+    def _changes(self, mask: int) -> list[Piece]:
+        """Return the subsets with one more column than a subset, and with one or none instead."""
+        used, rest, room = self.everything.used, self.everything.rest, self.everything.room
+        inside = (BITS[rest] & np.uint64(mask)) != 0
+        mine, others = rest[inside], rest[~inside]
+        pieces = [Piece(np.concatenate([used, mine]), others, min(1, room - len(mine)))]
+        for i in range(len(mine)):
+            kept = np.concatenate([used, np.delete(mine, i)])
+            pieces.append(Piece(kept, others, 1))
+        return pieces
 
     def trimmed(self, piece: Piece, best: FloatArray) -> Piece:
         """Return the part of a piece that may still have a best subset, if any.
@@ -83,9 +128,79 @@ class Stack:
         return replace(piece, room=most - size)
 
     def walk(self, piece: Piece, best: FloatArray, masks: Masks) -> Walked:
-        """Decide the subsets of a piece, given the best ones so far.
+        """Decide the subsets of a piece, given the best ones so far."""
+        prepared = self._prepared(piece)
+        if prepared is None:
+            return Walked(best, masks, piece.count, 0)
+        levels, limits, guard = prepared
+        depths, _, vectors, height = levels.top.shape
+        n = len(piece.rest)
+        best, masks = best.copy(), masks.copy()
+        records = Records(best, masks, np.append(BITS[piece.rest], np.uint64(0)),
+                          np.array([self.some_of]), self.parents, guard, np.empty(depths),
+                          np.empty(guard.shape[1]))
+        cursor, rooms = np.zeros((2, depths), dtype=np.intp)
+        mask, used = np.zeros(depths, dtype=np.uint64), BITS[piece.used].sum()
+        counts = _counts(n, limits.room)
+        if self.branches:
+            space = self._space(levels)
+            infeasible, pruned = branch(
+                self.kind, levels, limits, records, used, counts, cursor, rooms, mask,
+                np.empty((depths, space.rows.shape[1])), space,
+                _blocks(depths, n, space.rows.shape[1]))
+        else:
+            infeasible, pruned = walk(
+                self.kind, levels, limits, records, used, counts, cursor, rooms, mask,
+                np.empty((vectors, height)), None if levels.share[0].size == n + 1 else False)
+        return Walked(best, masks, infeasible, pruned)
 
-        The columns in use are taken out here, by LAPACK; what is left needs fewer rows.
+    def bounded(self, piece: Piece, best: FloatArray) -> Piece:
+        """Return a piece with a lower bound of the scores of its subsets.
+
+        The bound is at most the best score so far, and not below the piece's own; a piece without
+        any subset that has a score has that best score too.
+        """
+        found = float(best.min())
+        if not self.branches or not 0.0 < found < np.inf or piece.least >= found:
+            return piece
+        prepared = self._prepared(piece)
+        if prepared is None:
+            return replace(piece, least=found)
+        levels, limits, _ = prepared
+        n, space = len(piece.rest), self._space(levels)
+        errors = (levels.top if self.kind == RSS else levels.extra)[0, 0]
+        def above(value: float) -> bool:
+            upper = np.full(space.rows.shape[1], np.inf if self.kind == RATIONAL else 1.0)
+            limit = value + self._slack - limits.offset
+            return limit <= 0.0 or first_closed(
+                levels.top[0, 0], errors, 0, n, limit, upper, self.kind == RATIONAL,
+                limits.margin, space) == 0
+
+        low, high = piece.least, found
+        if not n or above(found):
+            low = found
+        for _ in range(_HALVINGS if low < found else 0):
+            middle = ((low**0.5 + high**0.5) / 2)**2
+            low, high = (middle, high) if above(middle) else (low, middle)
+        # The bound is of subsets with more columns; that of those in use alone is known.
+        half = space.rows.shape[1]
+        below = -errors[n, half:] if self.kind == RATIONAL else np.ones(half)
+        own = limits.offset + float(((errors[n, :half] / below) ** 2).sum())
+        if (below < self.margin).any():
+            own = np.inf
+        return replace(piece, least=max(piece.least, min(low, own)))
+
+    def _space(self, levels: Levels) -> Space:
+        _, _, vectors, height = levels.top.shape
+        e = height if self.kind == RSS else levels.extra.shape[3] // (
+            2 if self.kind == RATIONAL else 1)
+        gram, triangle = np.empty((2, vectors, vectors))
+        return Space(gram, triangle, np.empty((vectors, e)), np.empty((3, max(vectors, e))))
+
+    def _prepared(self, piece: Piece) -> tuple[Levels, Limits, FloatArray] | None:
+        """Return the vectors of a piece, or None if the columns in use are dependent.
+
+        They are taken out here, by LAPACK; what is left needs fewer rows.
         """
         n, used, p = len(piece.rest), piece.used, len(piece.used)
         room = min(n, piece.room)
@@ -99,7 +214,7 @@ class Stack:
             q, triangle = np.linalg.qr(rows.control[:, np.concatenate([used, kept])])
             if len(triangle) < p or (
                     np.abs(np.diag(triangle)[:p]) <= TOLERANCE * rows.lengths[used]).any():
-                return Walked(best, masks, piece.count, 0)
+                return None
             share = np.linalg.solve(triangle[:p, :p], triangle[:p, p:])
             extra, guard = (part[:, kept] - part[:, used] @ share
                             for part in (rows.extra, rows.guard))
@@ -119,19 +234,20 @@ class Stack:
             extras.append(extra)
             guards.append(guard)
         levels = _levels(tops, extras, floor, leverage, cross, max(room, 1))
-        guard = np.ascontiguousarray(guards[0].T)
-        best, masks = best.copy(), masks.copy()
-        depths, _, vectors, height = levels.top.shape
-        infeasible, pruned = walk(
-            self.kind, levels,
-            Limits(self.margin, TOLERANCE, offset, self._slack, len(used), room),
-            Records(best, masks, np.append(BITS[piece.rest], np.uint64(0)),
-                    np.array([self.some_of]), self.parents, guard, np.empty(depths),
-                    np.empty(guard.shape[1])),
-            BITS[used].sum(), _counts(n, room), np.zeros(depths, dtype=np.intp),
-            np.zeros(depths, dtype=np.intp), np.zeros(depths, dtype=np.uint64),
-            np.empty((vectors, height)), None if levels.share[0].size == n + 1 else False)
-        return Walked(best, masks, infeasible, pruned)
+        limits = Limits(self.margin, TOLERANCE, offset, self._slack, len(used), room)
+        return levels, limits, np.ascontiguousarray(guards[0].T)
+
+
+def _blocks(levels: int, n: int, e: int) -> Blocks:
+    """Return space for blocks of n columns and e rows of the score."""
+    def products() -> Products:
+        own, f = np.empty((2, levels, n))
+        return Products(np.empty((levels, n, n)), own, f, np.empty(levels))
+
+    inverse, a, u = np.empty((3, n))
+    row, below_row = np.empty((2, max(n, e)))
+    return Blocks(products(), products(), products(), np.empty((levels, n + 1)), inverse, a, u,
+                  row, below_row, np.empty(e), np.empty(levels), np.empty(levels, dtype=np.intp))
 
 
 @cache

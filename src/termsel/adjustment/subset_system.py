@@ -106,17 +106,21 @@ def count_subsets(columns: int, max_terms: int | None = None) -> int:
 
 @dataclass(frozen=True, eq=False)
 class Piece:
-    """All subsets that hold the columns `used` and at most `room` of the rest."""
+    """All subsets that hold the columns `used` and at most `room` of the rest.
+
+    None that a search is still to decide scores less than `least`.
+    """
 
     used: IntArray
     rest: IntArray
     room: int
+    least: float = 0.0
 
     def halves(self) -> list[Piece]:
         """Return the subsets without the first of the rest, and those with it."""
         first, rest = self.rest[:1], self.rest[1:]
-        return [Piece(self.used, rest, self.room),
-                Piece(np.concatenate([self.used, first]), rest, self.room - 1)]
+        return [Piece(self.used, rest, self.room, self.least),
+                Piece(np.concatenate([self.used, first]), rest, self.room - 1, self.least)]
 
     @cached_property
     def count(self) -> int:

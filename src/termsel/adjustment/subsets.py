@@ -10,7 +10,8 @@ References
 ----------
 Furnival and Wilson 1974, Technometrics 16(4): the tree, and the bound for residual sums of
 squares. Bjorck 1967, BIT 7(1): the accuracy of modified Gram-Schmidt. That check points, folds
-and leave-one-out errors take part is termsel's own formulation.
+and leave-one-out errors take part is termsel's own formulation, and so are the bounds of
+`termsel.adjustment.subset_bounds`, for the scores "check" and "rss" of one target.
 """
 
 from __future__ import annotations
@@ -28,6 +29,7 @@ from termsel.adjustment.subset_system import (
     MAX_COLUMNS,
     SCORES,
     Masks,
+    Piece,
     SubsetSystem,
     Walked,
     count_subsets,
@@ -38,6 +40,8 @@ __all__ = ["MAX_COLUMNS", "SCORES", "SubsetResult", "SubsetSystem", "count_subse
            "estimate_seconds", "search"]
 
 _PIECE = 1 << 16  # subsets enumerated between two checks for interruption: some milliseconds
+_BRANCH = 1 << 22  # the same, where bounds rule out most of them
+_DESCEND_FROM = 1 << 24  # subsets from which good ones are sought before any proof
 _AHEAD = 16  # pieces in progress at once, whatever the number of workers
 
 
@@ -56,11 +60,13 @@ class SubsetResult:
     subsets, total : int
         Subsets decided, and to be decided.
     infeasible : int
-        Those among the decided that have no score: dependent columns, more columns than
-        rows, a denominator below the margin at a row of the score, or a row that is
-        indispensable to determine the columns (press).
+        Those among the decided that were found to have no score: dependent columns, more
+        columns than rows, a denominator below the margin at a row of the score, or a row that
+        is indispensable to determine the columns (press).
     pruned : int
-        Those among the decided that a lower bound ruled out (rss).
+        Those among the decided that a lower bound ruled out.
+    floor : ndarray, shape (k + 1,)
+        No subset of a size scores less; the best score once every subset is decided.
     """
 
     best: FloatArray
@@ -69,6 +75,7 @@ class SubsetResult:
     total: int
     infeasible: int
     pruned: int
+    floor: FloatArray
 
     @property
     def complete(self) -> bool:
@@ -128,12 +135,17 @@ def search(
     systems = stack(system, score, folds, max_terms)
     total = systems.everything.count
     best, masks = _nothing(systems.k)
+    if total > _DESCEND_FROM:
+        for found, at in systems.descents():
+            best, masks = _better(best, masks, found, at)
+            yield SubsetResult(best, masks, 0, total, 0, 0, np.zeros(systems.k + 1))
     for start in systems.starts:
         walked = systems.walk(start, best, masks)
         best, masks = walked.best, walked.masks
     looked = infeasible = pruned = 0
     todo = [systems.everything]
-    waiting: deque[tuple[int, Future[Walked]]] = deque()
+    largest = _BRANCH if systems.branches else _PIECE
+    waiting: deque[tuple[Piece, Future[Walked]]] = deque()
     pool = ThreadPoolExecutor(workers)
     try:
         while todo or waiting:
@@ -143,22 +155,22 @@ def search(
                 whole = todo.pop()
                 piece = systems.trimmed(whole, best)
                 pruned += whole.count - piece.count
-                if piece.count > _PIECE:
-                    todo += piece.halves()
+                if piece.count > largest:
+                    todo += [systems.bounded(half, best) for half in piece.halves()]
                 elif piece.count:
-                    waiting.append((piece.count, pool.submit(systems.walk, piece, best, masks)))
+                    waiting.append((piece, pool.submit(systems.walk, piece, best, masks)))
                 if piece.count == whole.count:
                     continue
             else:
-                count, future = waiting.popleft()
+                piece, future = waiting.popleft()
                 walked = future.result()
-                better = (walked.best < best) | ((walked.best == best) & (walked.masks < masks))
-                best = np.where(better, walked.best, best)
-                masks = np.where(better, walked.masks, masks)
-                looked += count - walked.pruned
+                best, masks = _better(best, masks, walked.best, walked.masks)
+                looked += piece.count - walked.pruned
                 infeasible += walked.infeasible
                 pruned += walked.pruned
-            yield SubsetResult(best, masks, looked + pruned, total, infeasible, pruned)
+            open_ = (*todo, *(piece for piece, _ in waiting))
+            yield SubsetResult(best, masks, looked + pruned, total, infeasible, pruned,
+                               _floor(best, open_))
     finally:
         pool.shutdown(cancel_futures=True)
 
@@ -190,6 +202,22 @@ def estimate_seconds(
         systems.walk(piece, *_nothing(systems.k))
         seconds.append(time.perf_counter() - start)
     return min(seconds) / piece.count * systems.everything.count / workers
+
+
+def _better(best: FloatArray, masks: Masks, other: FloatArray,
+            at: Masks) -> tuple[FloatArray, Masks]:
+    """Return the better subset of each size; of equal scores the smallest mask."""
+    better = (other < best) | ((other == best) & (at < masks))
+    return np.where(better, other, best), np.where(better, at, masks)
+
+
+def _floor(best: FloatArray, pieces: Sequence[Piece]) -> FloatArray:
+    """Return lower bounds of the scores of every size, given the pieces still to be decided."""
+    floor = best.copy()
+    for piece in pieces:
+        sizes = slice(len(piece.used), len(piece.used) + min(piece.room, len(piece.rest)) + 1)
+        np.minimum(floor[sizes], piece.least, out=floor[sizes])
+    return floor
 
 
 def _nothing(k: int) -> tuple[FloatArray, Masks]:

@@ -41,9 +41,19 @@ def search_bar(title: str, quiet: bool) -> Iterator[Callable[[Progress], None] |
             bar.update(task, completed=progress.share or 0,
                        description=progress.what or printable(title),
                        total=None if progress.share is None else 1.0,
-                       state=f"best {best}, {progress.evaluations} evaluations")
+                       state=f"best {best}, {_bound(progress)}")
 
         yield observe
+
+
+def _bound(progress: Progress) -> str:
+    """Return the lower bound and the gap of a proof, or the evaluations of a search."""
+    certificate = progress.generation.details.get("certificate") or {}
+    if "bound" not in certificate:
+        return f"{progress.evaluations} evaluations"
+    gap = certificate.get("gap")
+    return (f"bound {certificate['bound']:.4g}, gap "
+            + ("unknown" if gap is None else f"{100 * gap:.2f} %"))
 
 
 @contextmanager

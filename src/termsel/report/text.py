@@ -125,14 +125,23 @@ def _certificate(certificate: Mapping[str, Any], exact: str) -> str:
         return (f"{certificate['claimed_by']} claims that no selection has a better criterion "
                 f"({proven}); termsel has not proven it")
     if certificate["optimal"]:
-        return f"Proven: no selection has a better criterion ({proven})"
-    if certificate.get("gap") is not None:
+        space = certificate["space"].removeprefix("all ").removeprefix("selections")
+        bounded = certificate.get("bounded")
+        return (f"Proven: no selection{space} has a better criterion "
+                f"({certificate['subsets']:,} subsets decided"
+                + (f", {bounded:,} of them by bounds" if bounded else "") + ")")
+    if "optimum" in certificate:
+        if certificate.get("gap") is None:
+            return (f"The proven optimum is {certificate['optimum']:.4g}, below this ({proven}); "
+                    f"{exact} finds it")
         return (f"Gap: {100 * certificate['gap']:.2f} % above the proven optimum "
                 f"{certificate['optimum']:.4g} ({proven}); {exact} finds it")
-    if "optimum" in certificate:
-        return (f"The proven optimum is {certificate['optimum']:.4g}, below this ({proven}); "
-                f"{exact} finds it")
-    return f"Not proven: {certificate['subsets']:,} of {certificate['of']:,} subsets decided"
+    done = f"{certificate['subsets']:,} of {certificate['of']:,} subsets decided"
+    if certificate.get("gap") is not None:
+        return (f"Not proven: at most {100 * certificate['gap']:.2f} % above the optimum, which is "
+                f"{certificate['bound']:.4g} or more ({done})")
+    return f"Not proven: {done}" + (
+        "; no lower bound is known yet" if certificate.get("bound") == 0 else "")
 
 
 def _share(chosen: int, offered: int) -> str:

@@ -13,7 +13,7 @@ import numpy as np
 from termsel.adjustment import subsets
 from termsel.adjustment.subsets import SubsetResult
 from termsel.errors import TermselError
-from termsel.measurements.features import BoolArray
+from termsel.measurements.features import BoolArray, FloatArray
 from termsel.options import COUNT, Option
 from termsel.problems.base import EnumerablePart, Evaluation, Problem
 from termsel.problems.segments import Bits
@@ -21,9 +21,6 @@ from termsel.solvers.base import Generation, Solver
 from termsel.solvers.swap import neighbours
 
 log = logging.getLogger(__name__)
-
-AFFORDABLE = 1 << 28
-"""Subsets that are enumerated by default: less than a minute."""
 
 QUICK = 1 << 22
 """Subsets that are enumerated for a heuristic's gap: less than a second."""
@@ -37,6 +34,9 @@ TIE = 1e-9
 _REPORT_SHARE = 1 / 200
 """Share of the subsets between two reports. Each costs an evaluation, so no clock decides: the
 same search has the same number of evaluations on any machine."""
+
+_REPORT_STATES = 16
+"""States between two reports at most: a budget of time ends at a report."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,17 +70,52 @@ class Proof:
         return sum(result.total for result in self.results)
 
     @property
+    def pruned(self) -> int:
+        """Those among them that a bound ruled out."""
+        return sum(result.pruned for result in self.results)
+
+    @property
     def complete(self) -> bool:
         """True if the optimum is proven."""
         return all(result.complete for result in self.results)
 
-    def _costs(self) -> list[np.ndarray[tuple[int], np.dtype[np.float64]]]:
+    def _costs(self, floor: bool = False) -> list[FloatArray]:
+        """Return the cost of the best subset of each size, or the least that it may have."""
         costs = []
         for part, result, least in zip(self.parts, self.results, self.minimum, strict=True):
-            cost = np.where(np.isfinite(result.best), part.cost(result.best), np.inf)
+            scores = result.floor if floor else result.best
+            cost = np.where(np.isfinite(scores), part.cost(scores), np.inf)
             cost[:least] = np.inf
             costs.append(cost)
         return costs
+
+    def bound(self, best: float) -> float | None:
+        """Return a lower bound of the objective of all selections.
+
+        Parameters
+        ----------
+        best : float
+            Objective of the best selection so far.
+
+        Returns
+        -------
+        float or None
+            None if the objective is neither the sum of the parts' costs nor their RMSE [px].
+        """
+        if self.complete:
+            return best
+        found, least = (sum(float(cost.min()) for cost in self._costs(floor))
+                        for floor in (False, True))
+        part = self.parts[0]
+        design = part.system.check_design if part.score == "check" else part.system.design
+        assert design is not None  # of the score
+        def rmse(cost: float) -> float:
+            return float(part.pixels * np.sqrt(max(cost, 0.0) / len(design)))
+
+        for objective in (float, rmse):
+            if abs(objective(found) - best) <= 1e-6 * abs(best):
+                return min(best, objective(least))
+        return None
 
     def front(self) -> list[BoolArray]:
         """Return the best selection of every total size that beats all smaller ones.
@@ -211,7 +246,8 @@ def gap(problem: Problem, found: float) -> dict[str, Any] | None:
     if found < optimum - TIE * abs(optimum):  # what was enumerated is not this criterion
         return None
     return {"optimal": found <= optimum + TIE * abs(optimum), "subsets": proof.decided,
-            "of": proof.total, "space": ALL, **gap_of(found, optimum)}
+            "of": proof.total, "space": _space(problem, proof.parts, None),
+            **gap_of(found, optimum)}
 
 
 def gap_of(found: float, optimum: float) -> dict[str, float | None]:
@@ -219,52 +255,41 @@ def gap_of(found: float, optimum: float) -> dict[str, float | None]:
     return {"optimum": optimum, "gap": max(0.0, found / optimum - 1) if optimum > 0 else None}
 
 
-def affordable_terms(problem: Problem) -> int | None:
-    """Return the most terms of a part with AFFORDABLE subsets, or None for all of them."""
-    if count(problem) <= AFFORDABLE:
-        return None
-    most = 1
-    while count(problem, most + 1) <= AFFORDABLE:
-        most += 1
-    return most
-
-
 class Exact(Solver):
     """Every selection decided: the optimum, the best of every size, and the proof.
 
-    Depth-first enumeration of all term selections, line and sample separately where they
-    are independent. termsel's own formulation; see `termsel.adjustment.subsets`.
+    Branch and bound over all term selections, line and sample separately where they are
+    independent. It begins with a descent from several starts. At any time it has the best
+    selection, a lower bound of all selections, and the gap between them. termsel's own
+    formulation; see `termsel.adjustment.subsets` and `termsel.adjustment.subset_bounds`.
     """
 
     name = "exact"
     uses_chance = False
     ends_by_itself = True
     declared_options = (
-        Option("max_terms", None, "Most terms of an axis; by default all, or as many as give at "
-                                  "most 2^28 selections. The proof holds for selections up to this "
-                                  "size.", int, 1, COUNT),
+        Option("max_terms", None, "Most terms of an axis; by default as many as the problem "
+                                  "allows. The proof is of selections up to this size.", int,
+               1, COUNT),
         Option("workers", None, "Threads; by default all cores. The result does not depend on "
                "it.", int, 1, 256),
     )
 
     def generations(self, problem: Problem, rng: np.random.Generator) -> Iterator[Generation]:
         """Yield the best so far until all is decided (see `Solver.generations`)."""
-        most = self.options["max_terms"] or affordable_terms(problem)
+        most = self.options["max_terms"]
         workers = self.options["workers"] or os.cpu_count() or 1
         parts = problem.parts()
-        seconds = sum(
-            subsets.estimate_seconds(part.system, part.score, folds=part.folds, workers=workers,
-                                     max_terms=_limits(problem, part, most)[1])
-            for part in parts)
-        space = f"selections of up to {most} terms" if most else ALL
-        log.info("exact: deciding %s subsets (%s, %d %s); about %s",
-                 f"{count(problem, most):,}", space, len(parts),
-                 "part" if len(parts) == 1 else "parts", _duration(seconds))
+        space = _space(problem, parts, most)
+        log.info("exact: deciding %s subsets (%s, %d %s)%s", f"{count(problem, most):,}", space,
+                 len(parts), "part" if len(parts) == 1 else "parts",
+                 _estimate(problem, parts, most, workers))
         index, reported = 0, 0.0
         proof: Proof | None = None
-        for proof in prove(problem, most, workers):
+        for state, proof in enumerate(prove(problem, most, workers)):
             share = proof.decided / proof.total
-            if index and not proof.complete and share - reported < _REPORT_SHARE:
+            if (index and proof.decided and not proof.complete and state % _REPORT_STATES
+                    and share - reported < _REPORT_SHARE):
                 continue
             generation = self._report(problem, proof, index, space, most)
             if generation is not None:
@@ -287,7 +312,8 @@ class Exact(Solver):
             "share": proof.decided / proof.total,
             "front": genes if front and proof.complete else (),
             "certificate": {"optimal": bool(proven), "subsets": proof.decided,
-                            "of": proof.total, "space": space}}
+                            "bounded": proof.pruned, "of": proof.total, "space": space,
+                            **_bound(proof, evaluation)}}
         return Generation(index, genes, evaluation, details)
 
 
@@ -318,5 +344,41 @@ def _require_unbeaten(problem: Problem, proof: Proof, optimum: BoolArray,
                  "--solver ga.")
 
 
+def _bound(proof: Proof, front: Evaluation) -> dict[str, float]:
+    """Return the lower bound of all selections and the gap, as far as they are known."""
+    if front.violation[-1] > 0:
+        return {}
+    best = float(front.objectives[-1, 0])
+    bound = proof.bound(best)
+    if bound is None:
+        return {}
+    return {"bound": bound} | ({"gap": max(0.0, best / bound - 1)} if bound > 0 else {})
+
+
+def _space(problem: Problem, parts: tuple[EnumerablePart, ...], most: int | None) -> str:
+    """Return the space of a proof in words, which begin with ALL where it is the problem's own."""
+    limits = {_limits(problem, part, most)[1] for part in parts}
+    if all(limit >= problem.genome.free[part.genes].sum() for part in parts for limit in limits):
+        return ALL
+    sizes = " and ".join(map(str, sorted(limits)))
+    whole = all(_limits(problem, part, most) == _limits(problem, part, None) for part in parts)
+    return (f"{ALL if whole else 'selections'} of up to {sizes} terms"
+            + " an axis" * (len(parts) > 1))
+
+
+def _estimate(problem: Problem, parts: tuple[EnumerablePart, ...], most: int | None,
+              workers: int) -> str:
+    """Return how long it takes, where no bound makes that unknown."""
+    if any(part.score in ("check", "rss") for part in parts):
+        return ""
+    seconds = sum(
+        subsets.estimate_seconds(part.system, part.score, folds=part.folds, workers=workers,
+                                 max_terms=_limits(problem, part, most)[1])
+        for part in parts)
+    return f"; about {_duration(seconds)}"
+
+
 def _duration(seconds: float) -> str:
+    if seconds > 5400:
+        return f"{seconds / 3600:,.0f} h"
     return f"{seconds / 60:.0f} min" if seconds > 90 else f"{max(seconds, 0.1):.1f} s"

@@ -241,7 +241,7 @@ def _rmse(by_role: Mapping[str, Rmse | None]) -> dict[str, float | int | None]:
 def _proven(found: Search) -> bool:
     """Return whether a search proved the optimum of all selections, not of the smaller ones."""
     said = found.certificate or {}
-    return bool(said.get("optimal")) and said.get("space") == ALL
+    return bool(said.get("optimal")) and str(said.get("space")).startswith(ALL)
 
 
 def _optimum(work: Work, task: Task, found: Search) -> float | None:
