@@ -117,7 +117,7 @@ MODEL = [
     ("project", _of_base("project", lambda image: image.tolist()), "project() returned an object"),
     ("predict", _of_base("predict", lambda image: image[..., :1]), "predict() returned an array"),
     ("axis", property(lambda _: "line"), "axis() returned an object of type str; expected an"),
-    ("axis", property(lambda _: np.full(8, 3)), "axis() returned an array with other numbers than"),
+    ("axis", property(lambda _: np.arange(8)), "axis() returned an array with other numbers than"),
     ("residual_weights", lambda self, control, ground: np.zeros((1, 1, 1)),
      "residual_weights() returned an array of shape (1, 1, 1)"),
     ("denominators", lambda self, coefficients, ground: np.ones(3), "denominators() returned an"),
