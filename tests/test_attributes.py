@@ -113,7 +113,7 @@ def test_text_that_is_no_number_is_named(cell: str) -> None:
 
 
 def test_tables_give_back_what_they_got(tmp_path: Path) -> None:
-    part, pieces = points(16, **{"=name": ["@x"] * 16}), lines()
+    part, pieces = points(16, **{"=name": ["@x"] * 16, "long": ["y" * 200_000] * 16}), lines()
     write_points_csv(part, tmp_path / "p.csv", crs="local")
     write_lines_csv(pieces, tmp_path / "l.csv", crs="local")
     read = termsel.read(tmp_path / "p.csv", tmp_path / "l.csv")

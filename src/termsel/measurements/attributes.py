@@ -9,13 +9,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from termsel.errors import TermselError, is_printable, printable, unknown_name
+from termsel.errors import TermselError, cut, is_printable, printable, unknown_name
 from termsel.measurements.columns import TAKEN
 
 TextArray = NDArray[np.object_]
 FloatArray = NDArray[np.float64]
 Attributes = Mapping[str, TextArray]
 """Text by the name of the column, one for each row, "" where it is not known."""
+
+LONGEST = 10_000
+"""Characters of a text; Python's reader of tables takes no cells of more than 131,072."""
 
 
 def is_free(name: str) -> bool:
@@ -70,7 +73,7 @@ def text_array(cells: Sequence[str]) -> TextArray:
 def _cell(value: Any) -> str:
     if value is None or value != value:
         return ""
-    return printable(str(value).replace("\r\n", "\n")).strip()
+    return cut(printable(str(value).replace("\r\n", "\n")).strip(), LONGEST)
 
 
 def rows_at(attributes: Attributes, index: NDArray[Any]) -> dict[str, TextArray]:
