@@ -50,7 +50,10 @@ def aligned(part: Points) -> bool:
 
 
 def test_attributes_are_text_that_cannot_be_changed() -> None:
-    part = points(3, year=[2020, 2021.5, float("nan")], known=[True, None, "  x "])
+    pandas = pytest.importorskip("pandas")
+    part = points(3, year=[2020, 2021.5, float("nan")], known=[True, None, "  x "],
+                  day=[pandas.NA, pandas.NaT, "nan"])
+    assert part.attributes["day"].tolist() == ["", "", "nan"]
     assert part.attributes["year"].tolist() == ["2020", "2021.5", ""]
     assert part.attributes["known"].tolist() == ["True", "", "x"]
     with pytest.raises(ValueError, match="read-only"):

@@ -17,6 +17,9 @@ FloatArray = NDArray[np.float64]
 Attributes = Mapping[str, TextArray]
 """Text by the name of the column, one for each row, "" where it is not known."""
 
+_UNKNOWN = frozenset({"None", "nan", "NaT", "<NA>"})
+"""How Python, numpy and pandas write what is not known."""
+
 LONGEST = 10_000
 """Characters of a text; Python's reader of tables takes no cells of more than 131,072."""
 
@@ -34,7 +37,7 @@ def as_attributes(given: Mapping[str, Iterable[Any]], n: int, *taken: str,
     Parameters
     ----------
     given : mapping
-        None and NaN stand for what is not known.
+        None, NaN and the like of pandas stand for what is not known.
     n : int
         Rows of each column.
     *taken : str
@@ -71,7 +74,7 @@ def text_array(cells: Sequence[str]) -> TextArray:
 
 
 def _cell(value: Any) -> str:
-    if value is None or value != value:
+    if not isinstance(value, str) and str(value) in _UNKNOWN:
         return ""
     return cut(printable(str(value).replace("\r\n", "\n")).strip(), LONGEST)
 
