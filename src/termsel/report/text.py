@@ -125,11 +125,12 @@ def _certificate(certificate: Mapping[str, Any], exact: str) -> str:
         return (f"{certificate['claimed_by']} claims that no selection has a better criterion "
                 f"({proven}); termsel has not proven it")
     if certificate["optimal"]:
-        space = certificate["space"].removeprefix("all ").removeprefix("selections")
-        bounded = certificate.get("bounded")
-        return (f"Proven: no selection{space} has a better criterion "
-                f"({certificate['subsets']:,} subsets decided"
-                + (f", {bounded:,} of them by bounds" if bounded else "") + ")")
+        space, _, limit = certificate["space"].partition(" of up to ")
+        how = [f"{certificate['subsets']:,} subsets decided"]
+        if certificate.get("bounded"):
+            how.append(f"{certificate['bounded']:,} of them by bounds")
+        return (f"Proven: no selection{' of up to ' * bool(limit)}{limit} has a better criterion "
+                f"({', '.join(how if limit else [*how, space])})")
     if "optimum" in certificate:
         if certificate.get("gap") is None:
             return (f"The proven optimum is {certificate['optimum']:.4g}, below this ({proven}); "
