@@ -156,7 +156,7 @@ def _damaged(folder: Path, **change: object) -> None:
     ({"schema": "termsel-result-0"}, "not a result with the schema termsel-result-1"),
     ({"model": "rfn"}, "unknown model 'rfn'"),
     ({"scaling": {}}, "this result is damaged"),
-    ({"coefficients": {"line.num:W": 1.0}}, "this result is damaged"),
+    ({"coefficients": {"line.num:W": 1.0}}, "the installed model has no term 'line.num:W'"),
     ({"coefficients": {"line.num:1": None}}, "this result is damaged"),
     ({"model": 5}, "this result is damaged"),
     ({"rmse": []}, "this result is damaged"),
