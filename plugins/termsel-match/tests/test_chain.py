@@ -30,12 +30,15 @@ def test_conforms(check: Any) -> None:
     check.run()
 
 
-def candidates(place: Any, wrong: float) -> FeatureSet:
-    """Return exact places measured to 0.2 px, a part of them 5 to 100 px off."""
+def candidates(place: Any, wrong: float, turned: float = 1.0) -> FeatureSet:
+    """Return exact places measured to 0.2 px, a part of them 5 to 100 px off.
+
+    By default nearly to one side; `turned` is the range of their directions.
+    """
     points, rng = place.world.independent(), np.random.default_rng(1)
     image = points.image + rng.normal(0, 0.2, points.image.shape)
     off = rng.permutation(len(points))[:round(wrong * len(points))]
-    turn, far = rng.uniform(0, 2 * np.pi, len(off)), rng.uniform(5, 100, len(off))
+    turn, far = rng.uniform(0, turned, len(off)), rng.uniform(5, 100, len(off))
     image[off] += np.stack([np.sin(turn), np.cos(turn)], axis=1) * far[:, None]
     return FeatureSet(replace(points, image=image, roles=()), crs="EPSG:32633",
                       image_size=(500, 500))
@@ -53,6 +56,12 @@ def test_half_of_the_candidates_may_be_wrong(place: Any) -> None:
 
 
 def test_wrong_candidates_alone_are_no_success(place: Any) -> None:
+    with pytest.raises(TermselError, match="not enough candidates agree"):
+        select_points(candidates(place, 1.0, 2 * np.pi), "rpc-drift",
+                      {"rpc": str(place / "image.RPB")})
+
+
+def test_few_that_agree_by_chance_are_no_success(place: Any) -> None:
     with pytest.raises(TermselError, match="not enough candidates agree"):
         select_points(candidates(place, 1.0), "rpc-drift", {"rpc": str(place / "image.RPB")})
 

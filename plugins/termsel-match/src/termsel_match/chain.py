@@ -53,8 +53,10 @@ class Georeferenced:
             f"Start: {self.candidates.start}",
             f"Candidates: {len(points)} in {self.candidates.cells.get('found', 0)} of "
             f"{sum(self.candidates.cells.values())} cells of the image",
-            f"Model: {one.result.model}, fitted to {int((agree & ~one.independent).sum())} of "
-            f"{int((~one.independent).sum())} candidates, which agree within {one.limit:.2f} px",
+            f"Agreeing within {one.limit:.2f} px: {int((agree & ~one.independent).sum())} of "
+            f"{int((~one.independent).sum())} candidates for control and check",
+            f"Model: {one.result.model}, fitted to the "
+            f"{one.result.features.points.roles.count('control')} for control",
             f"Covered by them: {100 * one.covered:.0f} % of the image",
             f"Independent candidates: {int((agree & one.independent).sum())} of "
             f"{int(one.independent.sum())} agree, with an RMSE of {one.rmse:.2f} px; accepted: "

@@ -98,7 +98,7 @@ def match_lines(
         raise TermselError(f"not enough candidates: {seen} pieces of vectors have a band in the "
                            f"image, at least {LEAST} needed", file=image,
                            hint="Do the vectors show what can be seen? Is the start off by more "
-                                f"than --search {search:g} px?")
+                                "than --search?")
     rows = [(i, k, one) for i, several in enumerate(found) for k, one in enumerate(several)]
     attributes = {
         "vector": [pieces.vector[i] for i, _, _ in rows], "piece": [str(i + 1) for i, _, _ in rows],

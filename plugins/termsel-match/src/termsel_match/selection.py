@@ -16,6 +16,7 @@ from termsel_match.rasters import FloatArray, Mask
 
 TOLERANCE = 2.0  # px at which a candidate counts half in the search
 _INDEPENDENT, _CHECK = 0.25, 0.25  # parts of the candidates
+_LEAST_CHECK = 2
 _NEAR = 2 * TOLERANCE  # px within which the spread of those that agree is estimated
 _SIGMAS = 3.5
 _LEAST_LIMIT = 0.5  # px
@@ -30,8 +31,8 @@ class Selected:
     Parameters
     ----------
     result : Result
-        Fitted to the candidates for control and check that agree; its independent points are the
-        independent candidates that agree.
+        Fitted to the candidates for control that agree; its check and independent points are the
+        other candidates that agree.
     agrees : ndarray of bool, shape (n,)
         Which candidates agree.
     independent : ndarray of bool, shape (n,)
@@ -98,21 +99,28 @@ def select_points(features: FeatureSet, model: str, options: Mapping[str, Any], 
     for _ in range(_ROUNDS):
         before = agrees
         agrees, limit = _agreeing(errors, ~independent)
-        if agrees.sum() < max(6, least):
-            raise TermselError(f"not enough candidates agree: {int(agrees.sum())} of "
-                               f"{int((~independent).sum())}",
-                               hint="Most matches are wrong. Give a start that is nearer, a larger "
-                                    "--search, or a better reference.")
+        _require(agrees, roles, least)
         if np.array_equal(agrees, before):
             break
         control = FeatureSet(replace(points.take(agrees), roles=()), crs=features.crs)
         errors = _errors(termsel.fit(control, model, **options), points)
     agrees = errors <= limit
+    _require(agrees, roles, least)
     kept = with_roles.with_(points=with_roles.points.take(agrees))
     result = termsel.run("owdis-points", features=kept, model=model, solver="all-terms",
                          options=dict(options), seed=seed, out=out)
     return Selected(result, agrees, independent, limit,
                     _covered(points.take(agrees & ~independent), features.image_size))
+
+
+def _require(agrees: Mask, roles: Any, least: int) -> None:
+    """Require that enough candidates agree for a fit and for its check."""
+    control, check = (int((agrees & (roles == role)).sum()) for role in ("control", "check"))
+    if control < max(6, least) or check < _LEAST_CHECK:
+        raise TermselError(f"not enough candidates agree: {control + check} of "
+                           f"{int((roles != 'independent').sum())}",
+                           hint="Most matches are wrong. Give a start that is nearer, a larger "
+                                "--search, or a better reference.")
 
 
 def with_lines(selected: Selected, lines: FeatureSet, model: str, options: Mapping[str, Any], *,
