@@ -184,6 +184,10 @@ def prove(problem: Problem, max_terms: int | None = None,
     # whenever the user stops.
     results = [next(walk) for walk in walks]
     yield Proof(parts, tuple(results), minimum, problem.genome.size)
+    for i, walk in enumerate(walks):  # good selections of all parts come before any proof
+        while results[i].subsets == 0:
+            results[i] = next(walk)
+            yield Proof(parts, tuple(results), minimum, problem.genome.size)
     for i, walk in enumerate(walks):
         for results[i] in walk:
             yield Proof(parts, tuple(results), minimum, problem.genome.size)
