@@ -67,7 +67,8 @@ def test_attributes_are_text_that_cannot_be_changed() -> None:
     ({"residual_line": list("abc")}, "cannot have the name 'residual_line'"),
     ({"date": list("abc"), "Date": list("abc")}, "two columns of attributes have the name 'Date'"),
     ({"date": list("ab")}, "the attributes 'date' have 2 values for 3 rows"),
-    ({"date": "abc"}, "the attributes 'date' have 0 values for 3 rows")])
+    ({"date": "abc"}, "the attributes 'date' have 0 values for 3 rows"),
+    ({"date": 5}, "the attributes 'date' have 0 values for 3 rows")])
 def test_columns_that_cannot_be_are_refused(attributes: dict[str, Any], said: str) -> None:
     with pytest.raises(TermselError, match=said):
         points(3, **attributes)
@@ -98,6 +99,8 @@ def test_joined_tables_have_the_columns_of_both() -> None:
     assert aligned(both)
     twice = join_lines(lines().take([0]), lines().take([2]))
     assert twice.attributes["width"].tolist() == ["3", ""]
+    capitals = join_points(one, points(1, "R", Date=["f"]))
+    assert capitals.attributes["date"].tolist() == ["a", "b", "f"]
 
 
 def test_columns_of_all_features() -> None:
@@ -105,6 +108,9 @@ def test_columns_of_all_features() -> None:
     assert both.ids == ("P0", "P1", "a", "b")
     assert both.texts("source").tolist() == ["gps", "map", "map", ""]
     np.testing.assert_array_equal(both.numbers("width"), [np.nan, np.nan, 3.0, np.nan])
+    capitals = FeatureSet(points(2), replace(lines(), attributes={"Source": ["x", "x", "y"]}))
+    assert capitals.texts("source").tolist() == ["gps", "map", "x", "y"]
+    assert capitals.texts("SOURCE").tolist() == ["gps", "map", "x", "y"]
     with pytest.raises(TermselError, match=r"'sourc'\. Did you mean 'source'\? Known: of, source"):
         both.texts("sourc")
 
@@ -286,6 +292,14 @@ def test_exports_have_them(scene: FeatureSet, tmp_path: Path) -> None:
     termsel.export(result, "residuals-gpkg", tmp_path / "r.gpkg")
     table = geopandas.read_file(tmp_path / "r.gpkg", layer="residuals")
     assert table["of"].tolist() == table["id"].tolist()
+    # A GeoPackage takes no two columns whose names differ in case alone.
+    more = replace(lines(), attributes={"Source": ["x", "x", "y"]})
+    both = replace(result, features=FeatureSet(at, more, crs="EPSG:4979"))
+    termsel.export(both, "residuals-gpkg", tmp_path / "both.gpkg")
+    table = geopandas.read_file(tmp_path / "both.gpkg", layer="residuals")
+    assert dict(zip(table["id"], table["source"], strict=True)) \
+        == dict(zip(at.ids, at.attributes["source"], strict=True))
+    assert "Source" not in table
     pandas = scene.points.to_pandas()
     assert pandas["of"].tolist() == pandas["id"].tolist()
 

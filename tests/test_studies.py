@@ -118,6 +118,8 @@ def test_python_takes_objects_and_features() -> None:
     table = study.to_pandas()
     assert list(table.columns) == list(study.columns)
     assert len(table) == 4
+    with pytest.raises(TermselError, match=r"data 'file' is no feature set\. Read it"):
+        termsel.compare(data={"mine": scene, "file": "points.csv"})
 
 
 @pytest.mark.parametrize(("text", "place", "said"), [

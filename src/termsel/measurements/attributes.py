@@ -26,8 +26,8 @@ LONGEST = 10_000
 
 def is_free(name: str) -> bool:
     """Return whether a column of attributes can have this name."""
-    return (bool(name) and name == name.strip() and is_printable(name) and len(name) <= 200
-            and name.casefold() not in TAKEN)
+    return (isinstance(name, str) and bool(name) and name == name.strip() and is_printable(name)
+            and len(name) <= 200 and name.casefold() not in TAKEN)
 
 
 def as_attributes(given: Mapping[str, Iterable[Any]], n: int, *taken: str,
@@ -56,7 +56,8 @@ def as_attributes(given: Mapping[str, Iterable[Any]], n: int, *taken: str,
         if name.casefold() in map(str.casefold, columns):
             raise TermselError(f"two columns of attributes have the name {name!r}",
                                hint="Upper and lower case count as the same.")
-        rows = [] if isinstance(values, str) else list(map(_cell, values))
+        rows = [] if isinstance(values, str) or not isinstance(values, Iterable) \
+            else list(map(_cell, values))
         if len(rows) != n:
             raise TermselError(f"the attributes {name!r} have {len(rows)} values for {n} rows",
                                hint="Give a list with a value for each.")
@@ -89,9 +90,28 @@ def rows_at(attributes: Attributes, index: NDArray[Any]) -> dict[str, TextArray]
 
 def joined(first: Attributes, n: int, second: Attributes, m: int) -> dict[str, TextArray]:
     """Return the rows of both, n and m of them, with "" where one has no such column."""
-    return {name: np.concatenate([part.get(name, np.full(rows, "", dtype=object))
+    return {name: np.concatenate([_column(part, name, rows)
                                   for part, rows in ((first, n), (second, m))])
-            for name in {**first, **second}}
+            for name in distinct([*first, *second])}
+
+
+def distinct(names: Iterable[str]) -> list[str]:
+    """Return names, of those alike the first: upper and lower case count as the same.
+
+    Parameters
+    ----------
+    names : iterable of str
+    """
+    found: dict[str, str] = {}
+    for name in names:
+        found.setdefault(name.casefold(), name)
+    return list(found.values())
+
+
+def _column(part: Attributes, name: str, rows: int) -> TextArray:
+    """Return a column, "" in each row if there is none."""
+    return next((cells for key, cells in part.items() if key.casefold() == name.casefold()),
+                np.full(rows, "", dtype=object))
 
 
 def alike(rows: Sequence[Mapping[str, str]]) -> dict[str, str]:
@@ -108,11 +128,8 @@ def alike(rows: Sequence[Mapping[str, str]]) -> dict[str, str]:
 
 def columns_of(rows: Sequence[Mapping[str, str]]) -> dict[str, TextArray]:
     """Return attributes by column, "" where a row has none; of names alike the first."""
-    names: dict[str, str] = {}
-    for name in (name for row in rows for name in row):
-        names.setdefault(name.casefold(), name)
     return {name: text_array([row.get(name, "") for row in rows])
-            for name in names.values()}
+            for name in distinct(name for row in rows for name in row)}
 
 
 def all_rows(parts: Sequence[Attributes], rows: Sequence[int], name: str) -> TextArray:
@@ -130,12 +147,11 @@ def all_rows(parts: Sequence[Attributes], rows: Sequence[int], name: str) -> Tex
     TermselError
         If no part has it.
     """
-    known = dict.fromkeys(key for part in parts for key in part)
-    if name not in known:
+    known = distinct(key for part in parts for key in part)
+    if name.casefold() not in map(str.casefold, known):
         raise unknown_name("column of attributes", name, known,
                            "It is a further column of the file of the features.")
-    return np.concatenate([part.get(name, np.full(n, "", dtype=object))
-                           for part, n in zip(parts, rows, strict=True)])
+    return np.concatenate([_column(part, name, n) for part, n in zip(parts, rows, strict=True)])
 
 
 def as_numbers(cells: TextArray, ids: Sequence[str], name: str) -> FloatArray:

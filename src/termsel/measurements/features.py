@@ -338,7 +338,7 @@ class FeatureSet(Glance):
         Parameters
         ----------
         name : str
-            Such as "source", as in the header of the file.
+            Such as "source", as in the header of the file; upper and lower case count as the same.
 
         Returns
         -------

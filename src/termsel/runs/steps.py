@@ -13,7 +13,7 @@ from termsel.problems.base import Problem
 from termsel.problems.selection import SelectionProblem
 from termsel.runs.task import Task
 from termsel.solvers.base import Solver
-from termsel.solvers.budget import EVALUATIONS
+from termsel.solvers.budget import EVALUATIONS, require_limits
 from termsel.solvers.refinement import POLISH_SHARE
 from termsel.solvers.search import Search, begin, search
 
@@ -59,6 +59,7 @@ def search_in_steps(task: Task, **how: Any) -> Search:
     beginning = problem.frozen(everything, later)
     if task.then is not None:
         _require_beginning(problem.frozen(everything, ~later), task.then)
+    require_limits(**{name: how.get(name) for name in _LIMITS})
     budget = _budget(task, how)
     first = search(beginning, task.solver, **options, **{**how, **{
         name: value / 2 if name == "seconds" else max(value // 2, 1)
@@ -84,14 +85,16 @@ def search_in_steps(task: Task, **how: Any) -> Search:
     return second.after(first, note)
 
 
+_LIMITS = ("generations", "evaluations", "seconds")
+"""Of a budget that two steps share."""
+
 _LEAST = 1e-3
 """Seconds of a second step for which the first left no time: enough for one population."""
 
 
 def _budget(task: Task, how: dict[str, Any]) -> dict[str, float]:
     """Return the budget of both steps together: that given, or else that of every search."""
-    given = {name: how[name] for name in ("generations", "evaluations", "seconds")
-             if how.get(name) is not None}
+    given = {name: how[name] for name in _LIMITS if how.get(name) is not None}
     if given or how.get("patience") is not None or task.solver.ends_by_itself:
         return given
     return {"evaluations": EVALUATIONS * (

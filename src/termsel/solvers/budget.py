@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from termsel.errors import TermselError
 from termsel.options import Option
 from termsel.solvers.base import Generation
 from termsel.solvers.ledger import Ledger
@@ -30,6 +31,28 @@ SEARCH_OPTIONS = (
            "objective.", float, 0.0, 1.0),
 )
 """Options of every search, whatever its solver."""
+
+
+def require_limits(*, generations: float | None = None, evaluations: float | None = None,
+                   seconds: float | None = None, patience: float | None = None) -> None:
+    """Refuse limits of a search that are no positive, or no whole, numbers.
+
+    Parameters
+    ----------
+    generations, evaluations, seconds, patience : float, optional
+        As given to `termsel.search`.
+
+    Raises
+    ------
+    TermselError
+    """
+    for name, value in (("generations", generations), ("evaluations", evaluations),
+                        ("seconds", seconds), ("generations of patience", patience)):
+        if value is not None and not value > 0:
+            raise TermselError(f"the budget of {value} {name} is not positive")
+        if value is not None and name != "seconds" and value % 1 != 0:
+            raise TermselError(f"the budget of {value} {name} is not a whole number",
+                               hint="Give a whole number, or leave it out for no limit.")
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from termsel.problems.base import Evaluation, Problem
 from termsel.problems.genome import Genome
 from termsel.problems.segments import Genes
 from termsel.solvers.base import Generation, Solver
-from termsel.solvers.budget import EVALUATIONS, IDLE, TOLERANCE, Budget, Patience
+from termsel.solvers.budget import EVALUATIONS, IDLE, TOLERANCE, Budget, Patience, require_limits
 from termsel.solvers.ledger import BudgetSpent, Ledger, Progress, Tally
 from termsel.solvers.refinement import POLISH_SHARE, Polish, refine
 from termsel.solvers.silence import heard
@@ -152,12 +152,12 @@ def search(
     Raises
     ------
     TermselError
-        For a budget that is not positive, or a solver that cannot handle the objectives.
+        For a budget that is no positive, or no whole, number; or a solver that cannot handle the
+        objectives.
     """
-    for name, value in (("generations", generations), ("evaluations", evaluations),
-                        ("seconds", seconds), ("generations of patience", patience)):
-        if value is not None and not value > 0:
-            raise TermselError(f"the budget of {value} {name} is not positive")
+    require_limits(generations=generations, evaluations=evaluations, seconds=seconds,
+                   patience=patience)
+    evaluations = None if evaluations is None else int(evaluations)
     _require_declared(problem)
     require_able(problem, solver)
     part = 1 + POLISH_SHARE if polish else 1

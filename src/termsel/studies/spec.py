@@ -226,6 +226,9 @@ def _sources(at: Places, given: Any) -> list[Source]:
     if isinstance(given, Mapping) and given and all(
             isinstance(one, FeatureSet) for one in given.values()):
         return [Source(features=given, path=("data",))]  # from Python, by label
+    if isinstance(given, Mapping) and any(isinstance(one, FeatureSet) for one in given.values()):
+        label = next(key for key, one in given.items() if not isinstance(one, FeatureSet))
+        raise at.error(("data",), f"data {label!r} is no feature set", "Read it with termsel.read.")
     if not isinstance(given, Sequence) or isinstance(given, str):
         raise at.error(("data",), "data is not a list", 'Write [[data]] and then points = "...".')
     found = []

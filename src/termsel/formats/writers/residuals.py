@@ -14,7 +14,7 @@ from termsel.fits.scene import errors_on_ground
 from termsel.formats.base import Writer
 from termsel.formats.deviation import say_measured
 from termsel.formats.writers.qgis_style import OPTIONS, TABLE, styles
-from termsel.measurements.attributes import TextArray
+from termsel.measurements.attributes import TextArray, distinct
 from termsel.measurements.crs import horizontal
 from termsel.measurements.features import FloatArray
 from termsel.options import Option
@@ -109,5 +109,5 @@ def _attributes(result: Result, taken: list[str]) -> dict[str, TextArray]:
     features = result.features
     row = {name: i for i, name in enumerate(features.ids)}
     rows = [row[residual.id] for residual in result.residuals]
-    names = dict.fromkeys([*features.points.attributes, *features.lines.attributes])
+    names = distinct([*features.points.attributes, *features.lines.attributes])
     return {name: features.texts(name)[rows] for name in names if name.casefold() not in taken}
