@@ -121,15 +121,16 @@ def _title(name: str) -> str:
 
 def _certificate(certificate: Mapping[str, Any], exact: str) -> str:
     proven = f"{certificate['subsets']:,} subsets decided, {certificate['space']}"
+    space, _, limit = certificate["space"].partition(" of up to ")
+    capped = f" of up to {limit}" if limit else ""
     if "claimed_by" in certificate and certificate["optimal"]:
         return (f"{certificate['claimed_by']} claims that no selection has a better criterion "
                 f"({proven}); termsel has not proven it")
     if certificate["optimal"]:
-        space, _, limit = certificate["space"].partition(" of up to ")
         how = [f"{certificate['subsets']:,} subsets decided"]
         if certificate.get("bounded"):
             how.append(f"{certificate['bounded']:,} of them by bounds")
-        return (f"Proven: no selection{' of up to ' * bool(limit)}{limit} has a better criterion "
+        return (f"Proven: no selection{capped} has a better criterion "
                 f"({', '.join(how if limit else [*how, space])})")
     if "optimum" in certificate:
         if certificate.get("gap") is None:
@@ -139,8 +140,8 @@ def _certificate(certificate: Mapping[str, Any], exact: str) -> str:
                 f"{certificate['optimum']:.4g} ({proven}); {exact} finds it")
     done = f"{certificate['subsets']:,} of {certificate['of']:,} subsets decided"
     if certificate.get("gap") is not None:
-        return (f"Not proven: at most {100 * certificate['gap']:.2f} % above the optimum, which is "
-                f"{certificate['bound']:.4g} or more ({done})")
+        return (f"Not proven: at most {100 * certificate['gap']:.2f} % above the optimum{capped}, "
+                f"which is {certificate['bound']:.4g} or more ({done})")
     return f"Not proven: {done}" + (
         "; no lower bound is known yet" if certificate.get("bound") == 0 else "")
 
