@@ -200,8 +200,8 @@ With half of the candidates moved, the selection has {ratio:.2f} times its error
 draws {SAMPLES:,} pairs and takes those within {TOLERANCE:g} px. Iterative least squares leaves out
 what is beyond 2.5 standard deviations, until nothing is.
 
-To repeat: `python -m benchmarks.matching --write`. `python -m benchmarks.matching --large` measures
-the chain on 4,000 x 4,000 px.
+To repeat: `python -m benchmarks.matching --scenes {len(scenes)} --size {size} --write`.
+`python -m benchmarks.matching --large` measures the chain on 4,000 x 4,000 px.
 """
 
 

@@ -143,8 +143,8 @@ BELOW = "The proven optimum is 0, below this (12,345 subsets decided, all sizes)
      "Not proven: at most 12.50 % above the optimum, which is 0.8 or more (12,345 of 99,999 "
      "subsets decided)"),
     ({"bound": 0.8, "gap": 0.125, "space": "selections of up to 16 terms an axis"}, "exact", 1.0,
-     "Not proven: at most 12.50 % above the optimum of up to 16 terms an axis, which is 0.8 or more "
-     "(12,345 of 99,999 subsets decided)"),
+     "Not proven: at most 12.50 % above the optimum of up to 16 terms an axis, which is 0.8 or "
+     "more (12,345 of 99,999 subsets decided)"),
     ({"bound": 0.0}, "exact", 1.0,
      "Not proven: 12,345 of 99,999 subsets decided; no lower bound is known yet"),
     ({}, "ga", 1.0, "Not proven: 12,345 of 99,999 subsets decided")])

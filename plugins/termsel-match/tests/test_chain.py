@@ -14,9 +14,12 @@ pytest.importorskip("termsel_match", reason="termsel-match is not installed: "
                     "pip install -e plugins/termsel-match")
 
 import rasterio
+import shapely
+from pyogrio.raw import write
 
 from termsel import FeatureSet, TermselError
 from termsel.testing import command_checks, criterion_checks
+from termsel_match.chain import georeference
 from termsel_match.commands import NOT_GOOD_ENOUGH, auto_georeference
 from termsel_match.criteria import Agreement
 from termsel_match.selection import select_points
@@ -103,3 +106,23 @@ def test_a_result_that_is_not_good_enough_ends_with_three(place: Any, says: Any,
     assert code == 2
     assert "not enough candidates" in text
     assert not output.exists()
+
+
+def test_lines_that_contradict_the_points_make_no_map(place: Any, says: Any,
+                                                      tmp_path: Path) -> None:
+    moved = tmp_path / "moved.gpkg"
+    write(moved, shapely.to_wkb(np.array([shapely.LineString(one + np.array([25.0, 10.0]))
+                                          for one in place.world.vectors()])), [], fields=[],
+          geometry_type="LineString", crs="EPSG:32633")
+    words = ("--reference", place / "ortho.tif", "--dem", place / "dem.tif", "--count", 100, "-o",
+             tmp_path / "map.tif", "--vectors")
+    code, text = says("auto-georeference", place / "image.tif", *words, moved)
+    assert (code, "Points and lines contradict each other" in text) == (NOT_GOOD_ENOUGH, True), text
+    assert not (tmp_path / "map.tif").exists()
+
+
+def test_vectors_that_cannot_be_read_are_refused_before_the_matching(place: Any,
+                                                                     tmp_path: Path) -> None:
+    with pytest.raises(TermselError, match="cannot read these vectors"):
+        georeference(tmp_path / "none.tif", place / "ortho.tif", tmp_path / "map.tif",
+                     dem=place / "dem.tif", vectors=place / "image.RPB")

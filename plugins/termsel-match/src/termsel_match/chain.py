@@ -11,9 +11,10 @@ from typing import Any
 from termsel import FeatureSet, TermselError, read_rpc, rectify, write_points_csv
 from termsel.files.atomic import write_text
 from termsel_match.points import Candidates, match_points
-from termsel_match.rounds import Matched, iterate_lines
+from termsel_match.rounds import Matched, iterate_lines, rms_distance
 from termsel_match.selection import Selected, select_points, with_lines
 from termsel_match.starts import Start
+from termsel_match.vectors import read_vectors
 
 CANDIDATES, REPORT, RESULT = "candidates.csv", "report.txt", "result"
 
@@ -66,7 +67,7 @@ class Georeferenced:
         if self.lines is not None:
             last = self.lines.rounds[-1]
             lines.append(f"Lines: {last.agreeing} of {last.pieces} straight pieces of vectors "
-                         f"agree, with an RMS distance of {last.rms:.2f} px")
+                         f"agree, with an RMS distance of {_lines_away(one):.2f} px")
         if self.reasons:
             lines += ["Not good enough:", *(f"  {reason}" for reason in self.reasons)]
         return "\n".join(lines) + "\n"
@@ -129,6 +130,8 @@ def georeference(
     decision by the error that is accepted. The limits of the share of candidates that agree and of
     the part of the image that they cover are termsel's.
     """
+    if vectors is not None:
+        read_vectors(Path(vectors))  # what is wrong with them is said before the matching
     found = match_points(image, reference, dem=dem, start=start, progress=progress, **matching)
     features = FeatureSet(found.points, crs=found.crs, image_size=found.image_size)
     model, options = model_for(start, Path(image))
@@ -164,6 +167,11 @@ def model_for(start: Path | str | None, image: Path) -> tuple[str, dict[str, Any
     return "affine", {}
 
 
+def _lines_away(selected: Selected) -> float:
+    """Return the RMS distance of the lines from the model of points and lines [px]."""
+    return rms_distance(selected.result, selected.result.features.lines)
+
+
 def _reasons(selected: Selected, accept: float) -> tuple[str, ...]:
     """Return why a result is not good enough."""
     reasons = []
@@ -177,4 +185,8 @@ def _reasons(selected: Selected, accept: float) -> tuple[str, ...]:
     if selected.covered < _LEAST_COVERED:
         reasons.append(f"The candidates that agree cover {100 * selected.covered:.0f} % of the "
                        f"image; at least {100 * _LEAST_COVERED:.0f} % must be.")
+    if len(selected.result.features.lines) and _lines_away(selected) > _SEARCH:
+        reasons.append(f"Points and lines contradict each other: the lines are "
+                       f"{_lines_away(selected):.1f} px from the model. Are the vectors where the "
+                       "reference is? Points alone need no --vectors.")
     return tuple(reasons)

@@ -133,8 +133,7 @@ def iterate_lines(
                              options=dict(options), seed=seed)
         chosen = found.lines.take(np.isin(found.lines.ids, result.selection.features))
         pieces = len(set(found.lines.attributes["piece"]))
-        distances = _distances(result, chosen)
-        rms = float(np.sqrt((distances**2).mean()))
+        rms = rms_distance(result, chosen)
         now = result.project(chosen.ground.reshape(-1, 3))
         before = now if at is None else _in(at, chosen.ground.reshape(-1, 3), found.crs)
         moved = float(np.sqrt(((now - before) ** 2).sum(axis=1).mean()))
@@ -152,8 +151,7 @@ def iterate_lines(
         raise TermselError(
             f"not enough lines agree: for {int(there.sum())} of {len(there)} pieces of vectors the "
             f"clearest band of the image is at its place", file=Path(image),
-            hint=f"Is the start off by more than --search {first:g} px? Do the vectors show what "
-                 "can be seen?")
+            hint="Is the start off by more than --search? Do the vectors show what can be seen?")
     lines = Lines(chosen.ids, chosen.image, chosen.ground, np.full(len(chosen), rms),
                   attributes=chosen.attributes)
     result = termsel.run("owdis-lines", features=features.with_(lines=lines), model=model,
@@ -197,6 +195,7 @@ def _in(start: Start, ground: Any, crs: str) -> Any:
                                           ground[:, 2]]))
 
 
-def _distances(result: Result, lines: Lines) -> Any:
-    """Return the distances of projected vertices from the measured lines, (n, 2) [px]."""
-    return np.linalg.norm(result.fit.line_errors(lines), axis=2)
+def rms_distance(result: Result, lines: Lines) -> float:
+    """Return the RMS distance of projected vertices from measured lines [px]."""
+    distances = np.linalg.norm(result.fit.line_errors(lines), axis=2)
+    return float(np.sqrt((distances**2).mean()))

@@ -61,7 +61,7 @@ def pieces_of(path: Path | str, start: Start, dem: Path | str | None, size: tupl
     """
     from pyproj import CRS, Transformer
 
-    lines, crs = _read(Path(path))
+    lines, crs = read_vectors(Path(path))
     to_start = Transformer.from_crs(CRS.from_user_input(crs).to_2d(),
                                     CRS.from_user_input(start.crs).to_2d(), always_xy=True)
     owner = np.repeat(np.arange(len(lines)), [len(line) for line in lines])
@@ -93,8 +93,14 @@ def pieces_of(path: Path | str, start: Start, dem: Path | str | None, size: tupl
     return Pieces(tuple(vector), np.array(ends), np.array(image), crs)
 
 
-def _read(path: Path) -> tuple[list[FloatArray], str]:
-    """Return the vertices of the lines of a file, shape (n, 2) each, and the CRS."""
+def read_vectors(path: Path) -> tuple[list[FloatArray], str]:
+    """Return the vertices of the lines of a file, shape (n, 2) each, and the CRS.
+
+    Raises
+    ------
+    TermselError
+        If the file cannot be read, or has no CRS or no lines.
+    """
     from pyogrio.errors import DataLayerError, DataSourceError
     from pyogrio.raw import read
 
