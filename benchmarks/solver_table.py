@@ -9,15 +9,14 @@ one stopped, and reads a study that is finished.
 from __future__ import annotations
 
 import argparse
-import sys
 from pathlib import Path
 
 import termsel
+from benchmarks.sets import put
 from termsel.studies.pages import section, tables_of
 
 HERE = Path(__file__).parent
 STUDIES = ("solver-table-terms", "solver-table-features")
-PAGE = HERE.parent / "docs" / "evidence" / "solver-table.md"
 
 INTRODUCTION = """# Solver table
 
@@ -47,10 +46,7 @@ def main() -> None:
     studies = [termsel.compare(HERE / f"{name}.toml", out=asked.out / name, workers=asked.workers)
                for name in STUDIES]
     page = "\n".join([INTRODUCTION, *map(part, studies)])
-    if asked.write:
-        PAGE.write_text(page, encoding="utf-8")
-    else:
-        sys.stdout.write(page)
+    put("solver-table", page, write=asked.write)
 
 
 def part(study: termsel.Study) -> str:

@@ -175,7 +175,7 @@ def test_ground_lines_have_what_their_parts_share(tmp_path: Path) -> None:
 
     path, image = tmp_path / "l.geojson", tmp_path / "i.csv"
     path.write_text(json.dumps({"type": "FeatureCollection", "features": [
-        line(0, source="map", date="2020"), line(5, source="map", date="2021")]}))
+        line(0, source="map", date="2020", SIGMA=1), line(5, source="map", date="2021")]}))
     image.write_text("id,line1,sample1,line2,sample2\nroad,1,2,3,4\n")
     read = termsel.read(lines=path, image_lines=image).lines
     assert read.attributes["source"].tolist() == ["map", "map"]
@@ -196,8 +196,8 @@ def test_columns_of_a_geopackage(tmp_path: Path) -> None:
 @pytest.mark.parametrize("form", ["boundary", "centroid"])
 def test_areas_have_what_their_corners_share(form: str, tmp_path: Path) -> None:
     path = tmp_path / "a.csv"
-    path.write_text("id,corner,line,sample,x,y,z,source,note\na,1,0,0,5,44,10,map,1\n"
-                    "a,2,0,4,9,44,10,map,2\na,3,3,4,9,47,40,map,3\n")
+    path.write_text("id,corner,line,sample,x,y,z,source,note,Sigma\na,1,0,0,5,44,10,map,1,1\n"
+                    "a,2,0,4,9,44,10,map,2,1\na,3,3,4,9,47,40,map,3,1\n")
     read = termsel.read(areas=path, crs="local", areas_as=form)
     assert read.texts("source").tolist() == ["map"]
     assert read.texts("note").tolist() == [""]

@@ -47,6 +47,8 @@ class AreasCsv(Reader):
         rows = _rows_of_areas(table)
         image, ground = table.stack("line", "sample"), table.stack("x", "y", "z")
         roles = table.roles()
+        # Their edges are lines, of which sigma is a measurement.
+        more = {key: cells for key, cells in table.more.items() if key.casefold() != "sigma"}
         areas = []
         for name, own in rows.items():
             role = next((roles[row] for row in own if roles[row]), "")
@@ -57,7 +59,7 @@ class AreasCsv(Reader):
                                       "Give it one role.")
             try:
                 areas.append(Area(name, image[own], ground[own], role, alike(
-                    [{key: cells[row] for key, cells in table.more.items()} for row in own])))
+                    [{key: cells[row] for key, cells in more.items()} for row in own])))
             except CornerError as error:
                 raise table.error(error.what, own[error.corner],
                                   "line" if error.where == "image" else "x", error.hint) from error

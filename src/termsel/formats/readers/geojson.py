@@ -54,10 +54,11 @@ class Feature:
         Parameters
         ----------
         used : container of str
-            Names that the reader takes.
+            Names that the reader takes, those in small letters also in capitals.
         """
         return {name: self.text(name) for name, value in self.properties.items()
-                if name not in used and is_free(name) and not isinstance(value, list | dict)}
+                if name not in used and name.casefold() not in used and is_free(name)
+                and not isinstance(value, list | dict)}
 
     def pixels(self, name: str = "ji") -> Any:
         """Return a property that holds lists of numbers, which GDAL returns as JSON text."""
