@@ -65,6 +65,7 @@ def test_attributes_are_text_that_cannot_be_changed() -> None:
     ({"": list("abc")}, "cannot have the name ''"),
     ({"a\nb": list("abc")}, "cannot have the name"),
     ({"residual_line": list("abc")}, "cannot have the name 'residual_line'"),
+    ({"geometry": list("abc")}, "cannot have the name 'geometry'"),
     ({"date": list("abc"), "Date": list("abc")}, "two columns of attributes have the name 'Date'"),
     ({"date": list("ab")}, "the attributes 'date' have 2 values for 3 rows"),
     ({"date": "abc"}, "the attributes 'date' have 0 values for 3 rows"),

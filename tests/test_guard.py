@@ -21,6 +21,7 @@ import termsel
 from termsel.errors import TermselError
 from termsel.guard.calls import unguarded
 from termsel.guard.faults import PluginFault
+from termsel.guard.isolation import Isolated
 from termsel.models.polynomial import Affine
 from termsel.problems.base import Evaluation, Problem, Selection
 from termsel.problems.genome import Genome
@@ -192,6 +193,24 @@ def test_two_plugins_in_two_threads_leave_the_process_as_it_was(
         other.result()
     assert _state() == before
     assert capsys.readouterr() == ("of the program\n", "of a plugin\nof its thread\n")
+
+
+def test_stdout_is_back_where_the_folder_is_gone(
+        tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    gone = tmp_path / "gone"
+    gone.mkdir()
+    monkeypatch.chdir(gone)
+    before = sys.stdout
+    isolated = Isolated("tests")
+    isolated.__enter__()
+    os.chdir(tmp_path)
+    gone.rmdir()
+    with pytest.raises(FileNotFoundError):
+        isolated.__exit__()
+    assert sys.stdout is before
+    with Isolated("tests"):
+        assert sys.stdout is not before
+    assert sys.stdout is before
 
 
 def test_numbers_from_the_global_generator_are_not_spent() -> None:

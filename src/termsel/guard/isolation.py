@@ -90,11 +90,13 @@ class _Process:
         """Put the state back; the last to end puts back stdout."""
         thread = threading.get_ident()
         with self.lock:
-            before.put_back()
-            self.running[thread] -= 1
-            if not self.running[thread]:
-                del self.running[thread]
-            sys.stdout = self.screen if self.running else self.screen.stdout
+            try:
+                before.put_back()  # fails where the folder is gone
+            finally:
+                self.running[thread] -= 1
+                if not self.running[thread]:
+                    del self.running[thread]
+                sys.stdout = self.screen if self.running else self.screen.stdout
 
 
 _process = _Process()

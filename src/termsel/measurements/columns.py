@@ -21,8 +21,8 @@ OPTIONAL = frozenset({"role", "enabled", "sigma_line", "sigma_sample", "sigma"})
 """Meanings that a table may have no column for."""
 
 COMPUTED = ("computed_line", "computed_sample", "residual_line", "residual_sample",
-            "residual1", "residual2", "dx", "dy", "residual")
-"""Columns that termsel and QGIS add to measurements."""
+            "residual1", "residual2", "dx", "dy", "residual", "geometry")
+"""Columns that termsel, QGIS and GeoPandas add to measurements."""
 
 TAKEN = frozenset(COMPUTED).union(*POINTS.values(), *LINES.values()) - {"sigma"}
 """Names, in lower case, that columns of attributes cannot have; of lines nor sigma."""
