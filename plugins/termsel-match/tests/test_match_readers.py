@@ -97,7 +97,9 @@ def test_other_names_of_columns_by_format(place: Any, file: Any) -> None:
     (AROSICS.replace("100,200", "x,200"), None, "line 2, column 'X_IM': 'x' is not a number"),
     ("POINT_ID,X_IM\n1,2\n", "arosics-csv", "no column Y_IM"),
     ("", "matches-csv", "empty"),
-], ids=range(7))
+    (MATCHES + "9" * 200_000, None, "line 4: this row cannot be read"),
+    (ASP.replace("2 2\n", f"{'9' * 5000} {'9' * 5000}\n"), "asp-match", "announces 999"),
+], ids=range(9))
 def test_what_is_wrong_is_said_with_its_place(file: Any, text: str, format: str | None,
                                               reason: str) -> None:
     with pytest.raises(TermselError) as caught:

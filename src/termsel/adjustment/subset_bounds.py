@@ -15,8 +15,11 @@ hold for each such subset, whatever S is:
    D + d b has a largest value: a new U, to be used in turn. If one is below the margin, no
    subset has a score.
 
-U is infinite at first (then w = 0) and is handed down to the subsets below. Without denominators
-U = 1 and w q is least squares with a constraint. termsel's own formulation; fact 1 is Thales'.
+U is infinite at first and is handed down to the subsets below. While it is, no denominator exceeds
+the root of the sum of all their squares, so fact 2 becomes
+sum of (e - V b)^2 <= B sum of (D + d b)^2. The quadratic with that instead is used where it is
+convex, else w = 0. Without denominators U = 1 and w q is least squares with a constraint.
+termsel's own formulation; fact 1 is Thales'.
 """
 
 from __future__ import annotations

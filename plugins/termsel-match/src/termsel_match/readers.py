@@ -20,6 +20,7 @@ _AROSICS = ("POINT_ID", "X_IM", "Y_IM", "X_MAP", "Y_MAP", "X_SHIFT_M", "Y_SHIFT_
 _NO_MATCH = -9999.0  # AROSICS' fill value
 _PLACES = (("image_line", "image_sample", "reference_line", "reference_sample"),
            ("y1", "x1", "y2", "x2"))
+_DIGITS = 19
 _ASP_CELLS = 11  # of an interest point, before its descriptor
 
 
@@ -111,7 +112,8 @@ class AspMatches(Reader):
         """Return the points; errors name file and line."""
         lines = _text(path).splitlines()
         first_word = next(iter((lines or [""])[0].split()), "")
-        count = int(first_word) if first_word.isdecimal() else 0
+        # Python reads no number of thousands of digits, and no file has so many rows.
+        count = int(first_word[:_DIGITS]) if first_word.isdecimal() else 0
         if count == 0 or len(lines) < 1 + 2 * count:
             raise TermselError(
                 f"the file announces {count} matches and has {max(len(lines) - 1, 0)} rows",
@@ -168,14 +170,19 @@ def _header(head: bytes) -> list[str]:
 def _rows(path: Path, needed: Sequence[str]) -> Iterator[tuple[int, dict[str, str]]]:
     """Yield the number and the cells of each row of a table that has the columns needed."""
     reader = csv.DictReader(_text(path).splitlines(), skipinitialspace=True)
-    names = [name.strip() for name in reader.fieldnames or []]
-    reader.fieldnames = names
-    lacking = [name for name in needed if name not in names]
-    if lacking:
-        raise TermselError(f"the table has no column {lacking[0]}", file=path, line=1,
-                           hint=f"Expected the columns {','.join(needed)}.")
-    for cells in reader:
-        yield reader.line_num, cells
+    try:
+        names = [name.strip() for name in reader.fieldnames or []]
+        reader.fieldnames = names
+        lacking = [name for name in needed if name not in names]
+        if lacking:
+            raise TermselError(f"the table has no column {lacking[0]}", file=path, line=1,
+                               hint=f"Expected the columns {','.join(needed)}.")
+        for cells in reader:
+            yield reader.line_num, cells
+    except csv.Error as error:
+        raise TermselError(f"this row cannot be read: {error}", file=path,
+                           line=reader.line_num + 1,
+                           hint='Look for a quotation mark (") that is not closed.') from error
 
 
 def _number(cells: dict[str, str], name: str, path: Path, line: int) -> float:
