@@ -60,6 +60,13 @@ def test_attributes_are_text_that_cannot_be_changed() -> None:
         part.attributes["year"][0] = "1"
 
 
+def test_sets_without_lines_share_no_columns() -> None:
+    one, other = FeatureSet(points(3)), FeatureSet(points(3))
+    one.lines.attributes["width"] = np.empty(0, dtype=object)  # type: ignore[index]
+    assert not other.lines.attributes
+    assert not FeatureSet().points.attributes
+
+
 @pytest.mark.parametrize(("attributes", "said"), [
     ({"Row": "abc"}, "cannot have the name 'Row'"),
     ({"": list("abc")}, "cannot have the name ''"),

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cache, cached_property
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -233,16 +233,18 @@ class Lines(Tabular):
             attributes=rows_at(self.attributes, rows))
 
 
-@cache
+_POINTS = Points((), np.empty((0, 2)), np.empty((0, 3)))
+_LINES = Lines((), np.empty((0, 2, 2)), np.empty((0, 2, 3)))
+
+
 def no_points() -> Points:
-    """Return an empty set of points."""
-    return Points((), np.empty((0, 2)), np.empty((0, 3)))
+    """Return an empty set of points, with columns of its own."""
+    return unchecked(_POINTS, attributes={})
 
 
-@cache
 def no_lines() -> Lines:
-    """Return an empty set of lines."""
-    return Lines((), np.empty((0, 2, 2)), np.empty((0, 2, 3)))
+    """Return an empty set of lines, with columns of its own."""
+    return unchecked(_LINES, attributes={})
 
 
 @dataclass(frozen=True, eq=False, repr=False)

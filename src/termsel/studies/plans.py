@@ -103,7 +103,8 @@ def read_plan(folder: Path) -> Plan:
         cells = {key: {name: labels[name] for name in LABELS}
                  for key, labels in table["cells"].items()}
         return Plan(spec_of(table["study"]), dict(table["data"]), int(table["workers"]), cells)
-    except (KeyError, TypeError, ValueError, AttributeError, TermselError) as error:
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError,
+            TermselError) as error:
         raise TermselError("this is not the plan of a study", file=file, hint=repeat) from error
 
 
