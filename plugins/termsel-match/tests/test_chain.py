@@ -121,6 +121,16 @@ def test_lines_that_contradict_the_points_make_no_map(place: Any, says: Any,
     assert not (tmp_path / "map.tif").exists()
 
 
+def test_a_folder_that_cannot_be_made_is_refused_at_once(place: Any, says: Any,
+                                                         tmp_path: Path) -> None:
+    code, text = says("auto-georeference", place / "image.tif", "--reference", place / "ortho.tif",
+                      "--dem", place / "dem.tif", "-o", tmp_path / "map.tif", "--out",
+                      place / "dem.tif" / "out")
+    assert code == 2
+    assert "cannot make this folder" in text
+    assert "Start:" not in text
+
+
 def test_vectors_that_cannot_be_read_are_refused_before_the_matching(place: Any,
                                                                      tmp_path: Path) -> None:
     with pytest.raises(TermselError, match="cannot read these vectors"):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import os
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -217,9 +218,15 @@ def refuse_existing(output: Path, overwrite: bool) -> None:
 
 
 def refuse_folder(folder: Path | None) -> None:
-    """Refuse a folder that exists."""
-    if folder is not None and folder.exists():
+    """Refuse a folder that exists or cannot be made, before any long computation."""
+    if folder is None:
+        return
+    if folder.exists():
         raise TermselError("this folder exists already", file=folder, hint="Name a new one.")
+    above = next(one for one in folder.absolute().parents if one.exists())
+    if not above.is_dir() or not os.access(above, os.W_OK):
+        raise TermselError(f"cannot make this folder: {above} is no folder to write to",
+                           file=folder, hint="Choose another --out.")
 
 
 def show_log() -> None:
