@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import shutil
 import sys
@@ -81,6 +82,11 @@ def test_a_picture_is_not_of_a_study_and_a_damaged_plan_is_named(
     done = call("report", folder)
     assert done.exit_code == 2
     assert f"{folder / 'plan.json'}, line 1: this is not JSON" in done.stderr
+    plan = json.loads((images / "plan.json").read_text())
+    (folder / "plan.json").write_text(json.dumps({**plan, "workers": float("inf")}))
+    done = call("report", folder)
+    assert done.exit_code == 2
+    assert f"{folder / 'plan.json'}: this is not the plan of a study" in done.stderr
 
 
 def test_images_stand_worst_first_with_their_residuals(images: Path) -> None:
