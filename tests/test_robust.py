@@ -441,6 +441,7 @@ def test_repeated_searches_share_the_time() -> None:
         assert any("raise --seconds" in note for note in result.notes)
 
 
+@pytest.mark.slow
 def test_where_points_alone_are_used_they_alone_predict() -> None:
     scene = simulate_scene("ikonos-hamedan", n_lines=40)
     rng = np.random.default_rng(1)

@@ -317,6 +317,7 @@ def test_methods_of_like_names_have_ioh_data_of_their_own() -> None:
 
 
 def test_iohinspector_reads_the_data(study: termsel.Study, tmp_path: Path) -> None:
+    # No extra installs it: with it comes a package named tests, which hides this folder.
     iohinspector = pytest.importorskip("iohinspector")
     groups = group(study.rows, study.records)
     for name, content in ioh_files(groups):

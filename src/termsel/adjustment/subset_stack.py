@@ -8,6 +8,7 @@ from functools import cache, cached_property
 
 import numpy as np
 
+from termsel.adjustment.compiled import is_compiled
 from termsel.adjustment.solve import TOLERANCE
 from termsel.adjustment.subset_arrays import Blocks, Levels, Limits, Products, Records, Space
 from termsel.adjustment.subset_bounds import first_closed
@@ -64,6 +65,11 @@ class Stack:
         """Whether subsets are decided by branch and bound."""
         return (self.kind != PRESS and len(self.systems) == 1
                 and self.systems[0].control.shape[1] == self.k + 1)
+
+    @property
+    def needs_compilation(self) -> bool:
+        """Whether the first branch spends a while on compilation, once per machine and version."""
+        return self.branches and not is_compiled(branch)
 
     @cached_property
     def _targets(self) -> IntArray:

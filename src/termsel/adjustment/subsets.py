@@ -16,6 +16,7 @@ and leave-one-out errors take part is termsel's own formulation, and so are the 
 
 from __future__ import annotations
 
+import logging
 import time
 from collections import deque
 from collections.abc import Iterator, Sequence
@@ -35,6 +36,8 @@ from termsel.adjustment.subset_system import (
     count_subsets,
 )
 from termsel.measurements.features import BoolArray, FloatArray, IntArray
+
+log = logging.getLogger(__name__)
 
 __all__ = ["MAX_COLUMNS", "SCORES", "SubsetResult", "SubsetSystem", "count_subsets",
            "estimate_seconds", "search"]
@@ -133,6 +136,8 @@ def search(
     at most if a column is within a small factor of the tolerance.
     """
     systems = stack(system, score, folds, max_terms)
+    if systems.needs_compilation:
+        log.info("Compiling: the first proof on this machine takes some 20 s longer.")
     total = systems.everything.count
     best, masks = _nothing(systems.k)
     if total > _DESCEND_FROM:

@@ -13,7 +13,8 @@ COMMANDS = {
     "export": ("termsel.cli.export:export",
                "Write a result for GDAL, QGIS, OTB, Orthority and others."),
     "report": ("termsel.cli.report:report",
-               "Write a page about a result that opens in any browser, without a connection."),
+               "Write a page about a result or a study that opens in any browser, without "
+               "a connection."),
     "plot": ("termsel.cli.plot:plot", "Draw a chart of a result as SVG, PNG or PDF."),
     "project": ("termsel.cli.project:project",
                 "Compute image positions of ground points, or ground positions of image points."),
