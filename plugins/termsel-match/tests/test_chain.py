@@ -47,6 +47,7 @@ def candidates(place: Any, wrong: float, turned: float = 1.0) -> FeatureSet:
                       image_size=(500, 500))
 
 
+@pytest.mark.slow
 def test_half_of_the_candidates_may_be_wrong(place: Any) -> None:
     true, errors = place.world.independent(), []
     for wrong in (0.0, 0.5):
@@ -108,6 +109,7 @@ def test_a_result_that_is_not_good_enough_ends_with_three(place: Any, says: Any,
     assert not output.exists()
 
 
+@pytest.mark.slow
 def test_lines_that_contradict_the_points_make_no_map(place: Any, says: Any,
                                                       tmp_path: Path) -> None:
     moved = tmp_path / "moved.gpkg"

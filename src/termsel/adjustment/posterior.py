@@ -77,8 +77,9 @@ class Side:
     free: FloatArray
 
 
-def scales_of(exponents: FloatArray, draws: int = DRAWS) -> FloatArray:
+def scales_of(exponents: FloatArray, draws: int | None = None) -> FloatArray:
     """Return standard deviations of the shrunken coefficients for size 1, shape (g, k)."""
+    draws = DRAWS if draws is None else draws
     order, height = exponents.sum(axis=1), exponents[:, 2]
     reliefs, falls = RELIEFS if height.any() else (1.0,), FALLS if order.max() > 2 else (1.0,)
     rule = np.array([fall ** (order - 2.0) * relief ** height
