@@ -158,7 +158,7 @@ def verdict(found: list[Row]) -> str:
         f"above it: {worse} |"])
 
 
-CONSTANTS = ("LENGTHS", "RATIOS", "FALL", "RELIEF", "KNOTS", "JITTER")
+CONSTANTS = ("LENGTHS", "RATIOS", "FALLS", "RELIEF", "KNOTS", "JITTER")
 ODDS = ((field, "FIELD"), (field, "ALIKE"), (local, "LIKELY"))
 
 

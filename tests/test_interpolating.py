@@ -121,7 +121,8 @@ def one_cell(monkeypatch: pytest.MonkeyPatch) -> tuple[float, float, tuple[float
     size, ratio, lengths = 10.0, 0.25, (0.4, 0.8)
     monkeypatch.setattr(posterior, "SIZES", np.array([size]))
     monkeypatch.setattr("termsel.adjustment.foresight.SIZES", np.array([size]))
-    for name, value in (("RATIOS", (ratio,)), ("LENGTHS", (lengths, lengths[::-1])),
+    for name, value in (("RATIOS", (ratio,)), ("FALLS", (0.1,)),
+                        ("LENGTHS", (lengths, lengths[::-1])),
                         ("FIELD", 1 - 1e-15), ("ALIKE", 0.0)):
         monkeypatch.setattr(field, name, value)
     field._collocated.cache_clear()

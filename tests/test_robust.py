@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,7 +15,7 @@ from scipy.optimize import least_squares, minimize
 import termsel
 from termsel.adjustment.equations import Equations
 from termsel.candidates.blunders import find_blunders
-from termsel.candidates.portfolio import choose, choose_features, repeated
+from termsel.candidates.portfolio import Choice, choose, choose_features, repeated
 from termsel.candidates.robust import HUBER, TUKEY, reweighted
 from termsel.candidates.shrunken import average, average_with_lines
 from termsel.cli.main import cli
@@ -24,6 +25,7 @@ from termsel.measurements.features import FeatureSet, Lines, no_lines
 from termsel.measurements.roles import observe, together
 from termsel.measurements.scaling import scaling_of
 from termsel.models.polynomial import Polynomial3D
+from termsel.runs import owdis
 from termsel.simulate import scene_truth, simulate_scene
 
 QUICK = {"population": 40, "polish": False}
@@ -450,5 +452,44 @@ def test_where_points_alone_are_used_they_alone_predict() -> None:
         0.0, 8.0, lines.image.shape)))
     found = termsel.run("owdis-lines", features=rough, strategy="auto")
     alone = termsel.run("rfm-terms", features=scene.with_(lines=no_lines()))
-    assert found.strategy["reason"].endswith("so the lines are not used.")
+    assert "so the lines are not used." in found.strategy["reason"]
     assert found.predicted.rmse == pytest.approx(alone.predicted.rmse, rel=0.05)
+
+
+@pytest.fixture(scope="module")
+def few_lines() -> tuple[FeatureSet, Choice]:
+    scene = simulate_scene("ikonos-hamedan", n_points=24, n_lines=24, wrong_lines=0)
+    control = scene.with_(points=replace(scene.points, roles=()))
+    choice = choose_features(control, True)
+    assert choice is not None
+    return control, choice
+
+
+def test_owdis_is_searched_once_where_it_does_not_help(
+        few_lines: tuple[FeatureSet, Choice], monkeypatch: pytest.MonkeyPatch) -> None:
+    control, choice = few_lines
+    monkeypatch.setattr(owdis, "_held_out", None)
+    found, errors = owdis.with_selected_lines(control, True, choice, 1)
+    assert (found.chosen, errors) == (choice.chosen, None)
+    assert found.reason.startswith(choice.reason)
+    assert re.search(r"OWDIS selects \d+ of 24 lines\. .*must be better by more than 3\.$",
+                     found.reason)
+
+
+@pytest.mark.slow
+def test_owdis_is_taken_for_errors_of_points_that_it_did_not_select_by(
+        few_lines: tuple[FeatureSet, Choice], monkeypatch: pytest.MonkeyPatch) -> None:
+    control, choice = few_lines
+    worse = replace(choice, chosen=replace(choice.chosen, squares=1e3 * choice.chosen.squares))
+    monkeypatch.setattr(owdis, "FOLDS_WITH_LINES", 2)
+    found, errors = owdis.with_selected_lines(control, True, worse, 1)
+    assert found.reason.endswith("so these lines are used.")
+    assert len(found.chosen.fit.control.points) == 24
+    assert 0 < len(found.chosen.fit.control.lines) < 24
+    image = control.points.image.copy()
+    image[0] += 3.0, -4.0
+    moved = control.with_(points=replace(control.points, image=image))
+    _, again = owdis.with_selected_lines(moved, True, worse, 1)
+    assert errors is not None
+    assert again is not None
+    np.testing.assert_allclose(again[0] - errors[0], (3.0, -4.0), atol=1e-9)

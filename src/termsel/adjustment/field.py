@@ -47,12 +47,13 @@ LENGTHS = ((0.15, 0.15), (0.3, 0.3), (0.6, 0.6), (1.2, 1.2), (0.15, 1.2), (1.2, 
 neighbours among a hundred points to where a field cannot be told from a polynomial; and two that
 differ."""
 
-RATIOS = (0.01, 0.05, 0.25, 1.25)
+RATIOS = (0.02, 0.2, 2.0)
 """Standard deviations of the field by those of quadratic coefficients, which `posterior.SIZES`
 takes from the noise to where they are as good as free."""
 
-FALL, RELIEF = 0.1, 0.1
-"""Cubic coefficients by quadratic ones, and those of one power of Z more, next to a field."""
+FALLS, RELIEF = (0.01, 0.1), 0.1
+"""Cubic coefficients by quadratic ones, and those of one power of Z more, next to a field. With one
+fall alone a field must stand in for the cubic terms that it does not allow."""
 
 DEGREE = 3
 
@@ -198,8 +199,8 @@ class Collocation:
             spanned = _with_field(columns, places, self.knots, part)
             field = spanned[:, columns.shape[1]:]
             # Away from the knots the field has a variance that their covariances do not span.
-            missing = None if part.lengths is None else np.square(RATIOS)[:, None] * np.maximum(
-                1.0 - (field**2).sum(axis=1), 0.0)
+            missing = None if part.lengths is None else np.square(np.tile(RATIOS, len(FALLS)))[
+                :, None] * np.maximum(1.0 - (field**2).sum(axis=1), 0.0)
             each.append(foresee(part.found, columns[:, :lead], spanned[:, lead:], missing))
         shares = [share for share, _ in likely]
         mean = sum(share * one.image for share, one in zip(shares, each, strict=True))
@@ -266,8 +267,8 @@ def _collocated(image: bytes, ground: bytes, sigma: bytes | None,
     turn = _turn(points, exponents[:variables + 1])
     there = columns[:, :variables + 1] @ turn
     knots = _spread_out(there)
-    rule = FALL ** (order[order > 1] - 2.0) * RELIEF ** shrunk[:, 2]
-    mixed = np.array([[*rule, *np.full(len(knots), ratio)] for ratio in RATIOS])
+    rules = [fall ** (order[order > 1] - 2.0) * RELIEF ** shrunk[:, 2] for fall in FALLS]
+    mixed = np.array([[*rule, *np.full(len(knots), ratio)] for rule in rules for ratio in RATIOS])
     parts = []
     for lengths in (None, *LENGTHS):
         root = np.empty((0, 0)) if lengths is None else np.asarray(np.linalg.cholesky(

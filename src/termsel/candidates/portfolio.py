@@ -287,7 +287,7 @@ def choose_features(control: FeatureSet, heights: bool, watch: Watch | None = No
     alone = choose(control.with_(lines=no_lines()), heights, whole=whole)
     if alone is None:
         return choice
-    gain = _gain_of(alone.chosen.squares, choice.chosen.squares[:count])
+    gain = gain_of(alone.chosen.squares, choice.chosen.squares[:count])
     said = (f"Points alone predict the points {'better' if gain > 0 else 'worse'} than points with "
             f"lines do, by {abs(gain):.2g} standard errors")
     if gain > BETTER:
@@ -330,10 +330,11 @@ def _compared(one: Judged, other: Judged) -> str:
 
 def _gain(one: Judged, other: Judged) -> float:
     """Return by how many standard errors one's squared errors are smaller, in logarithms."""
-    return _gain_of(one.squares, other.squares)
+    return gain_of(one.squares, other.squares)
 
 
-def _gain_of(one: FloatArray, other: FloatArray) -> float:
+def gain_of(one: FloatArray, other: FloatArray) -> float:
+    """Return by how many standard errors squared errors are smaller than others, in logarithms."""
     tiny = np.finfo(float).tiny
     gain = np.log(np.maximum(other, tiny) / np.maximum(one, tiny))
     return float(gain.mean() / max(gain.std(ddof=1) / np.sqrt(len(gain)), tiny))

@@ -38,6 +38,7 @@ from termsel.runs.data_notes import notes_on_data
 from termsel.runs.final import final_fit
 from termsel.runs.judge import judge_choice
 from termsel.runs.outliers import judged_independent, without_blunders
+from termsel.runs.owdis import with_selected_lines
 from termsel.runs.provenance import data_of, plugins_of, versions
 from termsel.runs.task import FEW, Request, all_control
 from termsel.solvers.base import Generation
@@ -145,7 +146,7 @@ def choose_for(request: Request, observations: Observations, seed: int,
         Its model and solver take no part.
     observations : Observations
     seed : int
-        For the record: nothing is drawn.
+        Of the search by OWDIS, where there are points and lines.
     observers : iterable of callable
         Called with `Progress` after each candidate.
 
@@ -166,14 +167,18 @@ def choose_for(request: Request, observations: Observations, seed: int,
     of_data = tuple(notes_on_data(request.features, observations, heights=True))
     clean, outliers, notes = without_blunders(observations, heights)
     both = merged(together(clean))
-    errors, interrupted = None, False
+    choice, errors, interrupted = None, None, False
     heights = has_heights(clean)
     try:
         choice = exact(both) if len(both) <= EXACT else choose_features(
             both, heights, watch.candidate)
-        errors = repeated(both, heights, watch.candidate) if choice and len(both) > EXACT else None
+        if choice and len(both.lines):
+            watch.tell("OWDIS")
+            choice, errors = with_selected_lines(both, heights, choice, seed)
+        if choice and errors is None and len(both) > EXACT:
+            errors = repeated(both, heights, watch.candidate)
     except KeyboardInterrupt:
-        choice, interrupted = best_of(watch.judged), True
+        choice, errors, interrupted = choice or best_of(watch.judged), None, True
         if choice is None:
             raise
         answered()
