@@ -169,7 +169,7 @@ def model_for(start: Path | str | None, image: Path) -> tuple[str, dict[str, Any
 
 def _lines_away(selected: Selected) -> float:
     """Return the RMS distance of the lines from the model of points and lines [px]."""
-    return rms_distance(selected.result, selected.result.features.lines)
+    return rms_distance(selected.result.fit, selected.result.features.lines)
 
 
 def _reasons(selected: Selected, accept: float) -> tuple[str, ...]:

@@ -24,9 +24,10 @@ LEAST = 8  # candidates; fewer cannot be selected from
 _EACH = 3  # candidates wanted in a cell
 _TRIED = 8  # keypoints of a cell that are refined
 _APART = 12.0  # px, reduced, between candidates
-_WINDOW = 480  # px, reduced: the largest part of a cell that is looked at once
+_WINDOW = 480  # px, reduced: the largest block of cells that is looked at once
+_PART = 256  # px, reduced: of a cell that is larger, the part that is looked at once
 _BORDER = 24  # px, reduced, around a window, where keypoints have no descriptor
-_TRIES = ((0.5, 0.5), (0.2, 0.2), (0.8, 0.8))  # where in a cell, if it is larger
+_TRIES = ((0.5, 0.5), (0.0, 0.0), (1.0, 1.0), (0.0, 1.0), (1.0, 0.0))  # where in such a cell
 
 FOUND, NO_DATA, OUTSIDE, NO_TEXTURE, UNLIKE = ("found", "no data", "outside", "no texture",
                                                "unlike")
@@ -140,9 +141,11 @@ def _in_cells(picture: Picture, reference: Reference, search: float, count: int,
     inner = -(-across // blocks)  # several small cells are looked at together
     found, ends = [], Counter[str]()
     for done, block in enumerate(product(range(blocks), range(blocks))):
+        parts: list[Pairs] = []
         for window in _windows(picture.size, blocks, block, step):
-            parts, end = _in_window(picture, reference, window, inner, step, search / step)
-            if parts:
+            more, end = _in_window(picture, reference, window, inner, step, search / step)
+            parts = max(parts, more, key=_count)
+            if _count(parts) >= _EACH:
                 break
         found += parts
         ends[FOUND] += len(parts)
@@ -158,7 +161,8 @@ def _windows(size: tuple[int, int], across: int, block: tuple[int, int], step: i
     low = [extent * i // across for extent, i in zip(size, block, strict=True)]
     sides = [extent * (i + 1) // across - start
              for extent, i, start in zip(size, block, low, strict=True)]
-    wanted = [min(side, _WINDOW * step) for side in sides]
+    largest = (_WINDOW if max(sides) <= _WINDOW * step else _PART) * step
+    wanted = [min(side, largest) for side in sides]
     windows = []
     for share in _TRIES if sides != wanted else _TRIES[:1]:
         top, left = (start + int((side - want) * part)
@@ -203,6 +207,10 @@ def _in_window(picture: Picture, reference: Reference, window: tuple[int, int, i
             parts.append(Pairs((pairs.first + 0.5) * step - 0.5 + [top - border, left - border],
                                patch.in_reference(pairs.second), pairs.sigma * step, pairs.score))
     return parts, UNLIKE
+
+
+def _count(parts: list[Pairs]) -> int:
+    return sum(len(part.score) for part in parts)
 
 
 def _apart(pairs: Pairs) -> Pairs:

@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 
 import termsel
-from termsel import FeatureSet, Lines, Result, TermselError
+from termsel import FeatureSet, Fit, Lines, Result, TermselError
 from termsel_match.lines import LineCandidates, match_lines
+from termsel_match.selection import searched
 from termsel_match.starts import Start, start_of
 
 _MOST = 6  # rounds
@@ -129,12 +130,12 @@ def iterate_lines(
         found = match_lines(image, vectors, dem=dem, start=at, search=search, band=band,
                             progress=progress)
         features = FeatureSet(lines=found.lines, crs=found.crs, image_size=found.image_size)
-        result = termsel.run("matched-lines", features=features, model=model,
-                             options=dict(options), seed=seed)
-        chosen = found.lines.take(np.isin(found.lines.ids, result.selection.features))
+        chosen = found.lines.take(np.isin(found.lines.ids, searched(
+            "matched-lines", features, model, options, seed=seed)))
+        fitted = termsel.fit(features.with_(lines=chosen), model, **options)
         pieces = len(set(found.lines.attributes["piece"]))
-        rms = rms_distance(result, chosen)
-        now = result.project(chosen.ground.reshape(-1, 3))
+        rms = rms_distance(fitted, chosen)
+        now = fitted.project(chosen.ground.reshape(-1, 3))
         before = now if at is None else _in(at, chosen.ground.reshape(-1, 3), found.crs)
         moved = float(np.sqrt(((now - before) ** 2).sum(axis=1).mean()))
         rounds.append(Round(search, pieces, len(found.lines), len(chosen), rms, moved))
@@ -142,8 +143,8 @@ def iterate_lines(
         if settled or len(rounds) == _MOST:
             break
         search = min(search, max(_NARROWEST, search / _NARROWER))
-        at = _start(result, found.crs, chosen)
-    seen = match_lines(image, vectors, dem=dem, start=_start(result, found.crs, chosen),
+        at = _start(fitted, found.crs, chosen)
+    seen = match_lines(image, vectors, dem=dem, start=_start(fitted, found.crs, chosen),
                        search=max(_PROOF, first), band=band).lines
     clearest = np.array([name.endswith(".1") for name in seen.ids])
     there = np.abs(seen.attributes["offset"][clearest].astype(float)) <= _AT
@@ -160,9 +161,9 @@ def iterate_lines(
     return Matched(found, lines, result, tuple(rounds), settled)
 
 
-def _start(result: Result, crs: str, lines: Lines) -> Start:
+def _start(fitted: Fit, crs: str, lines: Lines) -> Start:
     return Start("the model of the last round", crs, float(np.nanmean(lines.ground[..., 2])),
-                 result.project, result.locate)
+                 fitted.project, fitted.locate)
 
 
 def undetermined(lines: Lines) -> str:
@@ -195,7 +196,7 @@ def _in(start: Start, ground: Any, crs: str) -> Any:
                                           ground[:, 2]]))
 
 
-def rms_distance(result: Result, lines: Lines) -> float:
+def rms_distance(fitted: Fit, lines: Lines) -> float:
     """Return the RMS distance of projected vertices from measured lines [px]."""
-    distances = np.linalg.norm(result.fit.line_errors(lines), axis=2)
+    distances = np.linalg.norm(fitted.line_errors(lines), axis=2)
     return float(np.sqrt((distances**2).mean()))

@@ -16,6 +16,7 @@ PARCEL = 90.0  # mean distance of parcels [m]
 CHANGED = 0.15  # part of the area that is different on the other day
 _WAVES = (2.0, 4.0, 8.0, 16.0, 40.0)  # of the texture [m]
 _OWN = 0.35  # part of the texture that is of one day alone
+_ROWS = 512  # of cells that are computed at once
 _SHIFT = 4  # fractional bits of the positions that are drawn
 _TOWN = 0.3  # side of the town as part of the side of the ground
 _BLOCK = 70.0  # distance of its streets [m]
@@ -66,7 +67,7 @@ def scenery(rng: np.random.Generator, side: float, cell: float,
     parcels, count = _parcels(rng, side, cell, n)
     roads = tuple(_highways(rng, side) + _streets(rng, side))
     footprints, heights, roofs = _houses(rng, side, roads)
-    areas = np.bincount(parcels.ravel(), minlength=count)
+    areas = sum(np.bincount(row, minlength=count) for row in parcels)
     order = rng.permutation(count)
     changed = np.zeros(count, dtype=bool)
     changed[order[np.cumsum(areas[order]) <= CHANGED * n * n]] = True
@@ -79,10 +80,14 @@ def scenery(rng: np.random.Generator, side: float, cell: float,
         if day == 1:
             level = np.where(changed, rng.uniform(70, 170, count), level)
             part = np.where(changed, 1.0, part)
-        mixed = part.astype(np.float32)[parcels]
-        value = level.astype(np.float32)[parcels] + (1 - mixed) * shared + mixed * own
-        del own, mixed
-        image = np.clip(value, 20, 235).astype(np.uint8)
+        level, part = level.astype(np.float32), part.astype(np.float32)
+        image = np.empty((n, n), dtype=np.uint8)
+        for top in range(0, n, _ROWS):  # a part at a time, for the sake of memory
+            rows = slice(top, top + _ROWS)
+            mixed = part[parcels[rows]]
+            image[rows] = np.clip(level[parcels[rows]] + (1 - mixed) * shared[rows]
+                                  + mixed * own[rows], 20, 235)
+        del own
         for road in roads:
             _draw(image, [road.vertices], cell, 205, width=road.width)
         shade = np.zeros((n, n), dtype=np.uint8)
@@ -115,23 +120,23 @@ def _draw(image: Bytes, shapes: list[FloatArray], cell: float, value: int, *,
 
 def _texture(rng: np.random.Generator, n: int, cell: float) -> NDArray[np.float32]:
     """Return brightness of all wavelengths with the mean 0."""
-    total = np.zeros((n, n), dtype=np.float32)
+    total, one = np.zeros((n, n), dtype=np.float32), np.empty((n, n), dtype=np.float32)
     for wave in _WAVES:
         size = max(4, round(n * cell / wave * 2))
-        total += cv2.resize(rng.standard_normal((size, size), dtype=np.float32) * 9.0, (n, n),
+        total += cv2.resize(rng.standard_normal((size, size), dtype=np.float32) * 9.0, (n, n), one,
                             interpolation=cv2.INTER_CUBIC)
     return total
 
 
 def _parcels(rng: np.random.Generator, side: float, cell: float, n: int,
-             ) -> tuple[NDArray[np.int32], int]:
+             ) -> tuple[NDArray[np.uint16], int]:
     """Return which parcel each cell is in, and how many there are."""
     across = max(3, round(side / PARCEL)) + 2
     grid = np.stack(np.meshgrid(*(np.arange(-1, across - 1),) * 2), axis=-1).reshape(-1, 2)
     seeds = (grid + rng.uniform(0.1, 0.9, grid.shape)) * side / (across - 2)
     frame = side * np.array([[-9, -9], [-9, 10], [10, -9], [10, 10]])  # close the outer cells
     diagram = Voronoi(np.concatenate([seeds, frame]))
-    labels = np.zeros((n, n), dtype=np.int32)
+    labels = np.zeros((n, n), dtype=np.uint16)
     for i in range(len(seeds)):
         region = diagram.regions[diagram.point_region[i]]
         if -1 not in region:

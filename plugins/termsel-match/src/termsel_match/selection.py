@@ -11,7 +11,7 @@ import numpy as np
 import shapely
 
 import termsel
-from termsel import FeatureSet, Points, Result, TermselError
+from termsel import FeatureSet, Fit, Points, Result, TermselError
 from termsel_match.rasters import FloatArray, Mask
 
 TOLERANCE = 2.0  # px at which a candidate counts half in the search
@@ -90,20 +90,24 @@ def select_points(features: FeatureSet, model: str, options: Mapping[str, Any], 
     roles = _roles(len(points), seed)
     independent = roles == "independent"
     with_roles = features.with_(points=replace(points, roles=tuple(roles)))
-    least = len(termsel.fit(features, model, **options).terms)
-    found = termsel.run("rpc-gcps", features=with_roles, model=model, criterion="agreement",
-                        options={**options, "half_at": TOLERANCE, "max_uncovered": 0.9,
-                                 "min_features": max(6, least), "max_features": max(6, least)},
-                        seed=seed)
-    agrees, limit, errors = np.zeros(0, dtype=bool), 0.0, _errors(found, points)
+
+    def fitted(used: Mask) -> Fit:
+        control = FeatureSet(replace(points.take(used), roles=()), crs=features.crs)
+        return termsel.fit(control, model, **options)
+
+    least = len(fitted(np.ones(len(points), dtype=bool)).terms)
+    picked = np.isin(points.ids, searched(
+        "rpc-gcps", with_roles, model, {
+            **options, "half_at": TOLERANCE, "max_uncovered": 0.9, "min_features": max(6, least),
+            "max_features": max(6, least)}, seed=seed, criterion="agreement"))
+    agrees, limit, errors = np.zeros(0, dtype=bool), 0.0, _errors(fitted(picked), points)
     for _ in range(_ROUNDS):
         before = agrees
         agrees, limit = _agreeing(errors, ~independent)
         _require(agrees, roles, least)
         if np.array_equal(agrees, before):
             break
-        control = FeatureSet(replace(points.take(agrees), roles=()), crs=features.crs)
-        errors = _errors(termsel.fit(control, model, **options), points)
+        errors = _errors(fitted(agrees), points)
     agrees = errors <= limit
     _require(agrees, roles, least)
     kept = with_roles.with_(points=with_roles.points.take(agrees))
@@ -111,6 +115,17 @@ def select_points(features: FeatureSet, model: str, options: Mapping[str, Any], 
                          options=dict(options), seed=seed, out=out)
     return Selected(result, agrees, independent, limit,
                     _covered(points.take(agrees & ~independent), features.image_size))
+
+
+def searched(problem: str, features: FeatureSet, model: str, options: Mapping[str, Any], *,
+             seed: int, criterion: str | None = None) -> tuple[str, ...]:
+    """Return the features that a search selects, without the comparisons that a run makes."""
+    task = termsel.prepare(problem, features=features, model=model, criterion=criterion,
+                           options=dict(options))
+    found = termsel.search(task.problem, task.solver, seed=seed,
+                           generations=task.recipe.generations, patience=task.recipe.patience,
+                           **task.options["search"])
+    return task.problem.decode(found.genes).features
 
 
 def _require(agrees: Mask, roles: Any, least: int) -> None:
@@ -158,7 +173,7 @@ def _roles(count: int, seed: int) -> Any:
     return roles
 
 
-def _errors(fitted: Any, points: Points) -> FloatArray:
+def _errors(fitted: Fit, points: Points) -> FloatArray:
     errors = np.linalg.norm(points.image - fitted.project(points.ground), axis=1)
     return np.asarray(np.where(np.isfinite(errors), errors, np.inf))
 

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import shapely
+from numpy.typing import NDArray
 
 from termsel import TermselError, open_dem
 from termsel_match.rasters import FloatArray
@@ -16,6 +17,8 @@ from termsel_match.starts import Start
 
 _STRAIGHT = 0.7  # px by which a vector may bend within a piece
 SHORTEST, _LONGEST = 40.0, 150.0  # px of a piece
+MOST = 400  # pieces; more would take time and tell next to nothing
+_CELLS, _DIRECTIONS = 6, 4  # of the image along either side, and of pieces, from which they are
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +93,9 @@ def pieces_of(path: Path | str, start: Start, dem: Path | str | None, size: tupl
         raise TermselError(
             f"no straight piece of {SHORTEST:.0f} px of the vectors is in the image, by "
             f"{start.what}", file=path, hint="Give vectors of the same place.")
-    return Pieces(tuple(vector), np.array(ends), np.array(image), crs)
+    found, places = np.array(image), np.array(ends)
+    kept = _spread(found, size)
+    return Pieces(tuple(vector[i] for i in kept), places[kept], found[kept], crs)
 
 
 def read_vectors(path: Path) -> tuple[list[FloatArray], str]:
@@ -125,6 +130,19 @@ def read_vectors(path: Path) -> tuple[list[FloatArray], str]:
         raise TermselError("the file has no lines", file=path,
                            hint="Give a file of lines, such as roads.")
     return lines, str(meta["crs"])
+
+
+def _spread(image: FloatArray, size: tuple[int, int]) -> NDArray[np.intp]:
+    """Return which pieces to take: of each cell and direction the longest, in turn."""
+    run = image[:, 1] - image[:, 0]
+    cell = np.clip(image.mean(axis=1) / size * _CELLS, 0, _CELLS - 1).astype(np.intp)
+    turn = np.arctan2(run[:, 0], run[:, 1]) % np.pi
+    direction = np.minimum((turn / np.pi * _DIRECTIONS).astype(np.intp), _DIRECTIONS - 1)
+    group = (cell[:, 0] * _CELLS + cell[:, 1]) * _DIRECTIONS + direction
+    order = np.lexsort((-np.linalg.norm(run, axis=1), group))
+    first = np.searchsorted(group[order], group[order])
+    rank = np.arange(len(order)) - first  # within its group
+    return np.sort(order[np.argsort(rank, kind="stable")[:MOST]])
 
 
 def _straight(image: FloatArray) -> list[tuple[int, int]]:
