@@ -17,12 +17,13 @@ import rasterio
 import shapely
 from pyogrio.raw import write
 
-from termsel import FeatureSet, TermselError
+import termsel
+from termsel import FeatureSet, Lines, TermselError
 from termsel.testing import command_checks, criterion_checks
-from termsel_match.chain import georeference
+from termsel_match.chain import georeference, model_for, reasons
 from termsel_match.commands import NOT_GOOD_ENOUGH, auto_georeference
 from termsel_match.criteria import Agreement
-from termsel_match.selection import select_points
+from termsel_match.selection import select_points, with_lines
 
 CHECKS = (*criterion_checks(Agreement()), *command_checks(
     auto_georeference, ["none.tif", "--reference", "none.tif", "-o", "none.tif"]))
@@ -110,17 +111,56 @@ def test_a_result_that_is_not_good_enough_ends_with_three(place: Any, says: Any,
 
 
 @pytest.mark.slow
-def test_lines_that_contradict_the_points_make_no_map(place: Any, says: Any,
-                                                      tmp_path: Path) -> None:
-    moved = tmp_path / "moved.gpkg"
-    write(moved, shapely.to_wkb(np.array([shapely.LineString(one + np.array([25.0, 10.0]))
-                                          for one in place.world.vectors()])), [], fields=[],
-          geometry_type="LineString", crs="EPSG:32633")
-    words = ("--reference", place / "ortho.tif", "--dem", place / "dem.tif", "--count", 100, "-o",
-             tmp_path / "map.tif", "--vectors")
-    code, text = says("auto-georeference", place / "image.tif", *words, moved)
-    assert (code, "Points and lines contradict each other" in text) == (NOT_GOOD_ENOUGH, True), text
-    assert not (tmp_path / "map.tif").exists()
+def test_lines_that_cannot_be_used_lose_no_map(place: Any, says: Any, tmp_path: Path) -> None:
+    words = ("auto-georeference", place / "image.tif", "--reference", place / "ortho.tif", "--dem",
+             place / "dem.tif", "--count", 60, "--overwrite", "-o", tmp_path / "map.tif")
+    for shift in (np.array([9.0, 5.0]), np.array([90000.0, 0.0])):  # beside the reference; far away
+        moved = tmp_path / "moved.gpkg"
+        write(moved, shapely.to_wkb(np.array([shapely.LineString(one + shift)
+                                              for one in place.world.vectors()])), [], fields=[],
+              geometry_type="LineString", crs="EPSG:32633")
+        code, text = says(*words, "--vectors", moved)
+        assert (code, "Lines are not used, the map is by points alone:" in text) == (0, True), text
+        assert (tmp_path / "map.tif").exists()
+
+
+def test_lines_that_contradict_the_points_are_refused(place: Any) -> None:
+    options = {"rpc": str(place / "image.RPB")}
+    selected = select_points(candidates(place, 0.0), "rpc-drift", options)
+    true = selected.result.features.points
+    for far, refused in ((0.0, False), (9.0, True)):
+        ends = np.stack([true.image[:20], true.image[20:40]], axis=1) + far
+        lines = Lines(tuple(f"L{i}" for i in range(20)), ends,
+                      np.stack([true.ground[:20], true.ground[20:40]], axis=1), np.full(20, 0.05))
+        both = FeatureSet(lines=lines, crs="EPSG:32633", image_size=(500, 500))
+        if refused:
+            with pytest.raises(TermselError, match="points and lines contradict each other"):
+                with_lines(selected, both, "rpc-drift", options)
+        else:
+            assert len(with_lines(selected, both, "rpc-drift", options)
+                       .result.features.lines) == 20
+
+
+@pytest.mark.parametrize(("wrong", "made"), [(0.2, True), (0.7, False)])
+def test_a_map_needs_half_of_all_independent_candidates(place: Any, wrong: float,
+                                                        made: bool) -> None:
+    selected = select_points(candidates(place, wrong, 2 * np.pi), "rpc-drift",
+                             {"rpc": str(place / "image.RPB")})
+    assert selected.rmse < 1  # of those that agree: it does not tell
+    assert (selected.median <= 2) == made
+    assert (not reasons(selected, 2.0)) == made
+
+
+def test_the_rpc_of_a_result_is_refined_again(place: Any, tmp_path: Path) -> None:
+    options = {"rpc": str(place / "image.RPB")}
+    result = termsel.run("owdis-points", features=candidates(place, 0.0), model="rpc-shift",
+                         solver="all-terms", options=options, out=tmp_path / "result")
+    model, again = model_for(tmp_path / "result", place / "image.tif")
+    assert model == "rpc-drift"
+    true, fitted = place.world.independent(), termsel.fit(candidates(place, 0.0), model, **again)
+    errors = [np.linalg.norm(one.project(true.ground) - true.image, axis=1).mean()
+              for one in (result.fit, fitted)]
+    assert errors[1] < 0.5 * errors[0]
 
 
 def test_a_folder_that_cannot_be_made_is_refused_at_once(place: Any, says: Any,

@@ -15,10 +15,16 @@ from termsel import FeatureSet, Points, TermselError, read
 from termsel.testing import check_reader, reader_checks
 from termsel_match.readers import ArosicsTable, AspMatches, MatchesCsv
 
-AROSICS = """POINT_ID,X_IM,Y_IM,X_MAP,Y_MAP,X_WIN_SIZE,X_SHIFT_PX,X_SHIFT_M,Y_SHIFT_M,OUTLIER
-7,100,200,439000.0,5228000.0,256,1.5,3.0,-2.0,False
-8,300,200,439400.0,5228000.0,256,-9999,-9999,-9999,-9999
-9,300,400,439400.0,5227600.0,256,9.5,19.0,-2.0,True
+# As GeoPandas saves the table: with an index, the geometry as text, and all columns.
+AROSICS = """,geometry,POINT_ID,X_IM,Y_IM,X_MAP,Y_MAP,REF_BADDATA,X_WIN_SIZE,Y_WIN_SIZE,X_SHIFT_PX,\
+Y_SHIFT_PX,X_SHIFT_M,Y_SHIFT_M,ABS_SHIFT,ANGLE,SSIM_BEFORE,SSIM_AFTER,SSIM_IMPROVED,RELIABILITY,\
+LAST_ERR,L1_OUTLIER,L2_OUTLIER,L3_OUTLIER,OUTLIER
+0,POINT (439000 5228000),7,100,200,439000.0,5228000.0,False,256,256,1.5,1.0,3.0,-2.0,3.606,304,0.7,\
+0.9,True,88.1,,False,False,False,False
+1,POINT (439400 5228000),8,300,200,439400.0,5228000.0,False,-9999,-9999,-9999,-9999,-9999,-9999,\
+-9999,-9999,-9999,-9999,-9999,-9999,"RuntimeError('Poor match, no shift.')",-9999,-9999,-9999,-9999
+2,POINT (439400 5227600),9,300,400,439400.0,5227600.0,False,256,256,9.5,1.0,19.0,-2.0,19.1,276,0.5,\
+0.6,True,31.0,,True,True,True,True
 """
 ASP = """2 2
 20.5 10.25 20 10 0.1 1.0 0.5 1 0 0 0
@@ -83,10 +89,11 @@ def test_pixels_of_the_reference_become_coordinates(place: Any, file: Any, text:
     assert features.crs == "EPSG:32633"
 
 
-def test_other_names_of_columns_by_format(place: Any, file: Any) -> None:
-    features = read(file("x1,y1,x2,y2\n20.5,10.25,5,6\n"), format="matches-csv",
-                    reference=str(place / "ortho.tif"))
+def test_other_names_of_columns_are_recognised(place: Any, file: Any) -> None:
+    features = read(file("x1,y1,x2,y2\n20.5,10.25,5,6\n"), reference=str(place / "ortho.tif"))
     assert features.points.image.tolist() == [[10.25, 20.5]]
+    table = "id,line1,sample1,line2,sample2,x1,y1,z1,x2,y2,z2\na,1,2,3,4,5,6,7,8,9,1\n"
+    assert not MatchesCsv().sniff(Path("lines.csv"), table.encode())
 
 
 @pytest.mark.parametrize(("text", "format", "reason"), [
@@ -94,7 +101,7 @@ def test_other_names_of_columns_by_format(place: Any, file: Any) -> None:
     (MATCHES.replace("30", "thirty"), None, "line 3, column 'image_line': 'thirty' is not"),
     (ASP.replace("2 2\n", "3 3\n"), "asp-match", "announces 3 matches"),
     (ASP.replace("7.0 9.0", "seven 9.0"), None, "line 5: this row is not an interest point"),
-    (AROSICS.replace("100,200", "x,200"), None, "line 2, column 'X_IM': 'x' is not a number"),
+    (AROSICS.replace("7,100,200", "7,x,200"), None, "line 2, column 'X_IM': 'x' is not a number"),
     ("POINT_ID,X_IM\n1,2\n", "arosics-csv", "no column Y_IM"),
     ("", "matches-csv", "empty"),
     (MATCHES + "9" * 200_000, None, "line 4: this row cannot be read"),

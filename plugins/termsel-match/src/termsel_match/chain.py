@@ -8,7 +8,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from termsel import FeatureSet, TermselError, read_rpc, rectify, write_points_csv
+from termsel import (
+    FeatureSet,
+    TermselError,
+    read_result,
+    read_rpc,
+    rectify,
+    write_points_csv,
+)
 from termsel.files.atomic import write_text
 from termsel_match.points import Candidates, match_points
 from termsel_match.rounds import Matched, iterate_lines, rms_distance
@@ -20,7 +27,6 @@ CANDIDATES, REPORT, RESULT = "candidates.csv", "report.txt", "result"
 
 _SEARCH = 12.0  # px for lines, from the model of the points
 _LEAST_INDEPENDENT = 5  # candidates that agree; of fewer the RMSE says little
-_LEAST_SHARE = 0.25  # of the independent candidates that agree
 _LEAST_COVERED = 0.4  # part of the image
 
 
@@ -38,6 +44,8 @@ class Georeferenced:
         Why the result is not good enough; empty where it is.
     lines : Matched, optional
         The lines that are control too.
+    unused : str
+        Why vectors that were given are not used.
     """
 
     candidates: Candidates
@@ -45,6 +53,7 @@ class Georeferenced:
     accept: float
     reasons: tuple[str, ...]
     lines: Matched | None = None
+    unused: str = ""
 
     def text(self) -> str:
         """Return the report."""
@@ -60,14 +69,15 @@ class Georeferenced:
             f"{one.result.features.points.roles.count('control')} for control",
             f"Covered by them: {100 * one.covered:.0f} % of the image",
             f"Independent candidates: {int((agree & one.independent).sum())} of "
-            f"{int(one.independent.sum())} agree, with an RMSE of {one.rmse:.2f} px; accepted: "
-            f"{self.accept:g} px",
-            "Those that do not agree are taken for wrong matches, so the RMSE is that of the right "
-            "ones."]
+            f"{int(one.independent.sum())} agree, with an RMSE of {one.rmse:.2f} px",
+            f"Median error of all of them, right or wrong: {one.median:.2f} px; accepted: "
+            f"{self.accept:g} px"]
         if self.lines is not None:
             last = self.lines.rounds[-1]
             lines.append(f"Lines: {last.agreeing} of {last.pieces} straight pieces of vectors "
                          f"agree, with an RMS distance of {_lines_away(one):.2f} px")
+        if self.unused:
+            lines.append(f"Lines are not used, the map is by points alone: {self.unused}")
         if self.reasons:
             lines += ["Not good enough:", *(f"  {reason}" for reason in self.reasons)]
         return "\n".join(lines) + "\n"
@@ -90,8 +100,9 @@ def georeference(
 ) -> Georeferenced:
     """Make a map of an image, if the result is good enough.
 
-    An RPC is refined by a shift and a drift (`rpc-drift`). Without one, the model is an affine
-    transformation of the ground coordinates.
+    An RPC is refined by a shift and a drift (`rpc-drift`), also that of a result. Without one, the
+    model is an affine transformation of the ground coordinates. Where the vectors cannot be used,
+    the map is by points alone.
 
     Parameters
     ----------
@@ -103,7 +114,8 @@ def georeference(
     output : path-like
         The map, a cloud-optimised GeoTIFF. It is written only if the result is good enough.
     accept : float
-        Largest accepted RMSE of the independent candidates that agree [px].
+        Largest accepted median error of all independent candidates, right or wrong, and RMSE of
+        those that agree [px].
     folder : path-like, optional
         For candidates, result and report.
     seed : int
@@ -127,8 +139,8 @@ def georeference(
     Notes
     -----
     P.K. Konugurthi et al., PE&RS 82(5), 2016, 377-388: matching, selection by a GA, and the
-    decision by the error that is accepted. The limits of the share of candidates that agree and of
-    the part of the image that they cover are termsel's.
+    decision by the error that is accepted. That at least half of the independent candidates must
+    have it, and the limit of the part of the image that they cover, are termsel's.
     """
     if vectors is not None:
         read_vectors(Path(vectors))  # what is wrong with them is said before the matching
@@ -139,17 +151,19 @@ def georeference(
         Path(folder).mkdir(parents=True, exist_ok=True)
         write_points_csv(found.points, Path(folder) / CANDIDATES, found.crs)
     result_folder = None if folder is None else Path(folder) / RESULT
-    selected = select_points(features, model, options, seed=seed,
-                             out=result_folder if vectors is None else None)
-    lines = None
+    selected = select_points(features, model, options, seed=seed, out=result_folder)
+    lines, unused = None, ""
     if vectors is not None:
         at = Start("the model of the points", found.crs, 0.0, selected.result.project,
                    selected.result.locate)
-        lines = iterate_lines(image, vectors, model, options, dem=dem, start=at, search=_SEARCH,
-                              band=matching.get("band"), seed=seed)
-        selected = with_lines(selected, lines.features, model, options, seed=seed,
-                              out=result_folder)
-    done = Georeferenced(found, selected, accept, _reasons(selected, accept), lines)
+        try:
+            lines = iterate_lines(image, vectors, model, options, dem=dem, start=at,
+                                  search=_SEARCH, band=matching.get("band"), seed=seed)
+            selected = with_lines(selected, lines.features, model, options, seed=seed,
+                                  out=result_folder)
+        except TermselError as error:  # the points suffice
+            lines, unused = None, error.what
+    done = Georeferenced(found, selected, accept, reasons(selected, accept), lines, unused)
     if folder is not None:
         write_text(Path(folder) / REPORT, done.text())
     if not done.reasons:
@@ -160,8 +174,11 @@ def georeference(
 def model_for(start: Path | str | None, image: Path) -> tuple[str, dict[str, Any]]:
     """Return the model by what there is to refine, and its options."""
     path = image if start is None else Path(start)
-    if path.is_file():
-        with suppress(TermselError):  # a start of another kind, which match_points has read
+    if path.is_dir():  # a result, which keeps its RPC as it was
+        given = read_result(path).options["model"]
+        return ("rpc-drift", {"rpc": given["rpc"]}) if "rpc" in given else ("affine", {})
+    with suppress(TermselError):  # a start of another kind, which match_points has read
+        if path.is_file():
             read_rpc(path)
             return "rpc-drift", {"rpc": str(path)}
     return "affine", {}
@@ -172,21 +189,21 @@ def _lines_away(selected: Selected) -> float:
     return rms_distance(selected.result.fit, selected.result.features.lines)
 
 
-def _reasons(selected: Selected, accept: float) -> tuple[str, ...]:
+def reasons(selected: Selected, accept: float) -> tuple[str, ...]:
     """Return why a result is not good enough."""
-    reasons = []
+    found = []
     there, agree = int(selected.independent.sum()), int(
         (selected.agrees & selected.independent).sum())
-    if agree < _LEAST_INDEPENDENT or selected.share < _LEAST_SHARE:
-        reasons.append(f"Only {agree} of {there} independent candidates agree with the model; at "
-                       f"least {_LEAST_INDEPENDENT} and {100 * _LEAST_SHARE:.0f} % must.")
+    if agree < _LEAST_INDEPENDENT:
+        found.append(f"Only {agree} of {there} independent candidates agree with the model; at "
+                       f"least {_LEAST_INDEPENDENT} must.")
+    if selected.median > accept:
+        found.append(f"Half of the independent candidates are more than {selected.median:.2f} px "
+                       f"from the model; accepted are {accept:g} px.")
     if selected.rmse > accept:
-        reasons.append(f"The RMSE is {selected.rmse:.2f} px; accepted are {accept:g} px.")
+        found.append(f"The RMSE of those that agree is {selected.rmse:.2f} px; accepted are "
+                       f"{accept:g} px.")
     if selected.covered < _LEAST_COVERED:
-        reasons.append(f"The candidates that agree cover {100 * selected.covered:.0f} % of the "
+        found.append(f"The candidates that agree cover {100 * selected.covered:.0f} % of the "
                        f"image; at least {100 * _LEAST_COVERED:.0f} % must be.")
-    if len(selected.result.features.lines) and _lines_away(selected) > _SEARCH:
-        reasons.append(f"Points and lines contradict each other: the lines are "
-                       f"{_lines_away(selected):.1f} px from the model. Are the vectors where the "
-                       "reference is? Points alone need no --vectors.")
-    return tuple(reasons)
+    return tuple(found)

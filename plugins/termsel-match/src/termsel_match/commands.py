@@ -74,6 +74,7 @@ def match_points(image: Path, reference: Path, output: Path, overwrite: bool, qu
     with bar("match-points", quiet) as progress:
         found = match(image, reference, progress=progress, **options)
     write_points_csv(found.points, output, found.crs)
+    click.echo(f"Start: {found.start}")
     cells = sum(found.cells.values())
     click.echo(f"{len(found.points)} candidates in {found.cells.get('found', 0)} of {cells} cells "
                f"of the image, CRS {found.crs if len(found.crs) < 40 else 'of the reference'}")
@@ -128,7 +129,8 @@ def match_lines(image: Path, vectors: Path, iterate: bool, folder: Path | None, 
         else:
             found = match(image, vectors, progress=progress, **options)
             lines, crs = found.lines, found.crs
-            text = f"{len(lines)} candidates for {found.pieces} straight pieces of vectors\n"
+            text = (f"Start: {found.start}\n{len(lines)} candidates for {found.pieces} straight "
+                    "pieces of vectors\n")
     write_lines_csv(lines, output, crs)
     click.echo(text, nl=False)
     click.echo(f"Written: {output}" + (f", {folder}" if folder is not None else ""), err=True)

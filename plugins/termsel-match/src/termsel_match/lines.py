@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,8 +13,6 @@ from termsel_match.rasters import FloatArray, open_picture
 from termsel_match.ridges import bands
 from termsel_match.starts import Start, start_of
 from termsel_match.vectors import pieces_of
-
-log = logging.getLogger("termsel.match")
 
 LEAST = 6  # pieces with a band
 MOST = 4  # bands for each piece
@@ -92,8 +89,6 @@ def match_lines(
             if progress is not None:
                 progress((i + 1) / len(pieces.image))
     seen = sum(map(bool, found))
-    log.info("Start: %s. %d straight pieces of vectors, %d with bands of the image.", known.what,
-             len(found), seen)
     if seen < LEAST:
         raise TermselError(f"not enough candidates: {seen} pieces of vectors have a band in the "
                            f"image, at least {LEAST} needed", file=image,

@@ -116,7 +116,6 @@ def match_points(
     with open_picture(image, band) as picture:
         if known is None:
             known = start_by_overview(picture, reference, reference_band)
-        log.info("Start: %s.", known.what)
         with open_reference(reference, known, dem, picture.size, reference_band) as other:
             found, cells = _in_cells(picture, other, search, count, progress)
             points = _points(found, other)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -20,9 +21,11 @@ from termsel import (
 )
 from termsel_match.rasters import FloatArray
 
-_LIMIT = 2.5  # half_at distances up to which a line agrees at first
-_SIGMAS, _LEAST_LIMIT = 2.5, 0.6  # and in the end, by the spread of those that agree; px
-_ROUNDS = 20
+_LIMIT = 2.5  # half_at distances up to which a line may agree
+_SIGMAS, _LEAST_LIMIT = 2.5, 0.6  # by the spread of those, and at least; px
+_MEDIAN = 0.8326  # of the rms of two errors, in standard deviations of one
+_ROUNDS = 30
+_SAME = 1e-9  # of coefficients, which are of scaled coordinates
 _DAMPING = 1e-9  # of the mean diagonal: so that any lines have a solution
 
 PICKED = Option("picked", 4, "Lines that a chromosome determines the model by.", int, 2, 50)
@@ -34,8 +37,14 @@ class MatchedLines(Problem):
 
     Lines with the same attribute `piece` are candidates for one piece, of which the nearest to the
     model counts: with the rms distance e of its vertices, e^2 / (e^2 + t^2), where t is the option
-    `half_at`. The objective is the mean over the pieces. The selection is of all lines that agree,
-    one for a piece, with the model refitted to them.
+    `half_at`. A map that is wrong is so by whole vectors. So n pieces with the same attribute
+    `vector` weigh as much as sqrt(n) vectors of one piece. The objective is the weighted mean. The
+    selection is of all lines that agree, one for a piece, with the model refitted to them.
+
+    References
+    ----------
+    Geman, McClure 1987: Statistical methods for tomographic image reconstruction. Bulletin of the
+    International Statistical Institute 52, 5-21: the loss, which the last fit minimises, too.
 
     Parameters
     ----------
@@ -57,14 +66,18 @@ class MatchedLines(Problem):
                                hint="Give more candidates, or a smaller --set picked=M.")
         self.inputs = inputs
         self.objectives = ("disagreement",)
-        equations = inputs.model.equations(inputs.control)
+        # Without standard deviations: distances are in px, and those of wrong bands mean nothing.
+        equations = inputs.model.equations(inputs.control.with_(lines=replace(lines, sigma=None)))
         self._columns = equations.A.reshape(len(lines), 2, -1)
         self._target = equations.b.reshape(len(lines), 2)
         pieces = lines.attributes.get("piece", np.array(lines.ids, dtype=object))
         _, piece = np.unique(pieces.astype(str), return_inverse=True)
         self._order = np.argsort(piece.ravel(), kind="stable")
         self._first = np.flatnonzero(np.diff(piece.ravel()[self._order], prepend=-1))
-        self._piece = piece.ravel()
+        vectors = lines.attributes.get("vector", pieces).astype(str)[self._order][self._first]
+        _, vector, count = np.unique(vectors, return_inverse=True, return_counts=True)
+        weight = 1 / np.sqrt(count[vector.ravel()])
+        self._weight = weight / weight.sum()
         self._half = float(inputs.options["half_at"])
         self.genome = Genome([Subset("features", inputs.control.ids, picked)])
 
@@ -73,33 +86,40 @@ class MatchedLines(Problem):
         away = self._distances(self._fitted(np.asarray(genes, dtype=np.intp)))
         nearest = np.minimum.reduceat(away[:, self._order], self._first, axis=1)
         part = nearest**2 / (nearest**2 + self._half**2)
-        return Evaluation(part.mean(axis=1, keepdims=True), np.zeros(len(part)))
+        return Evaluation((part @ self._weight)[:, None], np.zeros(len(part)))
 
     def decode(self, genes: Any) -> Selection:
         """Return the lines that agree."""
         coefficients = self._fitted(np.asarray(genes, dtype=np.intp)[None])
-        limit, chosen = _LIMIT * self._half, np.zeros(0, dtype=np.intp)
         for _ in range(_ROUNDS):
-            away = self._distances(coefficients)[0]
-            again = np.sort([int(own[away[own].argmin()]) for own in self._of_pieces()
-                             if away[own].min() <= limit])
-            if np.array_equal(again, chosen) or len(again) < len(self._columns[0, 0]):
+            nearest, away = self._nearest(coefficients)
+            loss = self._weight * (self._half**2 / (away**2 + self._half**2)) ** 2
+            before, coefficients = coefficients, self._fitted(nearest[None], loss)
+            if np.allclose(coefficients, before, rtol=0, atol=_SAME):
                 break
-            chosen = again.astype(np.intp)
-            coefficients = self._fitted(chosen[None])
-            spread = 1.4826 * float(np.median(self._distances(coefficients)[0, chosen]))
-            limit = max(_SIGMAS * spread, _LEAST_LIMIT)
-        picked = chosen if len(chosen) else np.unique(genes)
+        nearest, away = self._nearest(coefficients)
+        near = away[away <= _LIMIT * self._half]
+        spread = float(np.median(near)) / _MEDIAN if len(near) else 0.0
+        chosen = nearest[away <= min(max(_SIGMAS * spread, _LEAST_LIMIT), _LIMIT * self._half)]
+        picked = np.sort(chosen) if len(chosen) >= len(self._columns[0, 0]) else np.unique(genes)
         return Selection(self.inputs.model.terms,
                          tuple(self.inputs.control.ids[int(i)] for i in picked))
+
+    def _nearest(self, coefficients: FloatArray) -> tuple[NDArray[np.intp], FloatArray]:
+        """Return the nearest line of each piece to a model, and how far it is [px]."""
+        away = self._distances(coefficients)[0]
+        nearest = np.array([own[away[own].argmin()] for own in self._of_pieces()])
+        return nearest, away[nearest]
 
     def _of_pieces(self) -> list[NDArray[np.intp]]:
         return np.split(self._order, self._first[1:])
 
-    def _fitted(self, lines: NDArray[np.intp]) -> FloatArray:
-        """Return coefficients, (p, k), by least squares of lines, (p, m)."""
-        columns = self._columns[lines].reshape(*lines.shape[:1], -1, self._columns.shape[2])
-        target = self._target[lines].reshape(len(lines), -1)
+    def _fitted(self, lines: NDArray[np.intp], weights: FloatArray | None = None) -> FloatArray:
+        """Return coefficients, (p, k), by least squares of lines, (p, m), with weights, (m,)."""
+        root = np.ones(lines.shape[1]) if weights is None else np.sqrt(weights)
+        columns = (self._columns[lines] * root[:, None, None]).reshape(
+            len(lines), -1, self._columns.shape[2])
+        target = (self._target[lines] * root[:, None]).reshape(len(lines), -1)
         normal = np.einsum("pri,prj->pij", columns, columns)
         size = np.trace(normal, axis1=1, axis2=2) / normal.shape[1]
         normal += _DAMPING * size[:, None, None] * np.eye(normal.shape[1])

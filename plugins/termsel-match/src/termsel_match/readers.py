@@ -74,7 +74,9 @@ class MatchesCsv(Reader):
 
     def sniff(self, path: Path, head: bytes) -> bool:
         """Return True if the header names lines and samples of both images."""
-        return set(_PLACES[0]) <= set(_header(head))
+        header = set(_header(head))
+        # Tables of lines of termsel have columns of these names, too.
+        return any(set(names) <= header for names in _PLACES) and not {"line1", "z1"} & header
 
     def read(self, path: Path) -> FeatureSet:
         """Return the points; errors name file, line and column."""

@@ -14,6 +14,7 @@ _WIDTHS = (4.0, 6.0, 8.0, 10.0, 13.0)  # px of a band
 _FLANK = 4.0  # px on either side that are compared with it
 _BLOCK = 12.0  # px along, in which the place across is found
 _APART = 5.0  # px between bands
+_EDGE = 2.5  # px about an edge in which its slope counts
 _AROUND = 3.0  # px about a band in which its blocks are placed
 _COMPARED = 40.0  # px to either side, at least, whose responses are compared
 _LEAST = 3.0  # response of a band, in standard deviations of those of the strip
@@ -124,6 +125,24 @@ def _response(profiles: FloatArray, width: float) -> FloatArray:
     return out
 
 
+def _between_edges(profiles: FloatArray, offset: FloatArray, at: FloatArray, width: float,
+                   ) -> FloatArray:
+    """Return the middles between the two edges of bright bands, (rows,).
+
+    The response is larger towards the side that differs less; edges do not depend on the other
+    side. Each is the centroid of the squared slope near where the width puts it.
+    """
+    slope = np.nan_to_num(np.gradient(profiles, axis=1))
+    edges = []
+    for side in (-1, 1):
+        near = np.abs(offset - (at + side * width / 2)[:, None]) <= _EDGE
+        weight = np.where(near, np.clip(-side * slope, 0, None) ** 2, 0.0)
+        total = weight.sum(axis=1)
+        edges.append(np.where(total > 0, (weight * offset).sum(axis=1)
+                              / np.where(total > 0, total, 1.0), at + side * width / 2))
+    return np.asarray(np.mean(edges, axis=0))
+
+
 def _placed(strip: FloatArray, offset: FloatArray, about: float, width: float, sign: float,
             ) -> tuple[tuple[float, float], float] | None:
     """Return where across a band is at either end, and the standard deviation; None if unclear."""
@@ -138,6 +157,7 @@ def _placed(strip: FloatArray, offset: FloatArray, about: float, width: float, s
         return None
     weight = np.clip(value[clear] - 0.5 * value[clear].max(axis=1, keepdims=True), 0, None)
     at, s = (weight * offset[near]).sum(axis=1) / weight.sum(axis=1), middles[clear]
+    at = _between_edges(sign * means[clear], offset, at, width)
     kept = np.ones(len(s), dtype=bool)
     for _ in range(4):
         line = np.polynomial.Polynomial.fit(s[kept], at[kept], 1).convert()

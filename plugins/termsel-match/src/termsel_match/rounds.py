@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +18,7 @@ from termsel_match.starts import Start, start_of
 _MOST = 6  # rounds
 _NARROWER = 4.0  # the search of a round is that of the last by this
 _NARROWEST = 8.0  # px
+_HALF_AT = 2.0, 1.0  # px at which a piece counts half, in the first round and later
 _SETTLED = 0.1  # px by which the last round moves the image
 _PROOF, _AT = 40.0, 3.0  # px: in the end the clearest band within the one must be within the other
 _LEAST_SHARE = 0.6  # for this part of the pieces: 0.9 of a true model, 0.3 of a wrong one
@@ -131,8 +132,9 @@ def iterate_lines(
                             progress=progress)
         features = FeatureSet(lines=found.lines, crs=found.crs, image_size=found.image_size)
         chosen = found.lines.take(np.isin(found.lines.ids, searched(
-            "matched-lines", features, model, options, seed=seed)))
-        fitted = termsel.fit(features.with_(lines=chosen), model, **options)
+            "matched-lines", features, model, {**options, "half_at": _HALF_AT[bool(rounds)]},
+            seed=seed)))
+        fitted = termsel.fit(features.with_(lines=replace(chosen, sigma=None)), model, **options)
         pieces = len(set(found.lines.attributes["piece"]))
         rms = rms_distance(fitted, chosen)
         now = fitted.project(chosen.ground.reshape(-1, 3))

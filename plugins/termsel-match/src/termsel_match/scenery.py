@@ -67,7 +67,9 @@ def scenery(rng: np.random.Generator, side: float, cell: float,
     parcels, count = _parcels(rng, side, cell, n)
     roads = tuple(_highways(rng, side) + _streets(rng, side))
     footprints, heights, roofs = _houses(rng, side, roads)
-    areas = sum(np.bincount(row, minlength=count) for row in parcels)
+    areas = np.zeros(count, dtype=np.intp)
+    for row in parcels:
+        areas += np.bincount(row, minlength=count)
     order = rng.permutation(count)
     changed = np.zeros(count, dtype=bool)
     changed[order[np.cumsum(areas[order]) <= CHANGED * n * n]] = True

@@ -21,6 +21,7 @@ _NEAR = 2 * TOLERANCE  # px within which the spread of those that agree is estim
 _SIGMAS = 3.5
 _LEAST_LIMIT = 0.5  # px
 _ROUNDS = 20
+_WORSE = 1.1  # times the check RMSE of the points: more is not by chance
 _MEDIAN = 1.1774  # of the distance in two dimensions, in standard deviations of one
 
 
@@ -41,6 +42,8 @@ class Selected:
         Largest distance of those that agree [px].
     covered : float
         Part of the image in the hull of the control that agrees.
+    points : Points
+        All candidates.
     """
 
     result: Result
@@ -48,11 +51,17 @@ class Selected:
     independent: Mask
     limit: float
     covered: float
+    points: Points
 
     @property
     def share(self) -> float:
         """Part of the independent candidates that agree."""
         return float(self.agrees[self.independent].mean())
+
+    @property
+    def median(self) -> float:
+        """Median error [px] of all independent candidates, right or wrong."""
+        return float(np.median(_errors(self.result.fit, self.points)[self.independent]))
 
     @property
     def rmse(self) -> float:
@@ -114,7 +123,7 @@ def select_points(features: FeatureSet, model: str, options: Mapping[str, Any], 
     result = termsel.run("owdis-points", features=kept, model=model, solver="all-terms",
                          options=dict(options), seed=seed, out=out)
     return Selected(result, agrees, independent, limit,
-                    _covered(points.take(agrees & ~independent), features.image_size))
+                    _covered(points.take(agrees & ~independent), features.image_size), points)
 
 
 def searched(problem: str, features: FeatureSet, model: str, options: Mapping[str, Any], *,
@@ -142,7 +151,8 @@ def with_lines(selected: Selected, lines: FeatureSet, model: str, options: Mappi
                seed: int = 1, out: Path | str | None = None) -> Selected:
     """Return the model fitted to the points that agree and to lines together.
 
-    Points and lines weigh by their standard deviations.
+    Points and lines weigh by their standard deviations. The candidates for check, which no fit
+    uses, must not be further from it than from that of the points alone.
 
     Parameters
     ----------
@@ -150,7 +160,12 @@ def with_lines(selected: Selected, lines: FeatureSet, model: str, options: Mappi
     lines : FeatureSet
         In the CRS of the points or another one.
     model, options, seed, out
-        As for `select_points`.
+        As for `select_points`; a result that is in the folder is replaced.
+
+    Raises
+    ------
+    TermselError
+        If the lines contradict the points.
     """
     from pyproj import CRS, Transformer
 
@@ -160,8 +175,18 @@ def with_lines(selected: Selected, lines: FeatureSet, model: str, options: Mappi
     ground = lines.lines.ground.copy()
     ground[..., 0], ground[..., 1] = turn.transform(ground[..., 0], ground[..., 1])
     both = features.with_(lines=replace(lines.lines, ground=ground))
+    control = features.points.roles == np.array("control", dtype=object)
+    used = both.with_(points=replace(features.points.take(control), roles=()))
+    check = features.points.take(features.points.roles == np.array("check", dtype=object))
+    alone, with_them = (_rms(one, check) for one in (
+        selected.result.fit, termsel.fit(used, model, **options)))
+    if with_them > _WORSE * alone:
+        raise TermselError(
+            f"points and lines contradict each other: candidates for check are {with_them:.2f} px "
+            f"from the model of both, and {alone:.2f} px from that of the points",
+            hint="Are the vectors where the reference is?")
     result = termsel.run("owdis-lines", features=both, model=model, solver="all-terms",
-                         options={**options, "mixed": True}, seed=seed, out=out)
+                         options={**options, "mixed": True}, seed=seed, out=out, overwrite=True)
     return replace(selected, result=result)
 
 
@@ -176,6 +201,10 @@ def _roles(count: int, seed: int) -> Any:
 def _errors(fitted: Fit, points: Points) -> FloatArray:
     errors = np.linalg.norm(points.image - fitted.project(points.ground), axis=1)
     return np.asarray(np.where(np.isfinite(errors), errors, np.inf))
+
+
+def _rms(fitted: Fit, points: Points) -> float:
+    return float(np.sqrt((_errors(fitted, points) ** 2).mean()))
 
 
 def _agreeing(errors: FloatArray, used: Mask) -> tuple[Mask, float]:

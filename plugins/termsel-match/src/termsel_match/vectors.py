@@ -6,6 +6,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import shapely
@@ -15,8 +16,10 @@ from termsel import TermselError, open_dem
 from termsel_match.rasters import FloatArray
 from termsel_match.starts import Start
 
-_STRAIGHT = 0.7  # px by which a vector may bend within a piece
+_STRAIGHT = 0.5  # px by which a vector may bend within a piece
 SHORTEST, _LONGEST = 40.0, 150.0  # px of a piece
+_STEP = 16.0  # px between vertices that are projected
+_AROUND = 0.5  # of the image, around it, where vectors may be that it shows
 MOST = 400  # pieces; more would take time and tell next to nothing
 _CELLS, _DIRECTIONS = 6, 4  # of the image along either side, and of pieces, from which they are
 
@@ -67,6 +70,12 @@ def pieces_of(path: Path | str, start: Start, dem: Path | str | None, size: tupl
     lines, crs = read_vectors(Path(path))
     to_start = Transformer.from_crs(CRS.from_user_input(crs).to_2d(),
                                     CRS.from_user_input(start.crs).to_2d(), always_xy=True)
+    nowhere = TermselError(
+        f"no straight piece of {SHORTEST:.0f} px of the vectors is in the image, by {start.what}",
+        file=path, hint="Give vectors of the same place.")
+    lines, vector_of = _dense(lines, _place(start, to_start, size), size)
+    if not lines:
+        raise nowhere
     owner = np.repeat(np.arange(len(lines)), [len(line) for line in lines])
     plane = np.concatenate(lines)
     with ExitStack() as stack:
@@ -86,16 +95,43 @@ def pieces_of(path: Path | str, start: Start, dem: Path | str | None, size: tupl
             for first, last in _straight(seen[own]):
                 of_image, of_ground = seen[own[[first, last]]], ground[own[[first, last]]]
                 for share in _shares(of_image, size):
-                    vector.append(str(i + 1))
+                    vector.append(str(vector_of[i] + 1))
                     image.append(of_image[0] + share[:, None] * (of_image[1] - of_image[0]))
                     ends.append(of_ground[0] + share[:, None] * (of_ground[1] - of_ground[0]))
     if not vector:
-        raise TermselError(
-            f"no straight piece of {SHORTEST:.0f} px of the vectors is in the image, by "
-            f"{start.what}", file=path, hint="Give vectors of the same place.")
+        raise nowhere
     found, places = np.array(image), np.array(ends)
     kept = _spread(found, size)
     return Pieces(tuple(vector[i] for i in kept), places[kept], found[kept], crs)
+
+
+def _place(start: Start, to_start: Any, size: tuple[int, int]) -> FloatArray:
+    """Return where an image lies in the plane of the vectors: a mesh of places, (7, 7, 2)."""
+    steps = (np.linspace(0, extent - 1, 7) for extent in size)
+    image = np.stack(np.meshgrid(*steps, indexing="ij"), axis=-1).reshape(-1, 2)
+    ground = start.locate(image, start.height)
+    plane = to_start.transform(ground[:, 0], ground[:, 1], direction="INVERSE")
+    places = np.column_stack(plane)
+    places[~np.isfinite(places).all(axis=1)] = np.nan
+    return places.reshape(7, 7, 2)
+
+
+def _dense(lines: list[FloatArray], place: FloatArray, size: tuple[int, int],
+           ) -> tuple[list[FloatArray], list[int]]:
+    """Return the parts of vectors near an image, and which vector each is of.
+
+    They get vertices every 16 px, as the terrain bends where a map has none.
+    """
+    low, high = (limit(place, axis=(0, 1)) for limit in (np.nanmin, np.nanmax))
+    if not np.isfinite([low, high]).all():
+        return [], []
+    around = _AROUND * (high - low)
+    near = shapely.clip_by_rect([shapely.LineString(line) for line in lines],
+                                *(low - around), *(high + around))
+    parts, vector = shapely.get_parts(near, return_index=True)
+    steps = np.linalg.norm(np.diff(place, axis=0), axis=2) / (size[0] / 6)
+    dense = shapely.segmentize(parts, _STEP * float(np.nanmedian(steps)))
+    return [shapely.get_coordinates(line) for line in dense], vector.tolist()
 
 
 def read_vectors(path: Path) -> tuple[list[FloatArray], str]:

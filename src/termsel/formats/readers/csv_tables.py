@@ -63,8 +63,10 @@ class LinesCsv(Reader):
     declared_options = (COLUMNS,)
 
     def sniff(self, path: Path, head: bytes) -> bool:
-        """Return True if a header names at least three columns of lines."""
-        return sniff_table(head, self._aliases())
+        """Return True if a header names at least three columns of lines, one of the image."""
+        # Other tables have x1, y1, x2, y2 too: pixels of two images, or boxes.
+        return any(sniff_table(head, self._aliases(), (name,))
+                   for name in ("line1", "sample1", "line2", "sample2"))
 
     def _aliases(self) -> Aliases:
         return declared(LINES, self.options["columns"])
