@@ -144,7 +144,7 @@ def test_a_large_space_has_no_gap() -> None:
 
 
 @pytest.mark.parametrize(("problem", "options", "why"), [
-    ("owdis-lines", {}, "whose terms are columns"),
+    ("owdis-lines-terms", {}, "whose terms are columns"),
     ("rfm-terms", {"denominators": "shared"}, "couple the axes"),
     ("rfm-terms", {"order": 1, "mask": "shared"}, "no denominators"),
     ("rfm-terms", {"order": 1, "ridge": 0.01}, "pseudo-observations"),

@@ -279,8 +279,8 @@ def test_a_solver_for_bits_alone_is_refused_and_others_named(solver: str) -> Non
             return Selection((), ())
 
     recipe = termsel.Recipe("mine", "Mixed genes.", Mine, model="affine", dataset="ikonos-hamedan")
-    with pytest.raises(TermselError, match="handles genes of the type Bits; those of 'i' are "
-                                           "Integers") as error:
+    with pytest.raises(TermselError, match=r"handles genes of the type Bits(, Subset)?; those of "
+                                           r"'i' are Integers") as error:
         termsel.prepare(recipe, solver=solver)
     assert "Choose one of: deap, pymoo, ga, " in str(error.value)
     assert "pso" in str(error.value)

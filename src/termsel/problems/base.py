@@ -19,6 +19,7 @@ from termsel.problems.genome import Genome
 from termsel.problems.segments import Genes
 
 if TYPE_CHECKING:
+    from termsel.adjustment.row_subsets import RowSystem
     from termsel.adjustment.subset_system import SubsetSystem
     from termsel.problems.objectives import Objective
 
@@ -178,8 +179,21 @@ class Problem(Guarded, ABC):
         TermselError
             If the subsets of this problem cannot be enumerated.
         """
-        raise TermselError("this solver needs a problem whose terms are columns of a linear system",
+        raise TermselError("this solver needs a problem whose terms are columns of a linear "
+                           "system, or one that selects features alone",
                            hint="Choose another solver, such as --solver ga or --solver swap.")
+
+    def row_systems(self) -> tuple[RowSystem, ...] | None:
+        """Return the systems whose rows the selected features are.
+
+        Returns
+        -------
+        tuple of RowSystem or None
+            Independent parts whose squared errors of the check points add up, and order the
+            selections as the objective does; none where only an evaluation tells it. None if the
+            genes are not a selection of features alone.
+        """
+        return None
 
     def design(self) -> FloatArray:
         """Return the columns of the full design matrix, one a gene, shape (m, genome.size).

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from termsel.adjustment.parts import independent_parts, solve_parts
+from termsel.adjustment.row_subsets import RowSystem
 from termsel.criteria import Criterion, Fits
 from termsel.errors import TermselError, unknown_name
 from termsel.measurements.features import BoolArray, FloatArray, IntArray, select
@@ -19,6 +20,7 @@ from termsel.problems.base import WORST, EnumerablePart, Evaluation, Inputs, Pro
 from termsel.problems.constraints import capped, excess, forced, listed, orphans, parents
 from termsel.problems.coverage import uncovered_share
 from termsel.problems.enumeration import enumerable_parts
+from termsel.problems.feature_rows import row_systems
 from termsel.problems.genome import Genome
 from termsel.problems.objectives import PopulationSelection, scored
 from termsel.problems.segments import Bits, Genes, Subset
@@ -228,6 +230,13 @@ class SelectionProblem(Problem):
             return super().parts()
         return enumerable_parts(self.inputs, self.equations, self.genome, self._gene_of_term,
                                 self._guard, POLE_MARGIN, self._pairs)
+
+    def row_systems(self) -> tuple[RowSystem, ...] | None:
+        """Return the parts of a selection of features alone (see `Problem.row_systems`)."""
+        if self._gene_of_term is not None or not self._selects_features:
+            return None
+        return row_systems(self.inputs, self._parts, self._terms_in_use, self._share,
+                           self._least_freedom)
 
     def design(self) -> FloatArray:
         """Return the columns of the adjustment by gene (see `Problem.design`).

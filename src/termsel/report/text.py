@@ -121,8 +121,8 @@ def _title(name: str) -> str:
 
 def _certificate(certificate: Mapping[str, Any], exact: str) -> str:
     proven = f"{certificate['subsets']:,} subsets decided, {certificate['space']}"
-    space, _, limit = certificate["space"].partition(" of up to ")
-    capped = f" of up to {limit}" if limit else ""
+    _, _, limit = certificate["space"].partition("selections of ")
+    capped = f" of {limit}" if limit else ""
     if "claimed_by" in certificate and certificate["optimal"]:
         return (f"{certificate['claimed_by']} claims that no selection has a better criterion "
                 f"({proven}); termsel has not proven it")
@@ -131,7 +131,7 @@ def _certificate(certificate: Mapping[str, Any], exact: str) -> str:
         if certificate.get("bounded"):
             how.append(f"{certificate['bounded']:,} of them by bounds")
         return (f"Proven: no selection{capped} has a better criterion "
-                f"({', '.join(how if limit else [*how, space])})")
+                f"({', '.join(how if limit else [*how, certificate['space']])})")
     if "optimum" in certificate:
         if certificate.get("gap") is None:
             return (f"The proven optimum is {certificate['optimum']:.4g}, below this ({proven}); "

@@ -6,7 +6,7 @@ import logging
 import os
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -16,8 +16,9 @@ from termsel.errors import TermselError
 from termsel.measurements.features import BoolArray, FloatArray
 from termsel.options import COUNT, Option
 from termsel.problems.base import EnumerablePart, Evaluation, Problem
-from termsel.problems.segments import Bits
+from termsel.problems.segments import AnySegment, Bits, Subset
 from termsel.solvers.base import Generation, Solver
+from termsel.solvers.exact_features import duration, proof_generations, quick_optimum
 from termsel.solvers.swap import neighbours
 
 log = logging.getLogger(__name__)
@@ -234,10 +235,24 @@ def gap(problem: Problem, found: float) -> dict[str, Any] | None:
         cannot be enumerated, has more than QUICK subsets, or has nothing feasible.
     """
     try:
-        subsets_in_all = count(problem)
+        proven = _quick_optimum(problem)
     except TermselError:
         return None
-    if subsets_in_all > QUICK:
+    if proven is None:
+        return None
+    optimum, decided, space = proven
+    if found < optimum - TIE * abs(optimum):  # what was enumerated is not this criterion
+        return None
+    return {"optimal": found <= optimum + TIE * abs(optimum), "subsets": decided, "of": decided,
+            "space": space, **gap_of(found, optimum)}
+
+
+def _quick_optimum(problem: Problem) -> tuple[float, int, str] | None:
+    """Return the proven optimum, the number of subsets and their space, if known quickly."""
+    systems = problem.row_systems()
+    if systems is not None:
+        return quick_optimum(problem, systems)
+    if count(problem) > QUICK:
         return None
     *_, proof = prove(problem)
     front = proof.front()
@@ -246,12 +261,8 @@ def gap(problem: Problem, found: float) -> dict[str, Any] | None:
     evaluation = problem.evaluate(front[-1][None])
     if evaluation.violation[0] > 0:  # enumeration and evaluation differ at a tolerance
         return None
-    optimum = float(evaluation.objectives[0, 0])
-    if found < optimum - TIE * abs(optimum):  # what was enumerated is not this criterion
-        return None
-    return {"optimal": found <= optimum + TIE * abs(optimum), "subsets": proof.decided,
-            "of": proof.total, "space": _space(problem, proof.parts, None),
-            **gap_of(found, optimum)}
+    return (float(evaluation.objectives[0, 0]), proof.decided,
+            _space(problem, proof.parts, None))
 
 
 def gap_of(found: float, optimum: float) -> dict[str, float | None]:
@@ -263,12 +274,13 @@ class Exact(Solver):
     """Every selection decided: the optimum, the best of every size, and the proof.
 
     Branch and bound over all term selections, line and sample separately where they are
-    independent. It begins with a descent from several starts. At any time it has the best
-    selection, a lower bound of all selections, and the gap between them. termsel's own
-    formulation; see `termsel.adjustment.subsets` and `termsel.adjustment.subset_bounds`.
+    independent; or a walk over all selections of control features. It begins with a descent from
+    several starts. At any time it has the best selection, a lower bound of all, and the gap.
+    termsel's own formulation; see the modules subsets, subset_bounds and row_subsets.
     """
 
     name = "exact"
+    segments: ClassVar[tuple[type[AnySegment], ...]] = (Bits, Subset)
     uses_chance = False
     ends_by_itself = True
     declared_options = (
@@ -283,6 +295,10 @@ class Exact(Solver):
         """Yield the best so far until all is decided (see `Solver.generations`)."""
         most = self.options["max_terms"]
         workers = self.options["workers"] or os.cpu_count() or 1
+        systems = problem.row_systems()
+        if systems is not None:
+            yield from proof_generations(problem, systems, workers, most)
+            return
         parts = problem.parts()
         space = _space(problem, parts, most)
         log.info("exact: deciding %s subsets (%s, %d %s)%s", f"{count(problem, most):,}", space,
@@ -379,10 +395,5 @@ def _estimate(problem: Problem, parts: tuple[EnumerablePart, ...], most: int | N
         subsets.estimate_seconds(part.system, part.score, folds=part.folds, workers=workers,
                                  max_terms=_limits(problem, part, most)[1])
         for part in parts)
-    return f"; about {_duration(seconds)}"
+    return f"; about {duration(seconds)}"
 
-
-def _duration(seconds: float) -> str:
-    if seconds > 5400:
-        return f"{seconds / 3600:,.0f} h"
-    return f"{seconds / 60:.0f} min" if seconds > 90 else f"{max(seconds, 0.1):.1f} s"

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from termsel.adjustment.row_subsets import RowSystem
 from termsel.guard.faults import wrong
 from termsel.guard.isolation import Returned
 from termsel.measurements.features import FloatArray
@@ -22,6 +23,8 @@ from termsel.problems.base import (
 from termsel.problems.genome import Genome
 from termsel.problems.segments import Genes
 from termsel.solvers.base import Generation, Solver
+
+_KNOWN = 1_000_000  # individuals remembered at most, unless a front is made of them: some 300 MB
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,6 +159,10 @@ class Ledger(Problem):
         """Return the problem's own parts."""
         return self.problem.parts()
 
+    def row_systems(self) -> tuple[RowSystem, ...] | None:
+        """Return the problem's own systems."""
+        return self.problem.row_systems()
+
     def design(self) -> FloatArray:
         """Return the problem's own design matrix."""
         return self.problem.design()
@@ -189,6 +196,8 @@ class Ledger(Problem):
         return [_genes(keys[row], self.genome) for row in kept]
 
     def _look_up(self, genes: Genes) -> Evaluation:
+        if len(self.objectives) == 1 and len(self._row_of) > _KNOWN:
+            self._row_of, self._objectives, self._violation = {}, [], []
         keys = _keys(genes)
         new: dict[bytes, int] = {}
         for i, key in enumerate(keys):
