@@ -17,6 +17,7 @@ from termsel.candidates.portfolio import choose, repeated
 from termsel.candidates.relief import carriers, heights_hold
 from termsel.formats.readers.csv_tables import write_points_csv
 from termsel.measurements.features import FeatureSet, FloatArray, Points
+from termsel.simulate import simulate_scene
 
 Call = Callable[..., SimpleNamespace]
 
@@ -81,10 +82,12 @@ def test_a_similarity_is_chosen_where_it_predicts_best(mirrored: bool, chosen: s
     assert of[chosen] < 3.0
 
 
-def test_four_points_are_held_out_one_by_one() -> None:
-    features = some(4)
-    choice = choose(features, False)
-    errors = repeated(features, False)
+@pytest.mark.parametrize(("n", "heights"), [(4, False), (5, True)])
+def test_so_few_points_are_held_out_from_what_all_choose(n: int, heights: bool) -> None:
+    """Four of them would choose by luck, and may take a model that all refuse."""
+    features = some(n)
+    choice = choose(features, heights)
+    errors = repeated(features, heights)
     assert choice is not None
     assert errors is not None
     expected: FloatArray = np.array(choice.chosen.squares)
@@ -173,3 +176,13 @@ def test_two_points_do_not_call_every_place_far_outside(tmp_path: Path) -> None:
     assert found[1].stdout.endswith("m,2.0,3.0,11.0,21.0,,,,\n")
     assert "the control encloses no area" in found[1].stderr
     assert "far outside" not in found[1].stderr
+
+
+def test_five_lines_predict_no_accuracy() -> None:
+    scene = simulate_scene("ikonos-hamedan", n_points=20, n_lines=5, wrong_lines=0, seed=2)
+    points = replace(scene.points, roles=("independent",) * 20)
+    result = termsel.run("owdis-lines", features=scene.with_(points=points), strategy="auto")
+    assert result.predicted is None
+    assert result.strategy is not None
+    assert result.strategy["predicted"] is None
+    assert any(note.startswith("The features are too few to repeat") for note in result.notes)

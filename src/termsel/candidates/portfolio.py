@@ -35,8 +35,7 @@ LEAST = "It has the smallest leave-one-out RMSE."
 """Why a candidate is chosen where there are no shrunken polynomials."""
 
 MAX_FOLDS, FOLDS_WITH_LINES = 20, 10
-"""Folds in which the whole choice is repeated; with fewer features each is left out alone. Lines
-are many, and take longer."""
+"""Most folds in which the whole choice is repeated; lines are many, and take longer."""
 
 EXACT = 3
 """Number of points up to which a model fits them exactly, and none is chosen."""
@@ -235,7 +234,7 @@ def exact(control: FeatureSet) -> Choice:
 
 
 def _called_for(candidate: Candidate, judged: Iterable[Judged]) -> bool:
-    """Return whether a candidate is worth its time: a spline is where the field is called for."""
+    """Return whether a candidate is worth its time: a spline is where a field is."""
     return (candidate.kind != "local" or candidate.name == FIELD
             or any(one.name == FIELD for one in judged))
 
@@ -298,7 +297,7 @@ def choose_features(control: FeatureSet, heights: bool, watch: Watch | None = No
 
 def _reason(chosen: Judged, shrunk: Judged, shrunken: Sequence[Judged], others: Sequence[Judged],
             judged: Iterable[Judged]) -> str:
-    """Return why a candidate is chosen where there are shrunken polynomials."""
+    """Return why a candidate is chosen where there are shrunken ones."""
     said = [f"{_compared(one, shrunken[0])}; it must be better by more than {BETTER:g}."
             for one in shrunken[1:]]
     found = shrunk.fit.interpolation
@@ -334,7 +333,7 @@ def _gain(one: Judged, other: Judged) -> float:
 
 
 def gain_of(one: FloatArray, other: FloatArray) -> float:
-    """Return by how many standard errors squared errors are smaller than others, in logarithms."""
+    """Return by how many standard errors one's squares are smaller, in logarithms."""
     tiny = np.finfo(float).tiny
     gain = np.log(np.maximum(other, tiny) / np.maximum(one, tiny))
     return float(gain.mean() / max(gain.std(ddof=1) / np.sqrt(len(gain)), tiny))
@@ -349,8 +348,7 @@ def repeated(control: FeatureSet, heights: bool,
              watch: Watch | None = None) -> FloatArray | None:
     """Return the errors of features under choices made without them.
 
-    In each fold the whole portfolio is fitted and the choice made again, so that the errors are
-    those of the choice and not of a model that was chosen by them.
+    In each fold the choice is made again, so that its errors are not those that it was made by.
 
     Parameters
     ----------
@@ -365,7 +363,8 @@ def repeated(control: FeatureSet, heights: bool,
     ndarray, shape (n_points + n_lines, 2), or None
         Measured minus predicted [px]: of a point its line and sample; of a line the distances of
         its two vertices, weighted by how well the image line is known there, so that they compare
-        with two coordinates of a point. None if some fold leaves too little to choose by.
+        with two coordinates of a point. None if some fold leaves too little to choose by, or lines
+        alone that are too few to shrink.
     """
     order, folds = spatial_order(ground_centres(control)), folds_of(control)
     count, owner = len(control.points), control.feature
@@ -374,16 +373,13 @@ def repeated(control: FeatureSet, heights: bool,
         out = np.zeros(len(control), dtype=bool)
         out[order[fold::folds]] = True
         rest, held = control.take(~out), control.take(out)
-        if len(rest) <= EXACT:
-            # Three features choose nothing: the model that all chose is fitted to them.
-            choice = choose(control, heights)
-        else:
-            choice = choose_features(rest, heights and heights_hold(rest, most=1), watch,
-                                     whole=False)
-        if choice is None:
+        choice = None if len(rest) <= EXACT else choose_features(
+            rest, heights and heights_hold(rest, most=1), watch, whole=False)
+        fitted = choice.chosen.fit if choice else None
+        if not choice or all(one.candidate.kind != "shrunken" for one in choice.judged):
+            fitted = (_as_all(control, rest, heights) or fitted) if count else None
+        if fitted is None:
             return None
-        fitted = choice.chosen.fit if len(rest) > EXACT else \
-            choice.chosen.candidate.fit_control(rest, heights, scaling_of(rest))
         errors[:count][out[:count]] = fitted.errors(held.points)
         errors[count:][out[owner[count:]]] = np.linalg.norm(fitted.line_errors(held.lines), axis=2)
     if count < len(owner):
@@ -391,3 +387,14 @@ def repeated(control: FeatureSet, heights: bool,
         errors[count:] *= row_weights(scaling.features(control), heights=heights)[
             2 * count:].reshape(-1, 2)
     return errors
+
+
+def _as_all(control: FeatureSet, rest: FeatureSet, heights: bool) -> Fit | None:
+    """Return what all features choose, fitted to some, which would choose by luck; or None."""
+    try:
+        choice = choose(control, heights)
+        if choice:
+            return choice.chosen.candidate.fit_control(rest, heights, scaling_of(rest))
+    except Undetermined:
+        pass
+    return None
