@@ -1,4 +1,4 @@
-"""What all tests share, those of the plugins too: BLAS keeps to one thread.
+"""What all tests share, those of the plugins too: commands run in this process, BLAS in one thread.
 
 Matrices are small here, and the tests run in several processes. Threads of BLAS beyond the first
 wait for each other in busy loops, which on busy cores took twenty times the processor time of the
@@ -7,7 +7,29 @@ test itself. It is set before anything imports numpy, and what tests start inher
 
 from __future__ import annotations
 
+import logging
 import os
+from collections.abc import Callable
+from types import SimpleNamespace
+
+import pytest
 
 for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(variable, "1")
+
+
+@pytest.fixture
+def call(capsys: pytest.CaptureFixture[str],
+         monkeypatch: pytest.MonkeyPatch) -> Callable[..., SimpleNamespace]:
+    """Return a function that runs a command line in this process, as a new one takes a second."""
+    # A handler left by another test would write to what that one captured.
+    monkeypatch.setattr(logging.getLogger("termsel"), "handlers", [])
+    from termsel.cli.main import cli  # only now, as it imports numpy
+
+    def run(*words: object) -> SimpleNamespace:
+        with pytest.raises(SystemExit) as stop:
+            cli.main([str(word) for word in words], prog_name="termsel")
+        out, err = capsys.readouterr()
+        return SimpleNamespace(exit_code=stop.value.code, stdout=out, stderr=err)
+
+    return run

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import json
 import pickle
 from collections.abc import Callable, Iterator
@@ -56,15 +57,13 @@ def test_attributes_are_text_that_cannot_be_changed() -> None:
     assert part.attributes["day"].tolist() == ["", "", "nan"]
     assert part.attributes["year"].tolist() == ["2020", "2021.5", ""]
     assert part.attributes["known"].tolist() == ["True", "", "x"]
-    with pytest.raises(ValueError, match="read-only"):
-        part.attributes["year"][0] = "1"
-
-
-def test_sets_without_lines_share_no_columns() -> None:
-    one, other = FeatureSet(points(3)), FeatureSet(points(3))
-    one.lines.attributes["width"] = np.empty(0, dtype=object)  # type: ignore[index]
-    assert not other.lines.attributes
-    assert not FeatureSet().points.attributes
+    for one in (part, part.take([0, 2]), pickle.loads(pickle.dumps(part)), copy.deepcopy(part),
+                FeatureSet(part).lines, join_points(part, points(1, "Q"))):
+        with pytest.raises(TypeError, match="does not support item assignment"):
+            one.attributes["width"] = ["a"] * len(one)  # type: ignore[index]
+        for cells in one.attributes.values():
+            with pytest.raises(ValueError, match="read-only"):
+                cells[0] = "1"
 
 
 @pytest.mark.parametrize(("attributes", "said"), [

@@ -5,10 +5,10 @@ from __future__ import annotations
 import itertools
 import json
 import math
-import subprocess
-import sys
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -399,7 +399,7 @@ def without_check() -> FeatureSet:
 
 @pytest.mark.parametrize("criterion", CRITERIA)
 def test_control_and_check_points_are_used_together(criterion: str) -> None:
-    given = {"criterion": criterion, "generations": 15}
+    given = {"criterion": criterion, "generations": 6}
     options = {"population": 60, "polish": False}
     results = [termsel.run("rfm-terms", features=features, options=options, **given)
                for features in (None, without_check())]
@@ -446,15 +446,12 @@ def test_check_rmse_still_asks_for_check_points() -> None:
     assert "press" in bad.value.hint
 
 
-def test_command_line(tmp_path: Path) -> None:
+def test_command_line(tmp_path: Path, call: Callable[..., SimpleNamespace]) -> None:
     write_points_csv(without_check().points, tmp_path / "points.csv")
-    done = subprocess.run(
-        [sys.executable, "-m", "termsel", "run", "--problem", "rfm-terms", "--points",
-         str(tmp_path / "points.csv"), "--crs", "EPSG:4979", "--criterion", "kfold", "--set",
-         "folds=4", "--set", "how=random", "--set", "population=20", "--set", "polish=false",
-         "--generations", "2", "--json"],
-        text=True, capture_output=True, check=False)
-    assert done.returncode == 0, done.stderr
+    done = call("run", "--problem", "rfm-terms", "--points", tmp_path / "points.csv", "--crs",
+                "EPSG:4979", "--criterion", "kfold", "--set", "folds=4", "--set", "how=random",
+                "--set", "population=20", "--set", "polish=false", "--generations", "2", "--json")
+    assert done.exit_code == 0, done.stderr
     result = json.loads(done.stdout)
     assert result["options"]["criterion"] == {"folds": 4, "repeats": 1, "how": "random",
                                               "fold_seed": 0, "loss": "squares",

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -166,13 +164,15 @@ def test_heights_that_are_all_equal_are_told(height: float, said: str) -> None:
     assert not any(note.startswith(said) for note in asked.notes)
 
 
-def test_two_points_do_not_call_every_place_far_outside(tmp_path: Path) -> None:
+def test_two_points_do_not_call_every_place_far_outside(
+        tmp_path: Path, call: Call, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
     (tmp_path / "two.csv").write_text("id,line,sample,x,y,z\na,1,2,10,20,\nb,3,4,12,22,\n")
     (tmp_path / "at.csv").write_text("id,x,y\nm,11,21\n")
-    found = [subprocess.run([sys.executable, "-m", "termsel", *command], cwd=tmp_path, text=True,
-                            capture_output=True, check=True)
-             for command in (("run", "--points", "two.csv", "--crs", "local", "--out", "r"),
-                             ("project", "r", "--points", "at.csv"))]
+    found = [call(*command) for command in (
+        ("run", "--points", "two.csv", "--crs", "local", "--out", "r"),
+        ("project", "r", "--points", "at.csv"))]
+    assert [done.exit_code for done in found] == [0, 0]
     assert found[1].stdout.endswith("m,2.0,3.0,11.0,21.0,,,,\n")
     assert "the control encloses no area" in found[1].stderr
     assert "far outside" not in found[1].stderr

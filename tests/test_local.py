@@ -83,7 +83,7 @@ def test_polish_reaches_the_proven_optimum_of_15_terms(mask: str) -> None:
     task = termsel.prepare("poly-terms", options={"degree": 4, "mask": mask})
     *_, proof = prove(task.problem)
     best = task.problem.evaluate(proof.front()[-1][None]).objectives[0, 0]
-    for seed in (1, 2, 3):
+    for seed in (1, 2):
         found = termsel.search(task.problem, task.solver, seed=seed, evaluations=40_000,
                                polish=True)
         assert found.objectives[0] == pytest.approx(best, rel=1e-9)

@@ -107,7 +107,7 @@ def test_what_cannot_be_read_is_named(command: str, name: str, folder: Path, cal
 WRITES = {
     "run": f"{RUN} --points p.csv --out NAME",
     "export": "export r --to points-csv -o NAME",
-    "grid": "export r --to geolocation-vrt -o NAME",
+    "grid": "export r --to geolocation-vrt --set step=1000 -o NAME",
     "project": "project r --points p.csv -o NAME",
     "rectify": "rectify r s.tif --height 500 -o NAME",
     "stability": "stability --problem poly-terms --points p.csv --crs EPSG:4979 --out NAME",
@@ -199,7 +199,7 @@ def test_names_that_are_not_utf8_work(folder: Path, call: Call,
     for to in [writer["name"] for writer in json.loads(call("list", "writers", "--json").stdout)
                if writer["name"] != "lines-csv"]:
         done = call("export", f"{ODD}-r", "--to", to, "-o", f"{ODD}.{to}", "--image", f"{ODD}.tif",
-                    "--dem", f"{ODD}-d.tif")
+                    "--dem", f"{ODD}-d.tif", "--set", "step=1000")
         assert done.exit_code == 0, (to, done.stderr)
         assert Path(f"{ODD}.{to}").is_file()
     (folder / "link.vrt").symlink_to(f"{ODD}.rpc-vrt")

@@ -135,6 +135,8 @@ def test_every_chart_is_one_altair_chart_that_says_what_to_look_for(
                 with pytest.raises(termsel.TermselError, match=f"no chart {kind.name}"):
                     getattr(result.plot, kind.name)()
                 continue
+            if kind.name in drawn:
+                continue
             chart = getattr(result.plot, kind.name)()
             assert isinstance(chart, altair.TopLevelMixin)
             spec = chart.to_dict()

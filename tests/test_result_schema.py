@@ -20,11 +20,12 @@ Record = dict[str, Any]
 SCHEMA_FILE = json.loads((files("termsel.results") / "result.schema.json").read_text("utf-8"))
 VALIDATOR = Draft202012Validator(SCHEMA_FILE)
 
+QUICK = {"population": 30, "polish": False}
 RUNS: dict[str, tuple[str, dict[str, Any]]] = {
     "terms by search": ("rfm-terms", {"solver": "ga", "generations": 3}),
-    "lines by search": ("owdis-lines", {"generations": 3}),
+    "lines by search": ("owdis-lines", {"generations": 3, "options": QUICK}),
     "lines and terms, one after the other": (
-        "owdis-lines-terms", {"generations": 2, "options": {"steps": "terms-first"}}),
+        "owdis-lines-terms", {"generations": 2, "options": {**QUICK, "steps": "terms-first"}}),
     "front": ("rfm-terms", {"solver": "nsga2", "evaluations": 400}),
     "auto": ("rfm-terms", {}),
     "auto without heights": ("poly-terms", {"strategy": "auto"}),
@@ -54,7 +55,7 @@ def _faults(record: Record) -> list[str]:
 
 @pytest.fixture(scope="module")
 def record() -> Record:
-    return _record("owdis-lines", {"generations": 3})
+    return _record("owdis-lines", {"generations": 3, "options": QUICK})
 
 
 def test_schema_is_a_schema() -> None:

@@ -108,7 +108,7 @@ def test_what_is_at_fault_is_found(monkeypatch, tmp_path: Path) -> None:
 
 
 def test_the_long_run_from_the_command_line() -> None:
-    done = subprocess.run([sys.executable, "-m", "tests.fuzz", "--cases", "20", "--first", "5000"],
+    done = subprocess.run([sys.executable, "-m", "tests.fuzz", "--cases", "5", "--first", "5000"],
                           cwd=ROOT, capture_output=True, text=True, timeout=120, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
-    assert done.stdout.startswith("20 cases in ")
+    assert done.stdout.startswith("5 cases in ")

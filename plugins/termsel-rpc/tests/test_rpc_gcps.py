@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
+from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -21,20 +21,15 @@ from termsel.simulate import scene_truth, write_geometry
 from termsel_rpc import Ce90, RpcShift, candidates
 from termsel_rpc.simulated import CANDIDATES, RPC_FILE, SCENE, nominal_sensor, quality
 
+Call = Callable[..., SimpleNamespace]
+
 pytestmark = pytest.mark.filterwarnings("ignore:Dataset has no geotransform")
-
-
-def termsel_says(*arguments: object) -> tuple[int, str, str]:
-    done = subprocess.run([sys.executable, "-m", "termsel", *map(str, arguments)],
-                          capture_output=True, text=True, check=False)
-    return done.returncode, done.stdout, done.stderr
 
 
 @pytest.fixture(scope="module")
 def run_by_name(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("run")
-    code, _, error = termsel_says("run", "--problem", "rpc-gcps", "--out", folder)
-    assert code == 0, error
+    termsel.run("rpc-gcps", out=folder)
     return folder
 
 
@@ -65,11 +60,10 @@ def test_the_note_says_what_the_search_drove_down(run_by_name: Path) -> None:
     assert "minimised an RMSE" not in " ".join(alone.notes)
 
 
-def test_refined_rpc_serves_gdal(run_by_name: Path, tmp_path: Path) -> None:
+def test_refined_rpc_serves_gdal(run_by_name: Path, tmp_path: Path, call: Call) -> None:
     pytest.importorskip("rasterio")
-    code, _, error = termsel_says("export", run_by_name, "--to", "rpb", "--output",
-                                  tmp_path / "scene.RPB")
-    assert code == 0, error
+    done = call("export", run_by_name, "--to", "rpb", "--output", tmp_path / "scene.RPB")
+    assert done.exit_code == 0, done.stderr
     refined, vendor = read_rpc(tmp_path / "scene.RPB"), read_rpc(RPC_FILE)
     ground = candidates().points.ground
     true = scene_truth(SCENE).sensor.project(ground)
@@ -185,12 +179,12 @@ def test_terms_of_a_refinement_are_selected() -> None:
     (["--model", "pushbroom-refine"], "requires the geometry to refine"),
     (["--set", "min_features=9"], "option 'min_features' is 9, more than 'max_features', 6"),
 ])
-def test_bad_input_gives_one_message(arguments: list[str], said: str) -> None:
-    code, out, error = termsel_says("run", "--problem", "rpc-gcps", *arguments)
-    assert code == 2
-    assert said in " ".join(error.split())
-    assert "Traceback" not in error
-    assert not out
+def test_bad_input_gives_one_message(arguments: list[str], said: str, call: Call) -> None:
+    done = call("run", "--problem", "rpc-gcps", *arguments)
+    assert done.exit_code == 2
+    assert said in " ".join(done.stderr.split())
+    assert "Traceback" not in done.stderr
+    assert not done.stdout
 
 
 @pytest.mark.parametrize(("model", "option"), [("rpc-drift", "rpc"),

@@ -23,7 +23,7 @@ others are termsel's own.
 from __future__ import annotations
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtr, gammaincinv
 
 from termsel.candidates.contradictions import (
     LEVEL,
@@ -250,5 +250,5 @@ def _consistency(share: float) -> float:
     all."""
     if share >= 1:
         return 1.0
-    bound = chi2.ppf(share, 2)
-    return float(chi2.cdf(bound, 4) / share)
+    bound = 2 * gammaincinv(1, share)  # of chi-squared; scipy.stats takes a third of a second
+    return float(chdtr(4, bound) / share)

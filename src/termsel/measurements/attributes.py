@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -31,8 +32,8 @@ def is_free(name: str) -> bool:
 
 
 def as_attributes(given: Mapping[str, Iterable[Any]], n: int, *taken: str,
-                  ) -> dict[str, TextArray]:
-    """Return columns as features have them: stripped text that cannot be written to.
+                  ) -> Attributes:
+    """Return columns as features have them: stripped text; neither it nor they can be changed.
 
     Parameters
     ----------
@@ -64,7 +65,7 @@ def as_attributes(given: Mapping[str, Iterable[Any]], n: int, *taken: str,
         cells = text_array(rows)
         cells.setflags(write=False)
         columns[name] = cells
-    return columns
+    return MappingProxyType(columns)
 
 
 def text_array(cells: Sequence[str]) -> TextArray:
@@ -80,12 +81,12 @@ def _cell(value: Any) -> str:
     return cut(printable(str(value).replace("\r\n", "\n")).strip(), LONGEST)
 
 
-def rows_at(attributes: Attributes, index: NDArray[Any]) -> dict[str, TextArray]:
+def rows_at(attributes: Attributes, index: NDArray[Any]) -> Attributes:
     """Return the rows at an index, which cannot be written to."""
     rows = {name: cells[index] for name, cells in attributes.items()}
     for cells in rows.values():
         cells.setflags(write=False)
-    return rows
+    return MappingProxyType(rows)
 
 
 def joined(first: Attributes, n: int, second: Attributes, m: int) -> dict[str, TextArray]:

@@ -238,13 +238,13 @@ _LINES = Lines((), np.empty((0, 2, 2)), np.empty((0, 2, 3)))
 
 
 def no_points() -> Points:
-    """Return an empty set of points, with columns of its own."""
-    return unchecked(_POINTS, attributes={})
+    """Return an empty set of points."""
+    return _POINTS
 
 
 def no_lines() -> Lines:
-    """Return an empty set of lines, with columns of its own."""
-    return unchecked(_LINES, attributes={})
+    """Return an empty set of lines."""
+    return _LINES
 
 
 @dataclass(frozen=True, eq=False, repr=False)

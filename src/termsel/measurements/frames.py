@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 
 from termsel.display import Glance
 from termsel.errors import TermselError
+from termsel.measurements.attributes import Attributes
 from termsel.measurements.crs import horizontal
 
 
@@ -65,6 +67,17 @@ class Tabular(Glance):
     """Base of features that are tables: subclasses have `ground` and return columns."""
 
     ground: NDArray[np.float64]
+    attributes: Attributes
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**vars(self), "attributes": dict(self.attributes)}  # a read-only view has no pickle
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        columns = state["attributes"]
+        for value in (*state.values(), *columns.values()):
+            if isinstance(value, np.ndarray):
+                value.setflags(write=False)
+        vars(self).update(state, attributes=MappingProxyType(columns))
 
     def _columns(self) -> Mapping[str, Any]:
         raise NotImplementedError
