@@ -3,8 +3,8 @@
 Each page of `how-to/gallery` is a case. What it has the reader run is run here, in one process
 and in a folder of its own, and whatever is drawn there goes to the pages as their pictures.
 Output shown is replaced by what was printed. A line ``<!-- true: EXPRESSION -->`` states in Python
-what the page says of a result: there the name of a folder is the content of its result.json. A
-page that is not true any more fails the build.
+what the page says: there the name of a folder is the content of its result.json, or its study, and
+`KNOWN` has what looks further. A page that is not true any more fails the build.
 """
 
 from __future__ import annotations
@@ -18,16 +18,38 @@ import tempfile
 from contextlib import chdir, redirect_stdout
 from io import StringIO
 from pathlib import Path
+from statistics import median
 from typing import Any
 
 from click.testing import CliRunner
 from snippets import Step, renewed, steps
 
+import termsel
 from termsel.cli.main import cli
+from termsel.io.plan import plan
+from termsel.studies.study import Study
 
 PAGES = Path(__file__).parent / "how-to" / "gallery"
 PICTURES = PAGES / "made"
 _TRUE = re.compile(r"^<!-- true: (.+) -->$", re.MULTILINE)
+
+
+def reached(study: Study, solver: str, evaluations: int) -> float:
+    """Return the median of what the runs of a solver reached with so many evaluations."""
+    traces = [study.records[key]["trace"] for key, labels in study.cells.items()
+              if labels["solver"] == solver]
+    return median(min((point[1] for point in trace if point[0] <= evaluations),
+                      default=float("inf")) for trace in traces)
+
+
+def column(study: Study, solver: str, name: str) -> float:
+    """Return the median of a column of a study's table over the runs of a solver."""
+    return median(row[name] for row in study.rows if row["solver"] == solver)
+
+
+KNOWN = {"read": termsel.read_result, "plan": plan, "median": median, "reached": reached,
+         "column": column}
+"""What statements may call."""
 
 
 class Untrue(Exception):
@@ -79,9 +101,12 @@ def _case(page: Path, folder: Path) -> str:
         done = step.end
     records: dict[str, Any] = {path.parent.name: json.loads(path.read_text(encoding="utf-8"))
                                for path in folder.glob("*/result.json")}
-    for said in _TRUE.findall(text):
-        if not eval(said, {}, records):
-            raise Untrue(f"{page.name}: not true: {said}")
+    records |= {path.parent.name: termsel.read_study(path.parent)
+                for path in folder.glob("*/plan.json")}
+    with chdir(folder):
+        for said in _TRUE.findall(text):
+            if not eval(said, {**KNOWN, **records}):
+                raise Untrue(f"{page.name}: not true: {said}")
     return new + text[done:]
 
 

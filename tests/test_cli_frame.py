@@ -231,6 +231,8 @@ def test_plugins_are_listed_with_what_is_wrong(call, with_plugins):
 @pytest.mark.parametrize(("args", "message"), [
     (["lits", "models"], "Error: unknown command 'lits'. Did you mean 'list'? Known: "),
     (["list", "cameras"], "'cameras' is not one of 'problems', 'models'"),
+    (["list", "model"], "'writers'. Did you mean 'models'?"),
+    (["new-plugin", "mine", "--kind", "modle"], "'command'. Did you mean 'model'?"),
     (["list"], "Missing argument 'KIND'"),
     (["--colour"], "No such option"),
     (["describe", "rfn"], "Error: unknown name 'rfn'. Did you mean 'rfm'? Known: "),

@@ -7,6 +7,7 @@ import pkgutil
 import random
 import sys
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -33,6 +34,7 @@ from scipy.stats import ks_2samp
 import termsel
 from termsel import TermselError, search
 from termsel.cli.main import cli
+from termsel.solvers.chance import OwnChance
 from termsel.solvers.deap_algorithms import Deap
 from termsel.solvers.ga import GeneticAlgorithm
 from termsel.solvers.ledger import Ledger
@@ -453,3 +455,22 @@ def test_ga_is_the_batched_twin_of_deap(problem: str, options: dict[str, Any]) -
     # The test has power: with half of the generations' crossover and mutation it sees the gap.
     weak = reached(Deap(population=40, select="selRandom"))
     assert ks_2samp(batched, weak).pvalue < 0.001
+
+
+def test_random_numbers_of_other_threads_stay_their_own() -> None:
+    first, second = (OwnChance(np.random.default_rng(seed)) for seed in (1, 2))
+    before, theirs = np.random.default_rng, []
+    with ThreadPoolExecutor(1) as pool, first:
+        mine = np.random.default_rng()
+        assert np.random.default_rng() is mine
+        theirs.append(pool.submit(np.random.default_rng).result())
+        pool.submit(second.__enter__).result()
+        theirs.append(pool.submit(np.random.default_rng).result())
+        with OwnChance(np.random.default_rng(3)):
+            assert np.random.default_rng() is not mine
+        assert np.random.default_rng() is mine
+        assert np.random.default_rng(5).random() == before(5).random()
+        pool.submit(second.__exit__, None, None, None).result()
+        assert np.random.default_rng() is mine
+    assert len({id(one) for one in (mine, *theirs)}) == 3
+    assert np.random.default_rng is before

@@ -29,6 +29,12 @@ def test_there_are_ten_cases() -> None:
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_statements_of_a_case_are_checked(page: Path) -> None:
+    assert len(re.findall(r"^<!-- true: .+ -->$", page.read_text(encoding="utf-8"),
+                          re.MULTILINE)) >= 2
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
 def test_a_case_has_picture_command_sight_and_remedy_in_this_order(page: Path) -> None:
     text = page.read_text(encoding="utf-8")
     order = [re.search(pattern, text, re.MULTILINE) for pattern in (
@@ -68,6 +74,28 @@ def test_output_shown_is_what_is_printed(gallery: ModuleType, tmp_path: Path) ->
     assert list(found) == ["case"]
     assert "one 2.5\n" in found["case"]
     assert not list(pictures.iterdir())
+
+
+STUDY = """```console
+$ termsel compare --problem poly-terms --solver random,swap --seeds 3 --evaluations 40 --out s
+...
+```
+
+"""
+
+
+@pytest.mark.parametrize(("said", "true"), [
+    ("reached(s, 'random', 40) == column(s, 'random', 'fitness')", True),
+    ("reached(s, 'swap', 40) > column(s, 'swap', 'fitness')", False),
+    ("len(s.rows) == 6", True)])
+def test_statements_on_a_study_are_checked(gallery: ModuleType, tmp_path: Path, said: str,
+                                           true: bool) -> None:
+    (tmp_path / "case.md").write_text(f"{STUDY}<!-- true: {said} -->\n")
+    if true:
+        gallery.made(tmp_path, tmp_path / "made")
+        return
+    with pytest.raises(gallery.Untrue, match="not true"):
+        gallery.made(tmp_path, tmp_path / "made")
 
 
 @pytest.mark.parametrize(("text", "says"), [

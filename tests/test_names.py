@@ -107,7 +107,7 @@ def test_what_cannot_be_read_is_named(command: str, name: str, folder: Path, cal
 WRITES = {
     "run": f"{RUN} --points p.csv --out NAME",
     "export": "export r --to points-csv -o NAME",
-    "grid": "export r --to geolocation-vrt --set step=1000 -o NAME",
+    "grid": "export r --to geolocation-vrt --set step=200 -o NAME",
     "project": "project r --points p.csv -o NAME",
     "rectify": "rectify r s.tif --height 500 -o NAME",
     "stability": "stability --problem poly-terms --points p.csv --crs EPSG:4979 --out NAME",

@@ -86,10 +86,10 @@ def test_all_marks_are_filled_in(kind: str) -> None:
     ("termsel-ikonos-hamedan", "dataset", "termsel has a data set 'ikonos-hamedan' itself"),
     ("numpy", "model", "Python already has a module 'numpy'"),
     ("json", "model", "Python already has a module 'json'"),
-    ("two words", "model", "'two words' cannot be the name of a package"),
-    ("../up", "model", "cannot be the name of a package"),
+    ("two words", "model", "'two words' cannot be the name of a package.* such as two-words"),
+    ("../up", "model", "cannot be the name of a package.* such as up"),
     ("-x", "model", "No such option"),
-    ("class", "model", "'class' cannot be the name of a package"),
+    ("class", "model", "'class' cannot be the name of a package.* such as termsel-demo"),
     ("termsel", "model", "the name of termsel itself"),
     ("1st", "reader", "cannot be the name of a package")])
 def test_names_that_cannot_be_are_refused(

@@ -368,6 +368,7 @@ def test_a_search_leaves_no_blunder_in_use_that_it_names() -> None:
     assert not clean.diagnosis.doubts.in_use
     assert clean.evaluations > kept.evaluations
     note, = (note for note in clean.notes if note.startswith("The search was repeated without"))
+    assert f"Each search had the whole budget, {clean.evaluations:,} evaluations in all." in note
     named = note.partition(": ")[2].partition(".")[0].split(", ")
     assert not set(named) & set(clean.selection.features)
     assert not any(note.startswith("The search was repeated") for note in kept.notes)

@@ -230,6 +230,8 @@ def test_plain_fits_are_judged_next_to_the_selection() -> None:
     ("owdis-points", {"model": "rfm"}, "39 terms to be determined together; the control"),
     ("rfm-terms", {"generations": 0}, "the budget of 0 generations is not positive"),
     ("rfm-terms", {"seconds": -1.0}, "the budget of -1.0 seconds is not positive"),
+    ("rfm-terms", {"seconds": "5"}, "the budget of seconds is '5', not a number. Give a number"),
+    ("rfm-terms", {"evaluations": True}, "the budget of evaluations is True, not a number"),
     ("rfm-terms", {"evaluations": 50.5}, "the budget of 50.5 evaluations is not a whole number"),
     ("owdis-points-terms", {"generations": np.inf, "options": {"steps": "terms-first"}},
      "the budget of inf generations is not a whole number"),

@@ -136,9 +136,10 @@ def test_a_method_asked_for_runs_as_it_is(asked: dict) -> None:
 
 
 def test_options_of_the_data_leave_the_strategy() -> None:
-    other = termsel.run("rfm-terms", features=scene(20), options={"roles": "random", "split": 3})
+    features = scene(20)
+    other = termsel.run("rfm-terms", features=features, options={"roles": "random", "split": 3})
     assert other.strategy is not None
-    given = dict(zip(other.features.points.ids, other.features.points.roles, strict=True))
+    given = dict(zip(features.points.ids, features.points.roles, strict=True))
     assert any(given[name] != role for role in ("control", "check", "independent")
                for name in other.data["roles"][role])
 

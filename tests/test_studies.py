@@ -341,6 +341,20 @@ def test_a_study_is_read_again_from_its_folder_alone(tmp_path: Path) -> None:
         termsel.read_study(tmp_path)
 
 
+def test_paths_and_numbers_of_numpy_are_those_of_a_study_file(tmp_path: Path) -> None:
+    points = termsel.simulate_scene("ikonos-hamedan", n_points=12, n_lines=0)
+    termsel.write_points_csv(points.points, tmp_path / "p.csv", points.crs)
+    given = {"problems": [{"name": "poly-terms", "degree": np.int64(1)}], "solvers": ["all-terms"],
+             "data": [{"points": tmp_path / "p.csv", "crs": "EPSG:4979"}],
+             "seeds": np.arange(1, 3), "budget": {"evaluations": np.int64(5),
+                                                  "seconds": np.float64(9)}}
+    study = termsel.compare(given, out=tmp_path / "out")
+    assert [row["state"] for row in study.rows] == ["done"]
+    spec = termsel.read_study(tmp_path / "out").spec
+    assert (spec.seeds, spec.budget) == ((1, 2), {"evaluations": 5, "seconds": 9.0})
+    assert spec.data[0].files["points"] == (str(tmp_path / "p.csv"),)
+
+
 def test_a_failing_cell_is_a_row_with_its_reason(monkeypatch: pytest.MonkeyPatch) -> None:
     def explode(*_: Any, **__: Any) -> Any:
         raise ValueError("a plugin's fault")

@@ -21,8 +21,9 @@ import pytest
 
 import termsel
 from termsel import TermselError
+from termsel.files.names import JOURNAL
 from termsel.studies.executors import DIED, processes, serial
-from termsel.studies.journal import JOURNAL, Journal, read_journal
+from termsel.studies.journal import Journal, read_journal
 from termsel.studies.lock import holder, locked
 from termsel.studies.plans import PLAN
 from termsel.studies.table import TIMES
@@ -38,12 +39,13 @@ evaluations = 300
 [options]
 polish = false
 """
+SHORT = STUDY.replace("seeds = 8", "seeds = 3")
 
 
 @pytest.fixture
 def study(tmp_path: Path) -> Path:
     path = tmp_path / "study.toml"
-    path.write_text(STUDY.replace("seeds = 8", "seeds = 3"))
+    path.write_text(SHORT)
     return path
 
 
@@ -194,7 +196,7 @@ def test_cells_of_an_earlier_form_are_kept_aside(study: Path, call: Call, tmp_pa
     assert "6 finished cells of an earlier form of the study are kept" in done.stderr
     assert len(termsel.read_study(out).records) == 4
     assert len(table_of(out)) == 4
-    study.write_text(STUDY)
+    study.write_text(SHORT)
     start = time.perf_counter()
     assert call("compare", study, "--out", out).exit_code == 0
     assert table_of(out) == table

@@ -89,6 +89,22 @@ def test_a_picture_is_not_of_a_study_and_a_damaged_plan_is_named(
     assert f"{folder / 'plan.json'}: this is not the plan of a study" in done.stderr
 
 
+def test_a_folder_with_neither_result_nor_study_is_named(call: Call, tmp_path: Path) -> None:
+    done = call("report", tmp_path)
+    assert done.exit_code == 2
+    assert "there is neither a result nor a study in this folder" in done.stderr
+    assert not list(tmp_path.iterdir())
+
+
+def test_no_result_is_written_into_the_folder_of_a_study(call: Call, images: Path) -> None:
+    before = sorted(images.iterdir())
+    for more in ((), ("--overwrite",)):
+        done = call("run", "--problem", "poly-terms", "--out", images, *more)
+        assert done.exit_code == 2
+        assert "this is the folder of a study" in done.stderr
+    assert sorted(images.iterdir()) == before
+
+
 def test_images_stand_worst_first_with_their_residuals(images: Path) -> None:
     text = (images / "report.html").read_text()
     body = text[:text.index("<script")]

@@ -9,9 +9,11 @@ from __future__ import annotations
 import errno
 import io
 import os
+import re
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from difflib import get_close_matches
 from importlib import import_module
 from typing import Any
 
@@ -131,13 +133,23 @@ class Commands(click.Group):
         except click.ClickException as error:
             page = io.StringIO()
             error.show(page)
-            echo(cut(page.getvalue(), 2000), err=True, nl=False)
+            echo(cut(page.getvalue().rstrip() + _near(error), 2000), err=True)
             sys.exit(CORRECTABLE)
         except (click.Abort, KeyboardInterrupt):
             answered()
             echo("Interrupted.", err=True)
             sys.exit(INTERRUPTED)
         sys.exit(value if isinstance(value, int) else 0)
+
+
+def _near(error: click.ClickException) -> str:
+    """Return a question for the word that was meant where there is a choice of words."""
+    kind = getattr(getattr(error, "param", None), "type", None)
+    typed = re.match(r"'([^']+)' is not", error.message)
+    if not isinstance(kind, click.Choice) or typed is None:
+        return ""
+    near = get_close_matches(typed[1], list(map(str, kind.choices)), n=1)
+    return f" Did you mean {near[0]!r}?" if near else ""
 
 
 def _plugin_command(name: str) -> click.Command | None:

@@ -112,8 +112,10 @@ def _filled(source: str, words: dict[str, str]) -> str:
 
 def _require_free(name: str, module: str, thing: str, kind: str) -> None:
     if not _NAME.fullmatch(name) or keyword.iskeyword(module) or not thing:
+        near = "-".join(re.findall(r"[A-Za-z0-9]+", name)).lstrip("-0123456789")
+        near = near if near and not keyword.iskeyword(near) else "termsel-demo"
         raise TermselError(f"{name!r} cannot be the name of a package",
-                           hint="Take letters, digits and hyphens, such as termsel-demo.")
+                           hint=f"Take letters, digits and hyphens, such as {near}.")
     plugins = {point.module for point in entry_points(group="termsel")}
     if module != "termsel" and module not in plugins and find_spec(module) is not None:
         raise TermselError(f"Python already has a module {module!r}",

@@ -39,10 +39,10 @@ def report(folder: Path, output: Path | None, image: str | None, overwrite: bool
     show_messages()
 
     from termsel.files.atomic import write_text
+    from termsel.files.names import JOURNAL, is_there
     from termsel.io.replacing import require_replaceable
-    from termsel.io.result_folder import read_result
+    from termsel.io.result_folder import files_of_result, read_result
     from termsel.studies.images import IMAGES
-    from termsel.studies.journal import JOURNAL
     from termsel.studies.plans import PLAN, read_study
     from termsel.studies.report import report as study_page
 
@@ -54,6 +54,10 @@ def report(folder: Path, output: Path | None, image: str | None, overwrite: bool
                                file=folder, hint=f"Leave --image out, or give the folder of one "
                                                  f"image in {folder / IMAGES}.")
         write_text(output, study_page(read_study(folder)))
+    elif not any(map(is_there, files_of_result(folder))):
+        raise TermselError("there is neither a result nor a study in this folder", file=folder,
+                           hint="Give the folder that termsel run or termsel compare wrote with "
+                                "--out.")
     else:
         read_result(folder).report(output, image=image, overwrite=True)
     say_written([output])

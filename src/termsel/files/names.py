@@ -12,6 +12,9 @@ from pathlib import Path
 from termsel.errors import TermselError
 from termsel.files.atomic import private_folder
 
+JOURNAL = "journal.jsonl"
+"""Of a study: in the folder that has it, no result may be written."""
+
 
 def is_there(path: Path) -> bool:
     """Return whether there is such a file or folder.

@@ -16,7 +16,7 @@ import numpy as np
 from termsel.candidates.candidate import named
 from termsel.errors import TermselError
 from termsel.files.atomic import encoded, private_folder, put_in_place, sync, write_bytes
-from termsel.files.names import is_there
+from termsel.files.names import JOURNAL, is_there
 from termsel.fits.accuracy import Predicted, accuracy_from
 from termsel.fits.diagnosis import Diagnosis, Doubts, Significance
 from termsel.fits.figures import Baseline, figures, residuals_of
@@ -24,12 +24,7 @@ from termsel.fits.fit import GIVEN, Fit
 from termsel.fits.least_squares import fit
 from termsel.fits.rmse import Rmse
 from termsel.formats.base import located, parse_json, read_text
-from termsel.formats.readers.csv_tables import (
-    LinesCsv,
-    PointsCsv,
-    lines_text,
-    points_text,
-)
+from termsel.formats.readers.csv_tables import LinesCsv, PointsCsv, lines_text, points_text
 from termsel.formats.readers.formulas import guarded
 from termsel.measurements.crs import normalise
 from termsel.measurements.features import FeatureSet, no_lines, no_points
@@ -73,8 +68,8 @@ def claim_folder(folder: Path, *, overwrite: bool = False) -> None:
     Raises
     ------
     TermselError
-        If it cannot be made or written to, or has a result that may not be replaced, or files that
-        would be replaced and are not those of a result.
+        If it cannot be made or written to, is that of a study, or has a result that may not be
+        replaced, or files that would be replaced and are not those of a result.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -83,6 +78,9 @@ def claim_folder(folder: Path, *, overwrite: bool = False) -> None:
                            hint="Choose another --out.") from error
     if not os.access(folder, os.W_OK | os.X_OK):
         raise TermselError(f"cannot write to the folder {folder}", hint="Choose another --out.")
+    if is_there(folder / JOURNAL):
+        raise TermselError("this is the folder of a study, which takes no further result",
+                           file=folder, hint="Choose another --out.")
     for name in (POINTS, LINES, RESIDUALS, SUMMARY):
         if is_there(folder / name) and not is_there(_place(folder, RECORD)):
             raise TermselError("the result would replace this file, which is not part of a result",

@@ -74,7 +74,8 @@ def search_without_blunders(task: Task, **how: Any) -> Search:
         left = ", ".join(name for name, gone in zip(names, out, strict=True) if gone)
         found = replace(found, notes=(*found.notes, (
             f"The search was repeated without {counted(int(out.sum()), 'feature')} that its result "
-            f"named as probable blunders: {left}. --set blunders=keep prevents this.")))
+            f"named as probable blunders: {left}. Each search had the whole budget, "
+            f"{found.evaluations:,} evaluations in all. --set blunders=keep prevents this.")))
     return found
 
 

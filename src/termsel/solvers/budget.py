@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass
+from numbers import Real
 
 import numpy as np
 
@@ -48,6 +49,9 @@ def require_limits(*, generations: float | None = None, evaluations: float | Non
     """
     for name, value in (("generations", generations), ("evaluations", evaluations),
                         ("seconds", seconds), ("generations of patience", patience)):
+        if value is not None and (isinstance(value, bool) or not isinstance(value, Real)):
+            raise TermselError(f"the budget of {name} is {value!r}, not a number",
+                               hint=f"Give a number, or leave {name} out for no limit.")
         if value is not None and not value > 0:
             raise TermselError(f"the budget of {value} {name} is not positive")
         if value is not None and name != "seconds" and value % 1 != 0:

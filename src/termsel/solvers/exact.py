@@ -376,7 +376,7 @@ def _bound(proof: Proof, front: Evaluation) -> dict[str, float]:
 
 
 def _space(problem: Problem, parts: tuple[EnumerablePart, ...], most: int | None) -> str:
-    """Return the space of a proof in words, which begin with ALL where it is the problem's own."""
+    """Return the space of a proof in words."""
     limits = {_limits(problem, part, most)[1] for part in parts}
     if all(limit >= problem.genome.free[part.genes].sum() for part in parts for limit in limits):
         return ALL

@@ -11,6 +11,7 @@ from typing import Any
 from termsel.adjustment.kernels import needs_compilation
 from termsel.errors import TermselError, counted
 from termsel.files.atomic import private_folder
+from termsel.files.names import JOURNAL
 from termsel.io.export import writer_of
 from termsel.measurements.features import FeatureSet
 from termsel.plugins.registry import registry
@@ -21,7 +22,7 @@ from termsel.studies.data import data_of
 from termsel.studies.executors import processes, serial
 from termsel.studies.images import IMAGES, folders_of, write_files
 from termsel.studies.interruption import deferred
-from termsel.studies.journal import JOURNAL, Journal, read_journal
+from termsel.studies.journal import Journal, read_journal
 from termsel.studies.lock import locked
 from termsel.studies.outputs import NAMES
 from termsel.studies.plans import PLAN, plan_of, write_plan

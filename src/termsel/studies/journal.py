@@ -16,8 +16,8 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from termsel.errors import TermselError, counted
+from termsel.files.names import JOURNAL
 
-JOURNAL = "journal.jsonl"
 SCHEMA = "termsel-study-1"
 
 _SYNC = 1.0

@@ -5,8 +5,10 @@ from __future__ import annotations
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import Any
+
+import numpy as np
 
 from termsel.errors import TermselError
 from termsel.formats.base import read_text
@@ -153,6 +155,7 @@ def spec_of(table: Mapping[str, Any], places: Places | None = None) -> Spec:
     places : Places, optional
     """
     at = places or Places()
+    table = {key: _as_in_a_file(value) for key, value in table.items()}
     for key in table:
         if key not in KEYS:
             raise at.unknown((key,), "key of a study", KEYS)
@@ -179,6 +182,19 @@ def spec_of(table: Mapping[str, Any], places: Places | None = None) -> Spec:
         splits=_numbers(at, "splits", table.get("splits", 1), first=0),
         budget=budget, options=_options(at, ("options",), table.get("options", {})),
         exports=_texts(at, ("exports",), table.get("exports", [])), measure=measure, places=at)
+
+
+def _as_in_a_file(value: Any) -> Any:
+    """Return a value from Python as a study file has it: paths as text, numbers without numpy."""
+    if isinstance(value, PurePath):
+        return str(value)
+    if isinstance(value, np.generic | np.ndarray):
+        return value.tolist()
+    if isinstance(value, Mapping):
+        return {key: _as_in_a_file(one) for key, one in value.items()}
+    if isinstance(value, list | tuple | range):
+        return [_as_in_a_file(one) for one in value]
+    return value
 
 
 def _parts(at: Places, kind: str, given: Any) -> tuple[Part, ...]:

@@ -24,7 +24,7 @@ from termsel.runs.blunders_out import search_without_blunders
 from termsel.runs.run import run
 from termsel.runs.task import Task, prepare
 from termsel.solvers.budget import SEARCH_OPTIONS
-from termsel.solvers.exact import ALL, TIE, gap
+from termsel.solvers.exact import TIE, count, gap
 from termsel.solvers.ledger import Progress
 from termsel.solvers.search import Search
 from termsel.threads import one_blas_thread
@@ -207,7 +207,7 @@ def _as_asked(work: Work, features: FeatureSet, trace: _Trace) -> tuple[
     times = trace.times()  # what follows tells about the study, and takes no part in the run
     figures: dict[str, Any] = {
         "objective": task.problem.objectives[0],
-        "proven": _proven(found),
+        "proven": _proven(task, found),
         "fitness": fitness,
         "optimum": _optimum(work, task, found) if judged else None,
         **_rmse({"control": chosen.control_rmse(),
@@ -238,16 +238,21 @@ def _rmse(by_role: Mapping[str, Rmse | None]) -> dict[str, float | int | None]:
             **{f"n_{role}": 0 if one is None else one.n for role, one in by_role.items()}}
 
 
-def _proven(found: Search) -> bool:
+def _proven(task: Task, found: Search) -> bool:
     """Return whether a search proved the optimum of all selections, not of the smaller ones."""
     said = found.certificate or {}
-    return bool(said.get("optimal")) and str(said.get("space")).startswith(ALL)
+    if not said.get("optimal"):
+        return False
+    try:
+        return bool(said["of"] == count(task.problem))
+    except TermselError:  # a plugin proves what cannot be enumerated
+        return True
 
 
 def _optimum(work: Work, task: Task, found: Search) -> float | None:
     """Return the proven optimum of the problem, if that is known quickly."""
     value = float(found.objectives[0])
-    if _proven(found):
+    if _proven(task, found):
         return value
     if len(task.problem.objectives) > 1:
         return None

@@ -86,7 +86,7 @@ def convergence(view: View) -> Any:
     share = [{"evaluations": one["evaluations"], "infeasible": 1.0 - one["feasible"]}
              for one in history]
     scale, kind = spread_scale([row["value"] for row in lines], zero=False)
-    x = alt.X("evaluations:Q", axis=alt.Axis(format="~s", tickCount=6))
+    x = alt.X("evaluations:Q", axis=alt.Axis(format=",d", tickCount=6))
     colour = alt.Color("what:N", scale=alt.Scale(domain=["best", "median"],
                                                  range=[CONTROL, CHECK]))
     area = alt.Chart(data(share)).mark_area(color=EDGE, opacity=0.45, interpolate="step-after",
@@ -114,7 +114,7 @@ def empires(view: View) -> Any:
              "left": sum(map(bool, one["empires"]))}
             for one in spaced(counted, most) for i, countries in enumerate(one["empires"])]
     return alt.Chart(data(rows)).mark_area(stroke="white", strokeWidth=1, opacity=1).encode(
-        x=alt.X("evaluations:Q", axis=alt.Axis(format="~s", tickCount=6)),
+        x=alt.X("evaluations:Q", axis=alt.Axis(format=",d", tickCount=6)),
         y=alt.Y("countries:Q", stack="zero", title="countries"),
         order="empire:O",
         color=alt.Color("empire:Q", scale=alt.Scale(scheme="viridis", reverse=True),
