@@ -245,7 +245,7 @@ def _proven(task: Task, found: Search) -> bool:
         return False
     try:
         return bool(said["of"] == count(task.problem))
-    except TermselError:  # a plugin proves what cannot be enumerated
+    except TermselError:  # features, or what a plugin proves, are enumerated otherwise
         return True
 
 
