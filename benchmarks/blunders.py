@@ -29,6 +29,7 @@ from benchmarks.sets import (
     split,
 )
 from termsel.adjustment.monomials import graded_exponents, monomials
+from termsel.candidates import blunders, contradictions
 from termsel.candidates.blunders import find_blunders
 from termsel.candidates.portfolio import choose
 from termsel.measurements.features import BoolArray, FeatureSet, FloatArray, Points
@@ -205,6 +206,51 @@ def verdict(one: list[tuple[str, int, list[Outcome]]], five: list[tuple[str, int
                       *(f"| {' | '.join(row)} |" for row in rows)])
 
 
+CONSTANTS = {"LEVEL": (contradictions, blunders), "STRAIN": (contradictions, blunders),
+             "ALLOWANCE": (contradictions,), "MOST": (blunders,), "STEP": (blunders,),
+             "CLEAR": (blunders,)}
+"""By name, the modules that know it."""
+
+
+def sensitivity(wanted: list[str], splits: int) -> str:
+    """Return what one blunder in 15 costs with each constant halved and doubled."""
+    cases = []
+    for name in wanted:
+        for count in (24, 40):
+            for seed in range(splits):
+                mine, independent = split(name, count, seed)
+                if len(independent) >= 30:
+                    heights = heights_of(mine)
+                    clean, predicted = _auto(mine, independent, heights)
+                    sigma = predicted / np.sqrt(2) if name in UNKNOWN_NOISE else NOISE
+                    cases.append((*spoil(mine, sigma, SHARES["1 in 15"], seed), independent,
+                                  heights, clean))
+
+    def cell() -> str:
+        ratios, named, lost = [], [], []
+        for points, wrong, independent, heights, clean in cases:
+            found = find_blunders(FeatureSet(points), heights)
+            assert found is not None
+            out = found.blunders
+            ratios.append(_auto(points.take(~out), independent, heights)[0] / clean)
+            named.append(out[wrong].mean())
+            lost.append(out[~wrong].mean())
+        return f"{np.median(ratios):.2f}, {np.mean(named):.0%}, {np.mean(lost):.1%}"
+
+    as_is = cell()
+    lines = ["| constant | halved | as it is | doubled |", "|---|---:|---:|---:|"]
+    for name, modules in CONSTANTS.items():
+        value, changed = getattr(modules[0], name), []
+        for factor in (0.5, 2.0):
+            for module in modules:
+                setattr(module, name, factor * value)
+            changed.append(cell())
+        for module in modules:
+            setattr(module, name, value)
+        lines.append(f"| `{name}` | {changed[0]} | {as_is} | {changed[1]} |")
+    return "\n".join(lines)
+
+
 def main() -> None:
     """Print or write the tables."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
@@ -239,6 +285,14 @@ Blunders smaller than the error that the points leave to the model cannot be nam
 little: with 24 points on `s1_grd_iw` that is 5 px. With 24 points in a scene that calls for a
 cubic, a blunder far from the other points looks like a bend. The report names such points as
 undecided.
+
+## Constants
+
+Median ratio to clean data, blunders named, and right points left out, with each constant of
+`termsel.candidates.contradictions` and `termsel.candidates.blunders` halved and doubled: one point
+in 15 of 24 and of 40 points, one split each.
+
+{sensitivity(wanted, 1)}
 
 ## One point in 15
 

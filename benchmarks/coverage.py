@@ -17,6 +17,7 @@ import numpy as np
 
 from benchmarks.sets import heights_of, names, put, rmse_of, split
 from termsel.candidates.portfolio import choose, repeated
+from termsel.fits import accuracy
 from termsel.fits.accuracy import LEVEL, Predicted, predicted_rmse
 from termsel.measurements.features import FeatureSet, FloatArray
 from termsel.simulate.catalogue import SCENES
@@ -34,7 +35,10 @@ FEW = 12
 
 @dataclass(frozen=True)
 class Case:
-    """One split: the independent RMSE, and that of a few independent points, with predictions."""
+    """One split: the independent RMSE, and that of a few independent points, with predictions.
+
+    `other` are the predictions with the constant of the interval halved and doubled.
+    """
 
     name: str
     count: int
@@ -42,6 +46,7 @@ class Case:
     predicted: Predicted
     rmse_of_few: float
     predicted_of_few: Predicted
+    other: tuple[Predicted, Predicted]
 
     @property
     def held(self) -> bool:
@@ -67,8 +72,17 @@ def case(name: str, count: int, seed: int) -> Case | None:
         return None
     fitted = choice.chosen.fit
     found: FloatArray = fitted.errors(independent)
-    return Case(name, count, rmse_of(found), predicted_rmse(errors, fitted.effective, len(found)),
-                rmse_of(found[:FEW]), predicted_rmse(errors, fitted.effective, FEW))
+
+    def predicted(points: int, factor: float = 1.0) -> Predicted:
+        accuracy.LENT, value = factor * accuracy.LENT, accuracy.LENT
+        try:
+            return predicted_rmse(errors, fitted.effective, points)
+        finally:
+            accuracy.LENT = value
+
+    n = len(found)
+    return Case(name, count, rmse_of(found), predicted(n), rmse_of(found[:FEW]), predicted(FEW),
+                (predicted(n, 0.5), predicted(n, 2.0)))
 
 
 def table(cases: list[Case], wanted: list[str], counts: list[int]) -> str:
@@ -120,6 +134,16 @@ def verdict(cases: list[Case], counts: list[int]) -> str:
                       *(f"| {what} | 85 to 95 % | {found} |" for what, found in rows)])
 
 
+def sensitivity(cases: list[Case]) -> str:
+    """Return the shares of splits whose interval holds, with the constant halved and doubled."""
+    some = [c for c in cases if c.count >= FEWEST]
+    cells = [f"{100 * np.mean([one(c).low <= c.rmse <= one(c).high for c in some]):.0f} %"
+             if some else "-" for one in (
+                 lambda c: c.other[0], lambda c: c.predicted, lambda c: c.other[1])]
+    return "\n".join(["| constant | halved | as it is | doubled |", "|---|---:|---:|---:|",
+                      f"| `LENT` | {' | '.join(cells)} |"])
+
+
 def main() -> None:
     """Print or write the table."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -149,6 +173,12 @@ points are left out, as are those with too few points to repeat the choice.
 ## Requirement and measurement
 
 {verdict(cases, asked.counts)}
+
+## The constant
+
+The share of splits with {FEWEST} points and more whose interval holds the independent RMSE.
+
+{sensitivity(cases)}
 
 ## All sets
 

@@ -12,8 +12,9 @@ import subprocess
 import sys
 import time
 
-PARTS = {"accuracy": ("--splits", 0.3), "blunders": ("--splits", 0.3),
-         "coverage": ("--splits", 0.2), "old_maps": ("--splits", 0.1), "lines": ("--draws", 0.1)}
+PARTS = {"accuracy": ("--splits", 0.25), "blunders": ("--splits", 0.25),
+         "coverage": ("--splits", 0.2), "old_maps": ("--splits", 0.1), "lines": ("--draws", 0.15),
+         "plan": ("--splits", 0.05)}
 """By script, the option for the number of splits, and the share of the time."""
 
 MOST = 20
