@@ -11,7 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from termsel.adjustment import Equations, solve
-from termsel.adjustment.kernels import BLOCK, needs_compilation, solve_many
+from termsel.adjustment.blocks import reduced
+from termsel.adjustment.kernels import BLOCK, _prepared, needs_compilation, solve_many
 from termsel.measurements.features import FeatureSet, Points
 from termsel.models.rational import RationalFunctions
 
@@ -238,3 +239,42 @@ def test_compilation_is_announced_and_not_part_of_the_import():
     assert not needs_compilation()
     code = "import sys, termsel.adjustment; sys.exit('numba' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+@pytest.mark.parametrize("prior", [False, True])
+def test_many_rows_are_solved_as_lapack_does(prior: bool) -> None:
+    """Their normal equations are used where that is safe, and only there."""
+    rng = np.random.default_rng(4)
+    k, n = 7, 200
+    A = rng.normal(size=(2 * n, k))
+    A[:, 3] = A[:, 2] + 1e-4 * A[:, 3]  # correlated as columns of a rational model are
+    A[::7, 5] = 0.0
+    A[60:, 6] *= 1e-6  # so that few features determine the last term
+    A *= 10.0 ** rng.integers(-4, 5, k)
+    equations = Equations(A, A @ rng.normal(size=k) + rng.normal(size=2 * n),
+                          np.repeat(np.arange(n), 2), np.full(k, 1e-9) if prior else None)
+    features = rng.random((40, n)) < rng.random((40, 1))
+    features[0] = True
+    features[1] = np.arange(n) < 3  # too few
+    features[2] = np.arange(n) >= 30  # of no use for the last term
+    features[3] = np.arange(n) < 5
+    found, violation = solve_many(equations, None, features)
+    assert _prepared(equations).blocks is not None
+    unsafe = 0
+    for mask, x, lacking in zip(features, found, violation, strict=True):
+        one = solve(equations, None, mask)
+        assert (lacking == 0) == one.feasible
+        if one.feasible:
+            rows = mask[equations.feature]
+            b = equations.b[rows]
+            gap = np.linalg.norm(A[rows] @ (x - one.coefficients))
+            assert gap <= 1e-10 * np.linalg.norm(b)
+        system = next(reduced(_prepared(equations).blocks, _prepared(equations).triangle[:, :k],
+                              mask[None], slice(None)))[1]
+        unsafe += system is None
+    assert 1 <= unsafe <= 20
+    # Neither the other individuals nor threads change anything.
+    alone = np.concatenate([solve_many(equations, None, features[i:i + 1])[0]
+                            for i in range(len(features))])
+    np.testing.assert_array_equal(alone, found)
+    np.testing.assert_array_equal(solve_many(equations, None, features, threads=3)[0], found)

@@ -13,20 +13,21 @@ zero, and a reflection covers those alone.
 Feature masks leave no such common factor, as a triangle of all rows cannot have rows taken out
 without loss of accuracy (downdating squares the condition number, and designs reach 3e7). Every
 individual is therefore factored from its own rows, gathered into the panels; those of many rows
-are folded into their triangle block by block, so that panels never outgrow the cache. Sharing
-blocks of rows between individuals would not help: with k terms nothing is gained from fewer than
-k common rows, and masks seldom agree in so many.
+are folded into their triangle block by block, so that panels never outgrow the cache. Of very
+many rows `termsel.adjustment.blocks` makes k, where that is safe.
 """
 
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import cached_property
 from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
 
+from termsel.adjustment.blocks import blocks_of, reduced
 from termsel.adjustment.compiled import compiled, is_compiled
 from termsel.adjustment.distinct import distinct
 from termsel.adjustment.equations import Equations
@@ -280,6 +281,11 @@ class _Prepared:
     triangle: FloatArray
     longest: float
 
+    @cached_property
+    def blocks(self) -> FloatArray | None:
+        """Normal equations of every feature, where they pay and are safe."""
+        return blocks_of(self.source, self.feature, self.triangle)
+
 
 _PREPARED: WeakKeyDictionary[Equations, _Prepared] = WeakKeyDictionary()
 
@@ -357,9 +363,23 @@ def solve_many(
 
     def solve(part: slice) -> None:
         panels, work, heights, index = _workspace(k, len(source))
-        _solve(panels, work, source, features is None, feature,
-               np.zeros(len(source), dtype=np.uintp), index, heights, columns[part],
-               rows[part], TOLERANCE, shared.longest, coefficients[part], violation[part])
+        order = np.zeros(len(source), dtype=np.uintp)
+
+        def factor(some: slice, of: FloatArray, feature: IntArray, rows: BoolArray) -> None:
+            _solve(panels, work, of, of is not shared.source, feature, order, index, heights,
+                   columns[some], rows, TOLERANCE, shared.longest, coefficients[some],
+                   violation[some])
+
+        if features is None or terms is not None or shared.blocks is None:
+            factor(part, source, feature, rows[part])
+            return
+        alone = np.zeros(k, dtype=np.intp), np.ones((1, 1), dtype=bool)
+        for one, few in reduced(shared.blocks, shared.triangle[:, :k], rows, part):
+            here = slice(one, one + 1)
+            if few is None:
+                factor(here, source, feature, rows[here])
+            else:
+                factor(here, few, *alone)
 
     if threads == 1:
         solve(slice(None))
