@@ -229,3 +229,23 @@ def test_models_of_points_refuse_what_they_cannot_do() -> None:
     two = scene.take(np.arange(len(scene)) < 2)
     with pytest.raises(termsel.TermselError, match="6 terms"):
         termsel.fit(two, "field")
+
+
+def test_more_points_leave_less_uncertain_in_units_of_the_noise(
+        monkeypatch: pytest.MonkeyPatch) -> None:
+    """As long as each is a knot of the field; what it has between knots stays unknown."""
+    one_cell(monkeypatch)
+    monkeypatch.setattr(field, "_turn", lambda points, linear: np.eye(3)[:, :2])
+    points = scattered(80)
+    before, after = (collocate(points.take(np.arange(n)), 2) for n in (40, 80))
+    field._collocated.cache_clear()
+    assert before is not None
+    assert after is not None
+    (less, noise), (more, other) = (found.spread(points.ground) for found in (after, before))
+    assert (less / noise <= more / other * (1 + 1e-9)).all()
+    monkeypatch.setattr(field, "KNOTS", 10)
+    few = collocate(points, 2)
+    field._collocated.cache_clear()
+    assert few is not None
+    variance, counted = few.spread(points.ground)
+    assert (variance / counted).mean() > (less / noise).mean()
