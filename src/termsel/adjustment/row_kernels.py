@@ -85,7 +85,7 @@ def walk(rows: Rows, levels: Levels, space: Space, first: int, size: int, least:
         if state[depth] == CARRIED:
             if not further:
                 continue
-            if here + 2 == most:  # those with two more are scored, and nothing is below them
+            if here + 2 == most or i + 2 == n:  # nothing is below those with two more
                 if here + 2 >= least:
                     _scan(rows, levels, space, depth, i, i + 1)
                     count = _keep_all(rows, space, i + 1, masks[depth + 1], limits[here + 2], found,

@@ -34,7 +34,7 @@ _AHEAD = 16  # branches in progress at once, whatever the number of workers
 _BATCH = 64  # selections evaluated at first; more where these are not feasible
 _LARGEST = 4096
 _REPORTS = 4  # so many reports, then as many with a further branch between them, and so on
-_TIMED = 1 << 14  # selections of which the time of all is estimated
+_TIMED = 1 << 16  # selections of which the time of all is estimated
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,9 +137,13 @@ def prove_features(problem: Problem, selections: Selections,
     """
     records = _Records(problem, selections)
     total, decided = selections.count(selections.root), 0
+    starts = problem.genome.random(np.random.default_rng(0), _STARTS)
+    evaluation = problem.evaluate(starts)
+    records.take(starts, evaluation)
+    yield records.state(0, total)
     if selections.systems and total > _LARGEST:
-        for start in problem.genome.random(np.random.default_rng(0), _STARTS):
-            for step in descend(problem, start[None], problem.evaluate(start[None])):
+        for i in range(_STARTS):
+            for step in descend(problem, starts[i:i + 1], evaluation.take(np.array([i]))):
                 records.take(step.genes, step.evaluation)
         yield records.state(0, total)
     todo = [selections.root]
@@ -202,8 +206,7 @@ def proof_generations(problem: Problem, systems: tuple[RowSystem, ...], workers:
     index, last = 0, 0
     for state, proof in enumerate(prove_features(problem, selections, workers)):
         front = proof.front()
-        if not proof.complete and (not front or (
-                index and state - last <= index // _REPORTS)):
+        if index and not proof.complete and (not front or state - last <= index // _REPORTS):
             continue
         genes = np.array(front if proof.complete else front[-1:]) if front \
             else problem.genome.random(np.random.default_rng(0), 1)
