@@ -22,7 +22,8 @@ from termsel_match.world_files import write_world
 
 PICTURE = Path(__file__).parents[1] / "_static/matched.png"
 SIZE = 600
-RED, GREEN, YELLOW = (60, 60, 230), (80, 200, 60), (40, 220, 240)
+# Blue, green, red, of Okabe and Ito's colours, which differ for colour-blind eyes too.
+BLUE, VERMILION, YELLOW = (233, 180, 86), (0, 94, 213), (66, 228, 240)
 
 
 def main() -> None:
@@ -51,8 +52,11 @@ def main() -> None:
                 cv2.polylines(picture, [_drawn(seen)], False, YELLOW, 1, cv2.LINE_AA, 4)
             pictures.append(picture)
         for place_, right in zip(found.points.image, selected.agrees, strict=True):
-            cv2.circle(pictures[1], _drawn(place_[None])[0], 5 << 4, GREEN if right else RED, 2,
-                       cv2.LINE_AA, 4)
+            if right:
+                cv2.circle(pictures[1], _drawn(place_[None])[0], 5 << 4, BLUE, 2, cv2.LINE_AA, 4)
+            else:
+                cv2.drawMarker(pictures[1], np.round(place_[::-1]).astype(int).tolist(), VERMILION,
+                               cv2.MARKER_TILTED_CROSS, 14, 3, cv2.LINE_AA)
         gap = np.full((SIZE, 12, 3), 255, dtype=np.uint8)
         cv2.imwrite(str(PICTURE), np.concatenate([pictures[0], gap, pictures[1]], axis=1),
                     [cv2.IMWRITE_PNG_COMPRESSION, 9])

@@ -20,12 +20,13 @@ from rasterio.transform import from_origin
 import termsel
 from termsel import FeatureSet, Lines, TermselError
 from termsel.testing import command_checks, problem_checks
+from termsel_match.certainty import fitted_to, most_decisive, undetermined
 from termsel_match.commands import match_lines
 from termsel_match.lines import LineCandidates
 from termsel_match.lines import match_lines as match
 from termsel_match.problem import RECIPE
-from termsel_match.rounds import iterate_lines, undetermined
-from termsel_match.starts import Start
+from termsel_match.rounds import iterate_lines
+from termsel_match.starts import Start, start_of, turned
 
 CHECKS = (*command_checks(match_lines, ["none.tif", "--vectors", "none.gpkg"]),
           *problem_checks(RECIPE))
@@ -96,6 +97,37 @@ def test_lines_of_one_direction_leave_the_other_undetermined() -> None:
                  np.dstack([np.concatenate([image, crossing]), np.zeros((4, 2))]),
                  np.full(4, 0.5))
     assert "in all directions" in undetermined(more)
+
+
+@pytest.fixture
+def street(place: Any) -> FeatureSet:
+    """Ten exact pieces of one street along the lines of the image, at the line 250."""
+    samples = np.linspace(60, 440, 11)
+    image = np.stack([np.column_stack([np.full(10, 250.0), ends])
+                      for ends in (samples[:-1], samples[1:])], axis=1)
+    seen = image.reshape(-1, 2) + np.array([0.0, 3.0])  # along it, the ends are elsewhere
+    lonlat = place.world.camera.locate(seen, 520.0)
+    ground = np.column_stack([turned(lonlat, "EPSG:4326", "EPSG:32633"), np.full(20, 520.0)])
+    lines = Lines(tuple(f"L{i}" for i in range(10)), image, ground.reshape(10, 2, 3),
+                  np.full(10, 0.3), attributes={"vector": np.array(["7"] * 10, dtype=object)})
+    return FeatureSet(lines=lines, crs="EPSG:32633", image_size=(500, 500))
+
+
+def test_one_street_fixes_the_image_across_it_and_the_start_holds_it_along(
+        place: Any, street: FeatureSet) -> None:
+    options = {"rpc": str(place / "image.RPB")}
+    start = start_of(None, place / "image.tif")
+    assert start is not None
+    used, fitted = fitted_to(street, "rpc-drift", options, start, 60.0)
+    assert len(used.points) == 4
+    middle = street.lines.ground.reshape(-1, 3)
+    true = place.world.camera.project(place.geographic(middle))
+    error = np.abs(fitted.project(middle) - true).max(axis=0)
+    assert error[0] < 0.3 < 5 < error[1]
+    sigma = fitted.sigma(middle)
+    assert (sigma[:, 1] > 20 * sigma[:, 0]).all()
+    assert "along it not at all: there the start holds it" in undetermined(street.lines)
+    assert "Doubtful: without vector 7" in most_decisive(used, "rpc-drift", options).text()
 
 
 @pytest.fixture

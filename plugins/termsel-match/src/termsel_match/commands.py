@@ -79,6 +79,7 @@ def match_points(image: Path, reference: Path, output: Path, overwrite: bool, qu
     click.echo(f"{len(found.points)} candidates in {found.cells.get('found', 0)} of {cells} cells "
                f"of the image, CRS {found.crs if len(found.crs) < 40 else 'of the reference'}")
     click.echo(f"Written: {output}", err=True)
+    click.echo(f"Next: {next_run(options['start'], image, output)}", err=True)
 
 
 @click.command("match-lines")
@@ -207,6 +208,18 @@ def match_example(folder: Path, size: int, seed: int, off: float) -> None:
     write_world(world, folder)
     click.echo(f"A simulated place of {world.side / 1000:.1f} km; the RPC is {off:g} px off.")
     click.echo(f"Written: {', '.join(str(folder / name) for name in NAMES)}", err=True)
+
+
+def next_run(start: str | None, image: Path, table: Path) -> str:
+    """Return the command that selects among candidate points of which most may be wrong."""
+    from termsel_match.chain import model_for
+
+    model, options = model_for(start, image)
+    problem = "owdis-points --model affine"
+    if model == "rpc-drift":
+        of_result = start is not None and Path(start).is_dir()
+        problem = f"rpc-gcps --set rpc={'RPC_FILE' if of_result else options['rpc']}"
+    return f"termsel run --problem {problem} --criterion agreement --points {table} --out result"
 
 
 def refuse_existing(output: Path, overwrite: bool) -> None:

@@ -78,8 +78,7 @@ def match_lines(
     image = Path(image)
     known = start if isinstance(start, Start) else start_of(start, image)
     if known is None:
-        raise TermselError("lines cannot be matched without a start", file=image,
-                           hint="Give --start with an RPC, a result or points.")
+        raise without_start(image)
     with open_picture(image, band) as picture:
         size = picture.size
         pieces = pieces_of(vectors, known, dem, size)
@@ -106,6 +105,12 @@ def match_lines(
                   attributes={name: np.array(cells, dtype=object)
                               for name, cells in attributes.items()})
     return LineCandidates(lines, pieces.crs, size, len(found), known.what)
+
+
+def without_start(image: Path) -> TermselError:
+    """Return what a user must do where there is no start."""
+    return TermselError("lines cannot be matched without a start", file=image,
+                        hint="Give --start with an RPC, a result or points.")
 
 
 def _shortened(ends: FloatArray, k: int) -> FloatArray:

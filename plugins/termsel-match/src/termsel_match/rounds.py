@@ -8,12 +8,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 import termsel
 from termsel import FeatureSet, Fit, Lines, Result, TermselError
-from termsel_match.lines import LineCandidates, match_lines
+from termsel_match.certainty import Decisive, fitted_to, most_decisive, undetermined
+from termsel_match.lines import LineCandidates, match_lines, without_start
 from termsel_match.selection import searched
-from termsel_match.starts import Start, start_of
+from termsel_match.starts import Start, start_of, turned
 
 _MOST = 6  # rounds
 _NARROWER = 4.0  # the search of a round is that of the last by this
@@ -22,7 +24,6 @@ _HALF_AT = 2.0, 1.0  # px at which a piece counts half, in the first round and l
 _SETTLED = 0.1  # px by which the last round moves the image
 _PROOF, _AT = 40.0, 3.0  # px: in the end the clearest band within the one must be within the other
 _LEAST_SHARE = 0.6  # for this part of the pieces: 0.9 of a true model, 0.3 of a wrong one
-_WEAK = 3.0  # ratio of standard deviations across and along
 
 
 @dataclass(frozen=True)
@@ -63,6 +64,8 @@ class Matched:
     rounds : tuple of Round
     settled : bool
         Whether the last round changed next to nothing.
+    decisive : Decisive
+        The vector without which the image moves most.
     """
 
     candidates: LineCandidates
@@ -70,6 +73,7 @@ class Matched:
     result: Result
     rounds: tuple[Round, ...]
     settled: bool
+    decisive: Decisive
 
     @property
     def features(self) -> FeatureSet:
@@ -85,7 +89,7 @@ class Matched:
                   for i, one in enumerate(self.rounds)]
         if not self.settled:
             table.append("The last round still changed the model.")
-        return "\n".join([*table, undetermined(self.lines)]) + "\n"
+        return "\n".join([*table, undetermined(self.lines), self.decisive.text()]) + "\n"
 
 
 def iterate_lines(
@@ -125,6 +129,8 @@ def iterate_lines(
         band within 40 px is where the model sees the vector.
     """
     at = start if isinstance(start, Start) else start_of(start, Path(image))
+    if at is None:
+        raise without_start(Path(image))
     rounds: list[Round] = []
     first = search
     while True:
@@ -134,11 +140,13 @@ def iterate_lines(
         chosen = found.lines.take(np.isin(found.lines.ids, searched(
             "matched-lines", features, model, {**options, "half_at": _HALF_AT[bool(rounds)]},
             seed=seed)))
-        fitted = termsel.fit(features.with_(lines=replace(chosen, sigma=None)), model, **options)
+        used, fitted = fitted_to(features.with_(lines=replace(chosen, sigma=np.ones(len(chosen)))),
+                                 model, options, at, search)
         pieces = len(set(found.lines.attributes["piece"]))
         rms = rms_distance(fitted, chosen)
-        now = fitted.project(chosen.ground.reshape(-1, 3))
-        before = now if at is None else _in(at, chosen.ground.reshape(-1, 3), found.crs)
+        there = chosen.ground.reshape(-1, 3)
+        now = fitted.project(there)
+        before = at.project(np.column_stack([turned(there[:, :2], found.crs, at.crs), there[:, 2]]))
         moved = float(np.sqrt(((now - before) ** 2).sum(axis=1).mean()))
         rounds.append(Round(search, pieces, len(found.lines), len(chosen), rms, moved))
         settled = moved < _SETTLED
@@ -146,56 +154,33 @@ def iterate_lines(
             break
         search = min(search, max(_NARROWEST, search / _NARROWER))
         at = _start(fitted, found.crs, chosen)
-    seen = match_lines(image, vectors, dem=dem, start=_start(fitted, found.crs, chosen),
-                       search=max(_PROOF, first), band=band).lines
-    clearest = np.array([name.endswith(".1") for name in seen.ids])
-    there = np.abs(seen.attributes["offset"][clearest].astype(float)) <= _AT
-    if there.mean() < _LEAST_SHARE:
+    seen = in_place(image, vectors, _start(fitted, found.crs, chosen), dem=dem,
+                    search=max(_PROOF, first), band=band)
+    if seen.mean() < _LEAST_SHARE:
         raise TermselError(
-            f"not enough lines agree: for {int(there.sum())} of {len(there)} pieces of vectors the "
+            f"not enough lines agree: for {int(seen.sum())} of {len(seen)} pieces of vectors the "
             f"clearest band of the image is at its place", file=Path(image),
             hint="Is the start off by more than --search? Do the vectors show what can be seen?")
-    lines = Lines(chosen.ids, chosen.image, chosen.ground, np.full(len(chosen), rms),
-                  attributes=chosen.attributes)
-    result = termsel.run("owdis-lines", features=features.with_(lines=lines), model=model,
-                         solver="all-terms", criterion="press", options=dict(options), seed=seed,
-                         out=out)
-    return Matched(found, lines, result, tuple(rounds), settled)
+    lines = replace(chosen, sigma=np.full(len(chosen), rms))
+    used = used.with_(lines=lines)
+    mixed = {"mixed": True} if len(used.points) else {}
+    result = termsel.run("owdis-lines", features=used, model=model, solver="all-terms",
+                         criterion="press", options={**options, **mixed}, seed=seed, out=out)
+    return Matched(found, lines, result, tuple(rounds), settled,
+                   most_decisive(used, model, options))
+
+
+def in_place(image: Path | str, vectors: Path | str, at: Start, *, dem: Path | str | None,
+             search: float = _PROOF, band: int | None = None) -> NDArray[np.bool_]:
+    """Return for each piece whether its clearest band is within 3 px of where a model sees it."""
+    seen = match_lines(image, vectors, dem=dem, start=at, search=search, band=band).lines
+    clearest = np.array([name.endswith(".1") for name in seen.ids])
+    return np.asarray(np.abs(seen.attributes["offset"][clearest].astype(float)) <= _AT)
 
 
 def _start(fitted: Fit, crs: str, lines: Lines) -> Start:
     return Start("the model of the last round", crs, float(np.nanmean(lines.ground[..., 2])),
                  fitted.project, fitted.locate)
-
-
-def undetermined(lines: Lines) -> str:
-    """Return in words how well lines fix the image, across them and along."""
-    assert lines.sigma is not None
-    run = lines.image[:, 1] - lines.image[:, 0]
-    normal = np.stack([-run[:, 1], run[:, 0]], axis=1) / np.linalg.norm(run, axis=1)[:, None]
-    information = (normal[:, :, None] * normal[:, None] / lines.sigma[:, None, None] ** 2).sum(
-        axis=0)
-    (weak, strong), axes = np.linalg.eigh(information)
-    sigmas = [float(1 / np.sqrt(one)) if one > 1e-9 * strong else float("inf")
-              for one in (weak, strong)]
-    towards = float(np.degrees(np.arctan2(axes[1, 0], axes[0, 0]))) % 180
-    if sigmas[0] < _WEAK * sigmas[1]:
-        return (f"The lines fix the position of the image in all directions: standard deviation "
-                f"{max(sigmas):.2f} px.")
-    known = "not at all" if sigmas[0] == float("inf") else f"only to {sigmas[0]:.2f} px"
-    return (f"The lines run in nearly one direction. Across it they fix the image to "
-            f"{sigmas[1]:.2f} px, along it {known}. It is at {towards:.0f} degrees from the "
-            "direction of lines towards that of samples.")
-
-
-def _in(start: Start, ground: Any, crs: str) -> Any:
-    """Return where a start sees places of another CRS."""
-    from pyproj import CRS, Transformer
-
-    turn = Transformer.from_crs(CRS.from_user_input(crs).to_2d(),
-                                CRS.from_user_input(start.crs).to_2d(), always_xy=True)
-    return start.project(np.column_stack([*turn.transform(ground[:, 0], ground[:, 1]),
-                                          ground[:, 2]]))
 
 
 def rms_distance(fitted: Fit, lines: Lines) -> float:

@@ -13,6 +13,7 @@ import shapely
 import termsel
 from termsel import FeatureSet, Fit, Points, Result, TermselError
 from termsel_match.rasters import FloatArray, Mask
+from termsel_match.starts import turned
 
 TOLERANCE = 2.0  # px at which a candidate counts half in the search
 _INDEPENDENT, _CHECK = 0.25, 0.25  # parts of the candidates
@@ -167,13 +168,9 @@ def with_lines(selected: Selected, lines: FeatureSet, model: str, options: Mappi
     TermselError
         If the lines contradict the points.
     """
-    from pyproj import CRS, Transformer
-
     features = selected.result.features
-    turn = Transformer.from_crs(CRS.from_user_input(lines.crs).to_2d(),
-                                CRS.from_user_input(features.crs).to_2d(), always_xy=True)
     ground = lines.lines.ground.copy()
-    ground[..., 0], ground[..., 1] = turn.transform(ground[..., 0], ground[..., 1])
+    ground[..., :2] = turned(ground[..., :2], lines.crs, features.crs)
     both = features.with_(lines=replace(lines.lines, ground=ground))
     control = features.points.roles == np.array("control", dtype=object)
     used = both.with_(points=replace(features.points.take(control), roles=()))

@@ -41,6 +41,15 @@ class Start:
     locate: Callable[[FloatArray, Heights], FloatArray]
 
 
+def turned(plane: FloatArray, crs: str, to: str) -> FloatArray:
+    """Return plane coordinates, (..., 2), in another CRS."""
+    from pyproj import CRS, Transformer
+
+    turn = Transformer.from_crs(CRS.from_user_input(crs).to_2d(), CRS.from_user_input(to).to_2d(),
+                                always_xy=True)
+    return np.stack(turn.transform(plane[..., 0], plane[..., 1]), axis=-1)
+
+
 def start_of(given: str | Path | None, image: Path) -> Start | None:
     """Return the start that a user names; None for none.
 

@@ -1,0 +1,134 @@
+"""How well matched lines fix an image: in which directions, and whether by one vector alone."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+import termsel
+from termsel import FeatureSet, Fit, Lines, Points, TermselError
+from termsel_match.starts import Start, turned
+
+_WEAK = 3.0  # ratio of standard deviations across and along
+_HELD = 2.0  # px along the lines, beyond which the start holds the image
+_ASKED = 60  # vectors that are left out in turn, those with most lines
+DOUBTFUL = 1.0  # px by which the image may move without one vector
+
+
+@dataclass(frozen=True)
+class Decisive:
+    """The vector without which the image moves most.
+
+    Parameters
+    ----------
+    vector : str
+    moved : float
+        Rms by which the lines move in the image [px]; infinite where the others do not determine
+        the model.
+    """
+
+    vector: str
+    moved: float
+
+    def text(self) -> str:
+        """Return what a user must know of it."""
+        if self.moved <= DOUBTFUL:
+            return (f"Without any one vector the image moves by at most {self.moved:.2f} px "
+                    f"(vector {self.vector}).")
+        far = f"the image moves by {self.moved:.2f} px" if np.isfinite(self.moved) else \
+            "the lines do not determine the model"
+        return (f"Doubtful: without vector {self.vector} {far}. Check that vector, or give more "
+                "vectors.")
+
+
+def fitted_to(features: FeatureSet, model: str, options: Mapping[str, Any], start: Start,
+              search: float) -> tuple[FeatureSet, Fit]:
+    """Return what a model of lines is fitted to, and the model.
+
+    Where the lines alone do not fix the image, as one street does not, the start does: with four
+    places in the corners of the image whose standard deviation is the search.
+
+    Parameters
+    ----------
+    features : FeatureSet
+        Lines, with standard deviations.
+    model : str
+    options : mapping
+        Options of the model.
+    start : Start
+    search : float
+        Largest distance of the truth from the start [px].
+    """
+    if _across_and_along(features.lines)[0][1] <= _HELD:
+        try:
+            return features, termsel.fit(features, model, **options)
+        except TermselError:  # for example no drift from lines in one place
+            pass
+    size = np.array(features.image_size) - 1
+    image = size * np.array([[0, 0], [0, 1], [1, 0], [1, 1]])
+    height = float(np.nanmean(features.lines.ground[..., 2]))
+    known = start.locate(image, height)
+    ground = np.column_stack([turned(known[:, :2], start.crs, features.crs), np.full(4, height)])
+    points = Points(tuple(f"start-{i}" for i in range(1, 5)), image, ground,
+                    np.full((4, 2), search))
+    held = features.with_(points=points)
+    return held, termsel.fit(held, model, **options)
+
+
+def most_decisive(features: FeatureSet, model: str, options: Mapping[str, Any]) -> Decisive:
+    """Return the vector without which the image moves most.
+
+    Parameters
+    ----------
+    features : FeatureSet
+        The lines that agree, with the attribute `vector`, and points that hold them, if any.
+    model : str
+    options : mapping
+        Options of the model.
+    """
+    lines = features.lines
+    ground, of = lines.ground.reshape(-1, 3), lines.attributes["vector"].astype(str)
+    seen = termsel.fit(features, model, **options).project(ground)
+    names, count = np.unique(of, return_counts=True)
+    if len(names) == 1:
+        return Decisive(str(names[0]), float("inf"))
+    found = []
+    for name in names[np.argsort(-count, kind="stable")[:_ASKED]]:
+        rest = lines.take(of != name)
+        try:
+            without = termsel.fit(features.with_(lines=rest), model, **options).project(ground)
+        except TermselError:
+            return Decisive(str(name), float("inf"))
+        moved = float(np.sqrt(((without - seen) ** 2).sum(axis=1).mean()))
+        found.append(Decisive(str(name), moved))
+    return max(found, key=lambda one: one.moved)
+
+
+def undetermined(lines: Lines) -> str:
+    """Return in words how well lines fix the image, across them and along."""
+    (across, along), towards = _across_and_along(lines)
+    if along < _WEAK * across:
+        return (f"The lines fix the position of the image in all directions: standard deviation "
+                f"{along:.2f} px.")
+    known = f"only to {along:.2f} px"
+    if along > _HELD:
+        known = ("not at all" if along == float("inf") else known) + ": there the start holds it"
+    return (f"The lines run in nearly one direction. Across it they fix the image to "
+            f"{across:.2f} px, along it {known}. It is at {towards:.0f} degrees from the "
+            "direction of lines towards that of samples.")
+
+
+def _across_and_along(lines: Lines) -> tuple[tuple[float, float], float]:
+    """Return standard deviations across most lines and along [px], and where along is [deg]."""
+    assert lines.sigma is not None
+    run = lines.image[:, 1] - lines.image[:, 0]
+    normal = np.stack([-run[:, 1], run[:, 0]], axis=1) / np.linalg.norm(run, axis=1)[:, None]
+    information = (normal[:, :, None] * normal[:, None] / lines.sigma[:, None, None] ** 2).sum(
+        axis=0)
+    (weak, strong), axes = np.linalg.eigh(information)
+    along = float(1 / np.sqrt(weak)) if weak > 1e-9 * strong else float("inf")
+    towards = float(np.degrees(np.arctan2(axes[1, 0], axes[0, 0]))) % 180
+    return (float(1 / np.sqrt(strong)), along), towards
