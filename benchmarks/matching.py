@@ -222,7 +222,7 @@ what is beyond 2.5 standard deviations, until nothing is.
 
 ## The last check of lines
 
-Rounds of lines end with an error message unless three pieces in five have their clearest band
+Rounds of lines end with an error message unless half of the pieces have their clearest band
 within 3 px of where the model sees the vector. With the true model, {least:.0f} % or more of the
 pieces have it there in each scene; with a model that is {WRONG:g} px off in both directions,
 {most:.0f} % or less.

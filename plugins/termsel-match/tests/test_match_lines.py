@@ -127,7 +127,7 @@ def test_one_street_fixes_the_image_across_it_and_the_start_holds_it_along(
     sigma = fitted.sigma(middle)
     assert (sigma[:, 1] > 20 * sigma[:, 0]).all()
     assert "along it not at all: there the start holds it" in undetermined(street.lines)
-    assert "Doubtful: without vector 7" in most_decisive(used, "rpc-drift", options).text()
+    assert "Uncertain: without vector 7" in most_decisive(used, "rpc-drift", options).text()
 
 
 @pytest.fixture

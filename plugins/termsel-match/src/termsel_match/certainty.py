@@ -14,8 +14,8 @@ from termsel_match.starts import Start, turned
 
 _WEAK = 3.0  # ratio of standard deviations across and along
 _HELD = 2.0  # px along the lines, beyond which the start holds the image
-_ASKED = 60  # vectors that are left out in turn, those with most lines
-DOUBTFUL = 1.0  # px by which the image may move without one vector
+_ASKED = 60  # vectors that are tried in turn, those with most lines
+UNCERTAIN = 1.0  # px by which the image may move without one vector
 
 
 @dataclass(frozen=True)
@@ -35,12 +35,12 @@ class Decisive:
 
     def text(self) -> str:
         """Return what a user must know of it."""
-        if self.moved <= DOUBTFUL:
+        if self.moved <= UNCERTAIN:
             return (f"Without any one vector the image moves by at most {self.moved:.2f} px "
                     f"(vector {self.vector}).")
         far = f"the image moves by {self.moved:.2f} px" if np.isfinite(self.moved) else \
             "the lines do not determine the model"
-        return (f"Doubtful: without vector {self.vector} {far}. Check that vector, or give more "
+        return (f"Uncertain: without vector {self.vector} {far}. Check that vector, or give more "
                 "vectors.")
 
 
