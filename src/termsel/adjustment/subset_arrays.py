@@ -98,8 +98,8 @@ class Space(NamedTuple):
     Parameters
     ----------
     gram, triangle : ndarray, shape (n + 1, n + 1)
-    rows : ndarray, shape (n + 1, e)
-    x : ndarray, shape (3, max(n + 1, e))
+    rows : ndarray, shape (n + 1, e + 1)
+    x : ndarray, shape (3, max(n, e) + 1)
     """
 
     gram: FloatArray
@@ -132,26 +132,25 @@ class Blocks(NamedTuple):
 
     Parameters
     ----------
-    control, errors, below : Products
-        In the control rows, and of the errors and the denominators of the score.
-    sums : ndarray, shape (levels, n + 1)
-        Sums over the denominators' rows; the target is the last.
-    inverse, a, u, row, below_row, weight : ndarray
+    control, errors : Products
+        In the control rows, and of the errors of the score.
+    sums, whole : ndarray, shape (levels, n) and (levels,)
+        Sums over the denominators' rows, with a minus sign for columns; for the target.
+    inverse, a, u, row, weight : ndarray
         Inverse squared lengths before any elimination, (n,), and space: (n,) twice and
-        (max(n, rows),) thrice.
+        (max(n, rows),) twice.
     share, cursor : ndarray, shape (levels,)
         Product of the shares of length that were left; columns in use.
     """
 
     control: Products
     errors: Products
-    below: Products
     sums: FloatArray
+    whole: FloatArray
     inverse: FloatArray
     a: FloatArray
     u: FloatArray
     row: FloatArray
-    below_row: FloatArray
     weight: FloatArray
     share: FloatArray
     cursor: Any

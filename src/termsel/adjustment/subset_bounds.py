@@ -1,25 +1,28 @@
 """A bound that rules out many subsets at once, for the enumeration of all subsets.
 
 Let I be the columns in use, and let all vectors have them removed: the columns T and the target r
-in the control rows, V and e in the rows of the score, d and D for the denominators there. A subset
-that adds columns S of F to I has coefficients b, zero outside S, and errors e - V b. Three facts
-hold for each such subset, whatever S is:
+in the control rows, V and e in the c rows of the score, d and D for the denominators there. A
+subset that adds columns S of F to I has coefficients b, zero outside S, errors e - V b, and
+denominators D + d b, none below the margin. Both are divided by t = 1 / (sum of D + d b), which
+leaves the score as it is: let x = t b. Four facts hold for each such subset, whatever S is:
 
-1. T b is the projection of r on the columns S, so T b is orthogonal to r - T b:
-   b'T'T b - b'T'r = 0. (The projections of r on all subspaces lie on one sphere.)
-2. If the score is at most B, and no denominator D + d b is above U, then
-   sum of ((e - V b) / U)^2 <= B.
-3. Hence, for any positive weights a and w, a (b'T'T b - b'T'r) + w (sum ((e - V b) / U)^2 - B) is
-   not positive. This is a convex quadratic q(b). If its minimum over all b is positive, no
-   subset of F scores B or less. Otherwise all b with q(b) <= 0 lie in an ellipsoid, on which each
-   D + d b has a largest value: a new U, to be used in turn. If one is below the margin, no
-   subset has a score.
+1. sum of t D + d x = 1, each of them is positive, and 0 < t <= 1 / (c margin).
+2. T b is the projection of r on the columns S, so that |T b - r / 2| = |r| / 2: the projections
+   of r on all subspaces lie on one sphere. Hence |T x - t r / 2|^2 = t^2 |r|^2 / 4.
+3. If t <= tau, fact 2 gives |T x - t r / 2|^2 <= tau^2 |r|^2 / 4.
+4. If the score is at most B, and no t D + d x is above U <= 1, then
+   sum of ((t e - V x) / U)^2 <= B.
 
-U is infinite at first and is handed down to the subsets below. While it is, no denominator exceeds
-the root of the sum of all their squares, so fact 2 becomes
-sum of (e - V b)^2 <= B sum of (D + d b)^2. The quadratic with that instead is used where it is
-convex, else w = 0. Without denominators U = 1 and w q is least squares with a constraint.
-termsel's own formulation; fact 1 is Thales'.
+Hence, for positive weights that add up to 1, their mean q(t, x) of t^2 / tau^2, of
+4 |T x - t r / 2|^2 / (tau |r|)^2 and of sum of ((t e - V x) / U)^2 / B is at most 1. It is a
+quadratic form without linear part. Its minimum where t D + d x add up to 1 has a closed form. If
+that is above 1, no subset of F scores B or less. Otherwise all points (t, x) with q <= 1 on that
+plane lie in an ellipsoid, on which t and each t D + d x have largest values: new tau and U, to be
+used in turn. If one is negative, no subset scores B or less. They hold for the subsets below, too.
+
+That all is divided by the sum of the denominators keeps it finite where columns are more than
+rows: b itself may grow without limit there. Without denominators t = tau = U = 1, and q is least
+squares with a constraint. termsel's own formulation; fact 2 is Thales'.
 """
 
 from __future__ import annotations
@@ -34,162 +37,150 @@ from termsel.measurements.features import FloatArray
 
 _compiled = partial(compiled, _nrt=False, fastmath={"reassoc", "contract", "arcp", "nsz"})
 
-_STEPS = 4  # of U; each costs as much as a test
-_GAIN = 0.8  # a step that lowers no upper limit to this share is the last
+_STEPS = 8  # of tau and U; each costs as much as a test
+_GAIN = 0.9  # a step that lowers no limit to this share is the last
 _PIVOT = 1e-8  # least pivot of the quadratic, relative to its diagonal
-_ROUNDING = 1e-6  # of the minimum, relative to what it is made of; errors are below 1e-14 / pivot
+_ROUNDING = 1e-6  # of what is 1 at the limit; errors are below 1e-14 / pivot
+_SPHERE, _SCALE = 0.15, 0.1  # weights of facts 3 and 1; the rest is of fact 4
 
 
 @_compiled
 def first_closed(top: FloatArray, extra: FloatArray, first: int, n: int, limit: float,
-                 upper: FloatArray, rational: bool, margin: float, space: Space) -> int:
+                 upper: FloatArray, rational: bool, space: Space) -> int:
     """Return a column from which on no subset scores `limit` or less.
 
     Parameters
     ----------
-    top, extra : ndarray, shape (n + 1, rows) and (n + 1, e) or (n + 1, 2 e)
+    top, extra : ndarray, shape (n + 1, rows) and (n + 1, c) or (n + 1, 2 c)
         One depth of `Levels`, without the columns in use.
     first, n : int
         F is first, ..., n - 1.
     limit : float
         B of the module's text.
-    upper : ndarray, shape (e,)
-        U, lowered in place; 1 for scores without denominators.
+    upper : ndarray, shape (c + 1,)
+        U and tau, lowered in place; 1 for scores without denominators.
     rational : bool
         Whether there are denominators.
-    margin : float
-        Least denominator.
     space : Space
 
     Returns
     -------
     int
-        c: all subsets that add some of c, ..., n - 1 alone score more. `first` if none of F need
+        j: all subsets that add some of j, ..., n - 1 alone score more. `first` if none of F need
         be looked at; n if nothing is known.
 
     Notes
     -----
-    Columns are eliminated from the last to the first. The minimum over the coefficients of the
-    last i columns alone is known after i steps, so one elimination tests every tail of F.
+    Columns are eliminated from the last to the first, after the target. The minimum over the
+    coefficients of the last i columns alone is known after i steps, so one elimination tests every
+    tail of F. With the Cholesky factor L of q and the sums s of the denominators' columns the
+    minimum is 1 / |L^-1 s|^2.
     """
-    count, height = n - first, len(upper)
-    gram, room, rows = space.gram, space.triangle, space.rows
-    weight, h, y = space.x[0], space.x[1], space.x[2]
+    count, c = n - first + 1, len(upper) - 1
+    gram, triangle, weight, h, y = space.gram, space.triangle, space.x[0], space.x[1], space.x[2]
     square = 0.0
     for k in range(top.shape[1]):
         square += top[n, k] * top[n, k]
     if not square > 0.0:
         return n
-    a, w = 2.0 / square, 0.5 / limit
+    # The target is vector 0 and stands for -t; column n - i is vector i.
     for i in range(count):
         for j in range(i + 1):
             total = 0.0
             for k in range(top.shape[1]):
-                total += top[n - 1 - i, k] * top[n - 1 - j, k]
-            gram[i, j] = a * total
-        total = 0.0
-        for k in range(top.shape[1]):
-            total += top[n - 1 - i, k] * top[n, k]
-        gram[count, i] = 0.5 * a * total
-    closed, failed = 0, False
-    for _ in range(_STEPS + 1):
-        known = upper[0] < np.inf
-        below = 0.0 if known or failed else 0.5  # weight of the denominators' squares
-        constant, scale = 0.0, 0.5
-        for k in range(height):
-            weight[k] = w / (upper[k] * upper[k]) if known else 2.0 * below * w
-            constant += weight[k] * extra[n, k] * extra[n, k]
-        constant -= 0.5 * known
-        if below > 0.0:
-            for k in range(height):
-                constant -= below * extra[n, height + k] * extra[n, height + k]
-                scale += extra[n, height + k] * extra[n, height + k]
-        scale += constant
-        failed = False
-        # Cholesky's triangle of the quadratic, and the minimum, column by column.
+                total += top[n - i, k] * top[n - j, k]
+            gram[i, j] = 4.0 / square * total * (1.0 if j > 0 else 0.5 if i > 0 else 0.25)
+    closed = 0
+    for _ in range(_STEPS):
+        tau = upper[c]
+        sphere, scale = _SPHERE / (tau * tau), _SCALE / (tau * tau)
+        if not rational:
+            sphere, scale = 0.5, 0.0
+        for k in range(c):
+            weight[k] = (1.0 - (sphere + scale) * tau * tau) / (limit * upper[k] * upper[k])
+        # Cholesky's triangle of the quadratic, and the minimum, vector by vector.
+        minimum, failed = 0.0, False
         for i in range(count):
-            column = n - 1 - i
-            for k in range(height):
-                y[k] = weight[k] * extra[column, k]
-            total = 0.0
-            for k in range(height):
-                total += y[k] * extra[n, k]
-            if below > 0.0:
-                for k in range(height, 2 * height):
-                    total -= below * extra[column, k] * extra[n, k]
-            h[i] = gram[count, i] + total
-            own = 0.0
-            if below > 0.0:
-                for k in range(height, 2 * height):
-                    own += extra[column, k] * extra[column, k]
+            for k in range(c):
+                y[k] = weight[k] * extra[n - i, k]
             for j in range(i + 1):
-                total = 0.0
-                for k in range(height):
-                    total += y[k] * extra[n - 1 - j, k]
-                if below > 0.0:
-                    for k in range(height, 2 * height):
-                        total -= below * extra[column, k] * extra[n - 1 - j, k]
-                room[i, j] = gram[i, j] + total
-            pivot = room[i, i]
-            least = _PIVOT * (pivot + own)
+                total = sphere * gram[i, j]
+                for k in range(c):
+                    total += y[k] * extra[n - j, k]
+                triangle[i, j] = total
+            total = 0.0
+            for k in range(c, extra.shape[1]):
+                total += extra[n - i, k]
+            if not rational:
+                total = 1.0 if i == 0 else 0.0
+            if i == 0:
+                triangle[0, 0] += scale
+            pivot = triangle[i, i]
+            least = _PIVOT * pivot
             for j in range(i):
-                total = room[i, j]
+                ratio = triangle[i, j]
                 for k in range(j):
-                    total -= room[i, k] * room[j, k]
-                total /= room[j, j]
-                room[i, j] = total
-                pivot -= total * total
-                h[i] -= total * h[j]
+                    ratio -= triangle[i, k] * triangle[j, k]
+                ratio /= triangle[j, j]
+                triangle[i, j] = ratio
+                pivot -= ratio * ratio
+                total -= ratio * h[j]
             if not pivot > least:
                 failed = True
                 break
-            room[i, i] = np.sqrt(pivot)
-            h[i] /= room[i, i]
-            constant -= h[i] * h[i]
-            if constant > _ROUNDING * scale and i >= closed:
-                closed = i + 1
-        if failed and below > 0.0:
-            continue  # with the first fact alone
-        if failed or closed == count or not rational:
+            triangle[i, i] = np.sqrt(pivot)
+            h[i] = total / triangle[i, i]
+            minimum += h[i] * h[i]  # its inverse
+            if minimum < 1.0 - _ROUNDING and i > closed:
+                closed = i
+        if failed or closed == count - 1 or not rational:
             return n - closed
-        if not _lowered(extra, n, count, upper, max(0.0, -constant), room, h, rows, weight, y):
+        gained = _lowered(extra, n, count, upper, minimum, triangle, h, space.rows, weight, y)
+        if gained < 0:
+            return first
+        if gained == 0:
             return n - closed
-        for k in range(height):
-            if upper[k] < margin * (1.0 - _ROUNDING):
-                return first
     return n - closed
 
 
 @_compiled
-def _lowered(extra: FloatArray, n: int, count: int, upper: FloatArray, radius: float,
-             triangle: FloatArray, h: FloatArray, rows: FloatArray, centre: FloatArray,
-             length: FloatArray) -> bool:
-    """Lower the upper limits of the denominators to their maxima on an ellipsoid.
+def _lowered(extra: FloatArray, n: int, count: int, upper: FloatArray, inverse: float,
+             triangle: FloatArray, h: FloatArray, rows: FloatArray, along: FloatArray,
+             length: FloatArray) -> int:
+    """Lower the limits to their maxima on an ellipsoid.
 
-    Its points are c + L'^-1 z with |z|^2 <= radius, where L is the triangle and L'c = h. The
-    maximum of D + d b on it is D + d c + |L^-1 d| sqrt(radius).
+    With z = L'(-t, x) and h = L^-1 s its points are |z|^2 <= 1 and h'z = 1. The maximum of a linear
+    function a'z is a'h / |h|^2 + ((1 - 1 / |h|^2) (|a|^2 - (a'h)^2 / |h|^2))^1/2.
+
+    Returns
+    -------
+    int
+        1 if a limit is lower by some share, 0 if none is, -1 if one is negative.
     """
-    height = len(upper)
-    for k in range(height):
-        centre[k] = -extra[n, height + k]
-        length[k] = 0.0
+    c = len(upper) - 1
+    for k in range(c + 1):
+        along[k] = length[k] = 0.0
     for i in range(count):
-        for k in range(height):
-            rows[i, k] = extra[n - 1 - i, height + k]
+        for k in range(c):
+            rows[i, k] = extra[n - i, c + k]
+        rows[i, c] = 0.0 if i > 0 else -1.0
         for j in range(i):
             ratio = triangle[i, j]
-            for k in range(height):
+            for k in range(c + 1):
                 rows[i, k] -= ratio * rows[j, k]
         ratio = 1.0 / triangle[i, i]
-        for k in range(height):
+        for k in range(c + 1):
             rows[i, k] *= ratio
-        for k in range(height):
-            centre[k] += rows[i, k] * h[i]
-        for k in range(height):
+            along[k] += rows[i, k] * h[i]
             length[k] += rows[i, k] * rows[i, k]
-    gained = False
-    for k in range(height):
-        largest = centre[k] + np.sqrt(radius * length[k]) * (1.0 + _ROUNDING) + _ROUNDING
-        gained |= largest < _GAIN * upper[k]
+    radius = max(0.0, 1.0 - 1.0 / inverse) + _ROUNDING
+    gained = 0
+    for k in range(c + 1):
+        across = max(0.0, length[k] - along[k] * along[k] / inverse) + _ROUNDING * length[k]
+        largest = along[k] / inverse + np.sqrt(radius * across)
+        if largest < 0.0:
+            return -1
+        if largest < _GAIN * upper[k]:
+            gained = 1
         upper[k] = min(upper[k], largest)
     return gained

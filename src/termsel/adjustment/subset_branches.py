@@ -46,8 +46,8 @@ def branch(kind: int, levels: Levels, limits: Limits, records: Records, used: An
         As for `subset_kernels.walk`; one system, one target.
     ends : ndarray of int, shape (depths,)
         Space.
-    upper : ndarray, shape (depths, e)
-        Space for upper limits of the denominators.
+    upper : ndarray, shape (depths, e + 1)
+        Space for the limits of `first_closed`.
     space, blocks : Space and Blocks
 
     Returns
@@ -68,7 +68,9 @@ def branch(kind: int, levels: Levels, limits: Limits, records: Records, used: An
     if not entering:
         return infeasible, pruned
     for k in range(upper.shape[1]):
-        upper[0, k] = np.inf if kind == RATIONAL else 1.0
+        upper[0, k] = 1.0
+    if kind == RATIONAL:
+        upper[0, -1] /= limits.margin * (upper.shape[1] - 1)
     errors = levels.top if kind == RSS else levels.extra
     while True:
         left = most - depth
@@ -81,7 +83,7 @@ def branch(kind: int, levels: Levels, limits: Limits, records: Records, used: An
             if open_ >= _TEST_FROM and limit < np.inf:
                 end = first if limit < 0.0 else first_closed(
                     levels.top[depth, 0], errors[depth, 0], first, n, limit, upper[depth],
-                    kind == RATIONAL, limits.margin, space)
+                    kind == RATIONAL, space)
                 pruned += counts[n - end, left] - 1
             ends[depth] = end
             if first < end and left > 1 and open_ <= _BLOCK:
@@ -159,8 +161,7 @@ def _block(kind: int, levels: Levels, limits: Limits, records: Records, depth: i
     """
     n = levels.top.shape[2] - 1
     count, left, best = n - first, limits.room - depth, records.best
-    wide = upper[0] == np.inf
-    accuracy, below = prepare(levels.top[depth, 0], errors, first, n, upper, b)
+    lost, below = prepare(levels.top[depth, 0], errors, first, n, upper, b)
     infeasible, level = 0, 0
     b.share[0] = 1.0
     b.cursor[0] = -1
@@ -176,31 +177,30 @@ def _block(kind: int, levels: Levels, limits: Limits, records: Records, depth: i
         if not share > SHARE:
             return -1
         new = limits.size + depth + level + 1
-        if not single(i, level, count, wide, below, b) > _least(best[new], limits, accuracy):
+        if not single(i, level, _root(best[new], limits), lost, below, b):
             infeasible += _exactly(kind, levels, limits, records, depth, first, level + 1, cursor,
                                    mask, b)
         if i == count - 1:
             continue
         if left - level == 2:
-            least = _least(best[new + 1], limits, accuracy)
-            if not pairs(i, level, count, share, wide, below, b) > least:
+            least = _root(best[new + 1], limits)
+            if pairs(i, level, count, share, least, lost, below, b):
                 for c in range(i + 1, count):
-                    if not b.row[c] > least:
+                    if not b.row[c] > 0.0:
                         b.cursor[level + 1] = c
                         infeasible += _exactly(kind, levels, limits, records, depth, first,
                                                level + 2, cursor, mask, b)
         else:
-            eliminate(i, level, count, wide, b)
+            eliminate(i, level, count, b)
             b.share[level + 1] = share
             b.cursor[level + 1] = i
             level += 1
 
 
 @_compiled
-def _least(best: float, limits: Limits, accuracy: float) -> float:
-    """Return a sum of squared errors above which a computed one is no best score."""
-    value = np.sqrt(max(0.0, best * (1.0 + 1e-9) + limits.slack - limits.offset)) + accuracy
-    return float(value * value)
+def _root(best: float, limits: Limits) -> float:
+    """Return the root of a score above which none is the best."""
+    return float(np.sqrt(max(0.0, best * (1.0 + 1e-9) + limits.slack - limits.offset)))
 
 
 @_compiled

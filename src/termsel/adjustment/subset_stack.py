@@ -64,6 +64,7 @@ class Stack:
     def branches(self) -> bool:
         """Whether subsets are decided by branch and bound."""
         return (self.kind != PRESS and len(self.systems) == 1
+                and (self.kind != RATIONAL or self.margin > 0.0)
                 and self.systems[0].control.shape[1] == self.k + 1)
 
     @property
@@ -153,7 +154,7 @@ class Stack:
             infeasible, pruned = branch(
                 self.kind, levels, limits, records, used, counts, cursor, rooms, mask,
                 np.empty((depths, space.rows.shape[1])), space,
-                _blocks(depths, n, space.rows.shape[1]))
+                _blocks(depths, n, space.rows.shape[1] - 1))
         else:
             infeasible, pruned = walk(
                 self.kind, levels, limits, records, used, counts, cursor, rooms, mask,
@@ -176,11 +177,13 @@ class Stack:
         n, space = len(piece.rest), self._space(levels)
         errors = (levels.top if self.kind == RSS else levels.extra)[0, 0]
         def above(value: float) -> bool:
-            upper = np.full(space.rows.shape[1], np.inf if self.kind == RATIONAL else 1.0)
+            upper = np.ones(space.rows.shape[1])
+            if self.kind == RATIONAL:
+                upper[-1] /= limits.margin * (len(upper) - 1)
             limit = value + self._slack - limits.offset
             return limit <= 0.0 or first_closed(
                 levels.top[0, 0], errors, 0, n, limit, upper, self.kind == RATIONAL,
-                limits.margin, space) == 0
+                space) == 0
 
         low, high = piece.least, found
         if not n or above(found):
@@ -189,7 +192,7 @@ class Stack:
             middle = ((low**0.5 + high**0.5) / 2)**2
             low, high = (middle, high) if above(middle) else (low, middle)
         # The bound is of subsets with more columns; that of those in use alone is known.
-        half = space.rows.shape[1]
+        half = space.rows.shape[1] - 1
         below = -errors[n, half:] if self.kind == RATIONAL else np.ones(half)
         own = limits.offset + float(((errors[n, :half] / below) ** 2).sum())
         if (below < self.margin).any():
@@ -201,7 +204,8 @@ class Stack:
         e = height if self.kind == RSS else levels.extra.shape[3] // (
             2 if self.kind == RATIONAL else 1)
         gram, triangle = np.empty((2, vectors, vectors))
-        return Space(gram, triangle, np.empty((vectors, e)), np.empty((3, max(vectors, e))))
+        return Space(gram, triangle, np.empty((vectors, e + 1)),
+                     np.empty((3, max(vectors, e + 1))))
 
     def _prepared(self, piece: Piece) -> tuple[Levels, Limits, FloatArray] | None:
         """Return the vectors of a piece, or None if the columns in use are dependent.
@@ -250,10 +254,10 @@ def _blocks(levels: int, n: int, e: int) -> Blocks:
         own, f = np.empty((2, levels, n))
         return Products(np.empty((levels, n, n)), own, f, np.empty(levels))
 
+    sums, whole = np.empty((levels, n)), np.empty(levels)
     inverse, a, u = np.empty((3, n))
-    row, below_row = np.empty((2, max(n, e)))
-    return Blocks(products(), products(), products(), np.empty((levels, n + 1)), inverse, a, u,
-                  row, below_row, np.empty(e), np.empty(levels), np.empty(levels, dtype=np.intp))
+    return Blocks(products(), products(), sums, whole, inverse, a, u, np.empty(max(n, e)),
+                  np.empty(e), np.empty(levels), np.empty(levels, dtype=np.intp))
 
 
 @cache
