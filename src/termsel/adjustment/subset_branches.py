@@ -28,8 +28,7 @@ from termsel.measurements.features import FloatArray, IntArray
 
 _compiled = partial(compiled, _nrt=False, fastmath={"reassoc", "contract", "arcp", "nsz"})
 
-_TEST_FROM = 1 << 4  # subsets from which a bound saves more than it costs
-_BLOCK = 1 << 7  # subsets up to which inner products alone cost less than another bound
+_BLOCK = 1 << 7  # subsets up to which inner products alone cost less than a bound
 
 
 @_compiled
@@ -80,7 +79,7 @@ def branch(kind: int, levels: Levels, limits: Limits, records: Records, used: An
             for new in range(size + depth + 1, size + depth + min(left, n - first) + 1):
                 limit = max(limit, records.best[new])
             limit = limit * (1.0 + 1e-9) + limits.slack - limits.offset
-            if open_ >= _TEST_FROM and limit < np.inf:
+            if open_ > _BLOCK and limit < np.inf:
                 end = first if limit < 0.0 else first_closed(
                     levels.top[depth, 0], errors[depth, 0], first, n, limit, upper[depth],
                     kind == RATIONAL, space)

@@ -14,14 +14,22 @@ from termsel.adjustment.subset_arrays import Blocks, Levels, Limits, Products, R
 from termsel.adjustment.subset_bounds import first_closed
 from termsel.adjustment.subset_branches import branch
 from termsel.adjustment.subset_kernels import LINEAR, PRESS, RATIONAL, RSS, largest_open, walk
-from termsel.adjustment.subset_system import BITS, SCORES, Masks, Piece, SubsetSystem, Walked
+from termsel.adjustment.subset_system import (
+    BITS,
+    SCORES,
+    Masks,
+    Piece,
+    SubsetSystem,
+    Walked,
+    better,
+)
 from termsel.errors import TermselError, unknown_name
 from termsel.measurements.features import FloatArray, IntArray
 
 _HALVINGS = 7  # of the interval in which a bound lies: less than a per cent of the RMSE is left
-
-
 _RESTARTS = 8  # of the descent before all is decided
+_KICKS = 16  # restarts around the best that may fail in a row
+_SWAPPED = 3  # columns before each of these
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,25 +98,51 @@ class Stack:
         return [Piece(np.concatenate([used, rest[:n]]), rest[:0], 0) for n in range(room + 1)]
 
     def descents(self) -> Iterator[tuple[FloatArray, Masks]]:
-        """Yield good subsets of every size, found by adding, dropping and swapping columns.
+        """Yield ever better subsets of every size, found by adding, dropping and swapping columns.
 
-        From each best subset of a size every single change is tried, until none helps: first from
-        no column, then from random subsets, always the same.
+        Descents begin with no column, with random subsets, and then, until that has not helped for
+        a while, with the best so far after some random swaps: the same on every machine.
         """
-        used, rest, room = self.everything.used, self.everything.rest, self.everything.room
+        rest, room = self.everything.rest, self.everything.room
         rng = np.random.default_rng(0)
-        for size in (0, *rng.integers(1, room + 1, size=_RESTARTS).tolist()):
-            chosen = rng.permutation(len(rest))[:size]
-            around = [int(BITS[np.concatenate([used, rest[chosen]])].sum())]
-            best, masks = np.full(self.k + 1, np.inf), np.zeros(self.k + 1, dtype=np.uint64)
-            seen = set(around)
-            while around:
-                for piece in (piece for mask in around for piece in self._changes(mask)):
-                    walked = self.walk(piece, best, masks)
-                    best, masks = walked.best, walked.masks
-                around = [mask for mask in masks.tolist() if mask and mask not in seen]
-                seen.update(around)
+        best, masks = self._descent([rest[:0]])
+        yield best, masks
+        since = -_RESTARTS
+        while since < _KICKS:
+            if since < 0:
+                starts = [rng.permutation(len(rest))[:rng.integers(1, room + 1)]]
+            else:
+                starts = [self._kicked(mask, rng) for mask in masks[masks > 0]]
+            found, at = self._descent([rest[start] for start in starts])
+            since += 1
+            if (found < best).any():
+                best, masks = better(best, masks, found, at)
+                since = min(since, 0)
             yield best, masks
+
+    def _kicked(self, mask: np.uint64, rng: np.random.Generator) -> IntArray:
+        """Return a subset, as indices of the rest, with some columns replaced by random ones."""
+        inside = (BITS[self.everything.rest] & mask) != 0
+        mine, others = (rng.permutation(np.flatnonzero(part)) for part in (inside, ~inside))
+        swapped = min(_SWAPPED, len(mine), len(others))
+        return np.concatenate([mine[swapped:], others[:swapped]])
+
+    def _descent(self, starts: list[IntArray]) -> tuple[FloatArray, Masks]:
+        """Return the best subset of every size that single changes reach from some subsets.
+
+        Every change of each best subset of a size is tried, until none helps.
+        """
+        around = [int(BITS[np.concatenate([self.everything.used, start])].sum())
+                  for start in starts]
+        best, masks = np.full(self.k + 1, np.inf), np.zeros(self.k + 1, dtype=np.uint64)
+        seen = set(around)
+        while around:
+            for piece in (piece for mask in around for piece in self._changes(mask)):
+                walked = self.walk(piece, best, masks)
+                best, masks = walked.best, walked.masks
+            around = [mask for mask in masks.tolist() if mask and mask not in seen]
+            seen.update(around)
+        return best, masks
 
     def _changes(self, mask: int) -> list[Piece]:
         """Return the subsets with one more column than a subset, and with one or none instead."""

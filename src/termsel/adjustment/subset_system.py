@@ -136,3 +136,10 @@ class Walked:
     masks: Masks
     infeasible: int
     pruned: int
+
+
+def better(best: FloatArray, masks: Masks, other: FloatArray,
+           at: Masks) -> tuple[FloatArray, Masks]:
+    """Return the better subset of each size; of equal scores the smallest mask."""
+    wins = (other < best) | ((other == best) & (at < masks))
+    return np.where(wins, other, best), np.where(wins, at, masks)

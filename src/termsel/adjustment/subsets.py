@@ -33,6 +33,7 @@ from termsel.adjustment.subset_system import (
     Piece,
     SubsetSystem,
     Walked,
+    better,
     count_subsets,
 )
 from termsel.measurements.features import BoolArray, FloatArray, IntArray
@@ -43,7 +44,7 @@ __all__ = ["MAX_COLUMNS", "SCORES", "SubsetResult", "SubsetSystem", "count_subse
            "estimate_seconds", "search"]
 
 _PIECE = 1 << 16  # subsets enumerated between two checks for interruption: some milliseconds
-_BRANCH = 1 << 22  # the same, where bounds rule out most of them
+_BRANCH = 1 << 25  # the same, where bounds rule out most of them
 _DESCEND_FROM = 1 << 24  # subsets from which good ones are sought before any proof
 _AHEAD = 16  # pieces in progress at once, whatever the number of workers
 
@@ -141,8 +142,7 @@ def search(
     total = systems.everything.count
     best, masks = _nothing(systems.k)
     if total > _DESCEND_FROM:
-        for found, at in systems.descents():
-            best, masks = _better(best, masks, found, at)
+        for best, masks in systems.descents():
             yield SubsetResult(best, masks, 0, total, 0, 0, np.zeros(systems.k + 1))
     for start in systems.starts:
         walked = systems.walk(start, best, masks)
@@ -169,7 +169,7 @@ def search(
             else:
                 piece, future = waiting.popleft()
                 walked = future.result()
-                best, masks = _better(best, masks, walked.best, walked.masks)
+                best, masks = better(best, masks, walked.best, walked.masks)
                 looked += piece.count - walked.pruned
                 infeasible += walked.infeasible
                 pruned += walked.pruned
@@ -207,13 +207,6 @@ def estimate_seconds(
         systems.walk(piece, *_nothing(systems.k))
         seconds.append(time.perf_counter() - start)
     return min(seconds) / piece.count * systems.everything.count / workers
-
-
-def _better(best: FloatArray, masks: Masks, other: FloatArray,
-            at: Masks) -> tuple[FloatArray, Masks]:
-    """Return the better subset of each size; of equal scores the smallest mask."""
-    better = (other < best) | ((other == best) & (at < masks))
-    return np.where(better, other, best), np.where(better, at, masks)
 
 
 def _floor(best: FloatArray, pieces: Sequence[Piece]) -> FloatArray:
