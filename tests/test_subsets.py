@@ -386,7 +386,7 @@ def test_bounds_lose_no_best_subset(kind: str, problems: int,
 
 def test_a_bound_holds_for_every_piece_and_rises() -> None:
     rng = np.random.default_rng(12)
-    found = 0
+    found = wide = 0
     for _ in range(40):
         system = random_system(rng, True)
         ready = stack(system, "check", (), None)
@@ -402,4 +402,6 @@ def test_a_bound_holds_for_every_piece_and_rises() -> None:
         assert piece.least <= inside.best.min() * (1 + 1e-9)
         assert piece.least <= half.least <= best.min()
         found += piece.least > 0
+        wide += piece.least > 0 and len(rest) > len(system.design) - len(used)
     assert found > 10
+    assert wide > 2  # denominators are bounded where columns are more than rows
