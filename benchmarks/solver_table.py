@@ -30,8 +30,8 @@ check RMSE [px]. "Optimum reached" counts the seeds that end at the proven optim
 can tell it within seconds; its interval is that of Wilson. Solvers without chance run once, and are
 not refined. The independent RMSE, evaluations and CPU seconds are medians. `exact` has a section of
 its own: it decides most selections without an evaluation, so its evaluations do not tell its cost.
-The optimum of `rfm-terms` is proven by a run of its own, as it takes minutes: no selection of up to 16
-terms an axis is below 0.7201 px. Its independent RMSE is 1.513 px.
+The optimum of `rfm-terms` is proven by a run of its own, as it takes minutes: no selection of up to
+16 terms an axis is below 0.7201 px. Its independent RMSE is 1.513 px.
 
 **A lower fitness is not a better model: compare the independent RMSE.** A solver for several
 objectives spends its evaluations on a whole front; the table shows the member of least fitness.
