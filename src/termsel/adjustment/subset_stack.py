@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
 
@@ -14,22 +14,11 @@ from termsel.adjustment.subset_arrays import Blocks, Levels, Limits, Products, R
 from termsel.adjustment.subset_bounds import first_closed
 from termsel.adjustment.subset_branches import branch
 from termsel.adjustment.subset_kernels import LINEAR, PRESS, RATIONAL, RSS, largest_open, walk
-from termsel.adjustment.subset_system import (
-    BITS,
-    SCORES,
-    Masks,
-    Piece,
-    SubsetSystem,
-    Walked,
-    better,
-)
+from termsel.adjustment.subset_system import BITS, SCORES, Masks, Piece, SubsetSystem, Walked
 from termsel.errors import TermselError, unknown_name
 from termsel.measurements.features import FloatArray, IntArray
 
 _HALVINGS = 7  # of the interval in which a bound lies: less than a per cent of the RMSE is left
-_RESTARTS = 8  # of the descent before all is decided
-_KICKS = 16  # restarts around the best that may fail in a row
-_SWAPPED = 3  # columns before each of these
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,64 +85,6 @@ class Stack:
             return []
         used, rest, room = self.everything.used, self.everything.rest, self.everything.room
         return [Piece(np.concatenate([used, rest[:n]]), rest[:0], 0) for n in range(room + 1)]
-
-    def descents(self) -> Iterator[tuple[FloatArray, Masks]]:
-        """Yield ever better subsets of every size, found by adding, dropping and swapping columns.
-
-        Descents begin with no column, with random subsets, and then, until that has not helped for
-        a while, with the best so far after some random swaps: the same on every machine.
-        """
-        rest, room = self.everything.rest, self.everything.room
-        rng = np.random.default_rng(0)
-        best, masks = self._descent([rest[:0]])
-        yield best, masks
-        since = -_RESTARTS
-        while since < _KICKS:
-            if since < 0:
-                starts = [rng.permutation(len(rest))[:rng.integers(1, room + 1)]]
-            else:
-                starts = [self._kicked(mask, rng) for mask in masks[masks > 0]]
-            found, at = self._descent([rest[start] for start in starts])
-            since += 1
-            if (found < best).any():
-                best, masks = better(best, masks, found, at)
-                since = min(since, 0)
-            yield best, masks
-
-    def _kicked(self, mask: np.uint64, rng: np.random.Generator) -> IntArray:
-        """Return a subset, as indices of the rest, with some columns replaced by random ones."""
-        inside = (BITS[self.everything.rest] & mask) != 0
-        mine, others = (rng.permutation(np.flatnonzero(part)) for part in (inside, ~inside))
-        swapped = min(_SWAPPED, len(mine), len(others))
-        return np.concatenate([mine[swapped:], others[:swapped]])
-
-    def _descent(self, starts: list[IntArray]) -> tuple[FloatArray, Masks]:
-        """Return the best subset of every size that single changes reach from some subsets.
-
-        Every change of each best subset of a size is tried, until none helps.
-        """
-        around = [int(BITS[np.concatenate([self.everything.used, start])].sum())
-                  for start in starts]
-        best, masks = np.full(self.k + 1, np.inf), np.zeros(self.k + 1, dtype=np.uint64)
-        seen = set(around)
-        while around:
-            for piece in (piece for mask in around for piece in self._changes(mask)):
-                walked = self.walk(piece, best, masks)
-                best, masks = walked.best, walked.masks
-            around = [mask for mask in masks.tolist() if mask and mask not in seen]
-            seen.update(around)
-        return best, masks
-
-    def _changes(self, mask: int) -> list[Piece]:
-        """Return the subsets with one more column than a subset, and with one or none instead."""
-        used, rest, room = self.everything.used, self.everything.rest, self.everything.room
-        inside = (BITS[rest] & np.uint64(mask)) != 0
-        mine, others = rest[inside], rest[~inside]
-        pieces = [Piece(np.concatenate([used, mine]), others, min(1, room - len(mine)))]
-        for i in range(len(mine)):
-            kept = np.concatenate([used, np.delete(mine, i)])
-            pieces.append(Piece(kept, others, 1))
-        return pieces
 
     def trimmed(self, piece: Piece, best: FloatArray) -> Piece:
         """Return the part of a piece that may still have a best subset, if any.

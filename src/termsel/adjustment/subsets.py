@@ -25,6 +25,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from termsel.adjustment.subset_descents import descents
 from termsel.adjustment.subset_stack import stack
 from termsel.adjustment.subset_system import (
     MAX_COLUMNS,
@@ -142,7 +143,7 @@ def search(
     total = systems.everything.count
     best, masks = _nothing(systems.k)
     if total > _DESCEND_FROM:
-        for best, masks in systems.descents():
+        for best, masks in descents(systems):
             yield SubsetResult(best, masks, 0, total, 0, 0, np.zeros(systems.k + 1))
     for start in systems.starts:
         walked = systems.walk(start, best, masks)
