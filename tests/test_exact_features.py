@@ -197,6 +197,23 @@ def test_what_has_no_score_is_evaluated(criterion: str, model: str, scene: Featu
     assert result.certificate["subsets"] == len(masks)
 
 
+def test_an_objective_of_a_plugin_is_evaluated(scene: FeatureSet) -> None:
+    class Few(termsel.SelectionProblem):
+        """Prefers the first features, whatever their RMSE."""
+
+        def evaluate(self, genes: np.ndarray) -> termsel.Evaluation:
+            found = super().evaluate(genes)
+            worth = 2.0 ** np.arange(genes.shape[1])
+            return replace(found, objectives=1.0 + genes @ worth[:, None])
+
+    task = termsel.prepare("owdis-points", features=scene, model="affine", solver="exact")
+    problem = Few(task.problem.inputs, terms=False, features=True)
+    found = termsel.search(problem, task.solver)
+    assert found.certificate["optimal"]
+    assert found.genes[:5].all()  # 5 points leave redundancy
+    assert not found.genes[5:].any()
+
+
 def test_at_any_time_there_is_a_bound(caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level("INFO", logger="termsel")
     task = termsel.prepare("owdis-points", solver="exact", options={"max_features": 12,

@@ -235,6 +235,8 @@ class SelectionProblem(Problem):
         """Return the parts of a selection of features alone (see `Problem.row_systems`)."""
         if self._gene_of_term is not None or not self._selects_features:
             return None
+        if type(self).evaluate is not SelectionProblem.evaluate:  # a plugin's own objective
+            return ()
         return row_systems(self.inputs, self._parts, self._terms_in_use, self._share,
                            self._least_freedom)
 
