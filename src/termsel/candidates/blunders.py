@@ -250,5 +250,5 @@ def _consistency(share: float) -> float:
     all."""
     if share >= 1:
         return 1.0
-    bound = 2 * gammaincinv(1, share)  # of chi-squared; scipy.stats takes a third of a second
+    bound = 2 * gammaincinv(1, share)  # of chi-squared; scipy.stats is slow to import
     return float(chdtr(4, bound) / share)
