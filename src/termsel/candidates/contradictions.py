@@ -28,7 +28,7 @@ STRAIN = 4.0
 """Standard deviations of a prediction that an error must exceed: real errors are not normal, and no
 model is exact."""
 
-ALLOWANCE = 1.5
+ALLOWANCE = 1.0
 """Standard deviations it must exceed for each standard deviation of the noise that the prediction
 has, on account of the form of the model."""
 
