@@ -36,7 +36,7 @@ _REPORT_SHARE = 1 / 200
 """Share of the subsets between two reports. Each costs an evaluation, so no clock decides: the
 same search has the same number of evaluations on any machine."""
 
-_REPORT_STATES = 16
+_REPORT_STATES = 4
 """States between two reports at most: a budget of time ends at a report."""
 
 
@@ -304,11 +304,12 @@ class Exact(Solver):
         log.info("exact: deciding %s subsets (%s, %d %s)%s", f"{count(problem, most):,}", space,
                  len(parts), "part" if len(parts) == 1 else "parts",
                  _estimate(problem, parts, most, workers))
-        index, reported = 0, 0.0
+        index, reported, decided = 0, 0.0, 0
         proof: Proof | None = None
         for state, proof in enumerate(prove(problem, most, workers)):
             share = proof.decided / proof.total
-            if (index and proof.decided and not proof.complete and state % _REPORT_STATES
+            descends, decided = proof.decided == decided, proof.decided  # a step takes a while
+            if (index and not descends and not proof.complete and state % _REPORT_STATES
                     and share - reported < _REPORT_SHARE):
                 continue
             generation = self._report(problem, proof, index, space, most)
