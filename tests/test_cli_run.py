@@ -359,6 +359,12 @@ def test_a_problem_follows_from_features_in_python() -> None:
         termsel_run()
 
 
+def test_a_problem_follows_from_a_data_set(call: Call) -> None:
+    done = call("run", "--dataset", "hamedan-candidates", "--generations", 1, "--quiet")
+    assert done.stdout.startswith("rfm-terms: ")
+    assert "Data: hamedan-candidates (simulated)" in done.stdout
+
+
 @pytest.mark.parametrize(("crs", "message"), [
     ("EPSG:32639", "the ground coordinates look like degrees, but EPSG:32639 is a projected CRS"),
     ("EPSG:99999999", "CRS 'EPSG:99999999' does not exist or cannot be read. Examples: EPSG:4979"),

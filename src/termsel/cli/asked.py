@@ -161,10 +161,10 @@ class Asked:
             if value and not self.files:
                 raise TermselError(f"{name} requires --points or --lines",
                                    hint=f"Give --points FILE, or leave {name} out.")
-        if self.problem is None and not self.files:
+        if self.problem is None and self.dataset is None and not self.files:
             raise TermselError("there is nothing to run",
-                               hint="Give --points FILE or --lines FILE, or --problem NAME for "
-                                    "its simulated data.")
+                               hint="Give --points FILE or --lines FILE, or --problem NAME or "
+                                    "--dataset NAME for simulated data.")
         if self.exports and self.out is None:
             raise TermselError("--export requires --out", hint="Give a folder: --out DIR.")
         if self.reports and self.out is None:

@@ -63,7 +63,7 @@ def stability(repeats: int, threshold: float, **given: Any) -> None:
         echo("Note: the strategy auto searches for no terms. Each repetition runs the problem's "
              "solver instead.", err=True)
     features, options = asked.read()
-    problem = asked.problem or problem_for(features)
+    problem = asked.problem or problem_for(features, asked.dataset)
     with search_bar(problem, asked.quiet) as observe:
         found = module.stability(
             problem, repeats=repeats, threshold=threshold, features=features, options=options,

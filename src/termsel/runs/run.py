@@ -23,7 +23,7 @@ from termsel.runs.assess import assessed
 from termsel.runs.auto import LEAST, choose_for, wanted
 from termsel.runs.blunders_out import search_without_blunders
 from termsel.runs.notebook import notebook_observer
-from termsel.runs.task import DATA_OPTIONS, Task, ask, observe, prepare
+from termsel.runs.task import DATA_OPTIONS, Task, ask, loaded, observe, prepare
 from termsel.solvers.base import Solver
 from termsel.solvers.search import Observer
 from termsel.threads import one_blas_thread
@@ -104,7 +104,7 @@ def run(
     asked = {name: value for name, value in given.items() if value is not None}
     unnamed = problem is None
     if problem is None:
-        problem = problem_for(features)
+        problem = problem_for(features, dataset)
     shown = notebook_observer(problem.recipe.name if isinstance(problem, Task) else
                               str(problem))
     if shown is not None:
@@ -131,18 +131,22 @@ def run(
     return _finished(replace(assessed(task, found), budget=budget), out)
 
 
-def problem_for(features: FeatureSet | None) -> str:
+def problem_for(features: FeatureSet | None, dataset: str | DatasetSpec | None = None) -> str:
     """Return the name of the problem that features are for where none is named.
 
     Parameters
     ----------
     features : FeatureSet or None
+    dataset : str or DatasetSpec, optional
+        The data set, where there are no features.
 
     Raises
     ------
     TermselError
         If there are none.
     """
+    if features is None and dataset is not None:
+        features = loaded(registry().taken("datasets", dataset))
     if features is None:
         raise TermselError("there is nothing to run",
                            hint="Give points or lines, or name a problem.")

@@ -238,15 +238,21 @@ def ask(
                            hint="Leave one of them out; off goes with both.")
     if features is None:
         spec = names.taken("datasets", recipe.dataset if dataset is None else dataset)
-        with blamed(spec.load, "load"):
-            features = spec.load()
-        _require_type(spec.load, "load", features, FeatureSet)
+        features = loaded(spec)
         source = f"{spec.name} (simulated)" if spec.simulated else spec.name
     features = with_roles(features, named)
     return Request(recipe, made["model"], made["criterion"], made["solver"], features,
                    printable(source or "given in Python"),
                    {"problem": of_problem, "data": of_data, "search": of_search},
                    made.get("then"), set_options)
+
+
+def loaded(spec: DatasetSpec) -> FeatureSet:
+    """Return the features of a data set; an error names the plugin it is of."""
+    with blamed(spec.load, "load"):
+        features = spec.load()
+    _require_type(spec.load, "load", features, FeatureSet)
+    return features
 
 
 def observe(request: Request, least: int = MIN_CONTROL) -> Observations:
