@@ -379,8 +379,7 @@ def test_a_page_of_a_thousand_features_is_small(tmp_path: Path) -> None:
         [f"point {i}" for i in range(60)],
         places[:, :2] * [0.5, -0.5] + [0, 2000] + rng.normal(0, 0.5, (60, 2)), places,
         roles=("check", "independent") * 30)
-    result = termsel.run("owdis-lines", solver="nsga2", evaluations=300,
-                         options={"population": 50},
+    result = termsel.run("owdis-lines", solver="nsga2", evaluations=1000,
                          features=termsel.FeatureSet(points, lines, crs="EPSG:32639"))
     assert len(result.front) > 8
     result.report(tmp_path / "page.html")
