@@ -48,7 +48,8 @@ def run(**given: Any) -> None:
     # A name that is not known is said before a long search.
     exported, page = asked.exported(), asked.page()
     features, options = asked.read()
-    with search_bar(asked.problem or running.problem_for(features, asked.dataset), asked.quiet) as observe:
+    title = asked.problem or running.problem_for(features, asked.dataset)
+    with search_bar(title, asked.quiet) as observe:
         result = running.run(
             asked.problem, strategy=asked.strategy, features=features, dataset=asked.dataset,
             source=asked.source, model=asked.model, solver=asked.solver,
