@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import re
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from termsel.adjustment import subsets
 from termsel.criteria import CheckRmse, Fits
 from termsel.errors import TermselError
 from termsel.runs.assess import assessed
+from termsel.solvers import exact
 from termsel.solvers.exact import Exact, count, gap, prove
 from termsel.solvers.ga import GeneticAlgorithm
 from termsel.testing import check_criterion
@@ -109,6 +111,18 @@ def test_at_any_time_the_bound_holds_and_rises(criterion: str,
     assert bounds == sorted(bounds)
     assert bounds[0] < bounds[-1] == found.objectives[-1, 0] == found.objectives.min()
     assert len(set(bounds)) > 2
+
+
+def test_a_bound_that_reaches_the_best_proves_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    task = termsel.prepare("poly-terms", solver="exact", options={"degree": 2})
+    *_, proof = prove(task.problem)
+    for above, proven in ((1.0, True), (1.0 - 1e-6, False)):
+        open_ = replace(proof, results=tuple(
+            replace(one, subsets=one.total - 1, floor=one.best * above) for one in proof.results))
+        monkeypatch.setattr(exact, "prove", lambda *_, state=open_: iter([state]))
+        found = termsel.search(task.problem, task.solver)
+        assert found.certificate["optimal"] is proven
+        assert found.certificate["gap"] == pytest.approx(1 / above**0.5 - 1, rel=1e-3)
 
 
 def test_an_interrupted_proof_proves_nothing_but_has_the_best_so_far() -> None:

@@ -15,7 +15,7 @@ import termsel
 import termsel.report.text
 from termsel.adjustment.row_subsets import Branch, RowSystem, Selections
 from termsel.measurements.features import FeatureSet
-from termsel.solvers.exact_features import prove_features, selections_of
+from termsel.solvers.exact_features import duration, prove_features, selections_of
 
 
 def random_systems(rng: np.random.Generator, n: int, *, ill: bool) -> tuple[RowSystem, ...]:
@@ -247,6 +247,22 @@ def test_a_heuristic_is_told_how_far_from_the_optimum_it_ended(scene: FeatureSet
     assert poor.certificate["gap"] == pytest.approx(poor.objectives["check-rmse"] / optimum - 1)
     good = termsel.run("owdis-points", solver="swap", evaluations=3000, **given)
     assert good.certificate["optimal"]
+
+
+def test_that_nothing_is_feasible_is_proven(scene: FeatureSet) -> None:
+    result = termsel.run("owdis-points", features=scene, model="affine", solver="exact",
+                         options={"max_uncovered": 0.0, "max_features": 5, "blunders": "keep"})
+    assert not result.feasible
+    assert result.certificate == {
+        "optimal": False, "feasible": False, "subsets": 1586, "bounded": 0, "of": 1586,
+        "space": "all selections of up to 5 of 12 features"}
+
+
+@pytest.mark.parametrize(("seconds", "words"), [
+    (0.01, "0.1 s"), (90, "90.0 s"), (120, "2 min"), (7200, "2 h"), (1e9, "32 years"),
+    (1e33, "more than a million years")])
+def test_a_time_in_words(seconds: float, words: str) -> None:
+    assert duration(seconds) == words
 
 
 def test_the_number_of_workers_changes_nothing(scene: FeatureSet) -> None:

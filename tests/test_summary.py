@@ -132,8 +132,8 @@ BELOW = "The proven optimum is 0, below this (12,345 subsets decided, all sizes)
      "Proven: no selection has a better criterion (12,345 subsets decided, all sizes)"),
     ({"gap": 0.025, "optimum": 0.9}, "ga", 0.67, GAP + "--solver exact finds it"),
     ({"gap": 0.025, "optimum": 0.9}, "ga", 1.0, GAP + "--solver exact --set max_share=1 finds it"),
-    ({"gap": 0.025, "optimum": 0.9}, "exact", 1.0, GAP + "--set recommend=best finds it"),
-    ({"gap": 0.0, "optimum": 0.9}, "ga", 0.67, GAP.replace("2.50", "0.00")
+    ({"gap": 0.025, "optimum": 0.9}, "exact", 1.0, GAP + "a larger budget finds it"),
+    ({"gap": 0.0, "optimum": 0.9}, "ga", 0.67, GAP.replace("2.50", "0")
      + "--solver exact finds it"),
     ({"gap": None, "optimum": 0.0}, "ga", 0.67, BELOW + "--solver exact finds it"),
     ({"optimal": True, "bounded": 345, "space": "all selections of up to 16 terms an axis"},
@@ -147,6 +147,13 @@ BELOW = "The proven optimum is 0, below this (12,345 subsets decided, all sizes)
      "more (12,345 of 99,999 subsets decided)"),
     ({"bound": 0.0}, "exact", 1.0,
      "Not proven: 12,345 of 99,999 subsets decided; no lower bound is known yet"),
+    ({"bound": 0.8, "gap": 2.5e-6}, "exact", 1.0,
+     "Not proven: at most 0.00025 % above the optimum, which is 0.8 or more (12,345 of 99,999 "
+     "subsets decided)"),
+    ({"feasible": False}, "exact", 1.0,
+     "Proven: no selection is feasible (12,345 subsets decided, all sizes)"),
+    ({"feasible": False, "space": "all selections of up to 5 of 24 features"}, "exact", 1.0,
+     "Proven: no selection of up to 5 of 24 features is feasible (12,345 subsets decided)"),
     ({}, "ga", 1.0, "Not proven: 12,345 of 99,999 subsets decided")])
 def test_what_is_proven(more: dict[str, Any], solver: str, share: float, line: str) -> None:
     options = {"problem": {"max_share": share}}

@@ -136,6 +136,16 @@ def unknown_name(kind: str, name: str, known: Iterable[str], hint: str = "") -> 
     return TermselError(f"unknown {kind} {name!r}", hint=f"{guess}{listed} {hint}".strip())
 
 
+def percent(share: float) -> str:
+    """Return a share in per cent: two decimals, or two digits where these would show nothing.
+
+    Parameters
+    ----------
+    share : float
+    """
+    return f"{100 * share:.2f} %" if share >= 1e-3 else f"{100 * share:.2g} %"
+
+
 def counted(number: int, noun: str) -> str:
     """Return a number with its noun, which takes an s unless the number is 1.
 

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
-from termsel.errors import printable
+from termsel.errors import percent, printable
 
 if TYPE_CHECKING:
     from rich.progress import Progress as RichProgress
@@ -53,7 +53,7 @@ def _bound(progress: Progress) -> str:
         return f"{progress.evaluations} evaluations"
     gap = certificate.get("gap")
     return (f"bound {certificate['bound']:.4g}, gap "
-            + ("unknown" if gap is None else f"{100 * gap:.2f} %"))
+            + ("unknown" if gap is None else percent(gap)))
 
 
 @contextmanager

@@ -9,7 +9,7 @@ from typing import Any
 from termsel.candidates.candidate import named
 from termsel.candidates.compare import WITHOUT_BLUNDERS
 from termsel.candidates.portfolio import EXACT
-from termsel.errors import counted, printable
+from termsel.errors import counted, percent, printable
 from termsel.fits.diagnosis import BEYOND, CORRELATED
 from termsel.fits.figures import LEAVE_ONE_OUT, ROLES
 
@@ -80,8 +80,9 @@ def _head(record: Record) -> Iterator[str]:
                f"{record['solver']} found it, {refined['polished']:.4g} after it "
                f"({counted(refined['evaluations'], 'evaluation')})")
     if record["certificate"]:
-        exact = "--set recommend=best" if record["solver"] == "exact" else \
-            "--solver exact" + " --set max_share=1" * (share == 1.0)
+        exact = "--solver exact" + " --set max_share=1" * (share == 1.0)
+        if record["solver"] == "exact":  # it has a front once it has decided all
+            exact = "--set recommend=best" if record["front"] else "a larger budget"
         yield _certificate(record["certificate"], exact)
 
 
@@ -120,14 +121,15 @@ def _title(name: str) -> str:
 
 
 def _certificate(certificate: Mapping[str, Any], exact: str) -> str:
-    proven = f"{certificate['subsets']:,} subsets decided, {certificate['space']}"
+    decided = f"{certificate['subsets']:,} subsets decided"
+    proven = f"{decided}, {certificate['space']}"
     _, _, limit = certificate["space"].partition("selections of ")
     capped = f" of {limit}" if limit else ""
     if "claimed_by" in certificate and certificate["optimal"]:
         return (f"{certificate['claimed_by']} claims that no selection has a better criterion "
                 f"({proven}); termsel has not proven it")
     if certificate["optimal"]:
-        how = [f"{certificate['subsets']:,} subsets decided"]
+        how = [decided]
         if certificate.get("bounded"):
             how.append(f"{certificate['bounded']:,} of them by bounds")
         return (f"Proven: no selection{capped} has a better criterion "
@@ -136,11 +138,13 @@ def _certificate(certificate: Mapping[str, Any], exact: str) -> str:
         if certificate.get("gap") is None:
             return (f"The proven optimum is {certificate['optimum']:.4g}, below this ({proven}); "
                     f"{exact} finds it")
-        return (f"Gap: {100 * certificate['gap']:.2f} % above the proven optimum "
+        return (f"Gap: {percent(certificate['gap'])} above the proven optimum "
                 f"{certificate['optimum']:.4g} ({proven}); {exact} finds it")
+    if not certificate.get("feasible", True):
+        return f"Proven: no selection{capped} is feasible ({decided if limit else proven})"
     done = f"{certificate['subsets']:,} of {certificate['of']:,} subsets decided"
     if certificate.get("gap") is not None:
-        return (f"Not proven: at most {100 * certificate['gap']:.2f} % above the optimum{capped}, "
+        return (f"Not proven: at most {percent(certificate['gap'])} above the optimum{capped}, "
                 f"which is {certificate['bound']:.4g} or more ({done})")
     return f"Not proven: {done}" + (
         "; no lower bound is known yet" if certificate.get("bound") == 0 else "")

@@ -328,13 +328,15 @@ class Exact(Solver):
         evaluation = problem.evaluate(genes)
         if proof.complete and front:
             _require_unbeaten(problem, proof, front[-1], evaluation, most)
-        proven = proof.complete and bool(front) and evaluation.violation[-1] == 0
+        bound = _bound(proof, evaluation)
+        proven = bool(front) and evaluation.violation[-1] == 0 and (
+            proof.complete or bound.get("gap", 1.0) <= TIE)
         details: dict[str, Any] = {
             "share": proof.decided / proof.total,
             "front": genes if front and proof.complete else (),
             "certificate": {"optimal": bool(proven), "subsets": proof.decided,
                             "bounded": proof.pruned, "of": proof.total, "space": space,
-                            **_bound(proof, evaluation)}}
+                            **bound, **({} if front else {"feasible": False})}}
         return Generation(index, genes, evaluation, details)
 
 
@@ -367,10 +369,8 @@ def _require_unbeaten(problem: Problem, proof: Proof, optimum: BoolArray,
 
 def _bound(proof: Proof, front: Evaluation) -> dict[str, float]:
     """Return the lower bound of all selections and the gap, as far as they are known."""
-    if front.violation[-1] > 0:
-        return {}
     best = float(front.objectives[-1, 0])
-    bound = proof.bound(best)
+    bound = proof.bound(best) if front.violation[-1] == 0 else None
     if bound is None:
         return {}
     return {"bound": bound} | ({"gap": max(0.0, best / bound - 1)} if bound > 0 else {})
@@ -381,9 +381,9 @@ def _space(problem: Problem, parts: tuple[EnumerablePart, ...], most: int | None
     limits = {_limits(problem, part, most)[1] for part in parts}
     if all(limit >= problem.genome.free[part.genes].sum() for part in parts for limit in limits):
         return ALL
-    sizes = " and ".join(map(str, sorted(limits)))
+    sizes = " and ".join(map(str, sorted(limits))) + (" term" if limits == {1} else " terms")
     whole = all(_limits(problem, part, most) == _limits(problem, part, None) for part in parts)
-    return (f"{ALL if whole else 'selections'} of up to {sizes} terms"
+    return (f"{ALL if whole else 'selections'} of up to {sizes}"
             + " an axis" * (len(parts) > 1))
 
 
@@ -397,4 +397,3 @@ def _estimate(problem: Problem, parts: tuple[EnumerablePart, ...], most: int | N
                                  max_terms=_limits(problem, part, most)[1])
         for part in parts)
     return f"; about {duration(seconds)}"
-

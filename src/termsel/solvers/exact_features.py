@@ -217,6 +217,8 @@ def proof_generations(problem: Problem, systems: tuple[RowSystem, ...], workers:
             best = float(evaluation.objectives[-1, 0])
             bound = best if proof.complete else min(best, proof.floor)
             certificate |= {"bound": bound} | ({"gap": best / bound - 1} if bound > 0 else {})
+        if proof.complete and not front:
+            certificate["feasible"] = False
         yield Generation(index, genes, evaluation, {
             "share": proof.decided / total, "certificate": certificate,
             "front": genes if front and proof.complete else ()})
@@ -243,6 +245,9 @@ def quick_optimum(problem: Problem,
 
 def duration(seconds: float) -> str:
     """Return a time in words."""
+    years = seconds / 31_557_600
+    if years > 1:
+        return f"{years:,.0f} years" if years < 1e6 else "more than a million years"
     if seconds > 5400:
         return f"{seconds / 3600:,.0f} h"
     return f"{seconds / 60:.0f} min" if seconds > 90 else f"{max(seconds, 0.1):.1f} s"
