@@ -150,6 +150,8 @@ BELOW = "The proven optimum is 0, below this (12,345 subsets decided, all sizes)
     ({"bound": 0.8, "gap": 2.5e-6}, "exact", 1.0,
      "Not proven: at most 0.00025 % above the optimum, which is 0.8 or more (12,345 of 99,999 "
      "subsets decided)"),
+    ({"optimal": True, "subsets": 1, "of": 1}, "exact", 1.0,
+     "Proven: no selection has a better criterion (1 subset decided, all sizes)"),
     ({"feasible": False}, "exact", 1.0,
      "Proven: no selection is feasible (12,345 subsets decided, all sizes)"),
     ({"feasible": False, "space": "all selections of up to 5 of 24 features"}, "exact", 1.0,

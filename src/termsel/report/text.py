@@ -121,7 +121,8 @@ def _title(name: str) -> str:
 
 
 def _certificate(certificate: Mapping[str, Any], exact: str) -> str:
-    decided = f"{certificate['subsets']:,} subsets decided"
+    one = certificate["subsets"] == 1
+    decided = f"{certificate['subsets']:,} {'subset' if one else 'subsets'} decided"
     proven = f"{decided}, {certificate['space']}"
     _, _, limit = certificate["space"].partition("selections of ")
     capped = f" of {limit}" if limit else ""
