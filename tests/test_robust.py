@@ -306,8 +306,8 @@ def test_few_lines_are_answered(points: int, lines: int) -> None:
     result = termsel.run(features=features)
     assert len(result.fit.control) == points + lines
     assert "points determine" not in result.summary()
-    if points + lines == 4:
-        assert result.predicted is not None
+    if points + lines == 4:  # lines alone are too few to predict by
+        assert (result.predicted is None) == (points == 0)
 
 
 @pytest.mark.slow
