@@ -483,6 +483,18 @@ def test_owdis_is_searched_once_where_it_does_not_help(
                      found.reason)
 
 
+def test_where_owdis_is_taken_all_structures_are_shown(
+        few_lines: tuple[FeatureSet, Choice], monkeypatch: pytest.MonkeyPatch) -> None:
+    control, choice = few_lines
+    worse = replace(choice, chosen=replace(choice.chosen, squares=1e3 * choice.chosen.squares))
+    some = control.take(np.arange(len(control)) < 40)
+    monkeypatch.setattr(owdis, "_selected", lambda *given: some)
+    monkeypatch.setattr(owdis, "_held_out", lambda *given: np.full((24, 2), 1e-3))
+    found, _ = owdis.with_selected_lines(control, True, worse, 1)
+    assert len(found.chosen.fit.control.lines) == 16
+    assert [one.name for one in found.judged] == [one.name for one in choice.judged]
+
+
 @pytest.mark.slow
 def test_owdis_is_taken_for_errors_of_points_that_it_did_not_select_by(
         few_lines: tuple[FeatureSet, Choice], monkeypatch: pytest.MonkeyPatch) -> None:

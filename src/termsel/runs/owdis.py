@@ -56,7 +56,7 @@ def with_selected_lines(control: FeatureSet, heights: bool, choice: Choice,
         return choice, None
     others = choice.chosen.squares[:count]
     selected = _selected(control, heights, seed)
-    found = None if selected is None else choose(selected, heights, whole=False)
+    found = None if selected is None else choose(selected, heights)
     if selected is None or found is None:
         return choice, None
     gain = gain_of(found.chosen.squares[:count], others)

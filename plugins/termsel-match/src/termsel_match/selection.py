@@ -105,7 +105,7 @@ def select_points(features: FeatureSet, model: str, options: Mapping[str, Any], 
         control = FeatureSet(replace(points.take(used), roles=()), crs=features.crs)
         return termsel.fit(control, model, **options)
 
-    least = len(fitted(np.ones(len(points), dtype=bool)).terms)
+    least = len(fitted(~independent).terms)
     picked = np.isin(points.ids, searched(
         "rpc-gcps", with_roles, model, {
             **options, "half_at": TOLERANCE, "max_uncovered": 0.9, "min_features": max(6, least),
