@@ -120,6 +120,9 @@ def test_one_street_fixes_the_image_across_it_and_the_start_holds_it_along(
     assert start is not None
     used, fitted = fitted_to(street, "rpc-drift", options, start, 60.0)
     assert len(used.points) == 4
+    result = termsel.run("owdis-lines", features=used, model="rpc-drift", solver="all-terms",
+                         criterion="press", options={**options, "mixed": True})
+    assert set(used.points.ids) < set(result.selection.features)  # none tells an accuracy
     middle = street.lines.ground.reshape(-1, 3)
     true = place.world.camera.project(place.geographic(middle))
     error = np.abs(fitted.project(middle) - true).max(axis=0)

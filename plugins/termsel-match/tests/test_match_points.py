@@ -74,6 +74,11 @@ def test_three_corners_are_a_start(place: Any, tmp_path: Path) -> None:
     other = match(place / "image.tif", place / "ortho.tif", dem=place / "dem.tif", count=60,
                   start=tmp_path / "rough.csv")
     assert (place.errors(other.points, other.crs) < 1).mean() > 0.8
+    table = (tmp_path / "rough.csv").read_text()
+    (tmp_path / "unknown.csv").write_text(table.removeprefix("# crs: EPSG:32633\n"))
+    with pytest.raises(TermselError, match="is unknown") as error:
+        match(place / "image.tif", place / "ortho.tif", start=tmp_path / "unknown.csv")
+    assert "# crs: EPSG:32633" in (error.value.hint or "")
 
 
 def test_bands_and_types_do_not_matter(place: Any, altered: Callable[..., Path]) -> None:

@@ -73,7 +73,7 @@ def fitted_to(features: FeatureSet, model: str, options: Mapping[str, Any], star
     known = start.locate(image, height)
     ground = np.column_stack([turned(known[:, :2], start.crs, features.crs), np.full(4, height)])
     points = Points(tuple(f"start-{i}" for i in range(1, 5)), image, ground,
-                    np.full((4, 2), search))
+                    np.full((4, 2), search), ("control",) * 4)
     held = features.with_(points=points)
     return held, termsel.fit(held, model, **options)
 

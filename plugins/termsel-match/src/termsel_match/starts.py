@@ -97,6 +97,9 @@ def start_of(given: str | Path | None, image: Path) -> Start | None:
     except TermselError as error:
         if "holds an RPC" in error.what:  # but one that cannot be read
             raise reason from error
+        if error.what == "the CRS of the ground coordinates is unknown":
+            raise TermselError(error.what, file=path, hint="Write it above the header of the file, "
+                               "for example # crs: EPSG:32633.") from error
         raise
 
 
