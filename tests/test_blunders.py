@@ -12,10 +12,10 @@ from scipy.special import fdtrc
 
 import termsel
 from termsel import FeatureSet, Points
+from termsel.adjustment.left_out import chance_of
 from termsel.adjustment.monomials import graded_exponents, monomials
 from termsel.adjustment.posterior import posterior, scales_of
 from termsel.candidates.blunders import find_blunders, judge_others
-from termsel.candidates.contradictions import chance_of
 from termsel.candidates.portfolio import choose
 from termsel.candidates.shrunken import average
 from termsel.measurements.features import no_lines, no_points
@@ -228,8 +228,8 @@ def test_the_chance_of_a_statistic_is_that_of_the_f_distribution() -> None:
                                    rtol=1e-9)
 
 
-def test_a_prediction_of_many_points_is_that_of_each_one() -> None:
-    """More points than are predicted together, some of them not in use."""
+def test_a_prediction_is_the_mean_over_all_solutions() -> None:
+    """The compiled means against those by logarithms, with points that are not in use."""
     features = scene(60)
     used = np.arange(60) % 4 > 0
     scaled = scaling_of(features).points(features.points)
@@ -239,8 +239,22 @@ def test_a_prediction_of_many_points_is_that_of_each_one() -> None:
                       np.where(used, 1.0, 1e-3)[:, None] * np.ones((60, 2)),
                       scales_of(np.array(exponents)[order > 1]), int(used.sum()))
     assert found is not None
-    alone = np.array([found.without(np.array([i])).error[0] for i in range(60)])
-    np.testing.assert_allclose(found.errors, alone, rtol=1e-9)
+    left, errors = (np.array([getattr(side, name)[:, side.cell] for side in found.sides])
+                    for name in ("left", "errors"))                               # (2, n, c)
+    half = found.freedom // 2 - 1
+    parts = (errors**2 / left).sum(axis=0)
+    rest = found.square - parts
+    logs = np.log(found.cells.share) + found.cells.log + (half + 1) * np.log(found.square) \
+        - half * np.log(rest) - np.log(left).sum(axis=0) / 2
+    total = np.logaddexp.reduce(logs, axis=1)
+    share = np.exp(logs - total[:, None])
+    statistic = half * parts / rest
+    direct = {"errors": np.einsum("nc,anc->na", share, errors / left), "log": total,
+              "chance": (share * fdtrc(2, 2 * half, statistic)).sum(axis=1),
+              "statistic": (share * statistic).sum(axis=1),
+              "spread": np.einsum("nc,anc->na", share, 1 / left)}
+    for name, expected in direct.items():
+        np.testing.assert_allclose(getattr(found.left_out, name), expected, rtol=1e-7, atol=1e-12)
 
 
 def test_a_prediction_without_a_point_is_that_of_the_others() -> None:
@@ -259,14 +273,12 @@ def test_a_prediction_without_a_point_is_that_of_the_others() -> None:
     others = posterior(columns, image, order, weights, scales, 19)
     assert whole is not None
     assert others is not None
-    closed, direct = whole.without(np.array([4])), others.beyond(np.array([4]), 1e-3)
+    closed, direct = whole.left_out, others.beyond(np.array([4]), 1e-3)
     keep = np.arange(20) != 4
     alone = average(ground[keep], image[keep], exponents)
     assert alone is not None
     there = image[4] - columns[4] @ alone.coefficients
-    np.testing.assert_allclose(closed.error[0], there, rtol=1e-6)
-    np.testing.assert_allclose(direct.error[0], there, rtol=1e-4)
-    np.testing.assert_allclose(closed.mean(closed.spread[0]), direct.mean(direct.spread[0]),
-                               rtol=1e-4)
-    np.testing.assert_allclose(closed.mean(closed.variance), direct.mean(direct.variance),
-                               rtol=1e-4)
+    np.testing.assert_allclose(closed.errors[4], there, rtol=1e-6)
+    np.testing.assert_allclose(direct.errors[0], there, rtol=1e-4)
+    for name in ("chance", "statistic", "spread"):
+        np.testing.assert_allclose(getattr(closed, name)[4], getattr(direct, name)[0], rtol=1e-4)

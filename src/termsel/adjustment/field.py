@@ -31,16 +31,10 @@ from scipy.spatial.distance import cdist
 
 from termsel.adjustment.equations import weights_of
 from termsel.adjustment.foresight import foresee
+from termsel.adjustment.left_out import Prediction
 from termsel.adjustment.monomials import Exponents, graded_exponents, monomials
-from termsel.adjustment.posterior import (
-    NEVER,
-    Posterior,
-    Prediction,
-    posterior,
-    scales_of,
-    together,
-)
-from termsel.measurements.features import FloatArray, IntArray, Points
+from termsel.adjustment.posterior import NEVER, Posterior, posterior, scales_of
+from termsel.measurements.features import FloatArray, Points
 
 LENGTHS = ((0.15, 0.15), (0.3, 0.3), (0.6, 0.6), (1.2, 1.2), (0.15, 1.2), (1.2, 0.15))
 """Lengths of line and sample, by the half-range of the image: from about the distance of
@@ -141,37 +135,29 @@ class Collocation:
 
         In closed form: without a point the solutions change, and so do their probabilities.
         """
-        errors = [self.without(some).error
-                  for some in together(np.arange(len(self.points)), self.solutions)]
-        return np.concatenate(errors) / weights_of(self.points)
+        return self.left_out.errors / weights_of(self.points)
 
     @cached_property
     def _likely(self) -> list[Part]:
         highest = max(part.log for part in self.parts)
         return [part for part in self.parts if part.log > highest - NEVER]
 
-    @property
-    def solutions(self) -> int:
-        """Number of solutions that matter."""
-        return sum(len(part.found.cells.share) for part in self._likely)
-
-    def without(self, points: IntArray) -> Prediction:
-        """Return what all points but one predict for it, for each of some, shape (m,).
-
-        Under the solutions of all parts.
-        """
+    @cached_property
+    def left_out(self) -> Prediction:
+        """What all points but one predict for it, for each point, under all parts."""
         parts = self._likely
-        each = [part.found.without(points) for part in parts]
+        each = [part.found.left_out for part in parts]
         # What is known of a part beforehand is its logarithm without that of its points.
         logs = np.array([part.log - part.found.cells.log + one.log
                          for part, one in zip(parts, each, strict=True)])
-        errors, spread = (tuple(np.concatenate([getattr(one, name)[axis] for one in each])
-                                for axis in (0, 1)) for name in ("errors", "spread"))
-        return Prediction(
-            (errors[0], errors[1]), (spread[0], spread[1]),
-            np.concatenate([one.variance for one in each]), each[0].freedom,
-            np.concatenate([share * one.share for share, one in zip(
-                _normalised(logs), each, strict=True)]), np.logaddexp.reduce(logs))
+        shares = _normalised(logs)                                                    # (p, n)
+
+        def mean(name: str) -> FloatArray:
+            values = np.array([getattr(one, name) for one in each])
+            return np.asarray(np.einsum("pn,pn...->n...", shares, values))
+
+        return Prediction(mean("errors"), mean("chance"), mean("statistic"), mean("spread"),
+                          np.logaddexp.reduce(logs))
 
     def predict(self, ground: FloatArray) -> FloatArray:
         """Return line and sample of places, shape (m, 2)."""

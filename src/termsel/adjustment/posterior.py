@@ -5,12 +5,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
 import numpy as np
 
+from termsel.adjustment.left_out import Prediction, chance_of, leave_each_out
 from termsel.adjustment.solve import TOLERANCE
 from termsel.measurements.features import BoolArray, FloatArray, IntArray
 
@@ -42,9 +43,6 @@ NEVER = 30.0
 TINY = 1e-14
 """What is left of 1 by rounding error."""
 
-AT_ONCE = 2**15
-"""Predictions that are made together, those of all solutions counted: they stay in a fast cache."""
-
 
 @dataclass(frozen=True, eq=False)
 class Odds:
@@ -65,8 +63,7 @@ class Side:
 
     `which`, shape (u,), are their places on the grid, and `cell`, shape (c,), is that of each cell
     among them. `left` is 1 minus the leverage of each point, `errors` are what the fit leaves,
-    shape (u, n); `coefficients` are the shrunken ones, shape (u, k); `free` is the target along the
-    free columns, shape (f,).
+    shape (n, u); `coefficients` are the shrunken ones, shape (u, k).
     """
 
     which: IntArray
@@ -164,20 +161,28 @@ def _solutions(design: Design, target: FloatArray, scales: FloatArray, odds: Odd
     """Return the solutions of one axis that some cell is of."""
     which, cell = np.unique(cells, return_inverse=True)
     group, size = np.divmod(which, len(SIZES))
-    beyond, room = _beyond(design, target), np.zeros(len(target))
-    if design.explained.shape[1] < len(target):
+    n = len(target)
+    room = np.zeros(n)
+    if design.explained.shape[1] < n:
         room = np.maximum(1.0 - (design.explained**2).sum(axis=1), 0.0)
     ratio = SIZES[size, None] * design.values[group]                              # (u, m)
     keep = 1.0 / (1.0 + ratio**2)
     part = keep * odds.along[group]
-    left = np.empty((len(which), len(target)))
-    for g in np.unique(group):
-        mine = group == g
-        left[mine] = keep[mine] @ ((design.basis @ design.u[g]) ** 2).T
-    turned = (design.u[group] @ part[:, :, None])[:, :, 0]
-    solved = ((SIZES[size, None] * ratio * part)[:, None, :] @ design.vt[group])[:, 0]
-    return Side(which, cell, np.maximum(room + left, TINY), beyond + turned @ design.basis.T,
-                scales[group] * solved, design.explained[:, :len(design.lead)].T @ target)
+    grown = SIZES[size, None] * ratio * part
+    left, errors = np.empty((2, n, len(which)))
+    coefficients = np.empty((len(which), scales.shape[1]))
+    starts = np.flatnonzero(np.diff(group, prepend=-1))
+    for start, end in zip(starts, [*starts[1:], len(which)], strict=True):
+        g, some = group[start], slice(start, end)
+        turned = design.basis @ design.u[g]
+        errors[:, some] = turned @ part[some].T
+        turned *= turned
+        left[:, some] = turned @ keep[some].T
+        coefficients[some] = grown[some] @ design.vt[g] * scales[g]
+    left += room[:, None]
+    errors += _beyond(design, target)[:, None]
+    return Side(which, cell, np.maximum(left, TINY, out=left), errors, coefficients,
+                design.explained[:, :len(design.lead)].T @ target)
 
 
 @dataclass(frozen=True, eq=False)
@@ -213,13 +218,6 @@ def shares(logarithm: FloatArray) -> tuple[FloatArray, FloatArray]:
     total = share.sum(axis=0)
     share /= total
     return share, highest + np.log(total)
-
-
-def together(points: IntArray, solutions: int) -> Iterator[IntArray]:
-    """Yield some points at a time, of which each has as many predictions as there are solutions."""
-    some = max(16, AT_ONCE // solutions)
-    for start in range(0, len(points), some):
-        yield points[start:start + some]
 
 
 @dataclass(frozen=True, eq=False)
@@ -272,38 +270,16 @@ class Posterior:
         """Return the shrunken coefficients of an axis, averaged, and its effective parameters."""
         side = self.sides[axis]
         share = np.bincount(side.cell, self.cells.share)
-        return share @ side.coefficients, float(share @ (1.0 - side.left).sum(axis=1))
+        return share @ side.coefficients, float((1.0 - side.left).sum(axis=0) @ share)
 
-    @property
-    def errors(self) -> FloatArray:
-        """Measured minus predicted of each point by the others, weighted, shape (n, 2)."""
-        some = together(np.arange(len(self.targets)), len(self.cells.share))
-        return np.concatenate([self.without(points).error for points in some])
-
-    def without(self, points: IntArray) -> Prediction:
-        """Return what all points but one predict for it, for each of some.
-
-        Parameters
-        ----------
-        points : ndarray of int, shape (m,)
-            Points in use.
-        """
-        square = self.square[:, None]
-        rest, logarithm = square, np.zeros(())
-        errors, spread = [], []
-        for side, odds in zip(self.sides, self.odds, strict=True):
-            which = side.cell
-            left, fitted = side.left[:, points], side.errors[:, points]
-            # The determinant loses the factor `left`, the sum of squares errors^2 / left.
-            rest = rest - (fitted**2 / left).take(which, axis=0)
-            logarithm = logarithm + (odds.evidence[side.which, None] - 0.5 * np.log(left)).take(
-                which, axis=0)
-            errors.append((fitted / left).take(which, axis=0))
-            spread.append((1.0 / left).take(which, axis=0))
-        np.maximum(rest, self.noise + TINY * square, out=rest)
-        freedom = self.freedom - 2
-        return Prediction((errors[0], errors[1]), (spread[0], spread[1]), rest / freedom, freedom,
-                          *shares(logarithm - freedom / 2 * np.log(rest)))
+    @cached_property
+    def left_out(self) -> Prediction:
+        """What all points but one predict for it, for each point."""
+        line, sample = self.sides
+        square = self.square
+        return leave_each_out((line.left, sample.left), (line.errors, sample.errors),
+                              (line.cell, sample.cell), square, self.noise + TINY * square,
+                              self.cells.share, self.cells.log, self.freedom // 2 - 1)
 
     def beyond(self, points: IntArray, weight: float) -> Prediction:
         """Return what the points in use predict for others.
@@ -315,53 +291,17 @@ class Posterior:
         weight : float
             That weight.
         """
-        left, errors = self._at("left", points), self._at("errors", points)
-        m = len(points)
-        return Prediction(
-            (errors[0] / left[0] / weight, errors[1] / left[1] / weight),
-            (1.0 + (1.0 - left[0]) / weight**2, 1.0 + (1.0 - left[1]) / weight**2),
-            np.repeat(self.square[:, None] / self.freedom, m, axis=1), self.freedom,
-            np.repeat(self.cells.share[:, None], m, axis=1), np.full(m, self.cells.log))
-
-    def _at(self, name: str, points: IntArray) -> list[FloatArray]:
-        return [getattr(side, name)[:, points].take(side.cell, axis=0) for side in self.sides]
-
-
-@dataclass(frozen=True, eq=False)
-class Prediction:
-    """Each of m points as others predict it, under each solution that matters.
-
-    Parameters
-    ----------
-    errors : tuple of ndarray, shape (c, m)
-        Measured minus predicted, of line and sample.
-    spread : tuple of ndarray, shape (c, m)
-        Variance of that error by that of the noise.
-    variance : ndarray, shape (c, m)
-        Of the noise.
-    freedom : int
-        Degrees of freedom that the variance has.
-    share : ndarray, shape (c, m)
-        Probability of each solution.
-    log : ndarray, shape (m,)
-        Logarithm of the evidence of the points that predict, as in `Cells`.
-    """
-
-    errors: tuple[FloatArray, FloatArray]
-    spread: tuple[FloatArray, FloatArray]
-    variance: FloatArray
-    freedom: int
-    share: FloatArray
-    log: FloatArray
-
-    @property
-    def error(self) -> FloatArray:
-        """Measured minus predicted, averaged, of line and sample, shape (m, 2)."""
-        return np.stack([self.mean(errors) for errors in self.errors], axis=1)
-
-    def mean(self, values: FloatArray) -> FloatArray:
-        """Return the mean over all solutions of what each says, shape (m,)."""
-        return np.asarray(np.einsum("cm,cm->m", self.share, values))
+        errors, spread = [], []
+        for side in self.sides:
+            one = side.left[points].take(side.cell, axis=1)                           # (m, c)
+            errors.append(side.errors[points].take(side.cell, axis=1) / one / weight)
+            spread.append(1.0 + (1.0 - one) / weight**2)
+        share, variance = self.cells.share, self.square / self.freedom
+        statistic = sum(e**2 / s for e, s in zip(errors, spread, strict=True)) / 2 / variance
+        return Prediction(np.stack([e @ share for e in errors], axis=1),
+                          chance_of(statistic, self.freedom) @ share, statistic @ share,
+                          np.stack([s @ share for s in spread], axis=1),
+                          np.full(len(points), self.cells.log))
 
 
 def posterior(columns: FloatArray, image: FloatArray, order: IntArray, weights: FloatArray | None,

@@ -25,12 +25,12 @@ from __future__ import annotations
 import numpy as np
 from scipy.special import chdtr, gammaincinv
 
+from termsel.adjustment.left_out import chance_of
 from termsel.candidates.contradictions import (
     LEVEL,
     STRAIN,
     Suspects,
     Test,
-    chance_of,
     local_test,
     polynomial_of,
     test_of,

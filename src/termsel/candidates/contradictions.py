@@ -13,9 +13,10 @@ from scipy.special import fdtri
 from termsel.adjustment.coupled import coupled
 from termsel.adjustment.equations import weights_of
 from termsel.adjustment.field import collocate
+from termsel.adjustment.left_out import Prediction, chance_of
 from termsel.adjustment.lines import row_weights
 from termsel.adjustment.monomials import monomials
-from termsel.adjustment.posterior import Prediction, posterior, scales_of, together
+from termsel.adjustment.posterior import posterior, scales_of
 from termsel.candidates.local import LIKELY
 from termsel.measurements.features import BoolArray, FeatureSet, FloatArray
 from termsel.measurements.scaling import scaling_of
@@ -114,8 +115,7 @@ def local_test(every: FeatureSet, used: BoolArray, heights: bool) -> Test | None
     rows = np.stack([*np.abs(errors.T), chance_of(statistic, freedom), np.sqrt(statistic),
                      np.sqrt((1 + variance / noise).max(axis=1))], axis=1)
     # Of points in use that holds, whatever their own errors, without them.
-    rows[used] = np.concatenate([_rows(found.without(some))
-                                 for some in together(np.arange(len(control)), found.solutions)])
+    rows[used] = _rows(found.left_out)
     rows[used, :2] /= weights_of(control)
     pixels = rows[:, :2] * scaling.image_scale
     return Test(np.abs(pixels).max(axis=1), rows[:, 2], rows[:, 3], rows[:, 4],
@@ -151,11 +151,8 @@ def _test_of_points(control: FeatureSet, used: BoolArray, heights: bool,
                       scales_of(np.array(exponents)[order > 1]), int(used.sum()))
     if found is None:
         return None
-    rows, count = np.empty((len(points), 5)), len(found.cells.share)
-    for some in together(np.flatnonzero(used), count):
-        rows[some] = _rows(found.without(some))
-    for some in together(np.flatnonzero(~used), count):
-        rows[some] = _rows(found.beyond(some, UNUSED))
+    rows = _rows(found.left_out)
+    rows[~used] = _rows(found.beyond(np.flatnonzero(~used), UNUSED))
     pixels = rows[:, :2] / weights_of(points) * scaling.image_scale
     noise = float(np.sqrt(found.cells.share @ found.square / found.freedom)) * scaling.image_scale
     return Test(np.abs(pixels).max(axis=1), rows[:, 2], rows[:, 3], rows[:, 4], noise,
@@ -182,15 +179,7 @@ def _test_of_lines(control: FeatureSet, used: BoolArray, heights: bool,
                  found.freedom, squares[used])
 
 
-def chance_of(statistic: FloatArray, freedom: int) -> FloatArray:
-    """Return the chance of a larger F with 2 and `freedom` degrees: scipy's takes far longer."""
-    return np.asarray(np.exp(-freedom / 2 * np.log1p(2 * statistic / freedom)))
-
-
 def _rows(one: Prediction) -> FloatArray:
     """Return errors of points in line and sample, chance, strain and spread, shape (m, 5)."""
-    statistic = (one.errors[0] ** 2 / one.spread[0]
-                 + one.errors[1] ** 2 / one.spread[1]) / 2 / one.variance
-    spread = np.maximum(*(one.mean(spread) for spread in one.spread))
-    return np.stack([*one.error.T, one.mean(chance_of(statistic, one.freedom)),
-                     np.sqrt(one.mean(statistic)), np.sqrt(spread)], axis=1)
+    return np.stack([*one.errors.T, one.chance, np.sqrt(one.statistic),
+                     np.sqrt(one.spread.max(axis=1))], axis=1)

@@ -135,7 +135,7 @@ def average(ground: FloatArray, image: FloatArray, exponents: Exponents,
         coefficients[order > 1, axis] = shrunk
         coefficients[order < 2, axis] = np.linalg.lstsq(affine, rest)[0]
         effective += own
-    return Average(coefficients, found.errors / weights, effective)
+    return Average(coefficients, found.left_out.errors / weights, effective)
 
 
 def average_with_lines(features: FeatureSet, model: Polynomial) -> Average | None:

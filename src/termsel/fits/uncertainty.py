@@ -131,7 +131,7 @@ class _Belief:
 
     def press(self) -> float:
         """Return the sum of squared errors of the points, each by the others."""
-        return float((self.found.errors**2).sum())
+        return float((self.found.left_out.errors**2).sum())
 
 
 def _columns(ground: FloatArray, degree: int, variables: int) -> FloatArray:
