@@ -33,7 +33,7 @@ from termsel.adjustment.equations import weights_of
 from termsel.adjustment.foresight import foresee
 from termsel.adjustment.left_out import Prediction
 from termsel.adjustment.monomials import Exponents, graded_exponents, monomials
-from termsel.adjustment.posterior import NEVER, Posterior, posterior, scales_of
+from termsel.adjustment.posterior import NEVER, Posterior, polynomial_posterior, posterior
 from termsel.measurements.features import FloatArray, Points
 
 LENGTHS = ((0.15, 0.15), (0.3, 0.3), (0.6, 0.6), (1.2, 1.2), (0.15, 1.2), (1.2, 0.15))
@@ -126,8 +126,7 @@ class Collocation:
     def effective(self) -> float:
         """Effective parameters of line and sample together."""
         return float(sum(share * part.found.mean(axis)[1]
-                         for share, part in zip(self.shares, self.parts, strict=True)
-                         for axis in (0, 1)))
+                         for share, part in self._likely for axis in (0, 1)))
 
     @cached_property
     def errors(self) -> FloatArray:
@@ -138,14 +137,16 @@ class Collocation:
         return self.left_out.errors / weights_of(self.points)
 
     @cached_property
-    def _likely(self) -> list[Part]:
+    def _likely(self) -> list[tuple[float, Part]]:
+        """Parts that matter, with their probabilities."""
         highest = max(part.log for part in self.parts)
-        return [part for part in self.parts if part.log > highest - NEVER]
+        return [(share, part) for share, part in zip(self.shares, self.parts, strict=True)
+                if part.log > highest - NEVER]
 
     @cached_property
     def left_out(self) -> Prediction:
         """What all points but one predict for it, for each point, under all parts."""
-        parts = self._likely
+        parts = [part for _, part in self._likely]
         each = [part.found.left_out for part in parts]
         # What is known of a part beforehand is its logarithm without that of its points.
         logs = np.array([part.log - part.found.cells.log + one.log
@@ -161,15 +162,13 @@ class Collocation:
 
     def predict(self, ground: FloatArray) -> FloatArray:
         """Return line and sample of places, shape (m, 2)."""
-        polynomial, *fields = self._coefficients
+        polynomial, fields = self._coefficients
         columns = monomials(ground, self.exponents)
         image = columns @ polynomial
         places = columns[:, :len(self.turn)] @ self.turn
-        likely = [(part.lengths, weights) for part, share, weights in zip(
-            self.parts[1:], self.shares[1:], fields, strict=True) if share > NEGLIGIBLE]
         for start in range(0, len(ground), AT_ONCE):
             some = slice(start, start + AT_ONCE)
-            for lengths, weights in likely:
+            for lengths, weights in fields:
                 image[some] += _matern(places[some], self.knots, lengths) @ weights
         return np.asarray(image)
 
@@ -196,13 +195,14 @@ class Collocation:
         return variance, np.full(2, float(np.dot(shares, [one.noise for one in each])))
 
     @cached_property
-    def _coefficients(self) -> list[FloatArray]:
-        """Averaged coefficients of the monomials, then those of each field's knots."""
+    def _coefficients(self) -> tuple[FloatArray, list[tuple[tuple[float, float], FloatArray]]]:
+        """Averaged coefficients of the monomials, and those of the knots of each field by lengths.
+        """
         lead = len(self.turn)
         columns, weights = monomials(self.points.ground, self.exponents), weights_of(self.points)
         places = columns[:, :lead] @ self.turn
         total, fields = np.zeros((columns.shape[1], 2)), []
-        for share, part in zip(self.shares, self.parts, strict=True):
+        for share, part in self._likely:
             shrunk = np.stack([part.found.mean(axis)[0] for axis in (0, 1)], axis=1)
             rest = self.points.image - _with_field(columns, places, self.knots,
                                                    part)[:, lead:] @ shrunk
@@ -210,10 +210,10 @@ class Collocation:
             for axis, w in enumerate(weights.T):
                 total[:lead, axis] += share * np.linalg.lstsq(
                     columns[:, :lead] * w[:, None], rest[:, axis] * w)[0]
-            if part.lengths:
-                fields.append(share * linalg.solve_triangular(
-                    part.root, shrunk[columns.shape[1] - lead:], lower=True, trans="T"))
-        return [total, *fields]
+            if part.lengths and share > NEGLIGIBLE:
+                fields.append((part.lengths, share * linalg.solve_triangular(
+                    part.root, shrunk[columns.shape[1] - lead:], lower=True, trans="T")))
+        return total, fields
 
 
 def collocate(points: Points, variables: int) -> Collocation | None:
@@ -255,20 +255,20 @@ def _collocated(image: bytes, ground: bytes, sigma: bytes | None,
     knots = _spread_out(there)
     rules = [fall ** (order[order > 1] - 2.0) * RELIEF ** shrunk[:, 2] for fall in FALLS]
     mixed = np.array([[*rule, *np.full(len(knots), ratio)] for rule in rules for ratio in RATIOS])
-    parts = []
+    parts, weights = [], None if sigma is None else weights_of(points)
     for lengths in (None, *LENGTHS):
         root = np.empty((0, 0)) if lengths is None else np.asarray(np.linalg.cholesky(
             _matern(knots, knots, lengths) + JITTER * np.eye(len(knots))))
         bare = columns if lengths is None else np.concatenate(
             [columns, linalg.solve_triangular(root, _matern(knots, there, lengths),
                                               lower=True).T], axis=1)
-        scales = scales_of(shrunk) if lengths is None else mixed
         orders = np.concatenate([order, np.full(bare.shape[1] - len(order), DEGREE)])
-        found = posterior(bare, points.image, orders, None if sigma is None else
-                          weights_of(points), scales, len(points))
+        found = polynomial_posterior(points.ground, points.image, exponents, weights) \
+            if lengths is None else posterior(bare, points.image, orders, weights, mixed,
+                                              len(points))
         if found is None:
             return None
-        parts.append(Part(found, found.cells.log + np.log(_belief(lengths) / len(scales)),
+        parts.append(Part(found, found.cells.log + np.log(_belief(lengths) / len(found.scales)),
                           lengths, root))
     return Collocation(points, exponents, turn, knots, tuple(parts))
 

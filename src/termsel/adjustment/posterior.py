@@ -12,6 +12,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 
 from termsel.adjustment.left_out import Prediction, chance_of, leave_each_out
+from termsel.adjustment.monomials import Exponents, monomials
 from termsel.adjustment.solve import TOLERANCE
 from termsel.measurements.features import BoolArray, FloatArray, IntArray
 
@@ -169,19 +170,21 @@ def _solutions(design: Design, target: FloatArray, scales: FloatArray, odds: Odd
     keep = 1.0 / (1.0 + ratio**2)
     part = keep * odds.along[group]
     grown = SIZES[size, None] * ratio * part
-    left, errors = np.empty((2, n, len(which)))
+    left, turned = np.empty((len(which), n)), np.empty_like(part)
     coefficients = np.empty((len(which), scales.shape[1]))
+    places = np.ascontiguousarray(design.basis.T)
     starts = np.flatnonzero(np.diff(group, prepend=-1))
     for start, end in zip(starts, [*starts[1:], len(which)], strict=True):
         g, some = group[start], slice(start, end)
-        turned = design.basis @ design.u[g]
-        errors[:, some] = turned @ part[some].T
-        turned *= turned
-        left[:, some] = turned @ keep[some].T
+        along = design.u[g].T @ places
+        along *= along
+        np.matmul(keep[some], along, out=left[some])
+        np.matmul(part[some], design.u[g].T, out=turned[some])
         coefficients[some] = grown[some] @ design.vt[g] * scales[g]
-    left += room[:, None]
+    left += room
+    errors = design.basis @ turned.T
     errors += _beyond(design, target)[:, None]
-    return Side(which, cell, np.maximum(left, TINY, out=left), errors, coefficients,
+    return Side(which, cell, np.maximum(left.T, TINY, order="C"), errors, coefficients,
                 design.explained[:, :len(design.lead)].T @ target)
 
 
@@ -338,3 +341,38 @@ def posterior(columns: FloatArray, image: FloatArray, order: IntArray, weights: 
                     for design, target in zip((of_line, of_sample), targets.T, strict=True))
     return Posterior((line, sample), _cells([line, sample], freedom, noise), freedom, noise,
                      (of_line, of_sample), scales, targets)
+
+
+def polynomial_posterior(ground: FloatArray, image: FloatArray, exponents: Exponents,
+                         weights: FloatArray | None) -> Posterior | None:
+    """Return all solutions of a polynomial for points that are all in use.
+
+    Parameters
+    ----------
+    ground : ndarray, shape (n, 3)
+        Scaled to [-1, 1].
+    image : ndarray, shape (n, 2)
+    exponents : k exponents of X, Y, Z
+        Affine ones first.
+    weights : ndarray, shape (n, 2) or None
+        By which equations are multiplied.
+
+    Returns
+    -------
+    Posterior or None
+        As `posterior`.
+    """
+    return _of_polynomial(ground.tobytes(), image.tobytes(), exponents,
+                          None if weights is None else weights.tobytes())
+
+
+@lru_cache(maxsize=2)
+def _of_polynomial(ground: bytes, image: bytes, exponents: Exponents,
+                   weights: bytes | None) -> Posterior | None:
+    """Return the same; a shrunken polynomial, and a field that may be none, ask for one."""
+    powers = np.array(exponents)
+    order = powers.sum(axis=1)
+    places = np.frombuffer(image).reshape(-1, 2)
+    return posterior(monomials(np.frombuffer(ground).reshape(-1, 3), exponents), places, order,
+                     None if weights is None else np.frombuffer(weights).reshape(-1, 2),
+                     scales_of(powers[order > 1]), len(places))

@@ -35,7 +35,7 @@ from termsel.adjustment.coupled import coupled
 from termsel.adjustment.equations import line_normals, weights_of
 from termsel.adjustment.lines import row_weights
 from termsel.adjustment.monomials import Exponents, monomials
-from termsel.adjustment.posterior import DRAWS, posterior, scales_of
+from termsel.adjustment.posterior import DRAWS, polynomial_posterior
 from termsel.adjustment.solve import Adjustment
 from termsel.errors import counted
 from termsel.fits.fit import Estimator, Fit, HeldOut, Undetermined
@@ -121,8 +121,7 @@ def average(ground: FloatArray, image: FloatArray, exponents: Exponents,
     """
     order = np.array(exponents).sum(axis=1)
     columns = monomials(ground, exponents)
-    found = posterior(columns, image, order, weights, scales_of(np.array(exponents)[order > 1]),
-                      len(ground))
+    found = polynomial_posterior(ground, image, exponents, weights)
     if found is None:
         return None
     weights = np.ones_like(image) if weights is None else weights

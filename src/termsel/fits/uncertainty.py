@@ -18,7 +18,7 @@ import numpy as np
 from termsel.adjustment.equations import weights_of
 from termsel.adjustment.foresight import foresee
 from termsel.adjustment.monomials import graded_exponents, monomials
-from termsel.adjustment.posterior import Posterior, posterior, scales_of
+from termsel.adjustment.posterior import Posterior, polynomial_posterior
 from termsel.adjustment.solve import Adjustment
 from termsel.fits.fittable import Fittable
 from termsel.measurements.features import BoolArray, FeatureSet, FloatArray
@@ -114,11 +114,9 @@ class _Belief:
         """Return what is believed; None if the points do not determine an affine model."""
         degree = max(DEGREE, model.polynomial_degree or 0)
         points, variables = control.points, 3 if model.uses_height else 2
-        exponents = np.array(graded_exponents(degree, variables))
-        order = exponents.sum(axis=1)
-        weights = None if points.sigma is None else weights_of(points)
-        found = posterior(_columns(points.ground, degree, variables), points.image, order, weights,
-                          scales_of(exponents[order > 1]), len(points))
+        found = polynomial_posterior(points.ground, points.image,
+                                     graded_exponents(degree, variables),
+                                     None if points.sigma is None else weights_of(points))
         return None if found is None else cls(found, degree, variables)
 
     def spread(self, ground: FloatArray, image: FloatArray) -> Spread:
