@@ -126,6 +126,7 @@ def one_cell(monkeypatch: pytest.MonkeyPatch) -> tuple[float, float, tuple[float
                         ("FIELD", 1 - 1e-15), ("ALIKE", 0.0)):
         monkeypatch.setattr(field, name, value)
     field._collocated.cache_clear()
+    posterior._of_polynomial.cache_clear()
     return size, ratio, lengths
 
 
@@ -135,6 +136,7 @@ def test_one_solution_is_universal_kriging(monkeypatch: pytest.MonkeyPatch) -> N
     points, at = scattered(25), scattered(12, seed=6).ground
     found = collocate(points, 2)
     field._collocated.cache_clear()
+    posterior._of_polynomial.cache_clear()
     assert found is not None
     one, other = (monomials(g, found.exponents) for g in (points.ground, at))
     own = size * np.array([0.1 ** (sum(e) - 2.0) for e in found.exponents[3:]])
@@ -239,6 +241,7 @@ def test_more_points_leave_less_uncertain_in_units_of_the_noise(
     points = scattered(80)
     before, after = (collocate(points.take(np.arange(n)), 2) for n in (40, 80))
     field._collocated.cache_clear()
+    posterior._of_polynomial.cache_clear()
     assert before is not None
     assert after is not None
     (less, noise), (more, other) = (found.spread(points.ground) for found in (after, before))
@@ -246,6 +249,7 @@ def test_more_points_leave_less_uncertain_in_units_of_the_noise(
     monkeypatch.setattr(field, "KNOTS", 10)
     few = collocate(points, 2)
     field._collocated.cache_clear()
+    posterior._of_polynomial.cache_clear()
     assert few is not None
     variance, counted = few.spread(points.ground)
     assert (variance / counted).mean() > (less / noise).mean()
