@@ -267,7 +267,7 @@ together:
 | the optimum | {alone:.3f} | {refitted:.3f} |
 | quadratic polynomial | {plain:.3f} | {together:.3f} |
 
-More points do not mend it: the terms themselves suit the check points alone.
+More points do not correct it: the terms themselves suit the check points alone.
 """
 
 FRONT = """The walk decides the best selection of each number of terms as well. The check RMSE falls
