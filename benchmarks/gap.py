@@ -227,7 +227,7 @@ and 26 independent points.
   points is small. How close they come was not known. Here the optimum is proven.
 - **The least check RMSE is {check:.4f} px**, with {terms} terms. No selection of up to 16 terms an
   axis has less: {subsets:,} selections were decided, {share:.1f} % of them by bounds.
-- {reached} of {runs:,} runs of searches reach it. The median run ends {typical:.0f} % above it.
+- {reached} of {runs:,} runs of searches reached it. The median run ends {typical:.0f} % above it.
 - **The optimum is a bad choice for new points:** its independent RMSE is {independent:.3f} px.
   A plain quadratic polynomial has {quadratic:.3f} px, the median of the searches {median:.3f} px.
 - Among the {near:,} runs within 30 % of the optimum, a lower check RMSE goes with a *higher*
