@@ -51,6 +51,13 @@ def test_interval_is_wider_for_fewer_points_more_parameters_and_heavier_tails() 
     assert width(errors, 12.0, 0) < usual
 
 
+@pytest.mark.parametrize("effective", [60.0, 78.0, 79.9, 300.0])
+def test_interval_of_a_field_near_interpolation_holds_the_predicted_rmse(effective: float) -> None:
+    errors = np.random.default_rng(2).standard_normal((40, 2))
+    before, found = predicted_rmse(errors, 40.0, 24), predicted_rmse(errors, effective, 24)
+    assert found.low < before.low < found.rmse < before.high < found.high
+
+
 @pytest.mark.slow
 def test_interval_of_simulated_scenes_holds_the_independent_rmse() -> None:
     """Fewer than 9 of 12 would have a chance of 3 % if the true share is 90 %."""

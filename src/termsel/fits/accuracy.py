@@ -83,7 +83,8 @@ def predicted_rmse(errors: FloatArray, effective: float, points: int) -> Predict
     those held out and of those to come, with the spread that the squares show. The other is that
     all held-out errors share coefficients that few points determine: `LENT` times the effective
     parameters of an axis over its redundancy and 1. As the squares have the right mean, their
-    logarithm is below it by half the variance.
+    logarithm is below it by half the variance. The variance is at most `QUANTILE` squared, as a
+    greater one would lower the upper limit: that of a random field near interpolation has no bound.
 
     Parameters
     ----------
@@ -101,7 +102,8 @@ def predicted_rmse(errors: FloatArray, effective: float, points: int) -> Predict
     spread = squares.var(ddof=1) / squares.mean() ** 2
     parameters = effective / 2
     shared = LENT * parameters / (max(n - parameters, 0.0) + 1.0)
-    variance = spread / 4 * (1 / n + (1 / points if points else 0.0)) + shared**2
+    variance = min(spread / 4 * (1 / n + (1 / points if points else 0.0)) + shared**2,
+                   QUANTILE**2)
     middle, half = np.log(rmse) - variance / 2, QUANTILE * np.sqrt(variance)
     return Predicted(rmse, float(np.exp(middle - half)), float(np.exp(middle + half)),
                      points=points or None)
