@@ -271,8 +271,8 @@ together:
 More points do not correct it: the terms themselves suit the check points alone.
 """
 
-FRONT = """The walk decides the best selection of each number of terms as well. The check RMSE falls
-with each term, as it must. The independent RMSE does not.
+FRONT = """The walk decides the best selection of each number of terms as well. One that fewer terms
+beat is left out. So the check RMSE falls with each line; the independent RMSE does not.
 
 ```{image} ../_static/gap-to-optimum.svg
 :alt: With more terms the check RMSE of the best selection falls, its independent RMSE rises.
