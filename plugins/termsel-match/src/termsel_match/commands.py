@@ -8,6 +8,7 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from shlex import quote
 from typing import Any
 
 import click
@@ -79,7 +80,7 @@ def match_points(image: Path, reference: Path, output: Path, overwrite: bool, qu
     click.echo(f"{len(found.points)} candidates in {found.cells.get('found', 0)} of {cells} cells "
                f"of the image, CRS {found.crs if len(found.crs) < 40 else 'of the reference'}")
     click.echo(f"Written: {output}", err=True)
-    click.echo(f"Next: {next_run(options['start'], image, output)}", err=True)
+    click.echo(f"Next: {next_run(options['start'], image, points=output)}", err=True)
 
 
 @click.command("match-lines")
@@ -135,6 +136,8 @@ def match_lines(image: Path, vectors: Path, iterate: bool, folder: Path | None, 
     write_lines_csv(lines, output, crs)
     click.echo(text, nl=False)
     click.echo(f"Written: {output}" + (f", {folder}" if folder is not None else ""), err=True)
+    if not iterate:
+        click.echo(f"Next: {next_run(options['start'], image, lines=output)}", err=True)
 
 
 @click.command("auto-georeference")
@@ -210,16 +213,22 @@ def match_example(folder: Path, size: int, seed: int, off: float) -> None:
     click.echo(f"Written: {', '.join(str(folder / name) for name in NAMES)}", err=True)
 
 
-def next_run(start: str | None, image: Path, table: Path) -> str:
-    """Return the command that selects among candidate points of which most may be wrong."""
+def next_run(start: str | None, image: Path, *, points: Path | None = None,
+             lines: Path | None = None) -> str:
+    """Return the command that selects among candidates of which most may be wrong."""
     from termsel_match.chain import model_for
 
     model, options = model_for(start, image)
-    problem = "owdis-points --model affine"
+    rpc = ""
     if model == "rpc-drift":
         of_result = start is not None and Path(start).is_dir()
-        problem = f"rpc-gcps --set rpc={'RPC_FILE' if of_result else options['rpc']}"
-    return f"termsel run --problem {problem} --criterion agreement --points {table} --out result"
+        rpc = f" --set rpc={'RPC_FILE' if of_result else quote(options['rpc'])}"
+    if lines is not None:
+        problem = f"matched-lines --model {model}{rpc} --lines {quote(str(lines))}"
+    else:
+        named = f"rpc-gcps{rpc}" if rpc else "owdis-points --model affine"
+        problem = f"{named} --criterion agreement --points {quote(str(points))}"
+    return f"termsel run --problem {problem} --out result"
 
 
 def refuse_existing(output: Path, overwrite: bool) -> None:
