@@ -180,10 +180,11 @@ def test_what_cannot_be_matched_is_refused(place: Any, vectors: Callable[..., Pa
 
 def test_the_command_names_the_run_that_selects(place: Any, says: Any, tmp_path: Path) -> None:
     table = tmp_path / "the lines.csv"
-    code, text = says("match-lines", place / "image.tif", "--vectors", place / "roads.gpkg",
+    image = place / "image.tif"
+    code, text = says("match-lines", image, "--vectors", place / "roads.gpkg",
                       "--dem", place / "dem.tif", "--output", table)
     assert code == 0
-    assert f"Next: termsel run --problem matched-lines --model rpc-drift --set rpc={place}" in text
+    assert f"Next: termsel run --problem matched-lines --model rpc-drift --set rpc={image}" in text
     assert f"--lines '{table}' --out result" in text
 
 
