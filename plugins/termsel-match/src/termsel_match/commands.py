@@ -65,7 +65,8 @@ def match_points(image: Path, reference: Path, output: Path, overwrite: bool, qu
     \b
     Examples:
       termsel match-points scene.tif --reference ortho.tif --dem dem.tif
-      termsel run --problem rpc-gcps --set rpc=scene.RPB --points candidates.csv --out result
+      termsel run --problem rpc-gcps --set rpc=scene.RPB --criterion agreement \\
+          --points candidates.csv --out result
     """
     from termsel import write_points_csv
     from termsel_match.points import match_points as match
