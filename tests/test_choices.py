@@ -30,8 +30,8 @@ from termsel.runs.recommend import recommended
 from termsel.runs.task import ask, observe, prepare
 from termsel.solvers.base import Generation
 from termsel.solvers.budget import Budget
-from termsel.solvers.exact import _limits
 from termsel.solvers.ledger import Ledger
+from termsel.solvers.proof import limits_of
 from termsel.solvers.refinement import POLISH_SHARE
 from termsel.solvers.search import Search, search
 
@@ -211,8 +211,8 @@ def test_a_proof_stops_one_short_of_the_equations() -> None:
     for part in task.problem.parts():
         assert len(part.system.design) == 9
         assert len(part.genes) == 15
-        assert _limits(task.problem, part, None) == (0, 8)
-        assert _limits(task.problem, part, 3) == (0, 3)
+        assert limits_of(task.problem, part, None) == (0, 8)
+        assert limits_of(task.problem, part, 3) == (0, 3)
 
 
 def test_checksums_of_features_cover_roles_and_deviations() -> None:

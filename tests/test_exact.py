@@ -12,13 +12,14 @@ import pytest
 
 import termsel
 import termsel.report.text
-from termsel.adjustment import subsets
+from termsel.adjustment import subset_descents, subsets
 from termsel.criteria import CheckRmse, Fits
 from termsel.errors import TermselError
 from termsel.runs.assess import assessed
 from termsel.solvers import exact
-from termsel.solvers.exact import Exact, count, gap, prove
+from termsel.solvers.exact import Exact, gap
 from termsel.solvers.ga import GeneticAlgorithm
+from termsel.solvers.proof import count, prove
 from termsel.testing import check_criterion
 
 
@@ -57,13 +58,22 @@ def test_exact_finds_what_brute_force_finds(case: str, dataset: str) -> None:
         "gap": 0.0}
     # The front is the best of every size that beats all smaller ones.
     terms = task.problem.masks(genes)[0].sum(axis=1)
-    best, expected = np.inf, {}
+    best, expected, by_size = np.inf, {}, {}
     for size in range(terms.max() + 1):
         least = objectives[terms == size].min(initial=np.inf)
+        if np.isfinite(least):
+            by_size[size] = least
         if least < best * (1 - 1e-12):
             expected[size] = best = least
     found = {m["objectives"]["n_terms"]: m["objectives"]["check-rmse"] for m in result.front}
     assert found == pytest.approx(expected, rel=1e-9)
+    # The best of every size has its own proof, on the front or not.
+    rows = {m["objectives"]["n_terms"]: m for m in result.by_size}
+    assert {n: m["objectives"]["check-rmse"] for n, m in rows.items()} == pytest.approx(
+        by_size, rel=1e-9)
+    assert all(m["optimal"] and m["gap"] == 0 and m["bound"] == m["objectives"]["check-rmse"]
+               for m in rows.values())
+    assert {n for n, m in rows.items() if m["better"]} == set(expected)
 
 
 def test_forced_genes_and_cardinality_hold() -> None:
@@ -113,6 +123,30 @@ def test_at_any_time_the_bound_holds_and_rises(criterion: str,
     assert len(set(bounds)) > 2
 
 
+@pytest.mark.parametrize("criterion", ["check-rmse", "ebic", "press"])
+def test_at_any_time_every_size_has_a_bound_that_holds(criterion: str,
+                                                       monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(subsets, "_BRANCH", 1 << 9)
+    monkeypatch.setattr(subsets, "_PIECE", 1 << 9)
+    monkeypatch.setattr(subsets, "_DESCEND_FROM", 1)
+    monkeypatch.setattr(subsets, "_SMALL", 1 << 9)
+    monkeypatch.setattr(subset_descents, "_RESTARTS", 1)
+    monkeypatch.setattr(subset_descents, "_KICKS", 1)
+    problem = termsel.prepare("poly-terms", criterion=criterion, options={"degree": 3}).problem
+    states = list(prove(problem))
+    least = {one.genes.sum(): one.objective for one in states[-1].by_size(problem)}
+    partly = 0
+    for state in states[1::len(states) // 12]:
+        sizes = state.by_size(problem)
+        for one in sizes:
+            optimum = least[one.genes.sum()]
+            assert one.bound <= optimum + 1e-9 * abs(optimum) <= one.objective + 2e-9 * abs(optimum)
+            assert not one.optimal or one.objective == pytest.approx(optimum, rel=1e-9)
+        partly += 0 < sum(one.optimal for one in sizes) < len(sizes)
+    assert partly
+    assert all(one.optimal for one in states[-1].by_size(problem))
+
+
 def test_a_bound_that_reaches_the_best_proves_it(monkeypatch: pytest.MonkeyPatch) -> None:
     task = termsel.prepare("poly-terms", solver="exact", options={"degree": 2})
     *_, proof = prove(task.problem)
@@ -138,6 +172,9 @@ def test_an_interrupted_proof_proves_nothing_but_has_the_best_so_far() -> None:
     assert found.certificate["subsets"] < found.certificate["of"]
     result = assessed(task, found)
     assert result.certificate == found.certificate
+    assert not result.front
+    assert not all(one["optimal"] for one in result.by_size)
+    assert re.search(r"^Front: .* best of its size$", result.summary(), re.MULTILINE)
 
 
 def test_a_heuristic_states_its_gap() -> None:

@@ -14,9 +14,9 @@ from termsel.problems.genome import Genome
 from termsel.problems.segments import Bits
 from termsel.solvers import refinement
 from termsel.solvers import swap as local
-from termsel.solvers.exact import prove
 from termsel.solvers.ga import GeneticAlgorithm
 from termsel.solvers.ledger import Progress
+from termsel.solvers.proof import prove
 from termsel.testing.problems import kept
 
 

@@ -30,6 +30,10 @@ RUNS: dict[str, tuple[str, dict[str, Any]]] = {
     "auto": ("rfm-terms", {}),
     "auto without heights": ("poly-terms", {"strategy": "auto"}),
     "exact": ("poly-terms", {"solver": "exact"}),
+    "exact, ended early": ("poly-terms", {"solver": "exact", "seconds": 0.1,
+                                          "options": {"degree": 6}}),
+    "exact of features": ("owdis-points", {"solver": "exact", "seconds": 0.1,
+                                           "model": "affine"}),
     "gap to the optimum": ("poly-terms", {"solver": "random", "evaluations": 50}),
     "undetermined": ("rfm-terms", {"solver": "all-terms"}),
     "criterion with options": (

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
-import numpy as np
+from collections.abc import Iterator
 
+import numpy as np
+import pytest
+
+from termsel.adjustment import subsets
 from termsel.adjustment.subset_bounds import first_closed
-from termsel.adjustment.subset_stack import stack
-from termsel.adjustment.subset_system import Piece, SubsetSystem
+from termsel.adjustment.subset_stack import Stack, stack
+from termsel.adjustment.subset_system import Masks, Piece, SubsetSystem
+from termsel.measurements.features import FloatArray
 
 
 def test_a_limit_that_a_subset_scores_never_rules_it_out() -> None:
@@ -42,3 +47,23 @@ def test_a_limit_that_a_subset_scores_never_rules_it_out() -> None:
             lowered += upper[:c].min() < 0.9
     assert closed > 50
     assert lowered > 200
+
+
+@pytest.mark.parametrize("score", ["rss", "press"])
+def test_subsets_of_few_columns_are_decided_before_all_others(
+        score: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    def nothing(systems: Stack) -> Iterator[tuple[FloatArray, Masks]]:
+        yield np.full(systems.k + 1, np.inf), np.zeros(systems.k + 1, dtype=np.uint64)
+
+    monkeypatch.setattr(subsets, "descents", nothing)
+    for name in ("_SMALL", "_PIECE"):
+        monkeypatch.setattr(subsets, name, 100)
+    monkeypatch.setattr(subsets, "_DESCEND_FROM", 1)
+    rng = np.random.default_rng(3)
+    states = list(subsets.search(
+        SubsetSystem(rng.normal(size=(12, 9)), rng.normal(size=(12, 1))), score))
+    final = states[-1].best
+    few = next(state for state in states if state.subsets).floor[:3]
+    assert few == pytest.approx(final[:3])  # 1 + 9 + 36 of at most 2, and 84 of 3
+    for state in states:
+        assert (state.floor <= final * (1 + 1e-9)).all()

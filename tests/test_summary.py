@@ -241,6 +241,25 @@ def test_a_front_marks_the_selection() -> None:
         "    ->                2             1.5         1.250"]
 
 
+def test_a_front_says_what_is_proven_of_each_size() -> None:
+    def sized(n: int, press: float, *proven: object) -> dict[str, object]:
+        of = dict(zip(("better", "optimal", "bound", "gap"), proven, strict=True))
+        return {**member([f"t{n}"], press, n, None), **of}
+
+    assert added(front=FRONT, by_size=[
+        sized(1, 2.5, True, True, 2.5, 0.0), sized(2, 1.5, True, False, 1.2, 0.25),
+        sized(3, 1.7, False, True, 1.7, 0.0), sized(4, 1.8, False, False, 1.5, 0.2),
+        sized(5, 1.8, False, False, 1.4, 0.3), sized(6, 1.4, True, False, 0.4, 2.5),
+        sized(7, 1.9, False, False, 1.4, 0.3), sized(8, 1.3, True, False, None, None)]) == [
+        "Front:          n_terms           press   independent   best of its size",
+        "                      1             2.5             -   proven",
+        "                      2             1.5             -   at most 25.00 % above it",
+        "                      6             1.4             -   at most 3.5 times as high",
+        "                      8             1.3             -   not proven",
+        "Proven: the best selection of 3, 4 and 7 terms is no better than that of fewer.",
+        "Not proven: a selection of 5 terms may still be better than that of fewer."]
+
+
 RULE = "-> the selection, recommended by the rule {} (--set recommend=...)"
 
 

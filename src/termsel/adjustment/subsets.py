@@ -26,7 +26,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from termsel.adjustment.subset_descents import descents
-from termsel.adjustment.subset_stack import stack
+from termsel.adjustment.subset_stack import Stack, stack
 from termsel.adjustment.subset_system import (
     MAX_COLUMNS,
     SCORES,
@@ -47,6 +47,7 @@ __all__ = ["MAX_COLUMNS", "SCORES", "SubsetResult", "SubsetSystem", "count_subse
 _PIECE = 1 << 16  # subsets enumerated between two checks for interruption: some milliseconds
 _BRANCH = 1 << 25  # the same, where bounds rule out most of them
 _DESCEND_FROM = 1 << 24  # subsets from which good ones are sought before any proof
+_SMALL = 1 << 27  # subsets up to which those of few columns are decided before all others
 _AHEAD = 16  # pieces in progress at once, whatever the number of workers
 
 
@@ -142,9 +143,18 @@ def search(
         log.info("Compiling: the first proof on this machine takes some 20 s longer.")
     total = systems.everything.count
     best, masks = _nothing(systems.k)
+    settled = 0
     if total > _DESCEND_FROM:
-        for best, masks in descents(systems):
-            yield SubsetResult(best, masks, 0, total, 0, 0, np.zeros(systems.k + 1))
+        for i, found in enumerate(descents(systems)):
+            best, masks = better(best, masks, *found)
+            yield SubsetResult(best, masks, 0, total, 0, 0,
+                               _floor(best, [systems.everything], settled))
+            # Those of few columns take a second, the descents several, and all of them hours.
+            for piece in () if i else _small(systems):
+                walked = systems.walk(piece, best, masks)
+                best, masks, settled = walked.best, walked.masks, len(piece.used) + piece.room + 1
+                yield SubsetResult(best, masks, 0, total, 0, 0,
+                                   _floor(best, [systems.everything], settled))
     for start in systems.starts:
         walked = systems.walk(start, best, masks)
         best, masks = walked.best, walked.masks
@@ -176,7 +186,7 @@ def search(
                 pruned += walked.pruned
             open_ = (*todo, *(piece for piece, _ in waiting))
             yield SubsetResult(best, masks, looked + pruned, total, infeasible, pruned,
-                               _floor(best, open_))
+                               _floor(best, open_, settled))
     finally:
         pool.shutdown(cancel_futures=True)
 
@@ -210,11 +220,24 @@ def estimate_seconds(
     return min(seconds) / piece.count * systems.everything.count / workers
 
 
-def _floor(best: FloatArray, pieces: Sequence[Piece]) -> FloatArray:
-    """Return lower bounds of the scores of every size, given the pieces still to be decided."""
+def _small(systems: Stack) -> Iterator[Piece]:
+    """Yield the subsets of at most 1, 2 and so on columns, as long as they are few."""
+    for room in range(1, systems.everything.room):
+        piece = replace(systems.everything, room=room)
+        if piece.count > (_SMALL if systems.branches else _PIECE):
+            return
+        yield piece
+
+
+def _floor(best: FloatArray, pieces: Sequence[Piece], settled: int = 0) -> FloatArray:
+    """Return lower bounds of the scores of every size, given the pieces still to be decided.
+
+    All subsets with less than `settled` columns are decided.
+    """
     floor = best.copy()
     for piece in pieces:
-        sizes = slice(len(piece.used), len(piece.used) + min(piece.room, len(piece.rest)) + 1)
+        sizes = slice(max(len(piece.used), settled),
+                      len(piece.used) + min(piece.room, len(piece.rest)) + 1)
         np.minimum(floor[sizes], piece.least, out=floor[sizes])
     return floor
 

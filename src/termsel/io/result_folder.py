@@ -287,6 +287,7 @@ def result_from(record: Mapping[str, Any], features: FeatureSet) -> Result:
         accuracy=accuracy_from(given) if (given := record.get("accuracy")) else None,
         front=tuple(record["front"]), history=tuple(record.get("history", ())),
         budget=record.get("budget", {}), stability=record.get("stability"),
+        by_size=tuple(record.get("by_size", ())),
         final=_final(record, final, fitted, features) if final else None)
 
 

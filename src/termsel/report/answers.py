@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import platform
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from termsel.errors import counted
 from termsel.fits.accuracy import rmse_interval
+from termsel.report import sizes
 from termsel.report.charts import bars, maps, search
 from termsel.report.page import Block, Code, Figure, Section, Statement, Table, page
 from termsel.report.plots import KINDS
@@ -177,6 +178,8 @@ def _selected(view: View, picture: str) -> Iterator[Block]:
     yield from record["notes"]
     if record["front"]:
         yield from _front(view, picture)
+    if by_size := record.get("by_size"):  # not in older records
+        yield from _by_size(by_size, folded=bool(record["front"]))
     there = [name for name in _OF_TERMS if not KINDS[name].missing(view)]
     yield from (_figure(name, KINDS[name].draw(view)) for name in there)
     yield from (table(view) for name in there if (table := _OF_TERMS[name]) is not None)
@@ -192,7 +195,7 @@ _OF_TERMS = {"convergence": convergence_table, "empires": None, "frequency": fre
 
 def _front(view: View, picture: str) -> Iterator[Block]:
     front = view.record["front"]
-    size = search.COUNTS.get(view.front_size, view.front_size)
+    size = sizes.counted_by(front)
     yield _figure("front", search.front(view))
     yield Figure("members", "Residuals of the chosen member",
                  "Choose a member in the chart above or in the table below.",
@@ -202,6 +205,20 @@ def _front(view: View, picture: str) -> Iterator[Block]:
             "-" if one["rmse"][role]["total"] is None else f"{one['rmse'][role]['total']:.3f}"
             for role in ("check", "independent")), " ".join(one["selection"]["terms"]))
         for one in front], choice="member", keys=list(range(len(front))))
+
+
+def _by_size(by_size: Sequence[Mapping[str, Any]], folded: bool) -> Iterator[Block]:
+    """Yield what a proof says of the best selection of each size."""
+    size, criterion = list(by_size[0]["objectives"])[:2]
+    names = size.removeprefix("n_")
+    yield from sizes.others(by_size, criterion)
+    yield Table("Best selection of each size", (
+        sizes.counted_by(by_size), criterion, "lower bound", sizes.TITLE, "independent [px]",
+        names), [
+        (f"{one['objectives'][size]}", f"{one['objectives'][criterion]:.4g}",
+         "-" if one["bound"] is None else f"{one['bound']:.4g}", sizes.proven(one),
+         "-" if (total := one["rmse"]["independent"]["total"]) is None else f"{total:.3f}",
+         " ".join(one["selection"][names])) for one in by_size], folded=folded)
 
 
 def _repeated(view: View) -> Iterator[Block]:

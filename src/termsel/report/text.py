@@ -12,6 +12,7 @@ from termsel.candidates.portfolio import EXACT
 from termsel.errors import counted, percent, printable
 from termsel.fits.diagnosis import BEYOND, CORRELATED
 from termsel.fits.figures import LEAVE_ONE_OUT, ROLES
+from termsel.report import sizes
 
 _WIDTH = 88
 _LONGEST_FRONT = 40
@@ -182,24 +183,29 @@ def _table(record: Record) -> Iterator[str]:
 
 
 def _front(record: Record) -> Iterator[str]:
-    """Yield the front, the recommended member marked."""
-    front, selection = record["front"], record["selection"]
+    """Yield the front, or the best so far of each size, the recommended member marked."""
+    by_size, selection = record.get("by_size", ()), record["selection"]  # not in older records
+    front = [one for one in by_size if one["better"]] or record["front"]
     if not front:
         return
     names = list(front[0]["objectives"])
-    yield "Front: " + "".join(f"{name:>16}" for name in names) + f"{'independent':>14}"
+    yield ("Front: " + "".join(f"{name:>16}" for name in names) + f"{'independent':>14}"
+           + f"   {sizes.TITLE}" * bool(by_size))
     if len(front) > _LONGEST_FRONT:
         yield f"       {len(front)} members; result.json lists all of them"
-        return
-    for member in front:
+    for member in front if len(front) <= _LONGEST_FRONT else ():
         total = member["rmse"]["independent"]["total"]
         chosen = all(member["selection"][key] == selection[key] for key in ("terms", "features"))
         yield ("    -> " if chosen else " " * 7) + "".join(
             f"{member['objectives'][name]:>16.5g}" for name in names
-        ) + f"{'-' if total is None else f'{total:.3f}':>14}"
+        ) + f"{'-' if total is None else f'{total:.3f}':>14}" + (
+            f"   {sizes.proven(member)}" if by_size else "")
     rule = record["options"]["problem"].get("recommend")
     if rule and (len(record["objectives"]) > 1 or rule != "best"):
         yield f"-> the selection, recommended by the rule {rule} (--set recommend=...)"
+    if by_size:
+        for line in sizes.others(by_size, names[1]):
+            yield from textwrap.wrap(line, _WIDTH)
     yield ""
 
 

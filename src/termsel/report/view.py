@@ -18,6 +18,7 @@ from termsel.measurements.crs import is_geographic
 from termsel.measurements.features import FeatureSet, FloatArray
 from termsel.measurements.metres import in_metres
 from termsel.measurements.roles import by_roles
+from termsel.report.sizes import size_of
 
 Row = dict[str, Any]
 
@@ -151,7 +152,7 @@ class View:
     @property
     def front_size(self) -> str:
         """What a front counts: "n_terms" or "n_features"."""
-        return str(next(iter(self.record["front"][0]["objectives"])))
+        return size_of(self.record["front"][0])
 
     @cached_property
     def recommended(self) -> int:

@@ -113,9 +113,14 @@ class Result(Glance):
         Of problem, model, solver and criterion those that plugins provide, with
         ``distribution:name`` and version.
     front : tuple
-        Non-dominated selections of a search with several objectives.
+        Non-dominated selections of a search with several objectives; from `exact` the best by
+        number of terms, as soon as all is proven.
     certificate : mapping, optional
         What was proven.
+    by_size : tuple of mapping
+        From `exact`, at any time: the best selection of every number of terms or features, as
+        in `front`, with what is proven of those as large: "optimal", "bound" and "gap"; "better"
+        if it is better than all smaller ones.
     outliers : tuple of Outlier
         Every probable blunder, used or not.
     predicted : Predicted, optional
@@ -174,6 +179,7 @@ class Result(Glance):
     history: tuple[Mapping[str, Any], ...] = ()
     budget: Mapping[str, float] = field(default_factory=dict)
     stability: Mapping[str, Any] | None = None
+    by_size: tuple[Mapping[str, Any], ...] = ()
 
     @property
     def hit_rate(self) -> float:
@@ -213,6 +219,7 @@ class Result(Glance):
             "generations": self.generations, "seconds": self.seconds,
             "history": list(self.history), "budget": dict(self.budget),
             **({"stability": dict(self.stability)} if self.stability else {}),
+            **({"by_size": list(self.by_size)} if self.by_size else {}),
             "interrupted": self.interrupted, "polish": self.polish,
             "coefficients": {terms[i]: float(adjustment.coefficients[i]) for i in chosen},
             "standard_deviations": {

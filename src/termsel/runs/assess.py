@@ -29,6 +29,7 @@ from termsel.runs.provenance import data_of, notes_on_sessions, plugins_of, vers
 from termsel.runs.task import Task
 from termsel.solvers.base import GIVEN
 from termsel.solvers.exact import gap
+from termsel.solvers.proof import SizeProof
 from termsel.solvers.search import Search
 
 
@@ -100,6 +101,9 @@ def assessed(task: Task, found: Search) -> Result:
     rmse, diagnosis = figures(chosen, observations), diagnose(chosen)
     everything = fit(task.model, observations.control, task.scaling)
     comparison = compare_robustly(observations)
+    sizes = _sizes(task, found)
+    members = {genes.tobytes(): _member(task, genes)
+               for genes in (*found.front, *(one.genes for one in sizes))}
     baselines = (baseline("all-terms", everything, None, observations, ("control",)),
                  *comparison.baselines)
     return Result(
@@ -129,7 +133,11 @@ def assessed(task: Task, found: Search) -> Result:
         accuracy=accuracy_of(chosen, observations.independent),
         features=observations.features, versions=versions(),
         plugins=plugins_of(task),
-        front=tuple(_front(task, found)), certificate=_certificate(task, found, chosen))
+        front=tuple(members[genes.tobytes()] for genes in found.front),
+        by_size=tuple({**members[one.genes.tobytes()], "better": one.better,
+                       "optimal": one.optimal, "bound": one.bound, "gap": one.gap}
+                      for one in sizes),
+        certificate=_certificate(task, found, chosen))
 
 
 def _on_replaced(model: SensorModel, selection: Selection) -> Iterable[str]:
@@ -204,20 +212,24 @@ def _required(certificate: Mapping[str, Any], solver: str) -> dict[str, Any]:
     return {key: certificate[key] for key in kinds}
 
 
-def _front(task: Task, found: Search) -> Iterable[Mapping[str, Any]]:
-    """Yield the members of a front with their RMSE on all roles."""
-    observations = task.observations
-    for genes in found.front:
-        selection = task.problem.decode(genes)
-        member = fit_of(task, selection)
-        values = task.problem.evaluate(genes[None]).objectives[0].tolist()
-        size = len(selection.features if task.recipe.second == "n_features" else selection.terms)
-        yield {"objectives": {task.recipe.second: size,
-                              **dict(zip(task.problem.objectives, values, strict=True))},
-               "selection": selection.to_dict(),
-               "rmse": plain_rmse({"control": member.control_rmse(),
-                                 "check": member.rmse(observations.check),
-                                 "independent": member.rmse(observations.independent)})}
+def _sizes(task: Task, found: Search) -> list[SizeProof]:
+    """Return what the solver proved of the selections of each size; nothing of a plugin's."""
+    return [] if found.proof is None or "solver" in plugins_of(task) \
+        else found.proof.by_size(task.problem)
+
+
+def _member(task: Task, genes: Genes) -> Mapping[str, Any]:
+    """Return the member of a front, with its RMSE on all roles."""
+    observations, selection = task.observations, task.problem.decode(genes)
+    member = fit_of(task, selection)
+    values = task.problem.evaluate(genes[None]).objectives[0].tolist()
+    size = len(selection.features if task.recipe.second == "n_features" else selection.terms)
+    return {"objectives": {task.recipe.second: size,
+                           **dict(zip(task.problem.objectives, values, strict=True))},
+            "selection": selection.to_dict(),
+            "rmse": plain_rmse({"control": member.control_rmse(),
+                                "check": member.rmse(observations.check),
+                                "independent": member.rmse(observations.independent)})}
 
 
 def fit_of(task: Task, selection: Selection) -> Fit:

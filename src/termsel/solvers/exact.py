@@ -5,20 +5,19 @@ from __future__ import annotations
 import logging
 import os
 from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
 
 from termsel.adjustment import subsets
-from termsel.adjustment.subsets import SubsetResult
 from termsel.errors import TermselError
-from termsel.measurements.features import BoolArray, FloatArray
+from termsel.measurements.features import BoolArray
 from termsel.options import COUNT, Option
 from termsel.problems.base import EnumerablePart, Evaluation, Problem
 from termsel.problems.segments import AnySegment, Bits, Subset
 from termsel.solvers.base import Generation, Solver
 from termsel.solvers.exact_features import duration, proof_generations, quick_optimum
+from termsel.solvers.proof import TIE, Proof, count, limits_of, prove, space_of
 from termsel.solvers.swap import neighbours
 
 log = logging.getLogger(__name__)
@@ -26,197 +25,12 @@ log = logging.getLogger(__name__)
 QUICK = 1 << 22
 """Subsets that are enumerated for a heuristic's gap: less than a second."""
 
-ALL = "all selections"
-"""Space of a certificate that leaves no selection out."""
-
-TIE = 1e-9
-"""Objectives that differ relatively by less than this are equal: rounding differs."""
-
 _REPORT_SHARE = 1 / 200
 """Share of the subsets between two reports. Each costs an evaluation, so no clock decides: the
 same search has the same number of evaluations on any machine."""
 
 _REPORT_STATES = 4
 """States between two reports at most: a budget of time ends at a report."""
-
-
-@dataclass(frozen=True, eq=False)
-class Proof:
-    """State of an enumeration of all parts.
-
-    Parameters
-    ----------
-    parts : tuple of EnumerablePart
-    results : tuple of SubsetResult
-        One per part.
-    minimum : tuple of int
-        Fewest genes of each part.
-    size : int
-        Number of genes of the problem.
-    """
-
-    parts: tuple[EnumerablePart, ...]
-    results: tuple[SubsetResult, ...]
-    minimum: tuple[int, ...]
-    size: int
-
-    @property
-    def decided(self) -> int:
-        """Subsets decided."""
-        return sum(result.subsets for result in self.results)
-
-    @property
-    def total(self) -> int:
-        """Subsets to be decided."""
-        return sum(result.total for result in self.results)
-
-    @property
-    def pruned(self) -> int:
-        """Those among them that a bound ruled out."""
-        return sum(result.pruned for result in self.results)
-
-    @property
-    def complete(self) -> bool:
-        """True if the optimum is proven."""
-        return all(result.complete for result in self.results)
-
-    def _costs(self, floor: bool = False) -> list[FloatArray]:
-        """Return the cost of the best subset of each size, or the least that it may have."""
-        costs = []
-        for part, result, least in zip(self.parts, self.results, self.minimum, strict=True):
-            scores = result.floor if floor else result.best
-            cost = np.where(np.isfinite(scores), part.cost(scores), np.inf)
-            cost[:least] = np.inf
-            costs.append(cost)
-        return costs
-
-    def bound(self, best: float) -> float | None:
-        """Return a lower bound of the objective of all selections.
-
-        Parameters
-        ----------
-        best : float
-            Objective of the best selection so far.
-
-        Returns
-        -------
-        float or None
-            None if the objective is neither the sum of the parts' costs nor their RMSE [px].
-        """
-        if self.complete:
-            return best
-        found, least = (sum(float(cost.min()) for cost in self._costs(floor))
-                        for floor in (False, True))
-        part = self.parts[0]
-        design = part.system.check_design if part.score == "check" else part.system.design
-        assert design is not None  # of the score
-        def rmse(cost: float) -> float:
-            return float(part.pixels * np.sqrt(max(cost, 0.0) / len(design)))
-
-        for objective in (float, rmse):
-            if abs(objective(found) - best) <= 1e-6 * abs(best):
-                return min(best, objective(least))
-        return None
-
-    def front(self) -> list[BoolArray]:
-        """Return the best selection of every total size that beats all smaller ones.
-
-        Returns
-        -------
-        list of ndarray of bool, shape (size,)
-            By number of genes; the last is the best of all. Empty where nothing is feasible.
-        """
-        total, sizes = np.zeros(1), np.zeros((1, 0), dtype=np.intp)
-        for cost in self._costs():
-            # The best split of each total size: min-plus convolution, part by part.
-            joint = np.full(len(total) + len(cost) - 1, np.inf)
-            split = np.zeros((len(joint), sizes.shape[1] + 1), dtype=np.intp)
-            for here in np.flatnonzero(np.isfinite(cost)):
-                reached = total + cost[here]
-                better = np.flatnonzero(reached < joint[here:here + len(total)])
-                joint[here + better] = reached[better]
-                split[here + better] = np.column_stack(
-                    [sizes[better], np.full(len(better), here)])
-            total, sizes = joint, split
-        best = np.inf
-        front = []
-        for value, split_sizes in zip(total, sizes, strict=True):
-            if value < best:
-                best = value
-                front.append(self._genes(split_sizes.tolist()))
-        return front
-
-    def _genes(self, sizes: list[int]) -> BoolArray:
-        genes = np.zeros(self.size, dtype=bool)
-        for part, result, size in zip(self.parts, self.results, sizes, strict=True):
-            genes[part.genes] = result.columns(size)
-        return genes
-
-
-def prove(problem: Problem, max_terms: int | None = None,
-          workers: int | None = None) -> Iterator[Proof]:
-    """Decide every selection of a problem, yielding intermediate states.
-
-    Parameters
-    ----------
-    problem : Problem
-    max_terms : int, optional
-        Most genes of each part.
-    workers : int, optional
-        Threads; by default all cores. The result does not depend on it.
-
-    Yields
-    ------
-    Proof
-        The last one is complete.
-
-    Raises
-    ------
-    TermselError
-        If the problem's space cannot be enumerated.
-    """
-    parts = problem.parts()
-    limits = [_limits(problem, part, max_terms) for part in parts]
-    walks = [subsets.search(part.system, part.score, folds=part.folds, max_terms=most,
-                            workers=workers or os.cpu_count() or 1)
-             for part, (_, most) in zip(parts, limits, strict=True)]
-    minimum = tuple(least for least, _ in limits)
-    # Every part makes its first steps before any is finished, so that there is a result for each
-    # whenever the user stops.
-    results = [next(walk) for walk in walks]
-    yield Proof(parts, tuple(results), minimum, problem.genome.size)
-    for i, walk in enumerate(walks):  # good selections of all parts come before any proof
-        while results[i].subsets == 0:
-            results[i] = next(walk)
-            yield Proof(parts, tuple(results), minimum, problem.genome.size)
-    for i, walk in enumerate(walks):
-        for results[i] in walk:
-            yield Proof(parts, tuple(results), minimum, problem.genome.size)
-
-
-def _limits(problem: Problem, part: EnumerablePart, max_terms: int | None) -> tuple[int, int]:
-    """Return the fewest and the most genes of a part that leave a degree of freedom."""
-    slices = problem.genome.slices()
-    segment = next(s for s in problem.genome.segments
-                   if slices[s.name].start <= part.genes[0] < slices[s.name].stop)
-    assert isinstance(segment, Bits)  # what the solver declares
-    most = [n for n in (segment.maximum, max_terms, len(part.genes),
-                        len(part.system.design) - 1) if n is not None]
-    return segment.minimum, min(most)
-
-
-def count(problem: Problem, max_terms: int | None = None) -> int:
-    """Return the number of subsets of all parts together.
-
-    Raises
-    ------
-    TermselError
-        If the problem's space cannot be enumerated.
-    """
-    return sum(
-        subsets.count_subsets(int(problem.genome.free[part.genes].sum()),
-                              _limits(problem, part, max_terms)[1])
-        for part in problem.parts())
 
 
 def gap(problem: Problem, found: float) -> dict[str, Any] | None:
@@ -262,7 +76,7 @@ def _quick_optimum(problem: Problem) -> tuple[float, int, str] | None:
     if evaluation.violation[0] > 0:  # enumeration and evaluation differ at a tolerance
         return None
     return (float(evaluation.objectives[0, 0]), proof.decided,
-            _space(problem, proof.parts, None))
+            space_of(problem, proof.parts, None))
 
 
 def gap_of(found: float, optimum: float) -> dict[str, float | None]:
@@ -300,7 +114,7 @@ class Exact(Solver):
             yield from proof_generations(problem, systems, workers, most)
             return
         parts = problem.parts()
-        space = _space(problem, parts, most)
+        space = space_of(problem, parts, most)
         log.info("exact: deciding %s subsets (%s, %d %s)%s", f"{count(problem, most):,}", space,
                  len(parts), "part" if len(parts) == 1 else "parts",
                  _estimate(problem, parts, most, workers))
@@ -333,7 +147,7 @@ class Exact(Solver):
             proof.complete or bound.get("gap", 1.0) <= TIE)
         details: dict[str, Any] = {
             "share": proof.decided / proof.total,
-            "front": genes if front and proof.complete else (),
+            "front": genes if front and proof.complete else (), "proof": proof,
             "certificate": {"optimal": bool(proven), "subsets": proof.decided,
                             "bounded": proof.pruned, "of": proof.total, "space": space,
                             **bound, **({} if front else {"feasible": False})}}
@@ -376,17 +190,6 @@ def _bound(proof: Proof, front: Evaluation) -> dict[str, float]:
     return {"bound": bound} | ({"gap": max(0.0, best / bound - 1)} if bound > 0 else {})
 
 
-def _space(problem: Problem, parts: tuple[EnumerablePart, ...], most: int | None) -> str:
-    """Return the space of a proof in words."""
-    limits = {_limits(problem, part, most)[1] for part in parts}
-    if all(limit >= problem.genome.free[part.genes].sum() for part in parts for limit in limits):
-        return ALL
-    sizes = " and ".join(map(str, sorted(limits))) + (" term" if limits == {1} else " terms")
-    whole = all(_limits(problem, part, most) == _limits(problem, part, None) for part in parts)
-    return (f"{ALL if whole else 'selections'} of up to {sizes}"
-            + " an axis" * (len(parts) > 1))
-
-
 def _estimate(problem: Problem, parts: tuple[EnumerablePart, ...], most: int | None,
               workers: int) -> str:
     """Return how long it takes, where no bound makes that unknown."""
@@ -394,6 +197,6 @@ def _estimate(problem: Problem, parts: tuple[EnumerablePart, ...], most: int | N
         return ""
     seconds = sum(
         subsets.estimate_seconds(part.system, part.score, folds=part.folds, workers=workers,
-                                 max_terms=_limits(problem, part, most)[1])
+                                 max_terms=limits_of(problem, part, most)[1])
         for part in parts)
     return f"; about {duration(seconds)}"

@@ -17,6 +17,7 @@ from termsel.errors import TermselError
 from termsel.measurements.features import BoolArray, FloatArray
 from termsel.problems.segments import Bits, Genes, Subset
 from termsel.solvers.base import Generation
+from termsel.solvers.proof import SizeProof, each_of
 from termsel.solvers.swap import descend
 
 if TYPE_CHECKING:
@@ -73,6 +74,18 @@ class FeatureProof:
                 least = self.best[size]
                 front.append(self.genes[size])
         return front
+
+    def by_size(self, problem: Problem) -> list[SizeProof]:
+        """Return the best selection of every size and its proof (see `Proof.by_size`)."""
+        sizes = sorted(self.genes)
+        if not sizes:
+            return []
+        values, _ = each_of(problem, np.array([self.genes[size] for size in sizes]))
+        better = values < np.minimum.accumulate(np.append(np.inf, values))[:-1]
+        bounds = values if self.complete else np.minimum(values, self.floor)
+        return [SizeProof(self.genes[size], *of_size) for size, *of_size in zip(
+            sizes, values.tolist(), bounds.tolist(), (values <= bounds).tolist(), better.tolist(),
+            strict=True)]
 
 
 def selections_of(problem: Problem, systems: tuple[RowSystem, ...]) -> Selections:
@@ -221,7 +234,7 @@ def proof_generations(problem: Problem, systems: tuple[RowSystem, ...], workers:
             certificate["feasible"] = False
         yield Generation(index, genes, evaluation, {
             "share": proof.decided / total, "certificate": certificate,
-            "front": genes if front and proof.complete else ()})
+            "front": genes if front and proof.complete else (), "proof": proof})
         index, last = index + 1, state
 
 

@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
 from contextlib import closing
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -22,6 +22,10 @@ from termsel.solvers.ledger import BudgetSpent, Ledger, Progress, Tally
 from termsel.solvers.refinement import POLISH_SHARE, Polish, refine
 from termsel.solvers.silence import heard
 from termsel.threads import one_blas_thread
+
+if TYPE_CHECKING:
+    from termsel.solvers.exact_features import FeatureProof
+    from termsel.solvers.proof import Proof
 
 NONE = Evaluation(np.full((1, 1), np.inf), np.zeros(1))
 """Of an individual, before a solver has evaluated any."""
@@ -56,6 +60,8 @@ class Search:
         None if no local refinement was asked for.
     certificate : mapping, optional
         What the solver proved, if anything.
+    proof : Proof or FeatureProof, optional
+        From `exact`: what it proved of the selections of each size.
     coefficients : ndarray, shape (k,), optional
         From a solver that finds coefficients, as ridge does; others find only genes.
     front : tuple of ndarray
@@ -83,6 +89,7 @@ class Search:
     coefficients: FloatArray | None = None
     notes: tuple[str, ...] = ()
     history: tuple[Tally, ...] = ()
+    proof: Proof | FeatureProof | None = None
 
     def after(self, earlier: Search, *notes: str) -> Search:
         """Return the search with the evaluations and the history of one before it.
@@ -212,7 +219,8 @@ def search(
                   tuple(ledger.front() if len(problem.objectives) > 1
                         else generation.details.get("front", ()) if generation else ()),
                   generation.details.get("coefficients") if generation else None,
-                  notes=notes, history=tuple(history))
+                  notes=notes, history=tuple(history),
+                  proof=generation.details.get("proof") if generation else None)
 
 
 def begin(problem: Problem, solver: Solver) -> None:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from termsel.solvers.exact import TIE
+from termsel.solvers.proof import TIE
 from termsel.studies.groups import Groups, Runs
 
 _HUGE = 1e300

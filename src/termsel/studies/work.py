@@ -24,8 +24,9 @@ from termsel.runs.blunders_out import search_without_blunders
 from termsel.runs.run import run
 from termsel.runs.task import Task, prepare
 from termsel.solvers.budget import SEARCH_OPTIONS
-from termsel.solvers.exact import TIE, count, gap
+from termsel.solvers.exact import gap
 from termsel.solvers.ledger import Progress
+from termsel.solvers.proof import TIE, count
 from termsel.solvers.search import Search
 from termsel.threads import one_blas_thread
 

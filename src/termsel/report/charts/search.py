@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from termsel.report.charts.maps import image_map
+from termsel.report.sizes import counted_by
 from termsel.report.theme import (
     CHECK,
     CONTROL,
@@ -25,14 +26,12 @@ MOST = 400
 AREAS = 4000
 """Most corners of the areas of empires."""
 
-COUNTS = {"n_terms": "terms", "n_features": "control features"}
-
 
 def front(view: View) -> Any:
     """Return the front: RMSE of check and independent points against terms or features."""
     alt = require_altair()
     rows = front_rows(view)
-    size = COUNTS.get(view.front_size, view.front_size)
+    size = counted_by(view.record["front"])
     member = choice(view)
     scale, kind = spread_scale([row["rmse"] for row in rows], zero=False)
     base = alt.Chart(data(rows)).encode(
