@@ -16,7 +16,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from benchmarks.sets import heights_of, names, put, rmse_of, split
-from termsel.candidates.portfolio import choose, repeated
+from termsel.candidates.portfolio import choose
+from termsel.candidates.repetition import repeated
 from termsel.fits import accuracy
 from termsel.fits.accuracy import LEVEL, Predicted, predicted_rmse
 from termsel.measurements.features import FeatureSet, FloatArray

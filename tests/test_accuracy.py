@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 import termsel
-from termsel.candidates.portfolio import choose, repeated
+from termsel.candidates.portfolio import choose
+from termsel.candidates.repetition import repeated
 from termsel.fits.accuracy import Distances, accuracy_of, asprs, nssda, predicted_rmse
 from termsel.measurements.features import FeatureSet, Points
 from termsel.measurements.metres import in_metres

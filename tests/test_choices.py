@@ -13,12 +13,14 @@ from termsel.adjustment.monomials import graded_exponents, monomials
 from termsel.candidates import portfolio
 from termsel.candidates.candidate import named
 from termsel.candidates.compare import compare
-from termsel.candidates.portfolio import Judged, choose, repeated
+from termsel.candidates.portfolio import Judged, choose
+from termsel.candidates.repetition import repeated
 from termsel.candidates.selected import select_forward
 from termsel.candidates.shrunken import average
 from termsel.criteria import Ebic, Fits, KFold
 from termsel.fits.fit import Fit
 from termsel.measurements.features import BoolArray, FeatureSet, FloatArray, Points, no_points
+from termsel.measurements.places import spatial_order
 from termsel.measurements.roles import by_roles
 from termsel.measurements.scaling import scaling_of
 from termsel.models.projective import DLT3D
@@ -98,7 +100,7 @@ def test_every_point_is_in_one_fold_and_predicted_by_the_others() -> None:
     control = set_of(ground, 100 * ground[:, :2] + rng.normal(0, 1, (23, 2)))
     errors = repeated(control, True)
     assert errors is not None
-    order = portfolio.spatial_order(ground[:, :2])
+    order = spatial_order(ground[:, :2])
     for out in ([order[0], order[20]], [order[2], order[22]], [order[3]]):
         others = ~np.isin(np.arange(23), out)
         choice = choose(control.with_(points=control.points.take(others)), True)
@@ -112,11 +114,12 @@ def test_forward_selection_keeps_a_third_of_the_equations() -> None:
     columns = monomials(ground, CUBIC)
     affine = np.array([sum(e) < 2 for e in CUBIC])
     target = columns @ np.random.default_rng(4).normal(size=20)
+    columns, target = columns[None], target[None]
     found = select_forward(columns, target, affine)
     assert found is not None
-    assert found.terms.sum() <= 2 * 12 // 3
-    assert select_forward(columns[:6], target[:6], affine) is None  # 3 of 5 are no 4
-    assert select_forward(columns[:8], target[:8], affine) is not None
+    assert found[0].terms.sum() <= 2 * 12 // 3
+    assert select_forward(columns[:, :6], target[:, :6], affine) is None  # 3 of 5 are no 4
+    assert select_forward(columns[:, :8], target[:, :8], affine) is not None
 
 
 def test_errors_of_weighted_points_are_those_of_the_others() -> None:

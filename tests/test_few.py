@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 
 import termsel
-from termsel.candidates.portfolio import choose, repeated
+from termsel.candidates.portfolio import choose
 from termsel.candidates.relief import carriers, heights_hold
+from termsel.candidates.repetition import repeated
 from termsel.formats.readers.csv_tables import write_points_csv
 from termsel.measurements.features import FeatureSet, FloatArray, Points
 from termsel.simulate import simulate_scene

@@ -12,7 +12,7 @@ from scipy.stats import multivariate_normal
 import termsel
 from termsel.adjustment import field, posterior
 from termsel.adjustment.field import collocate
-from termsel.adjustment.monomials import monomials
+from termsel.adjustment.monomials import graded_exponents, monomials
 from termsel.adjustment.thin_plate import thin_plates
 from termsel.candidates.portfolio import choose
 from termsel.measurements.features import FeatureSet, FloatArray, Points
@@ -161,6 +161,27 @@ def test_one_solution_is_universal_kriging(monkeypatch: pytest.MonkeyPatch) -> N
                         - (there * np.linalg.solve(data, there.T).T).sum(axis=1)
                         + ((left @ inner) * left).sum(axis=1))
     np.testing.assert_allclose(found.spread(at)[0], np.stack([variance] * 2, axis=1), rtol=1e-4)
+
+
+@pytest.mark.parametrize(("n", "noise", "near"), [(9, 0.02, 1e-9), (40, 0.02, 1e-9),
+                                                  (60, 1e-9, 1e-6)])
+def test_one_decomposition_for_all_scales_gives_what_one_for_each_does(
+        n: int, noise: float, near: float) -> None:
+    points = scattered(n)
+    columns = np.concatenate([monomials(points.ground, graded_exponents(2, 2)),
+                              np.random.default_rng(1).normal(size=(n, 30))], axis=1)
+    image = columns @ np.random.default_rng(2).normal(size=(36, 2)) \
+        + noise * np.random.default_rng(3).normal(size=(n, 2))
+    order = np.array([0, 1, 1, 2, 2, 2, *[3] * 30])
+    scales = np.array([[*rule, *[ratio] * 30] for rule in ((1.0, 0.3, 0.1), (1.0, 1.0, 1.0))
+                       for ratio in (0.02, 2.0)])
+    found, expected = (posterior.posterior(columns, image, order, None, scales, n, few)
+                       for few in (3, None))
+    assert found is not None
+    assert expected is not None
+    for one, other in zip(found.odds, expected.odds, strict=True):
+        np.testing.assert_allclose(one.evidence, other.evidence, atol=1e-8)
+        np.testing.assert_allclose(one.square, other.square, rtol=near)
 
 
 @pytest.mark.parametrize("sigma", [False, True])

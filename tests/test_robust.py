@@ -15,7 +15,8 @@ from scipy.optimize import least_squares, minimize
 import termsel
 from termsel.adjustment.equations import Equations
 from termsel.candidates.blunders import find_blunders
-from termsel.candidates.portfolio import Choice, choose, choose_features, repeated
+from termsel.candidates.portfolio import Choice, choose, choose_features
+from termsel.candidates.repetition import repeated
 from termsel.candidates.robust import HUBER, TUKEY, reweighted
 from termsel.candidates.shrunken import average, average_with_lines
 from termsel.cli.main import cli

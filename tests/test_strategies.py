@@ -12,7 +12,8 @@ import pytest
 import termsel
 from termsel.adjustment.monomials import graded_exponents, monomials
 from termsel.candidates.candidate import CANDIDATES
-from termsel.candidates.portfolio import choose, repeated
+from termsel.candidates.portfolio import choose
+from termsel.candidates.repetition import repeated
 from termsel.candidates.selected import select_forward
 from termsel.candidates.shrunken import average
 from termsel.io.result_folder import read_result
@@ -259,13 +260,16 @@ def test_forward_selection_finds_the_terms_and_leaves_out_honestly() -> None:
     wanted[[5, 12]] = True
     target = columns[:, wanted] @ np.array([3.0, 4.0, 5.0, 6.0, 2.0, -2.0])
     target += rng.normal(0, 0.05, 40)
-    found = select_forward(columns, target, affine)
-    assert found is not None
+    both = select_forward(np.stack([columns, columns]), np.stack([target, columns[:, 7]]), affine)
+    assert both is not None
+    found, other = both
+    np.testing.assert_array_equal(np.flatnonzero(other.terms & ~affine), [7])
     np.testing.assert_array_equal(found.terms, wanted)
     for i in (0, 17):
         others = np.arange(40) != i
-        again = select_forward(columns[others], target[others], affine)
-        assert again is not None
+        alone = select_forward(columns[None, others], target[None, others], affine)
+        assert alone is not None
+        again, = alone
         x = np.linalg.lstsq(columns[others][:, again.terms], target[others])[0]
         assert found.errors[i] == pytest.approx(target[i] - columns[i, again.terms] @ x, abs=1e-9)
 

@@ -20,11 +20,11 @@ from termsel.adjustment.posterior import (
     NEVER,
     NO_NOISE,
     SIZES,
-    TINY,
     TYPICAL,
     scales_of,
     shares,
 )
+from termsel.adjustment.shrinkage import TINY
 from termsel.adjustment.solve import TOLERANCE
 from termsel.measurements.features import FloatArray, IntArray
 

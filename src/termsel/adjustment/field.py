@@ -265,7 +265,7 @@ def _collocated(image: bytes, ground: bytes, sigma: bytes | None,
         orders = np.concatenate([order, np.full(bare.shape[1] - len(order), DEGREE)])
         found = polynomial_posterior(points.ground, points.image, exponents, weights) \
             if lengths is None else posterior(bare, points.image, orders, weights, mixed,
-                                              len(points))
+                                              len(points), len(shrunk))
         if found is None:
             return None
         parts.append(Part(found, found.cells.log + np.log(_belief(lengths) / len(found.scales)),

@@ -89,17 +89,19 @@ def _shrunken(found: Posterior, axis: int, weight: FloatArray) -> tuple[FloatArr
     """Return mean and root of the covariance of the shrunken coefficients, (k,) and (k, k)."""
     side, design = found.sides[axis], found.designs[axis]
     k = found.scales.shape[1]
-    share = np.bincount(side.cell, found.cells.share)
+    share = np.bincount(side.cell, found.cells.share, len(side.coefficients))
     mean = share @ side.coefficients
     apart = side.coefficients - mean
     covariance = (apart * share[:, None]).T @ apart
-    keep = SIZES[:, None] ** 2 / (1.0 + (SIZES[:, None] * design.values[:, None, :]) ** 2)
-    own = np.einsum("gs,gsp->gp", weight, keep)
+    groups = np.flatnonzero(weight.any(axis=1))
+    _, values, vt = design.decomposed(groups)
+    keep = SIZES[:, None] ** 2 / (1.0 + (SIZES[:, None] * values[:, None, :]) ** 2)
+    own = np.einsum("gs,gsp->gp", weight[groups], keep)
     never = weight @ SIZES**2
-    for g in np.flatnonzero(weight.any(axis=1)):
-        scaled = design.vt[g] * found.scales[g]
-        covariance += (scaled * own[g][:, None]).T @ scaled
+    for g, along, one in zip(groups, vt, own, strict=True):
+        scaled = along * found.scales[g]
+        covariance += (scaled * one[:, None]).T @ scaled
         if len(scaled) < k:  # what no point reaches
             covariance += never[g] * (np.diag(found.scales[g] ** 2) - scaled.T @ scaled)
-    values, vectors = np.linalg.eigh(covariance)
-    return mean, vectors * np.sqrt(np.maximum(values, 0.0))
+    spread, vectors = np.linalg.eigh(covariance)
+    return mean, vectors * np.sqrt(np.maximum(spread, 0.0))

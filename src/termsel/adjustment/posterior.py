@@ -13,8 +13,8 @@ import numpy as np
 
 from termsel.adjustment.left_out import Prediction, chance_of, leave_each_out
 from termsel.adjustment.monomials import Exponents, monomials
-from termsel.adjustment.solve import TOLERANCE
-from termsel.measurements.features import BoolArray, FloatArray, IntArray
+from termsel.adjustment.shrinkage import TINY, Design, Shrinkage, Side, design_of
+from termsel.measurements.features import FloatArray, IntArray
 
 SIZES = 10.0 ** np.arange(-0.5, 5.5, 0.5)
 """Standard deviations of quadratic coefficients by that of the noise. From where they cannot be
@@ -38,41 +38,22 @@ fall and a relief; and their standard deviation in natural logarithms."""
 NO_NOISE = 1e-11
 """Noise that counts as none, as a part of the image's half-range."""
 
+CANCELLED = 1e-8
+"""What remains of a number where rounding errors of a difference matter."""
+
 NEVER = 30.0
 """Solutions less likely than the likeliest by this, in natural logarithms, are left out."""
-
-TINY = 1e-14
-"""What is left of 1 by rounding error."""
 
 
 @dataclass(frozen=True, eq=False)
 class Odds:
     """How likely all solutions of one axis are, groups of scales by sizes, shape (g s,).
 
-    Both make up prior and marginal likelihood, square^-nu/2 exp(evidence). `along`, shape (g, m),
-    is the target along the singular vectors of each group.
+    Both make up prior and marginal likelihood, square^-nu/2 exp(evidence).
     """
 
     evidence: FloatArray
     square: FloatArray
-    along: FloatArray
-
-
-@dataclass(frozen=True, eq=False)
-class Side:
-    """The solutions of one axis that matter.
-
-    `which`, shape (u,), are their places on the grid, and `cell`, shape (c,), is that of each cell
-    among them. `left` is 1 minus the leverage of each point, `errors` are what the fit leaves,
-    shape (n, u); `coefficients` are the shrunken ones, shape (u, k).
-    """
-
-    which: IntArray
-    cell: IntArray
-    left: FloatArray
-    errors: FloatArray
-    coefficients: FloatArray
-    free: FloatArray
 
 
 def scales_of(exponents: FloatArray, draws: int | None = None) -> FloatArray:
@@ -87,105 +68,50 @@ def scales_of(exponents: FloatArray, draws: int | None = None) -> FloatArray:
     return np.concatenate([rule, (rule * own).reshape(-1, rule.shape[1])])
 
 
-@dataclass(frozen=True, eq=False)
-class Design:
-    """Decompositions of the shrunken columns without the free ones, one for each group.
+def _odds(design: Design, targets: FloatArray) -> list[Odds]:
+    """Return how likely the solutions of each axis are, for all scales and sizes."""
+    along = design.basis.T @ targets
+    evidence, squares = _mixed(design, along) or _decomposed(design, along)
+    evidence = (evidence - 0.5 * np.log1p((SIZES / TYPICAL) ** 2)).ravel()
+    beyond = (design.beyond(targets) ** 2).sum(axis=0)
+    return [Odds(evidence, rest + square.ravel())
+            for rest, square in zip(beyond, squares, strict=True)]
 
-    Parameters
-    ----------
-    basis : ndarray, shape (n, m)
-        What some column, and no affine function, explains.
-    explained : ndarray, shape (n, l)
-        What the columns explain, affine ones with them; the rest is left by every solution.
-    u : ndarray, shape (g, m, m)
-    values : ndarray, shape (g, m)
-    vt : ndarray, shape (g, m, k)
-    lead : ndarray, shape (f, f)
-        Triangle of the free columns.
-    cross : ndarray, shape (f, k)
-        What the shrunken columns have in common with them.
+
+def _decomposed(design: Design, along: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return evidence, shape (g, s), and sums of squares, shape (a, g, s), in the basis."""
+    u, values, _ = design.decomposed(np.arange(len(design.scales)))
+    keep = 1.0 / (1.0 + (SIZES[:, None] * values[:, None, :]) ** 2)           # (g, s, m)
+    squares = keep @ (u.swapaxes(1, 2) @ along) ** 2
+    return 0.5 * np.log(keep).sum(axis=2), np.moveaxis(squares, 2, 0)
+
+
+def _mixed(design: Design, along: FloatArray) -> tuple[FloatArray, FloatArray] | None:
+    """Return the same by one decomposition for all groups, that of the columns of one scale.
+
+    With W what a size leaves along it, and the few other columns C by their scales, a sum of
+    squares is y'W y - y'W C (I + C'W C)^-1 C'W y. None without such columns, and where rounding
+    errors matter: where hardly anything remains of a difference.
     """
-
-    basis: FloatArray
-    explained: FloatArray
-    u: FloatArray
-    values: FloatArray
-    vt: FloatArray
-    lead: FloatArray
-    cross: FloatArray
-
-
-def _design(columns: FloatArray, free: BoolArray, scales: FloatArray) -> Design | None:
-    """Return the decompositions; None if the free columns lack a point's redundancy."""
-    return _decomposed(columns.tobytes(), free.tobytes(), scales.tobytes(), *columns.shape)
-
-
-@lru_cache(maxsize=4)
-def _decomposed(columns_of: bytes, free_of: bytes, scales_of_free: bytes, n: int,
-                k: int) -> Design | None:
-    """Return the decompositions; line and sample, and a field of no size, ask for the same ones."""
-    columns = np.frombuffer(columns_of).reshape(n, k)
-    free = np.frombuffer(free_of, dtype=bool)
-    scales = np.frombuffer(scales_of_free).reshape(-1, int((~free).sum()))
-    lead = columns[:, free]
-    count = lead.shape[1]
-    if len(lead) <= count:
+    few = design.few
+    if few == design.rest.shape[1]:
         return None
-    q, r = np.linalg.qr(np.concatenate([lead, columns[:, ~free]], axis=1))
-    if (np.abs(np.diag(r))[:count] <= TOLERANCE * np.linalg.norm(lead, axis=0)).any() \
-            or (1.0 - (q[:, :count]**2).sum(axis=1)).min() < TOLERANCE:
+    ratios, group = np.unique(design.scales[:, few], return_inverse=True)
+    u, values = design.many
+    turned = u.T @ np.concatenate([design.rest[:, :few], along], axis=1)
+    keep = 1.0 / (1.0 + ((SIZES * ratios[:, None])[:, :, None] * values) ** 2)    # (r, s, m)
+    gram = (turned.T @ (keep[..., None] * turned))[group]
+    scale = np.ones((len(group), len(SIZES), turned.shape[1]))
+    scale[..., :few] = SIZES[:, None] * design.scales[:, None, :few]
+    # The last rows are L^-1 C'W y; of the ones that are added, those of the targets are not used.
+    root = np.linalg.cholesky(np.eye(turned.shape[1]) + gram * scale[..., None]
+                              * scale[..., None, :])
+    whole = np.diagonal(gram, axis1=2, axis2=3)[..., few:]
+    squares = whole - (root[..., few:, :few] ** 2).sum(axis=3)
+    if (squares <= CANCELLED * whole).any():
         return None
-    rest = r[count:, count:]
-    return Design(q[:, count:], q, *np.linalg.svd(rest * scales[:, None, :], full_matrices=False),
-                  r[:count, :count], r[:count, count:])
-
-
-def _odds(design: Design, target: FloatArray) -> Odds:
-    """Return how likely the solutions of one axis are, for all scales and sizes."""
-    along = (design.basis.T @ target) @ design.u
-    beyond = _beyond(design, target)
-    keep = 1.0 / (1.0 + (SIZES[:, None] * design.values[:, None, :]) ** 2)    # (g, s, m)
-    return Odds(
-        (0.5 * np.log(keep).sum(axis=2) - 0.5 * np.log1p((SIZES / TYPICAL) ** 2)).ravel(),
-        (beyond @ beyond + (keep * along[:, None, :] ** 2).sum(axis=2)).ravel(), along)
-
-
-def _beyond(design: Design, target: FloatArray) -> FloatArray:
-    """Return what no column explains, apart: nothing cancels where noise tends to 0."""
-    if design.explained.shape[1] == len(target):
-        return np.zeros(len(target))
-    return np.asarray(target - design.explained @ (design.explained.T @ target))
-
-
-def _solutions(design: Design, target: FloatArray, scales: FloatArray, odds: Odds,
-               cells: IntArray) -> Side:
-    """Return the solutions of one axis that some cell is of."""
-    which, cell = np.unique(cells, return_inverse=True)
-    group, size = np.divmod(which, len(SIZES))
-    n = len(target)
-    room = np.zeros(n)
-    if design.explained.shape[1] < n:
-        room = np.maximum(1.0 - (design.explained**2).sum(axis=1), 0.0)
-    ratio = SIZES[size, None] * design.values[group]                              # (u, m)
-    keep = 1.0 / (1.0 + ratio**2)
-    part = keep * odds.along[group]
-    grown = SIZES[size, None] * ratio * part
-    left, turned = np.empty((len(which), n)), np.empty_like(part)
-    coefficients = np.empty((len(which), scales.shape[1]))
-    places = np.ascontiguousarray(design.basis.T)
-    starts = np.flatnonzero(np.diff(group, prepend=-1))
-    for start, end in zip(starts, [*starts[1:], len(which)], strict=True):
-        g, some = group[start], slice(start, end)
-        along = design.u[g].T @ places
-        along *= along
-        np.matmul(keep[some], along, out=left[some])
-        np.matmul(part[some], design.u[g].T, out=turned[some])
-        coefficients[some] = grown[some] @ design.vt[g] * scales[g]
-    left += room
-    errors = design.basis @ turned.T
-    errors += _beyond(design, target)[:, None]
-    return Side(which, cell, np.maximum(left.T, TINY, order="C"), errors, coefficients,
-                design.explained[:, :len(design.lead)].T @ target)
+    logs = np.log(np.diagonal(root, axis1=2, axis2=3)[..., :few]).sum(axis=2)
+    return 0.5 * np.log(keep).sum(axis=2)[group] - logs, np.moveaxis(squares, 2, 0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -257,10 +183,15 @@ class Posterior:
     def sides(self) -> tuple[Side, Side]:
         """Solutions of line and of sample: of many points few matter, and of a model that is not
         chosen none is asked for."""
-        line, sample = (_solutions(design, target, self.scales, odds, which)
-                        for design, target, odds, which in zip(
-                            self.designs, self.targets.T, self.odds, self.cells.which, strict=True))
-        return line, sample
+        group, size = np.divmod(np.stack(self.cells.which), len(SIZES))
+        groups, least = np.unique(group), size.min()
+        sizes = SIZES[least:size.max() + 1]
+        cells = np.searchsorted(groups, group) * len(sizes) + size - least
+        line, sample = self.designs
+        of_line = Shrinkage(line, groups, sizes)
+        of_sample = of_line if sample is line else Shrinkage(sample, groups, sizes)
+        return (of_line.side(self.targets[:, 0], cells[0]),
+                of_sample.side(self.targets[:, 1], cells[1]))
 
     @property
     def square(self) -> FloatArray:
@@ -272,8 +203,8 @@ class Posterior:
     def mean(self, axis: int) -> tuple[FloatArray, float]:
         """Return the shrunken coefficients of an axis, averaged, and its effective parameters."""
         side = self.sides[axis]
-        share = np.bincount(side.cell, self.cells.share)
-        return share @ side.coefficients, float((1.0 - side.left).sum(axis=0) @ share)
+        share = np.bincount(side.cell, self.cells.share, len(side.effective))
+        return share @ side.coefficients, float(side.effective @ share)
 
     @cached_property
     def left_out(self) -> Prediction:
@@ -294,21 +225,24 @@ class Posterior:
         weight : float
             That weight.
         """
-        errors, spread = [], []
-        for side in self.sides:
-            one = side.left[points].take(side.cell, axis=1)                           # (m, c)
-            errors.append(side.errors[points].take(side.cell, axis=1) / one / weight)
-            spread.append(1.0 + (1.0 - one) / weight**2)
         share, variance = self.cells.share, self.square / self.freedom
-        statistic = sum(e**2 / s for e, s in zip(errors, spread, strict=True)) / 2 / variance
-        return Prediction(np.stack([e @ share for e in errors], axis=1),
-                          chance_of(statistic, self.freedom) @ share, statistic @ share,
-                          np.stack([s @ share for s in spread], axis=1),
+        errors, spread = np.empty((2, len(points), 2))
+        each, mean = np.zeros((len(points), len(share))), np.zeros(len(points))
+        for axis, side in enumerate(self.sides):
+            left = side.left[points]                                                  # (m, u)
+            error, own = side.errors[points] / left / weight, 1.0 + (1.0 - left) / weight**2
+            strain, count = error**2 / own / 2, left.shape[1]
+            errors[:, axis] = error @ np.bincount(side.cell, share, count)
+            spread[:, axis] = own @ np.bincount(side.cell, share, count)
+            mean += strain @ np.bincount(side.cell, share / variance, count)
+            each += strain.take(side.cell, axis=1)
+        each /= variance
+        return Prediction(errors, chance_of(each, self.freedom) @ share, mean, spread,
                           np.full(len(points), self.cells.log))
 
 
 def posterior(columns: FloatArray, image: FloatArray, order: IntArray, weights: FloatArray | None,
-              scales: FloatArray, in_use: int) -> Posterior | None:
+              scales: FloatArray, in_use: int, few: int | None = None) -> Posterior | None:
     """Return all solutions for points.
 
     Parameters
@@ -324,6 +258,8 @@ def posterior(columns: FloatArray, image: FloatArray, order: IntArray, weights: 
         As `scales_of` gives them.
     in_use : int
         Number of points whose weight matters.
+    few : int, optional
+        Shrunken columns after which all have one scale in each group; by default none have.
 
     Returns
     -------
@@ -333,12 +269,15 @@ def posterior(columns: FloatArray, image: FloatArray, order: IntArray, weights: 
     freedom = 2 * (in_use - int((order < 2).sum()))
     noise = 2 * in_use * (NO_NOISE * float(np.ptp(image, axis=0).max()) / 2) ** 2
     weights = np.ones_like(image) if weights is None else weights
-    of_line, of_sample = (_design(columns * w[:, None], order < 2, scales) for w in weights.T)
+    few = scales.shape[1] if few is None else few
+    of_line, of_sample = (design_of(columns * w[:, None], order < 2, scales, few)
+                          for w in weights.T)
     if of_line is None or of_sample is None or freedom < 4:
         return None
     targets = image * weights
-    line, sample = (_odds(design, target)
-                    for design, target in zip((of_line, of_sample), targets.T, strict=True))
+    # Line and sample have one design unless their weights differ.
+    line, sample = _odds(of_line, targets) if of_line is of_sample else (
+        _odds(of_line, targets[:, :1]) + _odds(of_sample, targets[:, 1:]))
     return Posterior((line, sample), _cells([line, sample], freedom, noise), freedom, noise,
                      (of_line, of_sample), scales, targets)
 

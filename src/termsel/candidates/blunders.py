@@ -75,7 +75,8 @@ def find_blunders(control: FeatureSet, heights: bool) -> Suspects | None:
         return None
     used, test = _settled(
         control, *_forward(control, _core(control, whole, heights), whole, heights), heights)
-    while not (used.all() or test.local) and (choice := choose(control.take(used), heights)):
+    while not (used.all() or test.local) and (
+            choice := choose(control.take(used), heights, whole=False)):
         more = used | _predicted_by(choice.chosen, control)
         if (more == used).all():
             break

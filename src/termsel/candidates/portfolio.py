@@ -1,4 +1,4 @@
-"""The choice among candidates by leave-one-out, and its repetition in folds.
+"""The choice among candidates by leave-one-out.
 
 Nothing here knows of roles: what it is given are features it may use.
 """
@@ -11,16 +11,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from termsel.adjustment.field import Collocation
-from termsel.adjustment.lines import row_weights
 from termsel.adjustment.parts import independent_parts
 from termsel.candidates.candidate import CANDIDATES, Candidate, named
 from termsel.candidates.local import LIKELY
-from termsel.candidates.relief import heights_hold
 from termsel.criteria import Fits
 from termsel.fits.fit import Fit, Undetermined
 from termsel.fits.leave_out import solutions_without_each
 from termsel.measurements.features import FeatureSet, FloatArray, no_lines, no_points
-from termsel.measurements.places import ground_centres, spatial_order
 from termsel.measurements.scaling import Scaling, scaling_of
 from termsel.models.poles import guard_points, pole_violation
 
@@ -33,9 +30,6 @@ FIELD = "field"
 
 LEAST = "It has the smallest leave-one-out RMSE."
 """Why a candidate is chosen where there are no shrunken polynomials."""
-
-MAX_FOLDS, FOLDS_WITH_LINES = 20, 10
-"""Most folds in which the whole choice is repeated; lines are many, and take longer."""
 
 EXACT = 3
 """Number of points up to which a model fits them exactly, and none is chosen."""
@@ -182,8 +176,8 @@ def choose(control: FeatureSet, heights: bool, watch: Watch | None = None, *,
     heights : bool
     watch : callable, optional
     whole : bool
-        Whether limits of the shrunken polynomials, which are not chosen next to these, are judged
-        all the same, to be shown.
+        Whether candidates that are not chosen next to others are judged all the same, to be shown:
+        limits of the shrunken polynomials, and these next to a random field.
 
     Returns
     -------
@@ -192,13 +186,14 @@ def choose(control: FeatureSet, heights: bool, watch: Watch | None = None, *,
     """
     scaling = scaling_of(control)
     judged: list[Judged] = []
-    for candidate in portfolio(heights):
-        called = _called_for(candidate, judged) and (whole or candidate.kind != "contained")
+    candidates = portfolio(heights)
+    for candidate in candidates if whole else sorted(candidates, key=lambda one: one.name != FIELD):
+        called = _called_for(candidate, judged, whole)
         one = _judged(candidate, control, heights, scaling) if called else None
         judged += [one] if one else []
         if watch:
             watch(one)
-    if not any(one.candidate.kind == "shrunken" for one in judged):
+    if not shrinks(judged):
         if not whole:
             return choose(control, heights)
         judged = [*_few(control, heights, scaling), *judged]
@@ -233,10 +228,17 @@ def exact(control: FeatureSet) -> Choice:
                   f"{n} {control.word} determine it exactly.")
 
 
-def _called_for(candidate: Candidate, judged: Iterable[Judged]) -> bool:
+def _called_for(candidate: Candidate, judged: Iterable[Judged], whole: bool) -> bool:
     """Return whether a candidate is worth its time: a spline is where a field is."""
-    return (candidate.kind != "local" or candidate.name == FIELD
-            or any(one.name == FIELD for one in judged))
+    field = any(one.name == FIELD for one in judged)
+    if candidate.kind == "local":
+        return candidate.name == FIELD or field
+    return whole or not (candidate.kind == "contained" or (candidate.kind == "shrunken" and field))
+
+
+def shrinks(judged: Iterable[Judged]) -> bool:
+    """Return whether a shrunken polynomial was judged, be it with a random field."""
+    return any(one.candidate.kind == "shrunken" or one.name == FIELD for one in judged)
 
 
 def best_of(candidates: Iterable[Judged]) -> Choice | None:
@@ -244,14 +246,14 @@ def best_of(candidates: Iterable[Judged]) -> Choice | None:
     judged = tuple(candidates)
     if not judged:
         return None
-    shrunken = [one for one in judged if one.candidate.kind == "shrunken"]
-    if not shrunken:
+    if not shrinks(judged):
         return Choice(min(judged, key=lambda one: one.predicted), judged, LEAST)
-    shrunk = shrunken[0]
-    for one in shrunken[1:]:
-        shrunk = one if _gain(one, shrunk) > BETTER else shrunk
-    field = next((one for one in judged if one.name == FIELD), None)
-    base = field or shrunk
+    shrunken = [one for one in judged if one.candidate.kind == "shrunken"]
+    field = base = next((one for one in judged if one.name == FIELD), None)
+    if base is None:
+        base = shrunken[0]
+        for one in shrunken[1:]:
+            base = one if _gain(one, base) > BETTER else base
     others = [one for one in judged if one.candidate.kind not in ("contained", "shrunken")
               and one is not field]
     rivals = [base, *(one for one in others if _gain(one, base) > CLEARLY)]
@@ -337,64 +339,3 @@ def gain_of(one: FloatArray, other: FloatArray) -> float:
     tiny = np.finfo(float).tiny
     gain = np.log(np.maximum(other, tiny) / np.maximum(one, tiny))
     return float(gain.mean() / max(gain.std(ddof=1) / np.sqrt(len(gain)), tiny))
-
-
-def folds_of(control: FeatureSet) -> int:
-    """Return in how many folds the whole choice is repeated."""
-    return min(FOLDS_WITH_LINES if len(control.lines) else MAX_FOLDS, len(control))
-
-
-def repeated(control: FeatureSet, heights: bool,
-             watch: Watch | None = None) -> FloatArray | None:
-    """Return the errors of features under choices made without them.
-
-    In each fold the choice is made again, so that its errors are not those that it was made by.
-
-    Parameters
-    ----------
-    control : FeatureSet
-        Folds are spread over the scene.
-    heights : bool
-    watch : callable, optional
-        As for `choose`.
-
-    Returns
-    -------
-    ndarray, shape (n_points + n_lines, 2), or None
-        Measured minus predicted [px]: of a point its line and sample; of a line the distances of
-        its two vertices, weighted by how well the image line is known there, so that they compare
-        with two coordinates of a point. None if some fold leaves too little to choose by, or lines
-        alone that are too few to shrink.
-    """
-    order, folds = spatial_order(ground_centres(control)), folds_of(control)
-    count, owner = len(control.points), control.feature
-    errors = np.empty((len(owner), 2))
-    for fold in range(folds):
-        out = np.zeros(len(control), dtype=bool)
-        out[order[fold::folds]] = True
-        rest, held = control.take(~out), control.take(out)
-        choice = None if len(rest) <= EXACT else choose_features(
-            rest, heights and heights_hold(rest, most=1), watch, whole=False)
-        fitted = choice.chosen.fit if choice else None
-        if not choice or all(one.candidate.kind != "shrunken" for one in choice.judged):
-            fitted = (_as_all(control, rest, heights) or fitted) if count else None
-        if fitted is None:
-            return None
-        errors[:count][out[:count]] = fitted.errors(held.points)
-        errors[count:][out[owner[count:]]] = np.linalg.norm(fitted.line_errors(held.lines), axis=2)
-    if count < len(owner):
-        scaling = scaling_of(control)
-        errors[count:] *= row_weights(scaling.features(control), heights=heights)[
-            2 * count:].reshape(-1, 2)
-    return errors
-
-
-def _as_all(control: FeatureSet, rest: FeatureSet, heights: bool) -> Fit | None:
-    """Return what all features choose, fitted to some, which would choose by luck; or None."""
-    try:
-        choice = choose(control, heights)
-        if choice:
-            return choice.chosen.candidate.fit_control(rest, heights, scaling_of(rest))
-    except Undetermined:
-        pass
-    return None

@@ -20,7 +20,7 @@ from termsel.candidates.points import points_alone
 from termsel.fits.fit import Estimator, Fit, HeldOut, Undetermined
 from termsel.fits.fittable import Fittable
 from termsel.fits.least_squares import LEAST_SQUARES
-from termsel.measurements.features import BoolArray, FeatureSet, FloatArray
+from termsel.measurements.features import BoolArray, FeatureSet, FloatArray, IntArray
 from termsel.measurements.scaling import Scaling
 from termsel.models.polynomial import Polynomial
 
@@ -56,86 +56,131 @@ class ForwardSelection(Estimator):
         points, weights = scaling.points(given), weights_of(given)
         columns = monomials(points.ground, model.exponents)
         affine = np.array(model.exponents).sum(axis=1) < 2
-        sides = [select_forward(columns * w[:, None], image * w, affine)
-                 for image, w in zip(points.image.T, weights.T, strict=True)]
-        line, sample = sides
-        if line is None or sample is None:
+        sides = select_forward(columns * weights.T[:, :, None], (points.image * weights).T, affine)
+        if sides is None:
             raise Undetermined(f"{len(points)} control points are too few to select terms by",
                                hint="Measure more control, or fit the model affine.")
-        errors = np.stack([line.errors, sample.errors], axis=1) / weights * scaling.image_scale
-        chosen = np.concatenate([line.terms, sample.terms])
+        errors = np.stack([one.errors for one in sides], axis=1) / weights * scaling.image_scale
+        chosen = np.concatenate([one.terms for one in sides])
         fitted = LEAST_SQUARES.fit(model, control, scaling, chosen, used)
         return replace(fitted, estimator=self,
                        held_out=HeldOut(errors, (errors**2).sum(axis=1)))
 
 
-def select_forward(columns: FloatArray, target: FloatArray, forced: BoolArray) -> AxisTerms | None:
-    """Select terms of one axis.
+def select_forward(columns: FloatArray, target: FloatArray,
+                   forced: BoolArray) -> list[AxisTerms] | None:
+    """Select terms of some axes, each by itself.
 
     Parameters
     ----------
-    columns : ndarray, shape (n, k)
-    target : ndarray, shape (n,)
+    columns : ndarray, shape (a, n, k)
+    target : ndarray, shape (a, n)
     forced : ndarray of bool, shape (k,)
         Terms that are always in.
 
     Returns
     -------
-    AxisTerms or None
+    list of AxisTerms, or None
         None if the points without one leave no redundancy of a third of the equations with
         the forced terms alone.
     """
-    n, k = columns.shape
+    axes, n, k = columns.shape
     most = (2 * (n - 1)) // 3 - int(forced.sum())
     if most < 0:
         return None
-    # The last system of the batch has all points, the others are without one fold each.
     folds = min(n, MAX_FOLDS)
     fold = np.arange(n) % folds
-    present = np.ones((folds + 1, n))
-    present[fold, np.arange(n)] = 0.0
-    # Triangular factors stand for the systems: as long as the rows are many, they are not.
-    augmented = np.concatenate([columns, target[:, None]], axis=1)
-    systems = np.asarray(np.linalg.qr(augmented * present[:, :, None], mode="r"))
-    rest, left = systems[:, :, :k], systems[:, :, k]
+    augmented = np.concatenate([columns, target[:, :, None]], axis=2)
+    systems = np.stack([_without_each(one, fold) for one in augmented])
+    equations = np.tile(np.append(n - np.bincount(fold), n).astype(np.float64), axes)
+    found = _chosen(systems.reshape(-1, *systems.shape[2:]), equations, forced, most)
+    if found is None:
+        return None
+    best = found.reshape(axes, folds + 1, k)
+    return [AxisTerms(chosen[folds], _errors(one, fold, system, chosen[:folds]))
+            for one, system, chosen in zip(augmented, systems, best, strict=True)]
+
+
+def _without_each(rows: FloatArray, fold: IntArray) -> FloatArray:
+    """Return the triangular factors of all rows but those of each fold, and at the end of all.
+
+    Folds are taken in groups, whose other rows are factored once.
+    """
+    folds = int(fold.max()) + 1
+    found = np.empty((folds + 1, min(rows.shape), rows.shape[1]))
+    found[folds] = _triangle(rows)
+    for some in np.array_split(np.arange(folds), round(np.sqrt(folds))):
+        mine = np.isin(fold, some)
+        others, kept = _triangle(rows[~mine]), fold[mine] != some[:, None]
+        found[some] = _triangle(np.concatenate([
+            np.broadcast_to(others, (len(some), *others.shape)), rows[mine] * kept[:, :, None]],
+            axis=1))
+    return found
+
+
+def _triangle(rows: FloatArray) -> FloatArray:
+    return np.asarray(np.linalg.qr(rows, mode="r"))
+
+
+def _chosen(systems: FloatArray, equations: FloatArray, forced: BoolArray,
+            most: int) -> BoolArray | None:
+    """Return the terms that each of s systems selects, shape (s, k); None if the forced ones are
+    dependent.
+
+    Parameters
+    ----------
+    systems : ndarray, shape (s, r, k + 1)
+        Columns and target, or their triangular factor.
+    equations : ndarray, shape (s,)
+        How many each system had.
+    forced : ndarray of bool, shape (k,)
+    most : int
+        Terms that are selected at most, forced ones apart.
+    """
+    rest, left = systems[:, :, :-1].copy(), systems[:, :, -1]
+    count, k = len(rest), len(forced)
     lengths = np.linalg.norm(rest, axis=1)
-    chosen = np.zeros((folds + 1, k), dtype=bool)
-    best, least = chosen.copy(), np.full(folds + 1, np.inf)
-    rows = np.arange(folds + 1)
-    free = int((~forced).sum())
+    chosen = np.zeros((count, k), dtype=bool)
+    best, least = chosen.copy(), np.full(count, np.inf)
+    rows, free = np.arange(count), int((~forced).sum())
     for step in range(k):
         norms = np.linalg.norm(rest, axis=1)
         usable = ~chosen & (norms > TOLERANCE * lengths)
-        if step < forced.sum():
-            entering = np.full(folds + 1, np.flatnonzero(forced)[step])
+        if step < k - free:
+            entering = np.full(count, np.flatnonzero(forced)[step])
             if not usable[rows, entering].all():
                 return None
         else:
-            count = step - int(forced.sum())
-            least, best = _keep_best(left, present.sum(axis=1), count, free, step, chosen, least,
-                                     best)
-            if count == min(most, free) or not usable.any(axis=1).all():
+            added = step - (k - free)
+            least, best = _keep_best(left, equations, added, free, step, chosen, least, best)
+            if added == min(most, free) or not usable.any(axis=1).all():
                 break
             gain = np.einsum("bnk,bn->bk", rest, left) ** 2
             gain = np.where(usable, gain / np.where(usable, norms, 1.0) ** 2, -1.0)
             entering = gain.argmax(axis=1)
         q = rest[rows, :, entering] / norms[rows, entering, None]
-        rest = rest - q[:, :, None] * np.einsum("bn,bnk->bk", q, rest)[:, None, :]
+        rest -= q[:, :, None] * np.einsum("bn,bnk->bk", q, rest)[:, None, :]
         left = left - q * np.einsum("bn,bn->b", q, left)[:, None]
         chosen[rows, entering] = True
-    errors = np.empty(n)
+    return best
+
+
+def _errors(rows: FloatArray, fold: IntArray, systems: FloatArray, best: BoolArray) -> FloatArray:
+    """Return the errors of rows, shape (n, k + 1), by what was selected without their fold."""
+    errors = np.empty(len(rows))
     # Most folds select the same terms, and are solved together.
-    masks, which = np.unique(best[:folds], axis=0, return_inverse=True)
+    masks, which = np.unique(best, axis=0, return_inverse=True)
+    which = which.ravel()
     for one, mask in enumerate(masks):
-        outs = np.flatnonzero(which.ravel() == one)
-        q, r = np.linalg.qr(systems[outs][:, :, :k][:, :, mask])
-        x = np.linalg.solve(r, q.transpose(0, 2, 1) @ systems[outs][:, :, k, None])[:, :, 0]
-        place = np.full(folds, -1)
+        outs, count = np.flatnonzero(which == one), int(mask.sum())
+        r = _triangle(systems[outs][:, :, np.append(mask, True)])
+        place = np.empty(len(best), dtype=np.intp)
         place[outs] = np.arange(len(outs))
-        mine = place[fold] >= 0
-        errors[mine] = target[mine] - np.einsum("nk,nk->n", columns[mine][:, mask],
-                                                x[place[fold[mine]]])
-    return AxisTerms(best[folds], errors)
+        x = np.linalg.solve(r[:, :count, :count], r[:, :count, count:])[:, :, 0]
+        mine = which[fold] == one
+        errors[mine] = rows[mine, -1] - np.einsum("nk,nk->n", rows[mine, :-1][:, mask],
+                                                  x[place[fold[mine]]])
+    return errors
 
 
 def _keep_best(left: FloatArray, n: FloatArray, count: int, free: int, used: int,

@@ -16,10 +16,9 @@ from termsel.candidates.portfolio import (
     best_of,
     choose_features,
     exact,
-    folds_of,
     portfolio,
-    repeated,
 )
+from termsel.candidates.repetition import folds_of, repeated
 from termsel.errors import TermselError, counted
 from termsel.fits.accuracy import accuracy_of, predicted_rmse
 from termsel.fits.diagnosis import diagnose

@@ -17,13 +17,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from termsel.candidates.portfolio import (
-    CLEARLY,
-    FOLDS_WITH_LINES,
-    Choice,
-    choose,
-    gain_of,
-)
+from termsel.candidates.portfolio import CLEARLY, Choice, choose, gain_of
+from termsel.candidates.repetition import FOLDS_WITH_LINES
 from termsel.errors import TermselError
 from termsel.measurements.features import FeatureSet, FloatArray, Points
 from termsel.measurements.places import spatial_order
