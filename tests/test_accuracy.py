@@ -11,9 +11,20 @@ import pytest
 import termsel
 from termsel.candidates.portfolio import choose
 from termsel.candidates.repetition import repeated
-from termsel.fits.accuracy import Distances, accuracy_of, asprs, nssda, predicted_rmse
+from termsel.fits.accuracy import (
+    Distances,
+    accuracy_of,
+    asprs,
+    nssda,
+    predicted_by,
+    predicted_rmse,
+    rmse_interval,
+)
+from termsel.fits.uncertainty import shared_variance
 from termsel.measurements.features import FeatureSet, Points
 from termsel.measurements.metres import in_metres
+from termsel.measurements.scaling import scaling_of
+from termsel.models.polynomial import Polynomial3D
 from termsel.simulate import simulate_scene
 
 
@@ -40,13 +51,15 @@ def test_interval_is_wider_for_fewer_points_more_parameters_and_heavier_tails() 
     rng = np.random.default_rng(1)
     errors = rng.standard_normal((40, 2))
 
-    def width(errors: np.ndarray, effective: float, points: int) -> float:
-        found = predicted_rmse(errors, effective, points)
+    def width(errors: np.ndarray, effective: float, points: int,
+              shared: float | None = None) -> float:
+        found = predicted_rmse(errors, effective, points, shared)
         return found.high / found.low
 
     usual = width(errors, 12.0, 100)
     assert width(errors[:20], 12.0, 100) > 1.3 * usual
-    assert width(errors, 40.0, 100) > 1.3 * usual
+    assert width(errors, 60.0, 100) > 1.3 * usual
+    assert width(errors, 12.0, 100, shared=0.2) > 1.3 * usual
     assert width(errors, 12.0, 8) > 1.3 * usual
     assert width(errors * np.where(np.arange(40) % 8, 1.0, 6.0)[:, None], 12.0, 100) > 1.3 * usual
     assert width(errors, 12.0, 0) < usual
@@ -57,6 +70,29 @@ def test_interval_of_a_field_near_interpolation_holds_the_predicted_rmse(effecti
     errors = np.random.default_rng(2).standard_normal((40, 2))
     before, found = predicted_rmse(errors, 40.0, 24), predicted_rmse(errors, effective, 24)
     assert found.low < before.low < found.rmse < before.high < found.high
+
+
+def _scaled(features: FeatureSet) -> FeatureSet:
+    return scaling_of(features).features(features)
+
+
+def test_interval_without_parameters_is_that_of_normal_errors() -> None:
+    """Those of 40 points have chi-squared distributed squares."""
+    errors = np.ones((40, 2)) / np.sqrt(2)  # alike, so that normal ones are more spread
+    found = predicted_rmse(errors, 0.0, 0)
+    low, high = rmse_interval(1.0, 40)
+    assert found.low == pytest.approx(low, rel=0.04)
+    assert found.high == pytest.approx(high, rel=0.04)
+
+
+def test_what_places_have_in_common_falls_with_points_and_is_unknown_with_lines() -> None:
+    shared = []
+    for count in (10, 20, 60):
+        points = simulate_scene("spot-isfahan", n_points=count).points
+        shared.append(shared_variance(Polynomial3D(degree=3), _scaled(FeatureSet(points))))
+    assert shared[0] > 2 * shared[1] > 4 * shared[2] > 0
+    lines = simulate_scene("ikonos-hamedan", n_lines=6)
+    assert shared_variance(Polynomial3D(degree=3), _scaled(lines)) is None
 
 
 @pytest.mark.slow
@@ -71,7 +107,7 @@ def test_interval_of_simulated_scenes_holds_the_independent_rmse() -> None:
         assert choice is not None
         assert errors is not None
         fitted = choice.chosen.fit
-        found = predicted_rmse(errors, fitted.effective, 100)
+        found = predicted_by(fitted, errors, 100)
         independent = fitted.rmse(points.take(order[12:]))
         assert independent is not None
         held += found.low <= independent.total <= found.high

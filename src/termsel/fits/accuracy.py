@@ -14,23 +14,16 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-from scipy.special import chdtri
+from scipy.special import chdtri, stdtrit
 
 from termsel.errors import counted
 from termsel.fits.fit import Fit
+from termsel.fits.uncertainty import shared_variance
 from termsel.measurements.features import FloatArray, Points
 from termsel.measurements.metres import in_metres
 
 LEVEL = 0.9
 """Probability of an interval."""
-
-QUANTILE = 1.645
-"""Standard deviations within which nine in ten normal values are."""
-
-LENT = 0.4
-"""How uncertain what a fit adds to the errors is, by effective parameters over redundancy: the
-points that find the coefficients also judge them. Chosen on simulated and real sets;
-`benchmarks/coverage.py` shows what it covers on other splits."""
 
 NSSDA_POINTS, ASPRS_POINTS = 20, 30
 """Fewest check points of the standards."""
@@ -76,15 +69,18 @@ class Predicted:
     points: int | None = None
 
 
-def predicted_rmse(errors: FloatArray, effective: float, points: int) -> Predicted:
+def predicted_rmse(errors: FloatArray, effective: float, points: int,
+                   shared: float | None = None) -> Predicted:
     """Return the RMSE that held-out errors predict, with an interval.
 
-    The logarithm of the RMSE has two uncertainties. One is that of a mean of so many squares, of
-    those held out and of those to come, with the spread that the squares show. The other is that
-    all held-out errors share coefficients that few points determine: `LENT` times the effective
-    parameters of an axis over its redundancy and 1. As the squares have the right mean, their
-    logarithm is below it by half the variance. The variance is at most `QUANTILE` squared, as a
-    greater one would lower the upper limit: that of a random field near interpolation has no bound.
+    Its logarithm has three uncertainties, and no constant says how large they are. One is that of
+    a mean of so many squares, of the redundancy of those held out and of those to come, with the
+    spread that the squares show, or that of normal errors where this is larger. The others are
+    what all places have in common: coefficients that few points determine, and the doubt which
+    solution is right (see `termsel.fits.uncertainty.shared_variance`). As the squares have the
+    right mean, their logarithm is below it by half the variance. The interval is that of Student's
+    t with the redundancy. The variance is at most the square of its quantile, as a greater one
+    would lower the upper limit: that of a random field near interpolation has no bound.
 
     Parameters
     ----------
@@ -94,19 +90,36 @@ def predicted_rmse(errors: FloatArray, effective: float, points: int) -> Predict
         Effective parameters of the fit, of both axes together.
     points : int
         Number of independent points; 0 if there are none.
+    shared : float, optional
+        Relative variance of the mean square error that all places have in common. By default that
+        of as many equally uncertain coefficients as are effective.
     """
     squares, n = (errors**2).sum(axis=1), len(errors)
     rmse = float(np.sqrt(squares.mean()))
     if rmse == 0:
         return Predicted(0.0, 0.0, 0.0, points=points or None)
-    spread = squares.var(ddof=1) / squares.mean() ** 2
-    parameters = effective / 2
-    shared = LENT * parameters / (max(n - parameters, 0.0) + 1.0)
-    variance = min(spread / 4 * (1 / n + (1 / points if points else 0.0)) + shared**2,
-                   QUANTILE**2)
-    middle, half = np.log(rmse) - variance / 2, QUANTILE * np.sqrt(variance)
+    spread = max(squares.var(ddof=1) / squares.mean() ** 2, 1.0)
+    redundancy = max(2 * n - effective, 2.0)
+    shared = effective / 2 / n**2 if shared is None else shared
+    quantile = stdtrit(redundancy, (1 + LEVEL) / 2)
+    variance = min(spread / redundancy / 2 + (spread / points if points else 0.0) / 4 + shared / 4,
+                   quantile**2)
+    middle, half = np.log(rmse) - variance / 2, quantile * np.sqrt(variance)
     return Predicted(rmse, float(np.exp(middle - half)), float(np.exp(middle + half)),
                      points=points or None)
+
+
+def predicted_by(fitted: Fit, errors: FloatArray, points: int) -> Predicted:
+    """Return the RMSE that held-out errors predict for a fit, with an interval.
+
+    Parameters
+    ----------
+    fitted : Fit
+    errors, points
+        As for `predicted_rmse`.
+    """
+    return predicted_rmse(errors, fitted.effective, points, shared_variance(
+        fitted.model, fitted.scaled_control.take(fitted.used)))
 
 
 def rmse_interval(total: float, points: int, level: float = LEVEL) -> tuple[float, float]:

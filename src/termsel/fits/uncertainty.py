@@ -16,6 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from termsel.adjustment.equations import weights_of
+from termsel.adjustment.field import Collocation
 from termsel.adjustment.foresight import foresee
 from termsel.adjustment.monomials import graded_exponents, monomials
 from termsel.adjustment.posterior import Posterior, polynomial_posterior
@@ -101,6 +102,40 @@ def believed_spread(model: Fittable, control: FeatureSet, ground: FloatArray,
     return None if believed is None else believed.spread(ground, image)
 
 
+def shared_variance(model: Fittable, control: FeatureSet) -> float | None:
+    """Return the relative variance of the mean square error that all places have in common.
+
+    Errors of coefficients spread over the scene: where few coefficients are uncertain, the mean
+    square of errors all over it is so, too. Places are those of the control points, each predicted
+    by the others. What they have in common is seen by the posterior; to this comes how much the
+    mean squares of its solutions differ.
+
+    Parameters
+    ----------
+    model, control
+        As for `spread_of`.
+
+    Returns
+    -------
+    float or None
+        None with lines, and where points are too few for a posterior.
+    """
+    believed = None if len(control.lines) else _Belief.of(model, control)
+    if believed is None:
+        return None
+    points, local = control.points, model.interpolation(control)
+    left_out = (local if isinstance(local, Collocation) else believed.found).left_out
+    weights = weights_of(points)
+    factors = believed.spread(points.ground, points.image).factors
+    assert factors is not None
+    # A point that is left out is less certain, and about as much alike others.
+    grown = np.sqrt((left_out.spread - 1.0) / weights**2) \
+        / np.maximum(np.linalg.norm(factors, axis=2), np.finfo(float).tiny)
+    along = (factors * grown[..., None]).reshape(-1, factors.shape[2])
+    return 2 * float(((along.T @ along) ** 2).sum()
+                     / (left_out.spread / weights**2).sum() ** 2) + believed.contest(weights)
+
+
 @dataclass(frozen=True, eq=False)
 class _Belief:
     """A shrunken polynomial of the control points, and where it can be looked up."""
@@ -126,6 +161,14 @@ class _Belief:
                         columns[:, self.variables + 1:])
         return Spread(there.variance + (image - there.image) ** 2,
                       np.full(2, there.noise), there.factors)
+
+    def contest(self, weights: FloatArray) -> float:
+        """Return the variance, over the solutions, of the logarithm of their mean square error."""
+        found = self.found
+        each = sum((1.0 / side.left / w[:, None] ** 2).mean(axis=0)[side.cell]
+                   for side, w in zip(found.sides, weights.T, strict=True))
+        logarithm = np.log(found.square * each)
+        return float(found.cells.share @ (logarithm - found.cells.share @ logarithm) ** 2)
 
     def press(self) -> float:
         """Return the sum of squared errors of the points, each by the others."""

@@ -20,7 +20,7 @@ from termsel.candidates.portfolio import (
 )
 from termsel.candidates.repetition import folds_of, repeated
 from termsel.errors import TermselError, counted
-from termsel.fits.accuracy import accuracy_of, predicted_rmse
+from termsel.fits.accuracy import accuracy_of, predicted_by
 from termsel.fits.diagnosis import diagnose
 from termsel.fits.extrapolation import warnings_of
 from termsel.fits.figures import figures, finite_or_none, in_role, residuals_of
@@ -188,8 +188,8 @@ def choose_for(request: Request, observations: Observations, seed: int,
     chosen, comparison = choice.chosen, compare(clean, choice)
     if errors is not None and not len(chosen.fit.control.lines):
         errors = errors[:len(both.points)]  # what lines were predicted to be says nothing
-    expected = None if errors is None else predicted_rmse(
-        errors, chosen.fit.effective, len(observations.independent))
+    expected = None if errors is None else predicted_by(
+        chosen.fit, errors, len(observations.independent))
     predicted = None if expected is None else expected.rmse
     observations = with_lines(clean, observations.control.lines)
     fitted = in_role(chosen.fit, observations)
