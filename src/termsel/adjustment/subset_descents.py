@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import count
 
 import numpy as np
 
@@ -12,30 +13,38 @@ from termsel.measurements.features import FloatArray, IntArray
 
 _RESTARTS = 8  # of the descent
 _KICKS = 16  # restarts around the best that may fail in a row
-_SWAPPED = 3  # columns before each of these
+_SWAPPED = (2, 5)  # columns before each of these, at least and at most
+_WORTH = 1 << 15  # subsets that branch and bound decides in the time of one piece of a descent
+_ROUNDING = 1e-9  # a subset reached in another order differs by less
 
 
 def descents(stack: Stack) -> Iterator[tuple[FloatArray, Masks]]:
     """Yield ever better subsets of every size, found by adding, dropping and swapping columns.
 
-    Descents begin with no column, with random subsets, and then, until that has not helped for
-    a while, with the best so far after some random swaps: the same on every machine.
+    Descents begin with no column, with random subsets, and then with the best of every size after
+    some random swaps, until that has not helped the size for a while, or until they have cost as
+    much as the proof without them: the same on every machine.
     """
     rest, room = stack.everything.rest, stack.everything.room
     rng = np.random.default_rng(0)
-    best, masks = _descent(stack, [rest[:0]])
+    best, masks, pieces = _descent(stack, [rest[:0]])
     yield best, masks
-    since = -_RESTARTS
-    while since < _KICKS:
-        if since < 0:
+    failed = np.zeros(stack.k + 1, dtype=np.intp)  # kicks of each size since its best was found
+    for restart in count():
+        if pieces * _WORTH > stack.everything.count:
+            return
+        if restart < _RESTARTS:
             starts = [rng.permutation(len(rest))[:rng.integers(1, room + 1)]]
         else:
-            starts = [_kicked(stack, mask, rng) for mask in masks[masks > 0]]
-        found, at = _descent(stack, [rest[start] for start in starts])
-        since += 1
-        if (found < best).any():
-            best, masks = better(best, masks, found, at)
-            since = min(since, 0)
+            kicked = np.flatnonzero((masks > 0) & (failed < _KICKS))
+            if not len(kicked):
+                return
+            starts = [_kicked(stack, masks[size], rng) for size in kicked]
+            failed[kicked] += 1
+        found, at, walked = _descent(stack, [rest[start] for start in starts])
+        pieces += walked
+        failed[found < (1.0 - _ROUNDING) * best] = 0
+        best, masks = better(best, masks, found, at)
         yield best, masks
 
 
@@ -43,26 +52,27 @@ def _kicked(stack: Stack, mask: np.uint64, rng: np.random.Generator) -> IntArray
     """Return a subset, as indices of the rest, with some columns replaced by random ones."""
     inside = (BITS[stack.everything.rest] & mask) != 0
     mine, others = (rng.permutation(np.flatnonzero(part)) for part in (inside, ~inside))
-    swapped = min(_SWAPPED, len(mine), len(others))
+    swapped = min(int(rng.integers(*_SWAPPED, endpoint=True)), len(mine), len(others))
     return np.concatenate([mine[swapped:], others[:swapped]])
 
 
-def _descent(stack: Stack, starts: list[IntArray]) -> tuple[FloatArray, Masks]:
+def _descent(stack: Stack, starts: list[IntArray]) -> tuple[FloatArray, Masks, int]:
     """Return the best subset of every size that single changes reach from some subsets.
 
-    Every change of each best subset of a size is tried, until none helps.
+    Every change of each best subset of a size is tried, until none helps. The last value is the
+    number of pieces that this took.
     """
     around = [int(BITS[np.concatenate([stack.everything.used, start])].sum())
               for start in starts]
     best, masks = np.full(stack.k + 1, np.inf), np.zeros(stack.k + 1, dtype=np.uint64)
-    seen = set(around)
+    seen, pieces = set(around), 0
     while around:
         for piece in (piece for mask in around for piece in _changes(stack, mask)):
             walked = stack.walk(piece, best, masks)
-            best, masks = walked.best, walked.masks
+            best, masks, pieces = walked.best, walked.masks, pieces + 1
         around = [mask for mask in masks.tolist() if mask and mask not in seen]
         seen.update(around)
-    return best, masks
+    return best, masks, pieces
 
 
 def _changes(stack: Stack, mask: int) -> list[Piece]:
