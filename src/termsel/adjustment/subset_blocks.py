@@ -35,8 +35,10 @@ _SLACK = _ACCURACY * 1000.0  # of errors, relative to |r|: _ACCURACY (e / SHARE)
 
 @_compiled
 def prepare(top: FloatArray, extra: FloatArray, first: int, n: int, upper: FloatArray,
-            b: Blocks) -> tuple[float, float]:
+            floor: FloatArray, b: Blocks) -> tuple[float, float]:
     """Write the inner products of columns first, ..., n - 1, and sums of their denominators.
+
+    The share of a column that depends on those in use, to the floor of its square, is zero.
 
     Returns
     -------
@@ -48,7 +50,8 @@ def prepare(top: FloatArray, extra: FloatArray, first: int, n: int, upper: Float
         b.weight[k] = 1.0 / (upper[k] * upper[k])
     target = _products(top, 0, top.shape[1], False, first, n, b.control, b)
     for i in range(n - first):
-        b.inverse[i] = 1.0 / b.control.own[0, i] if b.control.own[0, i] > 0.0 else 0.0
+        own = b.control.own[0, i]
+        b.inverse[i] = 1.0 / own if own > floor[first + i] else 0.0
     _products(extra, 0, height, True, first, n, b.errors, b)
     errors, below = 0.0, 0.0
     for i in range(n + 1 - first):

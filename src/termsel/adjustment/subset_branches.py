@@ -160,7 +160,7 @@ def _block(kind: int, levels: Levels, limits: Limits, records: Records, depth: i
     """
     n = levels.top.shape[2] - 1
     count, left, best = n - first, limits.room - depth, records.best
-    lost, below = prepare(levels.top[depth, 0], errors, first, n, upper, b)
+    lost, below = prepare(levels.top[depth, 0], errors, first, n, upper, levels.floor[0], b)
     infeasible, level = 0, 0
     b.share[0] = 1.0
     b.cursor[0] = -1
