@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import os
 import subprocess
 import sys
@@ -77,3 +78,30 @@ def test_a_compilation_is_foretold_where_there_will_be_one(tmp_path: Path) -> No
     assert told() in ("True True", "False False")
     source.write_text(source.read_text().replace("1.0", "2.0"))
     assert [told(), told()] == ["False False", "True True"]
+
+
+COUNTS = """
+from termsel.adjustment.compiled import compiled
+
+
+@compiled
+def more(n, by):
+    return n + by
+
+
+@compiled
+def counts(m):
+    n = 0
+    for _ in range(m):
+        n = more(n, 2)
+    return n
+"""
+
+
+def test_a_counter_that_begins_with_a_constant_is_any_integer(
+        tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "counting.py").write_text(COUNTS)
+    monkeypatch.syspath_prepend(tmp_path)
+    counting = importlib.import_module("counting")
+    assert counting.counts(3) == 6
+    assert len(counting.more.signatures) == 1

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping
 from functools import cache
 from pickle import UnpicklingError
 from typing import Any, TypeVar, cast
 
 import numba
+from numba.core import types
 from numba.core.caching import FunctionCache
 
 log = logging.getLogger(__name__)
@@ -58,6 +59,15 @@ def compiled(function: _Function, **flags: Any) -> _Function:
         Of numba.njit.
     """
     dispatcher = numba.njit(nogil=True, error_model="numpy", **flags)(function)
+    of_types = dispatcher.get_call_template
+
+    def of_plain_types(args: Iterable[Any], keywords: Mapping[str, Any]) -> Any:
+        """Take a counter that begins with a constant for any integer, lest what is called with it
+        be compiled for that constant, too."""
+        return of_types(tuple(map(types.unliteral, args)),
+                        {name: types.unliteral(one) for name, one in keywords.items()})
+
+    dispatcher.get_call_template = of_plain_types
     try:
         dispatcher._cache = _Cache(function)  # as numba does for cache=True
     except RuntimeError:  # numba finds no folder that it can write to

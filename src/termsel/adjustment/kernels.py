@@ -215,8 +215,7 @@ def _solve(
     """Solve a population; rows, columns and heights are work space."""
     k = terms.shape[1]
     for one in range(len(terms)):
-        # With a plain 0 everything below would be compiled for that constant too.
-        n = int(np.intp(0))
+        n = 0
         for j in range(k):
             columns[n] = j  # overwritten unless selected: cheaper than a branch on chance
             n += terms[one, j]
