@@ -343,6 +343,7 @@ def decided_without_bounds(system: SubsetSystem, score: str, max_terms: int | No
     """Look at every subset, as for scores that have no bound."""
     with monkeypatch.context() as patch:
         patch.setattr(Stack, "branches", False)
+        patch.setattr(Stack, "presses", False)
         return last(system, score, max_terms=max_terms)
 
 
@@ -363,9 +364,21 @@ def random_system(rng: np.random.Generator, rational: bool) -> SubsetSystem:
                    guard_denominator=below[:3] if rng.random() < 0.3 else None)
 
 
+def left_out(system: SubsetSystem, rng: np.random.Generator) -> SubsetSystem:
+    """Return a system for leave-one-out errors, of one or two targets, with all rows as control."""
+    assert system.check_design is not None
+    assert system.check_target is not None
+    design = np.concatenate([system.design, system.check_design])
+    target = np.concatenate([system.target, system.check_target])
+    if rng.random() < 0.3:
+        target = np.column_stack([target, design[:, 1:4] @ rng.normal(size=3)])
+        target[:, 1] += 10.0 ** rng.uniform(-4, 0) * rng.normal(size=len(target))
+    return SubsetSystem(design, target)
+
+
 @pytest.mark.parametrize(("kind", "problems"), [
     pytest.param(kind, n, marks=marks)
-    for kind in ("check", "rational", "rss")
+    for kind in ("check", "rational", "rss", "press")
     for n, marks in ((150, ()), (4000, pytest.mark.slow))])
 def test_bounds_lose_no_best_subset(kind: str, problems: int,
                                     monkeypatch: pytest.MonkeyPatch) -> None:
@@ -374,7 +387,8 @@ def test_bounds_lose_no_best_subset(kind: str, problems: int,
     for seed in range(problems):
         rng = np.random.default_rng([seed, problems])
         system = random_system(rng, kind == "rational")
-        score = "rss" if kind == "rss" else "check"
+        score = kind if kind in ("rss", "press") else "check"
+        system = left_out(system, rng) if kind == "press" else system
         most = None if rng.random() < 0.5 else int(rng.integers(1, 8))
         plain = decided_without_bounds(system, score, most, monkeypatch)
         bounded = last(system, score, max_terms=most)

@@ -14,6 +14,7 @@ from termsel.adjustment.subset_arrays import Blocks, Levels, Limits, Products, R
 from termsel.adjustment.subset_bounds import first_closed
 from termsel.adjustment.subset_branches import branch
 from termsel.adjustment.subset_kernels import LINEAR, PRESS, RATIONAL, RSS, largest_open, walk
+from termsel.adjustment.subset_press import branch_press, least_press
 from termsel.adjustment.subset_system import BITS, SCORES, Masks, Piece, SubsetSystem, Walked
 from termsel.errors import TermselError, unknown_name
 from termsel.measurements.features import FloatArray, IntArray
@@ -60,14 +61,19 @@ class Stack:
     @property
     def branches(self) -> bool:
         """Whether subsets are decided by branch and bound."""
-        return (self.kind != PRESS and len(self.systems) == 1
+        return self.presses or (self.kind != PRESS and len(self.systems) == 1
                 and (self.kind != RATIONAL or self.margin > 0.0)
                 and self.systems[0].control.shape[1] == self.k + 1)
+
+    @cached_property
+    def presses(self) -> bool:
+        """Whether scores are leave-one-out errors without denominators."""
+        return self.kind == PRESS and not self.systems[0].extra[:, :self.k].any()
 
     @property
     def needs_compilation(self) -> bool:
         """Whether the first branch spends a while on compilation, once per machine and version."""
-        return self.branches and not is_compiled(branch)
+        return self.branches and not self.presses and not is_compiled(branch)
 
     @cached_property
     def _targets(self) -> IntArray:
@@ -114,7 +120,11 @@ class Stack:
         cursor, rooms = np.zeros((2, depths), dtype=np.intp)
         mask, used = np.zeros(depths, dtype=np.uint64), BITS[piece.used].sum()
         counts = _counts(n, limits.room)
-        if self.branches:
+        if self.presses:
+            infeasible, pruned = branch_press(
+                levels, limits, records, used, counts, cursor, rooms, mask,
+                np.empty((n + 1, n + 1)), np.empty((3, max(n + 1, height))))
+        elif self.branches:
             space = self._space(levels)
             infeasible, pruned = branch(
                 self.kind, levels, limits, records, used, counts, cursor, rooms, mask,
@@ -139,6 +149,8 @@ class Stack:
         if prepared is None:
             return replace(piece, least=found)
         levels, limits, _ = prepared
+        if self.presses:
+            return replace(piece, least=max(piece.least, min(found, least_press(levels))))
         n, space = len(piece.rest), self._space(levels)
         errors = (levels.top if self.kind == RSS else levels.extra)[0, 0]
         def above(value: float) -> bool:
@@ -302,7 +314,7 @@ def stack(system: SubsetSystem, score: str, folds: Sequence[IntArray],
         systems.append(Rows(control if kind == PRESS else _fewer(control[kept]),
                             _fewer(extra) if kind == LINEAR else extra,
                             guard if kept is everyone else guard[:0]))
-    if kind == RSS:
+    if kind in (RSS, PRESS):
         free = _by_gain(control, used, free, k)
     room = len(free) if max_terms is None else min(len(free), max_terms - len(used))
     parents = np.zeros((0, k), dtype=bool) if system.parents is None else system.parents

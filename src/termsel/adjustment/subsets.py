@@ -11,7 +11,8 @@ References
 Furnival and Wilson 1974, Technometrics 16(4): the tree, and the bound for residual sums of
 squares. Bjorck 1967, BIT 7(1): the accuracy of modified Gram-Schmidt. That check points, folds
 and leave-one-out errors take part is termsel's own formulation, and so are the bounds of
-`termsel.adjustment.subset_bounds`, for the scores "check" and "rss" of one target.
+`termsel.adjustment.subset_bounds`, for the scores "check" and "rss" of one target, and of
+`termsel.adjustment.subset_press`, for "press" without denominators.
 """
 
 from __future__ import annotations
@@ -189,6 +190,11 @@ def search(
                                _floor(best, open_, settled))
     finally:
         pool.shutdown(cancel_futures=True)
+
+
+def is_bounded(system: SubsetSystem, score: str, folds: Sequence[IntArray] = ()) -> bool:
+    """Return whether bounds rule subsets out, so that no time can be estimated."""
+    return score == "rss" or stack(system, score, folds, None).branches
 
 
 def estimate_seconds(

@@ -193,7 +193,7 @@ def _bound(proof: Proof, front: Evaluation) -> dict[str, float]:
 def _estimate(problem: Problem, parts: tuple[EnumerablePart, ...], most: int | None,
               workers: int) -> str:
     """Return how long it takes, where no bound makes that unknown."""
-    if any(part.score in ("check", "rss") for part in parts):
+    if any(subsets.is_bounded(part.system, part.score, part.folds) for part in parts):
         return ""
     seconds = sum(
         subsets.estimate_seconds(part.system, part.score, folds=part.folds, workers=workers,

@@ -1,0 +1,202 @@
+"""The compiled branch and bound for leave-one-out errors without denominators.
+
+Let I be the columns in use, and let T and r be the columns F still to come and the target, without
+their parts along I. A subset S adds some of F to I. Its residuals are e = r - T x for some x, and
+its leave-one-out errors are e_i / (1 - h_i), where the leverages h_i are the diagonal of the
+projection on the columns of S (Allen 1974, Technometrics 16(1)). Those of I are not larger, as the
+projection on a subspace of the columns of S is not: h_i(I) <= h_i(S) < 1. Hence
+
+    sum of (e_i / (1 - h_i(S)))^2 >= sum of (e_i / (1 - h_i(I)))^2
+                                  >= minimum over x of sum of ((r - T x)_i / (1 - h_i(I)))^2,
+
+a weighted least squares that does not depend on S any more. If it is above the best score of every
+size that S may have, no such S need be looked at. With several targets the minima add up. The
+weights grow with I, so that the bound is above that by residuals alone. termsel's own formulation.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from termsel.adjustment.compiled import compiled
+from termsel.adjustment.subset_arrays import Levels, Limits, Records
+from termsel.adjustment.subset_kernels import dot, less, less_measured, record
+from termsel.measurements.features import FloatArray, IntArray
+
+_compiled = partial(compiled, _nrt=False, fastmath={"reassoc", "contract", "arcp", "nsz"})
+
+_ENUMERATED = 1 << 6  # subsets that cost less than a bound
+_PIVOT = 1e-8  # least pivot of the elimination, relative to its diagonal
+_ROUNDING = 1e-6  # of what is 1 at the limit; errors are below 1e-14 / pivot
+
+
+@_compiled
+def branch_press(levels: Levels, limits: Limits, records: Records, used: Any, counts: IntArray,
+                 cursor: IntArray, ends: IntArray, mask: Any, triangle: FloatArray,
+                 space: FloatArray) -> tuple[int, int]:
+    """Decide all subsets of n columns in addition to those in use already.
+
+    Parameters
+    ----------
+    levels, limits, records, used, counts, cursor, mask
+        As for `subset_kernels.walk`, of the kind PRESS without denominators.
+    ends : ndarray of int, shape (depths,)
+        Space.
+    triangle, space : ndarray, shape (n + 1, n + 1) and (3, max(n + 1, rows))
+        Space.
+
+    Returns
+    -------
+    infeasible, pruned : int
+        Number of subsets that were found to have no score, and of those that a bound ruled out.
+    """
+    r = levels.share.shape[3]
+    n = levels.top.shape[2] - r
+    size, most = limits.size, limits.room
+    infeasible, pruned, depth, first = 0, 0, 0, 0
+    entering = most > 0 and n > 0
+    mask[0] = used
+    score = _score(levels, 0, n, limits)
+    infeasible += not score < np.inf
+    if score <= records.best[size]:
+        cursor[0] = n
+        record(score, size, used, levels, 0, cursor, records, limits.margin)
+    if not entering:
+        return infeasible, pruned
+    while True:
+        left = most - depth
+        if entering:
+            end = n
+            if counts[n - first, left] > _ENUMERATED:
+                limit = 0.0
+                for new in range(size + depth + 1, size + depth + min(left, n - first) + 1):
+                    limit = max(limit, records.best[new])
+                if limit < np.inf:
+                    end = _first_closed(levels.top[depth, 0], levels.leverage[depth], first, n, r,
+                                        limit * (1.0 + 1e-9), triangle, space)
+                pruned += counts[n - end, left] - 1
+            ends[depth] = end
+            cursor[depth] = first
+        else:
+            cursor[depth] += 1
+        i = cursor[depth]
+        entering = False
+        if i >= ends[depth]:
+            if depth == 0:
+                return infeasible, pruned
+            depth -= 1
+            continue
+        if levels.square[depth, 0, i] <= levels.floor[0, i]:
+            infeasible += counts[n - 1 - i, left - 1]
+            continue
+        score = _score(levels, depth, i, limits)
+        infeasible += not score < np.inf
+        if score <= records.best[size + depth + 1]:
+            record(score, size + depth + 1, mask[depth] | records.bits[i], levels, depth, cursor,
+                   records, limits.margin)
+        if left > 1 and i < n - 1:
+            _descend(levels, depth, i, n, r)
+            mask[depth + 1] = mask[depth] | records.bits[i]
+            depth += 1
+            first = i + 1
+            entering = True
+
+
+@_compiled
+def _score(levels: Levels, depth: int, c: int, limits: Limits) -> float:
+    """Return the sum of squared leave-one-out errors with column c, or infinity without any."""
+    v, leverage = levels.top[depth, 0, c], levels.leverage[depth]
+    n, per_square = levels.square.shape[2] - 1, 1.0 / levels.square[depth, 0, c]
+    total, bad = 0.0, 0
+    for j in range(levels.share.shape[3]):
+        t, ratio = levels.top[depth, 0, n + j], levels.share[depth, 0, c, j]
+        for row in range(len(t)):
+            value = v[row] if c < n else 0.0
+            rest = 1.0 - leverage[row] - per_square * value * value
+            error = (t[row] - ratio * value) / rest
+            bad += rest <= limits.tolerance
+            total += error * error
+    return np.inf if bad else total
+
+
+@_compiled
+def _descend(levels: Levels, depth: int, i: int, n: int, r: int) -> None:
+    """Remove column i from those to its right and the targets, from one depth to the next."""
+    old, new = levels.top[depth, 0], levels.top[depth + 1, 0]
+    square = levels.square[depth, 0, i]
+    for j in range(r):
+        less(new[n + j], old[n + j], old[i], levels.share[depth, 0, i, j])
+    for c in range(i + 1, n):
+        length, product = less_measured(new[c], old[c], old[i], dot(old[i], old[c]) / square,
+                                        new[n])
+        levels.square[depth + 1, 0, c] = length
+        levels.share[depth + 1, 0, c, 0] = product / length
+        for j in range(1, r):
+            levels.share[depth + 1, 0, c, j] = dot(new[c], new[n + j]) / length
+    for row in range(new.shape[1]):
+        levels.leverage[depth + 1, row] = (
+            levels.leverage[depth, row] + old[i, row] * old[i, row] / square)
+
+
+@_compiled
+def _first_closed(top: FloatArray, leverage: FloatArray, first: int, n: int, r: int, limit: float,
+                  triangle: FloatArray, space: FloatArray) -> int:
+    """Return a column from which on no subset scores `limit` or less.
+
+    Columns are eliminated from the last to the first, after a target. With the Cholesky factor L
+    of their weighted inner products the minimum for the last i columns is the inverse of the sum
+    of squares of the first i + 1 entries of L^-1 (1, 0, 0 ...): sums of positive numbers alone,
+    which keep their digits.
+    """
+    count, rows = n - first + 1, top.shape[1]
+    weighted, h, minima = space[0], space[1], space[2]
+    for i in range(count):
+        minima[i] = 0.0
+    for j in range(r):
+        inverse = 0.0
+        for i in range(count):
+            here = n - i if i > 0 else n + j
+            for k in range(rows):
+                rest = 1.0 - leverage[k]
+                weighted[k] = top[here, k] / (limit * rest * rest)
+            value = 1.0 if i == 0 else 0.0
+            for other in range(i + 1):
+                total = 0.0
+                there = n - other if other > 0 else n + j
+                for k in range(rows):
+                    total += weighted[k] * top[there, k]
+                triangle[i, other] = total
+            pivot = triangle[i, i]
+            least = _PIVOT * pivot
+            for other in range(i):
+                ratio = triangle[i, other]
+                for k in range(other):
+                    ratio -= triangle[i, k] * triangle[other, k]
+                ratio /= triangle[other, other]
+                triangle[i, other] = ratio
+                pivot -= ratio * ratio
+                value -= ratio * h[other]
+            if not pivot > least:  # nothing is known of what is left; it is not negative
+                break
+            triangle[i, i] = np.sqrt(pivot)
+            h[i] = value / triangle[i, i]
+            inverse += h[i] * h[i]
+            minima[i] += 1.0 / inverse
+            if r == 1 and minima[i] < 1.0:  # and those of more columns are lower
+                break
+    closed = 0
+    while closed < count - 1 and minima[closed + 1] > 1.0 + _ROUNDING:
+        closed += 1
+    return n - closed
+
+
+def least_press(levels: Levels) -> float:
+    """Return a lower bound of the scores of all subsets of a piece."""
+    rows, leverage = levels.top[0, 0].T, levels.leverage[0]
+    r = levels.share.shape[3]
+    rows = rows / (1.0 - np.minimum(leverage, 1.0 - 1e-9))[:, None]
+    q, targets = np.linalg.qr(rows[:, :-r])[0], rows[:, -r:]
+    return float(((targets - q @ (q.T @ targets)) ** 2).sum())
