@@ -75,6 +75,8 @@ def but_independent(result: termsel.Result) -> dict:
     record = result.to_dict()
     for figures in (record, *record["baselines"], *record["front"]):
         assert figures["rmse"].pop("independent")["n"] > 0
+    for figures in record.get("by_size", ()):  # some are those of the front
+        figures["rmse"].pop("independent", None)
     # The final fit is made after all figures, and takes independent points on purpose.
     for varying in ("judgement", "seconds", "accuracy", "final", "exported"):
         record.pop(varying)
