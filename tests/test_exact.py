@@ -267,7 +267,7 @@ def test_the_number_of_evaluations_is_the_same_on_a_slow_machine(
         monkeypatch: pytest.MonkeyPatch) -> None:
     task = termsel.prepare("poly-terms", solver="exact", criterion="kfold",
                            options={"degree": 4, "workers": 1})
-    monkeypatch.setattr(subsets, "_PIECE", 1 << 10)
+    monkeypatch.setattr(subsets, "_BRANCH", 1 << 10)
     found = [termsel.search(task.problem, task.solver,
                             observers=[lambda _, wait=wait: time.sleep(wait)])
              for wait in (0.0, 0.01)]

@@ -13,8 +13,8 @@ from termsel.adjustment.solve import TOLERANCE
 from termsel.adjustment.subset_arrays import Blocks, Levels, Limits, Products, Records, Space
 from termsel.adjustment.subset_bounds import first_closed
 from termsel.adjustment.subset_branches import branch
+from termsel.adjustment.subset_held_out import branch_held_out, least_held_out
 from termsel.adjustment.subset_kernels import LINEAR, PRESS, RATIONAL, RSS, largest_open, walk
-from termsel.adjustment.subset_press import branch_press, least_press
 from termsel.adjustment.subset_system import BITS, SCORES, Masks, Piece, SubsetSystem, Walked
 from termsel.errors import TermselError, unknown_name
 from termsel.measurements.features import FloatArray, IntArray
@@ -48,7 +48,10 @@ class Rows:
 
 @dataclass(frozen=True, eq=False)
 class Stack:
-    """The systems of a score, in lockstep, and the columns to choose from."""
+    """The systems of a score, in lockstep, and the columns to choose from.
+
+    Each row is held out `times` times or more.
+    """
 
     kind: int
     k: int
@@ -57,23 +60,25 @@ class Stack:
     some_of: np.uint64
     parents: Masks
     everything: Piece
+    times: int = 1
 
     @property
     def branches(self) -> bool:
         """Whether subsets are decided by branch and bound."""
-        return self.presses or (self.kind != PRESS and len(self.systems) == 1
+        return self.holds_out or (self.kind != PRESS and len(self.systems) == 1
                 and (self.kind != RATIONAL or self.margin > 0.0)
                 and self.systems[0].control.shape[1] == self.k + 1)
 
     @cached_property
-    def presses(self) -> bool:
-        """Whether scores are leave-one-out errors without denominators."""
-        return self.kind == PRESS and not self.systems[0].extra[:, :self.k].any()
+    def holds_out(self) -> bool:
+        """Whether scores are held-out errors without denominators, of every row."""
+        return (self.kind == LINEAR and len(self.systems) > 1 and self.times > 0) or (
+            self.kind == PRESS and not self.systems[0].extra[:, :self.k].any())
 
     @property
     def needs_compilation(self) -> bool:
         """Whether the first branch spends a while on compilation, once per machine and version."""
-        return self.branches and not self.presses and not is_compiled(branch)
+        return self.branches and not self.holds_out and not is_compiled(branch)
 
     @cached_property
     def _targets(self) -> IntArray:
@@ -120,9 +125,9 @@ class Stack:
         cursor, rooms = np.zeros((2, depths), dtype=np.intp)
         mask, used = np.zeros(depths, dtype=np.uint64), BITS[piece.used].sum()
         counts = _counts(n, limits.room)
-        if self.presses:
-            infeasible, pruned = branch_press(
-                levels, limits, records, used, counts, cursor, rooms, mask,
+        if self.holds_out:
+            infeasible, pruned = branch_held_out(
+                self.kind, levels, limits, records, used, counts, cursor, rooms, mask,
                 np.empty((n + 1, n + 1)), np.empty((3, max(n + 1, height))))
         elif self.branches:
             space = self._space(levels)
@@ -149,8 +154,8 @@ class Stack:
         if prepared is None:
             return replace(piece, least=found)
         levels, limits, _ = prepared
-        if self.presses:
-            return replace(piece, least=max(piece.least, min(found, least_press(levels))))
+        if self.holds_out:
+            return replace(piece, least=max(piece.least, min(found, least_held_out(levels))))
         n, space = len(piece.rest), self._space(levels)
         errors = (levels.top if self.kind == RSS else levels.extra)[0, 0]
         def above(value: float) -> bool:
@@ -192,7 +197,8 @@ class Stack:
         n, used, p = len(piece.rest), piece.used, len(piece.used)
         room = min(n, piece.room)
         kept = np.concatenate([piece.rest, self._targets])
-        tops, extras, guards = [], [], []
+        tops: list[FloatArray] = []
+        extras, guards = [], []
         floor = np.zeros((len(self.systems), n + 1))
         leverage = cross = np.zeros(0)
         offset = 0.0
@@ -211,7 +217,11 @@ class Stack:
                 cross = (q * np.linalg.solve(triangle[:p, :p].T, rows.extra[:, used].T).T).sum(
                     axis=1)
             else:
-                top = triangle[p:p + n, p:]
+                # Bounds of held-out errors are of all residuals, those of no column included.
+                whole = self.holds_out and not tops
+                top = triangle[p:, p:] if whole else triangle[p:p + n, p:]
+                if whole:
+                    leverage = cross = np.zeros(len(top))
             if self.kind == RSS:
                 offset += float((triangle[p + n:, p + n:] ** 2).sum())
             if self.kind == LINEAR:
@@ -281,7 +291,7 @@ def stack(system: SubsetSystem, score: str, folds: Sequence[IntArray],
     if max_terms is not None and max_terms < len(used):
         raise TermselError(f"{len(used)} terms are forced, but at most {max_terms} may be in use",
                            hint="Force fewer terms or increase the limit.")
-    control = np.column_stack([system.design, system.target])
+    control, times = np.column_stack([system.design, system.target]), 1
     guard = _below(system.guard_denominator, control[:0], k)
     below = _below(system.denominator, control, k)
     rational = (system.check_denominator if score == "check" else system.denominator) is not None
@@ -295,7 +305,9 @@ def stack(system: SubsetSystem, score: str, folds: Sequence[IntArray],
     elif score == "kfold":
         if not len(folds):
             raise ValueError("score 'kfold' requires folds")
-        # The whole system takes part: for its rank and its coefficients at the guard points.
+        # The whole system takes part: for its rank and its coefficients at the guard points. The
+        # squares of its residuals count as often as each row is held out.
+        times = int(np.bincount(np.concatenate(folds), minlength=len(control)).min())
         held = [(everyone, control[:0], below[:0])]
         for fold in folds:
             kept = everyone.copy()
@@ -311,16 +323,17 @@ def stack(system: SubsetSystem, score: str, folds: Sequence[IntArray],
             extra = np.concatenate([errors, blank, denominators, _below(None, blank, k)])
         else:
             extra = below if kind == PRESS else errors
-        systems.append(Rows(control if kind == PRESS else _fewer(control[kept]),
+        weight = times**0.5 if kept is everyone and times else 1.0
+        systems.append(Rows(control if kind == PRESS else _fewer(weight * control[kept]),
                             _fewer(extra) if kind == LINEAR else extra,
                             guard if kept is everyone else guard[:0]))
-    if kind in (RSS, PRESS):
+    if score != "check":
         free = _by_gain(control, used, free, k)
     room = len(free) if max_terms is None else min(len(free), max_terms - len(used))
     parents = np.zeros((0, k), dtype=bool) if system.parents is None else system.parents
     return Stack(kind, k, systems, float(system.margin), BITS[:k][some_of].sum(),
                  np.where(parents, BITS[:k], np.uint64(0)).sum(axis=1, dtype=np.uint64),
-                 Piece(used, free, room))
+                 Piece(used, free, room), times)
 
 
 def _below(linear: FloatArray | None, rows: FloatArray, k: int) -> FloatArray:

@@ -12,7 +12,7 @@ Furnival and Wilson 1974, Technometrics 16(4): the tree, and the bound for resid
 squares. Bjorck 1967, BIT 7(1): the accuracy of modified Gram-Schmidt. That check points, folds
 and leave-one-out errors take part is termsel's own formulation, and so are the bounds of
 `termsel.adjustment.subset_bounds`, for the scores "check" and "rss" of one target, and of
-`termsel.adjustment.subset_press`, for "press" without denominators.
+`termsel.adjustment.subset_held_out`, for "press" and "kfold" without denominators.
 """
 
 from __future__ import annotations
@@ -207,7 +207,7 @@ def estimate_seconds(
 ) -> float:
     """Return the estimated time of `search` [s], from the time of one piece.
 
-    For "rss" this is the time without its bound.
+    Where bounds rule subsets out (`is_bounded`), this is the time without them.
 
     Parameters
     ----------
