@@ -38,6 +38,8 @@ MAPS: dict[str, dict[str, Any]] = {
     "flat scan": {"sheets": (1, 1), "local": 0.0, "shrinkage": 0.0}}
 REAL = {"kastoria_1925": 1.03, "maplat_fushimijo": 1.00}
 """Real maps, with what was required."""
+MORE = 5
+"""Splits of a real map by those of others: they differ in the points that are drawn alone."""
 SATELLITES = (*SCENES, "phr_grid_nice_a", "rpcfit_s1_test", "rpcfit_s1_train", "s1_grd_iw",
               "ikonos_lines", "ventoux_lines")
 
@@ -110,6 +112,13 @@ class Row:
         return median(one.auto for one in self.splits) / self.best[1]
 
     @property
+    def error(self) -> float:
+        """Standard error of the ratio by the bootstrap, which chooses the best each time."""
+        rng, count = np.random.default_rng(0), len(self.splits)
+        return float(np.std([Row(self.name, self.count, tuple(
+            self.splits[i] for i in rng.integers(0, count, count))).ratio for _ in range(200)]))
+
+    @property
     def change(self) -> float:
         """Median ratio of auto to auto without fields and splines."""
         return median(one.auto / one.without for one in self.splits)
@@ -118,7 +127,8 @@ class Row:
         """Return a row of the table."""
         name, value = self.best
         return (f"| {self.name} | {self.count} | {name} | {value:.2f} | "
-                f"{median(one.auto for one in self.splits):.2f} | {self.ratio:.2f} | "
+                f"{median(one.auto for one in self.splits):.2f} | "
+                f"{self.ratio:.2f} ± {self.error:.2f} | "
                 f"{self.change:.2f} | {np.mean([one.called for one in self.splits]):.0%} | "
                 f"{np.mean([one.covered for one in self.splits]):.0%} | "
                 f"{median(one.seconds for one in self.splits):.2f} |")
@@ -130,7 +140,8 @@ def rows(names: list[str], splits: int, processes: int) -> Iterator[Row]:
         for name in names:
             for count in (*COUNTS, 120) if name == "s1_grd_iw" else COUNTS:
                 done = [one for one in pool.map(measure, *zip(
-                    *((name, count, seed) for seed in range(splits)), strict=True)) if one]
+                    *((name, count, seed) for seed in range(
+                        splits * (MORE if name in REAL else 1))), strict=True)) if one]
                 if done:
                     yield Row(name, count, tuple(done))
 
@@ -138,8 +149,8 @@ def rows(names: list[str], splits: int, processes: int) -> Iterator[Row]:
 def verdict(found: list[Row]) -> str:
     """Return what was required next to what was measured."""
     def over(names: list[str], limit: float) -> str:
-        ratios = [(row.ratio, f"{row.name} at {row.count} ({row.ratio:.3f})") for row in found
-                  if row.name in names]
+        ratios = [(row.ratio, f"{row.name} at {row.count} ({row.ratio:.3f} ± {row.error:.3f})")
+                  for row in found if row.name in names]
         if not ratios:
             return "-"
         beyond = ", ".join(text for ratio, text in ratios if ratio > limit)
@@ -218,11 +229,13 @@ def main() -> None:
     text = f"""# Old maps
 
 Made by `python -m benchmarks.old_maps --write`: {asked.splits} splits of each set and number of
-points. The first {len(MAPS)} sets are [simulated](../reference/simulated.md#old-map), each split
-with another seed; kastoria_1925 and maplat_fushimijo are measured old maps; the others are
+points, {MORE * asked.splits} of the measured maps. The first {len(MAPS)} sets are
+[simulated](../reference/simulated.md#old-map), each split with another seed; kastoria_1925 and
+maplat_fushimijo are measured old maps; the others are
 satellite scenes, simulated, derived from sensor models or measured. The best of plain structures
 (affine, DLT or projective, quadratic, cubic) and thin-plate splines (smoothed by REML, and exact)
-is chosen with hindsight, by the median of its independent RMSE over all splits. *Without* is the
+is chosen with hindsight, by the median of its independent RMSE over all splits. The standard
+error of a ratio is that of the bootstrap over splits. *Without* is the
 ratio to auto without fields and splines; *called for* is how often auto takes one of them;
 *covered* is the share of independent points within 1.645 `sigma`, of which 90 % are expected.
 Seconds are those of one processor for one choice, which a run repeats up to 20 times.
