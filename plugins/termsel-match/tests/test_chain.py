@@ -79,6 +79,7 @@ def test_a_map_shows_the_ground_where_it_is(place: Any, says: Any, tmp_path: Pat
     assert code == 0, text
     assert "Not good enough" not in text
     assert (folder / "report.txt").read_text() in text
+    assert "NSSDA and ASPRS of the result: of independent candidates that agree" in text
     assert {"candidates.csv", "report.txt", "result"} == {one.name for one in folder.iterdir()}
     with rasterio.open(output) as raster, rasterio.open(place / "ortho.tif") as ortho:
         window = ortho.window(*raster.bounds)

@@ -71,7 +71,9 @@ class Georeferenced:
             f"Independent candidates: {int((agree & one.independent).sum())} of "
             f"{int(one.independent.sum())} agree, with an RMSE of {one.rmse:.2f} px",
             f"Median error of all of them, right or wrong: {one.median:.2f} px; accepted: "
-            f"{self.accept:g} px"]
+            f"{self.accept:g} px",
+            "Independent RMSE, NSSDA and ASPRS of the result: of independent candidates that "
+            "agree, without the others; they may be too small"]
         if self.lines is not None:
             last = self.lines.rounds[-1]
             lines.append(f"Lines: {last.agreeing} of {last.pieces} straight pieces of vectors "
