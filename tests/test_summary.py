@@ -156,7 +156,9 @@ BELOW = "The proven optimum is 0, below this (12,345 subsets decided, all sizes)
      "Proven: no selection is feasible (12,345 subsets decided, all sizes)"),
     ({"feasible": False, "space": "all selections of up to 5 of 24 features"}, "exact", 1.0,
      "Proven: no selection of up to 5 of 24 features is feasible (12,345 subsets decided)"),
-    ({}, "ga", 1.0, "Not proven: 12,345 of 99,999 subsets decided")])
+    ({}, "ga", 1.0, "Not proven: 12,345 of 99,999 subsets decided"),
+    ({"subsets": 10**15 - 1, "of": 12 * 10**36}, "exact", 1.0,
+     "Not proven: 999,999,999,999,999 of 1.2e37 subsets decided")])
 def test_what_is_proven(more: dict[str, Any], solver: str, share: float, line: str) -> None:
     options = {"problem": {"max_share": share}}
     text = page(certificate={**PROVEN, **more}, solver=solver, options=options)

@@ -156,3 +156,17 @@ def counted(number: int, noun: str) -> str:
         In the singular: "check point", "generation" ...
     """
     return f"{number} {noun}{'s' * (number != 1)}"
+
+
+def amount(number: int, noun: str = "") -> str:
+    """Return a number with commas, and its noun; more than 15 digits in short, as 1.2e37.
+
+    Parameters
+    ----------
+    number : int
+    noun : str, optional
+        In the singular.
+    """
+    short = f"{number:,}" if number < 10**15 else f"{number:.1e}".replace("e+", "e")
+    ending = "" if number == 1 else "s"
+    return f"{short} {noun}{ending}" if noun else short

@@ -9,7 +9,7 @@ from typing import Any
 from termsel.candidates.candidate import named
 from termsel.candidates.compare import WITHOUT_BLUNDERS
 from termsel.candidates.portfolio import EXACT
-from termsel.errors import counted, percent, printable
+from termsel.errors import amount, counted, percent, printable
 from termsel.fits.diagnosis import BEYOND, CORRELATED
 from termsel.fits.figures import LEAVE_ONE_OUT, ROLES
 from termsel.report import sizes
@@ -122,8 +122,7 @@ def _title(name: str) -> str:
 
 
 def _certificate(certificate: Mapping[str, Any], exact: str) -> str:
-    one = certificate["subsets"] == 1
-    decided = f"{certificate['subsets']:,} {'subset' if one else 'subsets'} decided"
+    decided = f"{amount(certificate['subsets'], 'subset')} decided"
     proven = f"{decided}, {certificate['space']}"
     _, _, limit = certificate["space"].partition("selections of ")
     capped = f" of {limit}" if limit else ""
@@ -133,7 +132,7 @@ def _certificate(certificate: Mapping[str, Any], exact: str) -> str:
     if certificate["optimal"]:
         how = [decided]
         if certificate.get("bounded"):
-            how.append(f"{certificate['bounded']:,} of them by bounds")
+            how.append(f"{amount(certificate['bounded'])} of them by bounds")
         return (f"Proven: no selection{capped} has a better criterion "
                 f"({', '.join(how if limit else [*how, certificate['space']])})")
     if "optimum" in certificate:
@@ -144,7 +143,7 @@ def _certificate(certificate: Mapping[str, Any], exact: str) -> str:
                 f"{certificate['optimum']:.4g} ({proven}); {exact} finds it")
     if not certificate.get("feasible", True):
         return f"Proven: no selection{capped} is feasible ({decided if limit else proven})"
-    done = f"{certificate['subsets']:,} of {certificate['of']:,} subsets decided"
+    done = f"{amount(certificate['subsets'])} of {amount(certificate['of'], 'subset')} decided"
     if certificate.get("gap") is not None:
         return (f"Not proven: at most {percent(certificate['gap'])} above the optimum{capped}, "
                 f"which is {certificate['bound']:.4g} or more ({done})")

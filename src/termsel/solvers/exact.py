@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from termsel.adjustment import subsets
-from termsel.errors import TermselError
+from termsel.errors import TermselError, amount
 from termsel.measurements.features import BoolArray
 from termsel.options import COUNT, Option
 from termsel.problems.base import EnumerablePart, Evaluation, Problem
@@ -115,9 +115,8 @@ class Exact(Solver):
             return
         parts = problem.parts()
         space = space_of(problem, parts, most)
-        log.info("exact: deciding %s subsets (%s, %d %s)%s", f"{count(problem, most):,}", space,
-                 len(parts), "part" if len(parts) == 1 else "parts",
-                 _estimate(problem, parts, most, workers))
+        log.info("exact: deciding %s (%s, %s)%s", amount(count(problem, most), "subset"), space,
+                 amount(len(parts), "part"), _estimate(problem, parts, most, workers))
         index, reported, decided = 0, 0.0, 0
         proof: Proof | None = None
         for state, proof in enumerate(prove(problem, most, workers)):

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from termsel.adjustment.row_subsets import Branch, Selections
-from termsel.errors import TermselError
+from termsel.errors import TermselError, amount
 from termsel.measurements.features import BoolArray, FloatArray
 from termsel.problems.segments import Bits, Genes, Subset
 from termsel.solvers.base import Generation
@@ -215,7 +215,7 @@ def proof_generations(problem: Problem, systems: tuple[RowSystem, ...], workers:
         log.info("Compiling: the first proof on this machine takes some 6 s longer.")
     how = (f"; about {duration(estimate_seconds(selections, workers))}" if systems
            else "; each is evaluated, as the criterion or the model allows no other way")
-    log.info("exact: deciding %s subsets (%s)%s", f"{total:,}", space, how)
+    log.info("exact: deciding %s (%s)%s", amount(total, "subset"), space, how)
     index, last = 0, 0
     for state, proof in enumerate(prove_features(problem, selections, workers)):
         front = proof.front()
