@@ -94,18 +94,20 @@ def solve(
     used = equations.take(rows, columns)
     n_equations, n_terms = used.A.shape
     A, b = used.held()
-    rank = _rank(A)
+    # Columns of one length: the solution is the same and the condition is that of the problem,
+    # not of the units.
+    lengths = np.linalg.norm(A, axis=0)
+    scaled = A / np.where(lengths > 0, lengths, 1.0)
+    triangle = _triangle(scaled, b)
+    rank = n_terms if triangle is not None else _lower_rank(scaled)
     coefficients, deviations = np.zeros(k), np.zeros(k)
     condition, sigma0 = float("inf"), float("nan")
     correlations = None
     if n_terms and n_equations:
-        # Columns of one length: the solution is the same and the condition is that of the
-        # problem, not of the units.
-        lengths = np.linalg.norm(A, axis=0)
         lengths[lengths == 0] = 1.0
-        if rank == n_terms:
-            q, r = linalg.qr(A / lengths, mode="economic")
-            x = linalg.solve_triangular(r, q.T @ b)
+        if triangle is not None:
+            r = triangle[:, :n_terms]
+            x = linalg.solve_triangular(r, triangle[:, n_terms])
             inverse = linalg.solve_triangular(r, np.eye(n_terms))
             condition = float(np.linalg.cond(r))
             if n_equations > n_terms:
@@ -115,29 +117,30 @@ def solve(
             correlations = inverse @ inverse.T / np.outer(norms, norms)
             deviations[columns] = sigma0 * norms / lengths
         else:
-            x = linalg.lstsq(A / lengths, b, cond=TOLERANCE)[0]
+            x = linalg.lstsq(scaled, b, cond=TOLERANCE)[0]
             deviations[columns] = np.nan
         coefficients[columns] = x / lengths
     return Adjustment(coefficients, equations.b - equations.A @ coefficients, deviations,
                       n_terms, n_equations, rank, condition, sigma0, correlations)
 
 
-def _rank(A: FloatArray) -> int:
-    """Return the rank by the rule of the compiled kernels.
+def _triangle(scaled: FloatArray, b: FloatArray) -> FloatArray | None:
+    """Return R and Q'b of columns of one length, shape (n, n + 1); None without full rank.
 
-    Full rank means that each column keeps more than TOLERANCE of its length orthogonal to
-    those before it. If one does not, pivoting counts the independent ones.
+    By the rule of the compiled kernels: each column keeps more than TOLERANCE of its length
+    orthogonal to those before it.
     """
-    if 0 in A.shape:
-        return 0
-    lengths = np.linalg.norm(A, axis=0)
-    live = A[:, lengths > 0] / lengths[lengths > 0]
-    n_terms = A.shape[1]
+    m, n = scaled.shape
+    if not n or m < n:
+        return None
+    r = np.asarray(np.linalg.qr(np.column_stack([scaled, b]), mode="r"))[:n]
+    return r if (np.abs(np.diag(r)) > TOLERANCE).all() else None
+
+
+def _lower_rank(scaled: FloatArray) -> int:
+    """Return how many columns of one length, or 0, are independent, less than all; by pivoting."""
+    live = scaled[:, scaled.any(axis=0)]
     if not live.size:
         return 0
-    if live.shape[1] == n_terms <= A.shape[0]:
-        r = linalg.qr(live, mode="r")[0]
-        if (np.abs(np.diag(r)) > TOLERANCE).all():
-            return int(n_terms)
     r = linalg.qr(live, mode="r", pivoting=True)[0]
-    return min(int((np.abs(np.diag(r)) > TOLERANCE).sum()), int(n_terms) - 1)
+    return min(int((np.abs(np.diag(r)) > TOLERANCE).sum()), int(scaled.shape[1]) - 1)
