@@ -7,8 +7,9 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from termsel.adjustment import subsets
+from termsel.adjustment import subset_rungs, subsets
 from termsel.adjustment.subset_bounds import first_closed
+from termsel.adjustment.subset_kernels import LINEAR, RATIONAL
 from termsel.adjustment.subset_stack import Stack, stack
 from termsel.adjustment.subset_system import Masks, Piece, SubsetSystem
 from termsel.measurements.features import FloatArray
@@ -67,3 +68,28 @@ def test_subsets_of_few_columns_are_decided_before_all_others(
     assert few == pytest.approx(final[:3])  # 1 + 9 + 36 of at most 2, and 84 of 3
     for state in states:
         assert (state.floor <= final * (1 + 1e-9)).all()
+
+
+@pytest.mark.parametrize("rational", [False, True])
+def test_a_bound_of_all_scores_comes_before_any_is_decided(
+        rational: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also where no good subset is known: a rung then finds those below it."""
+    monkeypatch.setattr(subset_rungs, "_SHARES", dict.fromkeys((LINEAR, RATIONAL), (0.5, 0.9)))
+    rng = np.random.default_rng(5)
+    for _ in range(20):
+        A, C = rng.normal(size=(2, 14, 9))
+        b, f = A[:, :3].sum(axis=1) + rng.normal(size=14), C[:, :3].sum(axis=1)
+        below = rng.normal(size=(2, 14, 9)) / 50 if rational else (None, None)
+        system = SubsetSystem(A, b[:, None], C, f[:, None], *below)
+        *_, proof = subsets.search(system, "check", max_terms=6)
+        systems = stack(system, "check", (), 6)
+        for share, least in ((1.0, 0.81), (8.0, 2.0)):  # of the optimum, as the best known
+            known = np.full(10, share * proof.best.min())
+            *_, (best, masks, level) = subset_rungs.rungs(
+                systems, known, np.zeros(10, dtype=np.uint64), 1 << 6, 1)
+            assert level == pytest.approx(least * proof.best.min())
+            assert (proof.best >= np.minimum(best, level) * (1 - 1e-9)).all()
+            lower = best < known
+            assert lower.any() == (share > 1.0)
+            assert best[lower] == pytest.approx(proof.best[lower])
+            assert (masks[lower] == proof.masks[lower]).all()

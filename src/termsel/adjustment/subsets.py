@@ -27,6 +27,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from termsel.adjustment.subset_descents import descents
+from termsel.adjustment.subset_rungs import rungs
 from termsel.adjustment.subset_stack import Stack, stack
 from termsel.adjustment.subset_system import (
     MAX_COLUMNS,
@@ -146,8 +147,8 @@ def search(
     best, masks = _nothing(systems.k)
     settled = 0
     if total > _DESCEND_FROM:
-        for i, found in enumerate(descents(systems)):
-            best, masks = better(best, masks, *found)
+        for i, at in enumerate(descents(systems)):
+            best, masks = better(best, masks, *at)
             yield SubsetResult(best, masks, 0, total, 0, 0,
                                _floor(best, [systems.everything], settled))
             # Those of few columns take a second, the descents several, and all of them hours.
@@ -160,8 +161,13 @@ def search(
         walked = systems.walk(start, best, masks)
         best, masks = walked.best, walked.masks
     looked = infeasible = pruned = 0
-    todo = [systems.everything]
     largest = _BRANCH if systems.branches else _PIECE
+    todo = [systems.everything]
+    climbs = score == "check" and total > _DESCEND_FROM
+    for found in rungs(systems, best, masks, largest, workers) if climbs else ():
+        best, masks, least = found
+        todo = [replace(systems.everything, least=least)]
+        yield SubsetResult(best, masks, 0, total, 0, 0, _floor(best, todo, settled))
     waiting: deque[tuple[Piece, Future[Walked]]] = deque()
     pool = ThreadPoolExecutor(workers)
     try:
