@@ -20,7 +20,7 @@ from functools import partial
 
 import numpy as np
 
-from termsel.adjustment.compiled import compiled
+from termsel.adjustment.compiled import compiled, is_compiled
 from termsel.adjustment.equations import Equations
 from termsel.adjustment.reflections import LANES, apply_one
 from termsel.adjustment.solve import TOLERANCE
@@ -218,3 +218,8 @@ def leave_one_out(equations: Equations, terms: BoolArray, features: BoolArray,
     _leave_out(source, first, np.ascontiguousarray(terms), np.ascontiguousarray(features),
                TOLERANCE, (panels[0], panels[1]), work, room, index, solutions, determined)
     return solutions, determined
+
+
+def needs_compilation() -> bool:
+    """Return True if the first call will spend some seconds on compilation."""
+    return not is_compiled(_leave_out)

@@ -77,10 +77,11 @@ def predicted_rmse(errors: FloatArray, effective: float, points: int,
     a mean of so many squares, of the redundancy of those held out and of those to come, with the
     spread that the squares show, or that of normal errors where this is larger. The others are
     what all places have in common: coefficients that few points determine, and the doubt which
-    solution is right (see `termsel.fits.uncertainty.shared_variance`). As the squares have the
-    right mean, their logarithm is below it by half the variance. The interval is that of Student's
-    t with the redundancy. The variance is at most the square of its quantile, as a greater one
-    would lower the upper limit: that of a random field near interpolation has no bound.
+    solution is right (see `termsel.fits.uncertainty.shared_variance`). The middle is half the
+    variance below the logarithm of the prediction, which is then the mean of a log-normal RMSE. The
+    interval is that of Student's t with the redundancy. The variance is at most the square of its
+    quantile, as a greater one would lower the upper limit: that of a random field near
+    interpolation has no bound.
 
     Parameters
     ----------

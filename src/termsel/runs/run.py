@@ -9,12 +9,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from termsel.adjustment.kernels import needs_compilation
+from termsel.adjustment import kernels, leave_out
 from termsel.criteria import Criterion
 from termsel.errors import TermselError
 from termsel.io.result_folder import claim_folder, write_result
 from termsel.measurements.datasets import DatasetSpec
 from termsel.measurements.features import FeatureSet
+from termsel.measurements.roles import together
 from termsel.models.base import SensorModel
 from termsel.plugins.registry import registry
 from termsel.problems.recipes import Recipe
@@ -29,6 +30,9 @@ from termsel.solvers.search import Observer
 from termsel.threads import one_blas_thread
 
 log = logging.getLogger(__name__)
+
+SEARCH_COMPILES, AUTO_COMPILES = 10, 4
+"""Seconds that the first run of a search, and of the strategy auto, spends on compilation."""
 
 
 @one_blas_thread
@@ -121,7 +125,7 @@ def run(
         task = prepare(problem, **asked)
     if all(one is None for one in (generations, evaluations, seconds, patience)):
         generations, patience = task.recipe.generations, task.recipe.patience
-    _begin(out, overwrite)
+    _begin(out, overwrite, SEARCH_COMPILES if kernels.needs_compilation() else 0)
     limits = {"generations": generations, "evaluations": evaluations, "seconds": seconds,
               "patience": patience}
     found = search_without_blunders(task, seed=seed, **limits, observers=observers)
@@ -177,15 +181,18 @@ def _chosen(problem: str | Recipe, asked: Mapping[str, Any], seed: int,
         # The model of the search is not asked for, so that it asks for no heights.
         request = replace(request, model=registry().get("models", "poly2d")())
     observations = observe(request, LEAST)
-    _begin(out, overwrite)
+    # Whether a search of lines follows, which compiles more, is not known yet.
+    compiles = len(together(observations)) > LEAST and leave_out.needs_compilation()
+    _begin(out, overwrite, AUTO_COMPILES if compiles else 0)
     return _finished(choose_for(request, observations, seed, observers), out)
 
 
-def _begin(out: Path | str | None, overwrite: bool) -> None:
+def _begin(out: Path | str | None, overwrite: bool, longer: int) -> None:
+    """Claim the folder, and tell how many seconds longer a run takes that compiles, if any."""
     if out is not None:
         claim_folder(Path(out), overwrite=overwrite)
-    if needs_compilation():
-        log.info("Compiling: the first run on this machine takes some 10 s longer.")
+    if longer:
+        log.info("Compiling: the first run on this machine takes some %d s longer.", longer)
 
 
 def _finished(result: Result, out: Path | str | None) -> Result:
