@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from termsel.adjustment import subset_rungs, subsets
+from termsel.adjustment import subset_held_out, subset_rungs, subsets
 from termsel.adjustment.subset_bounds import first_closed
 from termsel.adjustment.subset_kernels import LINEAR, RATIONAL
 from termsel.adjustment.subset_stack import Stack, stack
@@ -48,6 +48,25 @@ def test_a_limit_that_a_subset_scores_never_rules_it_out() -> None:
             lowered += upper[:c].min() < 0.9
     assert closed > 50
     assert lowered > 200
+
+
+def test_a_held_out_bound_keeps_its_digits_where_targets_are_long() -> None:
+    """Residuals of 1e-5 of the target or less, and columns alike: the minimum is theirs."""
+    rng = np.random.default_rng(20)
+    for _ in range(300):
+        n, r = int(rng.integers(4, 14)), int(rng.integers(1, 3))
+        m = n + int(rng.integers(4, 25))
+        A = rng.normal(size=(m, 1)) + 10.0 ** rng.uniform(-3, -1) * rng.normal(size=(m, n))
+        b = A @ rng.normal(size=(n, r)) + 10.0 ** rng.uniform(-7, -5) * rng.normal(size=(m, r))
+        leverage = rng.uniform(0.0, 0.9, m)
+        q = np.linalg.qr(A / (1 - leverage)[:, None])[0]
+        least = b / (1 - leverage)[:, None]
+        for _ in range(2):
+            least -= q @ (q.T @ least)
+        top, work = np.ascontiguousarray(np.hstack([A, b]).T), np.empty((n + r, m))
+        for limit, end in ((1 + 1e-7, 1), (1 - 1e-5, 0)):
+            assert subset_held_out.first_closed(
+                top, leverage, 0, n, limit * float((least**2).sum()), work) == end
 
 
 @pytest.mark.parametrize("score", ["rss", "press"])

@@ -36,14 +36,13 @@ from termsel.measurements.features import FloatArray, IntArray
 _compiled = partial(compiled, _nrt=False, fastmath={"reassoc", "contract", "arcp", "nsz"})
 
 _ENUMERATED = 1 << 6  # subsets that cost less than a bound
-_PIVOT = 1e-8  # least pivot of the elimination, relative to its diagonal
-_ROUNDING = 1e-6  # of what is 1 at the limit; errors are below 1e-14 / pivot
+_ROUNDING = 1e-6  # of a minimum, relative
 
 
 @_compiled
 def branch_held_out(kind: int, levels: Levels, limits: Limits, records: Records, used: Any,
                     counts: IntArray, cursor: IntArray, ends: IntArray, mask: Any,
-                    triangle: FloatArray, space: FloatArray) -> tuple[int, int]:
+                    work: FloatArray) -> tuple[int, int]:
     """Decide all subsets of n columns in addition to those in use already.
 
     Parameters
@@ -55,7 +54,7 @@ def branch_held_out(kind: int, levels: Levels, limits: Limits, records: Records,
         As for `subset_kernels.walk`.
     ends : ndarray of int, shape (depths,)
         Space.
-    triangle, space : ndarray, shape (n + 1, n + 1) and (3, max(n + 1, rows))
+    work : ndarray, shape (n + r, rows)
         Space.
 
     Returns
@@ -84,9 +83,9 @@ def branch_held_out(kind: int, levels: Levels, limits: Limits, records: Records,
                 limit = 0.0
                 for new in range(size + depth + 1, size + depth + min(left, n - first) + 1):
                     limit = max(limit, records.best[new])
-                if limit < np.inf:
-                    end = _first_closed(levels.top[depth, 0], levels.leverage[depth], first, n, r,
-                                        limit * (1.0 + 1e-9), triangle, space)
+                if 0.0 < limit < np.inf:
+                    end = first_closed(levels.top[depth, 0], levels.leverage[depth], first, n,
+                                        limit, work)
                 pruned += counts[n - end, left] - 1
             ends[depth] = end
             cursor[depth] = first
@@ -171,55 +170,32 @@ def _descend(kind: int, levels: Levels, depth: int, i: int, n: int, r: int) -> N
 
 
 @_compiled
-def _first_closed(top: FloatArray, leverage: FloatArray, first: int, n: int, r: int, limit: float,
-                  triangle: FloatArray, space: FloatArray) -> int:
+def first_closed(top: FloatArray, leverage: FloatArray, first: int, n: int, limit: float,
+                  work: FloatArray) -> int:
     """Return a column from which on no subset scores `limit` or less.
 
-    Columns are eliminated from the last to the first, after a target. With the Cholesky factor L
-    of their weighted inner products the minimum for the last i columns is the inverse of the sum
-    of squares of the first i + 1 entries of L^-1 (1, 0, 0 ...): sums of positive numbers alone,
-    which keep their digits.
+    The weighted columns are removed from the targets, from the last to the first: what is left
+    after the last i is the minimum for these. Inner products would lose its digits where the
+    targets are long; modified Gram-Schmidt keeps them, as in `subset_kernels`.
     """
-    count, rows = n - first + 1, top.shape[1]
-    weighted, h, minima = space[0], space[1], space[2]
-    for i in range(count):
-        minima[i] = 0.0
-    for j in range(r):
-        inverse = 0.0
-        for i in range(count):
-            here = n - i if i > 0 else n + j
+    vectors, rows = top.shape
+    for i in range(first, vectors):
+        for k in range(rows):
+            work[i, k] = top[i, k] / (1.0 - leverage[k])
+    for i in range(n - 1, first - 1, -1):
+        for later in range(n - 1, i, -1):
+            less(work[i], work[i], work[later], dot(work[i], work[later]))
+        length = np.sqrt(dot(work[i], work[i]))
+        if length > 0.0:  # however short: one direction more leaves no more of the targets
             for k in range(rows):
-                rest = 1.0 - leverage[k]
-                weighted[k] = top[here, k] / (limit * rest * rest)
-            value = 1.0 if i == 0 else 0.0
-            for other in range(i + 1):
-                total = 0.0
-                there = n - other if other > 0 else n + j
-                for k in range(rows):
-                    total += weighted[k] * top[there, k]
-                triangle[i, other] = total
-            pivot = triangle[i, i]
-            least = _PIVOT * pivot
-            for other in range(i):
-                ratio = triangle[i, other]
-                for k in range(other):
-                    ratio -= triangle[i, k] * triangle[other, k]
-                ratio /= triangle[other, other]
-                triangle[i, other] = ratio
-                pivot -= ratio * ratio
-                value -= ratio * h[other]
-            if not pivot > least:  # nothing is known of what is left; it is not negative
-                break
-            triangle[i, i] = np.sqrt(pivot)
-            h[i] = value / triangle[i, i]
-            inverse += h[i] * h[i]
-            minima[i] += 1.0 / inverse
-            if r == 1 and minima[i] < 1.0:  # and those of more columns are lower
-                break
-    closed = 0
-    while closed < count - 1 and minima[closed + 1] > 1.0 + _ROUNDING:
-        closed += 1
-    return n - closed
+                work[i, k] /= length
+        total = 0.0
+        for j in range(n, vectors):
+            less(work[j], work[j], work[i], dot(work[j], work[i]))
+            total += dot(work[j], work[j])
+        if not total > limit * (1.0 + _ROUNDING):
+            return i + 1
+    return first
 
 
 def least_held_out(levels: Levels) -> float:

@@ -128,7 +128,7 @@ class Stack:
         if self.holds_out:
             infeasible, pruned = branch_held_out(
                 self.kind, levels, limits, records, used, counts, cursor, rooms, mask,
-                np.empty((n + 1, n + 1)), np.empty((3, max(n + 1, height))))
+                np.empty((vectors, height)))
         elif self.branches:
             space = self._space(levels)
             infeasible, pruned = branch(
