@@ -77,7 +77,7 @@ def gain_of(standard_errors: float, n: int = 40) -> FloatArray:
 
 
 @pytest.mark.parametrize(("cubic", "dlt", "chosen"), [
-    (0.9, -9.0, "shrunken-quadratic"), (1.1, -9.0, "shrunken-cubic"),
+    (0.9, -9.0, "shrunken-quadratic"), (1.02, -9.0, "shrunken-cubic"),
     (0.0, 2.9, "shrunken-quadratic"), (0.0, 3.1, "dlt")])
 def test_what_must_be_better_by_how_much(cubic: float, dlt: float, chosen: str,
                                          monkeypatch: pytest.MonkeyPatch) -> None:
@@ -92,6 +92,7 @@ def test_what_must_be_better_by_how_much(cubic: float, dlt: float, chosen: str,
     found = choose(control, True)
     assert found is not None
     assert found.chosen.name == chosen
+    assert ("by 1 standard error;" in found.reason) == (cubic == 1.02)
 
 
 def test_every_point_is_in_one_fold_and_predicted_by_the_others() -> None:

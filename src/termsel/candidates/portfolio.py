@@ -290,7 +290,7 @@ def choose_features(control: FeatureSet, heights: bool, watch: Watch | None = No
         return choice
     gain = gain_of(alone.chosen.squares, choice.chosen.squares[:count])
     said = (f"Points alone predict the points {'better' if gain > 0 else 'worse'} than points with "
-            f"lines do, by {abs(gain):.2g} standard errors")
+            f"lines do, by {_standard_errors(gain)}")
     if gain > BETTER:
         return replace(alone, reason=f"{alone.reason} {said}, so the lines are not used.")
     return replace(choice, reason=f"{choice.reason} {said}; to be used alone they must be better "
@@ -326,7 +326,12 @@ def _compared(one: Judged, other: Judged) -> str:
     """Return by how many standard errors a candidate is better or worse than another."""
     gain = _gain(one, other)
     return (f"{one.candidate.label} is {'better' if gain > 0 else 'worse'} than "
-            f"{other.candidate.label} by {abs(gain):.2g} standard errors")
+            f"{other.candidate.label} by {_standard_errors(gain)}")
+
+
+def _standard_errors(gain: float) -> str:
+    number = f"{abs(gain):.2g}"
+    return f"{number} standard error{'s' * (number != '1')}"
 
 
 def _gain(one: Judged, other: Judged) -> float:
