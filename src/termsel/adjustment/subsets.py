@@ -47,7 +47,8 @@ __all__ = ["MAX_COLUMNS", "SCORES", "SubsetResult", "SubsetSystem", "count_subse
            "estimate_seconds", "search"]
 
 _PIECE = 1 << 16  # subsets enumerated between two checks for interruption: some milliseconds
-_BRANCH = 1 << 25  # the same, where bounds rule out most of them
+_BRANCH = 1 << 25  # the same, where bounds rule out most of them: a fraction of a second
+_LOOSER = 8  # times fewer of them for other scores than of check points, whose bounds rule out less
 _DESCEND_FROM = 1 << 24  # subsets from which good ones are sought before any proof
 _SMALL = 1 << 27  # subsets up to which those of few columns are decided before all others
 _AHEAD = 16  # pieces in progress at once, whatever the number of workers
@@ -161,7 +162,8 @@ def search(
         walked = systems.walk(start, best, masks)
         best, masks = walked.best, walked.masks
     looked = infeasible = pruned = 0
-    largest = _BRANCH if systems.branches else _PIECE
+    branch = _BRANCH if score == "check" else _BRANCH // _LOOSER
+    largest = branch if systems.branches else _PIECE
     todo = [systems.everything]
     climbs = score == "check" and total > _DESCEND_FROM
     for found in rungs(systems, best, masks, largest, workers) if climbs else ():
