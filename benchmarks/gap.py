@@ -350,8 +350,7 @@ CARRIED = f"""## How far the bounds carry
 The gap of a proof that was ended early depends on what is ruled out by then. Below, all selections
 better than a share of the optimum are ruled out on each axis; the work is processor time, from
 {PIECES} pieces of the search an axis, with its standard error.
-A gap of a few per cent takes nearly the whole proof: many selections of a dozen terms and more fit
-24 points almost equally well. So `exact` first proves a wide gap, then all.
+A gap of a few per cent takes nearly the whole proof. So `exact` first proves a wide gap, then all.
 """
 
 SECOND = """## Other scenes
