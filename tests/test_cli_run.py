@@ -216,6 +216,7 @@ def test_a_bad_file_gives_one_message_and_code_2(kind: str, files: Path, tmp_pat
 BAD_WORDS = {
     "unknown problem": (["--problem", "rfm-term"],
                         "unknown problem 'rfm-term'. Did you mean 'rfm-terms'? Known: "),
+    "strategy as problem": (["--problem", "auto"], "auto is a strategy: ask for --strategy auto"),
     "unknown option key": (
         ["--problem", "rfm-terms", "--set", "poulation=5"],
         "unknown option 'poulation'. Did you mean 'population'? Known: check_as, "),

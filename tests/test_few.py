@@ -179,6 +179,30 @@ def test_heights_that_are_all_equal_are_told(height: float, said: str) -> None:
     assert not any(note.startswith(said) for note in asked.notes)
 
 
+@pytest.mark.parametrize(("side", "said"), [
+    ("image", "in the image."), ("ground", "on the ground."),
+    ("both", "in the image and on the ground.")])
+def test_points_on_one_line_are_told(side: str, said: str) -> None:
+    features = coast((2, 5, 9, 13, 17, 20))
+    ground, image = features.points.ground.copy(), features.points.image.copy()
+    if side != "image":
+        ground[:, 1] = 0.5 * ground[:, 0] + 1e-4 * ground[:, 1]
+    if side != "ground":
+        image[:, 1] = 3.0 * image[:, 0] + 0.01 * image[:, 1]
+    row = features.with_(points=replace(features.points, ground=ground, image=image))
+    found = termsel.run("rfm-terms", features=row, solver="all-terms", model="poly3d",
+                        options={"degree": 1})
+    notes = [note for note in found.notes if "one straight line" in note]
+    assert len(notes) == 1
+    assert notes[0].startswith(f"All points lie close to one straight line {said}")
+
+
+def test_points_all_over_a_scene_lie_on_no_line() -> None:
+    found = termsel.run("rfm-terms", features=coast((2, 5, 9)), solver="all-terms", model="poly3d",
+                        options={"degree": 1})
+    assert not any("one straight line" in note for note in found.notes)
+
+
 def test_two_points_do_not_call_every_place_far_outside(
         tmp_path: Path, call: Call, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)

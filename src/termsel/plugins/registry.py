@@ -256,6 +256,8 @@ class Registry:
 
     def hint(self, name: str, *kinds: str) -> str:
         """Return a sentence on where an unknown name may come from, or nothing."""
+        if name == "auto":
+            return "auto is a strategy: ask for --strategy auto, the default of rfm-terms."
         installed = {plugin.distribution for plugin in self._loader.plugins}
         distribution = canonical(name.rpartition(":")[0])
         if distribution and distribution not in installed:

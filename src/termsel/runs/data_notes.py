@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+import numpy as np
+
 from termsel.candidates.candidate import heights_differ
 from termsel.candidates.relief import carriers
-from termsel.measurements.features import FeatureSet, Points
+from termsel.measurements.features import FeatureSet, FloatArray, Points
 from termsel.measurements.joined import join_points
 from termsel.measurements.longitudes import jumps
 from termsel.measurements.roles import Observations, together
@@ -17,6 +19,10 @@ SOME = 5
 
 NAMED = 5
 """Groups of points that a note names."""
+
+NARROW = 0.02
+"""Spread across the main direction of all features, by that along it, up to which they lie on a
+line."""
 
 
 def notes_on_data(read: FeatureSet, observations: Observations, heights: bool) -> Iterator[str]:
@@ -36,6 +42,7 @@ def notes_on_data(read: FeatureSet, observations: Observations, heights: bool) -
                "one side they go on beyond 180 degrees.")
     both, independent = together(observations), observations.independent
     yield from _on_twins(both.points, independent)
+    yield from _on_one_line(both)
     z = both.ground_vertices()[:, 2]
     if not heights:
         return
@@ -43,6 +50,24 @@ def notes_on_data(read: FeatureSet, observations: Observations, heights: bool) -
     if len(z) > 1 and (z == z[0]).all():
         yield (f"All heights are {z[0]:g}, so they were not used. If they are not known, leave "
                "them blank or take them from a raster (--dem FILE).")
+
+
+def _on_one_line(both: FeatureSet) -> Iterator[str]:
+    """Yield where the features lie on one straight line, in the image or on the ground."""
+    where = " and ".join(name for name, places in (
+        ("in the image", both.image_vertices()), ("on the ground", both.ground_vertices()[:, :2]))
+        if _is_narrow(places))
+    if where:
+        yield (f"All {both.word} lie close to one straight line {where}. Nothing tells what the "
+               "model does away from it: measure points there.")
+
+
+def _is_narrow(places: FloatArray) -> bool:
+    """Return whether three or more places lie on a line, and not all at one place."""
+    if len(places) <= 2:
+        return False
+    along, across = np.linalg.svd(places - places.mean(axis=0), compute_uv=False)
+    return bool(along > 0.0 and across <= NARROW * along)
 
 
 def _on_carriers(both: FeatureSet) -> Iterator[str]:
