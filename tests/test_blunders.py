@@ -239,7 +239,7 @@ def test_a_prediction_is_the_mean_over_all_solutions() -> None:
                       np.where(used, 1.0, 1e-3)[:, None] * np.ones((60, 2)),
                       scales_of(np.array(exponents)[order > 1]), int(used.sum()))
     assert found is not None
-    left, errors = (np.array([getattr(side, name)[:, side.cell] for side in found.sides])
+    left, errors = (np.array([getattr(side, name)[side.cell].T for side in found.sides])
                     for name in ("left", "errors"))                               # (2, n, c)
     half = found.freedom // 2 - 1
     parts = (errors**2 / left).sum(axis=0)

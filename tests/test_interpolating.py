@@ -13,6 +13,7 @@ import termsel
 from termsel.adjustment import field, posterior
 from termsel.adjustment.field import collocate
 from termsel.adjustment.monomials import graded_exponents, monomials
+from termsel.adjustment.orthogonal import orthogonal
 from termsel.adjustment.thin_plate import thin_plates
 from termsel.candidates.portfolio import choose
 from termsel.measurements.features import FeatureSet, FloatArray, Points
@@ -182,6 +183,22 @@ def test_one_decomposition_for_all_scales_gives_what_one_for_each_does(
     for one, other in zip(found.odds, expected.odds, strict=True):
         np.testing.assert_allclose(one.evidence, other.evidence, atol=1e-8)
         np.testing.assert_allclose(one.square, other.square, rtol=near)
+    size = np.abs(expected.left_out.errors).max()
+    np.testing.assert_allclose(found.left_out.errors, expected.left_out.errors, atol=near * size)
+    for axis in (0, 1):
+        np.testing.assert_allclose(*(one.mean(axis)[0] for one in (found, expected)), rtol=near)
+        np.testing.assert_allclose(*(one.mean(axis)[1] for one in (found, expected)), rtol=near)
+
+
+@pytest.mark.parametrize("condition", [1.0, 1e4, 1e7, 1e12])
+def test_columns_are_orthogonal_whatever_their_condition(condition: float) -> None:
+    rng = np.random.default_rng(8)
+    turn = np.linalg.qr(rng.normal(size=(64, 64)))[0]
+    columns = rng.normal(size=(300, 64)) * np.geomspace(1.0, 1.0 / condition, 64) @ turn
+    q, r = orthogonal(columns)
+    np.testing.assert_allclose(q.T @ q, np.eye(64), atol=1e-13)
+    np.testing.assert_allclose(q @ r, columns, atol=1e-13 * np.abs(columns).max())
+    assert not np.tril(r, -1).any()
 
 
 @pytest.mark.parametrize("sigma", [False, True])

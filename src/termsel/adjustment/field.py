@@ -80,12 +80,15 @@ class Part:
         None without a field.
     root : ndarray, shape (k, k)
         Lower triangle of the knots' covariance; empty without a field.
+    columns : ndarray, shape (n, c)
+        Monomials at the points, and what spans the field.
     """
 
     found: Posterior
     log: float
     lengths: tuple[float, float] | None
     root: FloatArray
+    columns: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -199,20 +202,18 @@ class Collocation:
         """Averaged coefficients of the monomials, and those of the knots of each field by lengths.
         """
         lead = len(self.turn)
-        columns, weights = monomials(self.points.ground, self.exponents), weights_of(self.points)
-        places = columns[:, :lead] @ self.turn
-        total, fields = np.zeros((columns.shape[1], 2)), []
+        terms, weights = len(self.exponents), weights_of(self.points)
+        total, rest, fields = np.zeros((terms, 2)), np.zeros_like(self.points.image), []
         for share, part in self._likely:
             shrunk = np.stack([part.found.mean(axis)[0] for axis in (0, 1)], axis=1)
-            rest = self.points.image - _with_field(columns, places, self.knots,
-                                                   part)[:, lead:] @ shrunk
-            total[lead:] += share * shrunk[:columns.shape[1] - lead]
-            for axis, w in enumerate(weights.T):
-                total[:lead, axis] += share * np.linalg.lstsq(
-                    columns[:, :lead] * w[:, None], rest[:, axis] * w)[0]
+            rest += share * (self.points.image - part.columns[:, lead:] @ shrunk)
+            total[lead:] += share * shrunk[:terms - lead]
             if part.lengths and share > NEGLIGIBLE:
                 fields.append((part.lengths, share * linalg.solve_triangular(
-                    part.root, shrunk[columns.shape[1] - lead:], lower=True, trans="T")))
+                    part.root, shrunk[terms - lead:], lower=True, trans="T")))
+        affine = self.parts[0].columns[:, :lead]
+        for axis, w in enumerate(weights.T):
+            total[:lead, axis] = np.linalg.lstsq(affine * w[:, None], rest[:, axis] * w)[0]
         return total, fields
 
 
@@ -269,7 +270,7 @@ def _collocated(image: bytes, ground: bytes, sigma: bytes | None,
         if found is None:
             return None
         parts.append(Part(found, found.cells.log + np.log(_belief(lengths) / len(found.scales)),
-                          lengths, root))
+                          lengths, root, bare))
     return Collocation(points, exponents, turn, knots, tuple(parts))
 
 
@@ -322,10 +323,11 @@ def _spread_out(places: FloatArray) -> FloatArray:
     if len(places) <= KNOTS:
         return places
     taken = [int(np.argmin(np.linalg.norm(places - places.mean(axis=0), axis=1)))]
-    apart = np.linalg.norm(places - places[taken[0]], axis=1)
+    columns, apart = np.ascontiguousarray(places.T), np.full(len(places), np.inf)
     while len(taken) < KNOTS:
+        line, sample = columns - columns[:, taken[-1:]]
+        apart = np.minimum(apart, np.sqrt(line * line + sample * sample))
         taken.append(int(apart.argmax()))
-        apart = np.minimum(apart, np.linalg.norm(places - places[taken[-1]], axis=1))
     return places[taken]
 
 

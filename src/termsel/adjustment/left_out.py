@@ -23,6 +23,12 @@ from termsel.measurements.features import FloatArray, IntArray
 LEAST = -300.0
 """Powers are not taken below this natural logarithm, lest numbers lose precision and time."""
 
+AT_ONCE, CELLS = 64, 8
+"""Points and cells that are worked on together: what is read again stays in a cache."""
+
+# Nothing is allocated. Sums may be taken in any order.
+_compiled = partial(compiled, _nrt=False, fastmath={"reassoc", "contract", "nsz", "nnan"})
+
 
 @dataclass(frozen=True, eq=False)
 class Prediction:
@@ -61,7 +67,7 @@ def leave_each_out(left: tuple[FloatArray, FloatArray], errors: tuple[FloatArray
 
     Parameters
     ----------
-    left, errors : tuple of ndarray, shape (n, u) and (n, v)
+    left, errors : tuple of ndarray, shape (u, n) and (v, n)
         1 less the leverage of each point, and its error, under the solutions of line and sample.
     cell : tuple of ndarray of int, shape (c,)
         Which solutions of line and of sample occur together.
@@ -74,66 +80,138 @@ def leave_each_out(left: tuple[FloatArray, FloatArray], errors: tuple[FloatArray
     half : int
         Half the degrees of freedom without a point.
     """
-    found = np.empty((len(left[0]), 7))
+    n = left[0].shape[1]
+    width, found = min(n, AT_ONCE), np.empty((n, 7))
+    line, sample = (np.empty((4, len(one), width)) for one in left)
     _leave_out(*left, *errors, *cell, square, least, share * square, half, np.exp(LEAST / half),
-               np.empty((3, len(left[0][0]))), np.empty((3, len(left[1][0]))),
-               np.empty((3, len(share))), found)
+               left[0] is left[1], line, sample, np.empty((len(share), width)),
+               np.empty((2, CELLS * width)), np.empty((9, width)), found)
     return Prediction(found[:, :2], found[:, 2], found[:, 3], found[:, 4:6], log + found[:, 6])
 
 
-@partial(compiled, _nrt=False, fastmath={"reassoc", "contract", "nsz", "nnan"})
+@_compiled
+def _invert(left: FloatArray, inverse: FloatArray, root: FloatArray) -> None:
+    for p in range(len(left)):
+        inverse[p] = 1.0 / left[p]
+        root[p] = np.sqrt(inverse[p])
+
+
+@_compiled
+def _divide(errors: FloatArray, inverse: FloatArray, ratio: FloatArray, part: FloatArray) -> None:
+    """Fill in e / l and e^2 / l."""
+    for p in range(len(errors)):
+        ratio[p] = errors[p] * inverse[p]
+        part[p] = ratio[p] * errors[p]
+
+
+@_compiled
+def _grow(line: FloatArray, sample: FloatArray, square: float, least: float, grown: FloatArray,
+          highest: FloatArray) -> None:
+    """Fill in S / S'."""
+    for p in range(len(grown)):
+        grown[p] = square / max(square - line[p] - sample[p], least)
+        highest[p] = max(highest[p], grown[p])
+
+
+@_compiled
+def _weigh(line: FloatArray, sample: FloatArray, weight: float, grown: FloatArray,
+           highest: FloatArray, lowest: float, share: FloatArray, power: FloatArray,
+           plain: FloatArray) -> None:
+    """Fill in probabilities but for a power, and that of which it is one."""
+    for p in range(len(share)):
+        share[p] = weight * line[p] * sample[p]
+        plain[p] += share[p]
+        power[p] = max(grown[p] * highest[p], lowest)
+
+
+@_compiled
+def _raise(power: FloatArray, exponent: int, share: FloatArray) -> None:
+    """Multiply by powers, two binary digits of the exponent at a time."""
+    while True:
+        if exponent & 3 == 3:
+            for i in range(len(share)):
+                share[i] *= power[i] * power[i] * power[i]
+        elif exponent & 2:
+            for i in range(len(share)):
+                share[i] *= power[i] * power[i]
+        elif exponent & 1:
+            for i in range(len(share)):
+                share[i] *= power[i]
+        exponent >>= 2
+        if exponent == 0:
+            break
+        for i in range(len(share)):
+            power[i] = (power[i] * power[i]) * (power[i] * power[i])
+
+
+@_compiled
+def _add(share: FloatArray, one: FloatArray, other: FloatArray, sums: FloatArray,
+         sums_of_other: FloatArray) -> None:
+    for p in range(len(share)):
+        sums[p] += share[p] * one[p]
+        sums_of_other[p] += share[p] * other[p]
+
+
+@_compiled
+def _add_grown(share: FloatArray, grown: FloatArray, total: FloatArray,
+               statistic: FloatArray) -> None:
+    for p in range(len(share)):
+        total[p] += share[p]
+        statistic[p] += share[p] * (grown[p] - 1.0)
+
+
+@_compiled
 def _leave_out(line_left: FloatArray, sample_left: FloatArray, line_errors: FloatArray,
                sample_errors: FloatArray, line: IntArray, sample: IntArray, square: FloatArray,
-               least: FloatArray, weight: FloatArray, half: int, lowest: float, of_line: FloatArray,
-               of_sample: FloatArray, space: FloatArray, found: FloatArray) -> None:
-    """Fill the rows of `found`: two errors, chance, statistic, two variances, logarithm."""
-    count = len(line)
-    for point in range(len(found)):
-        for u in range(of_line.shape[1]):
-            of_line[0, u] = line_errors[point, u] / line_left[point, u]
-            of_line[1, u] = 1.0 / line_left[point, u]
-            of_line[2, u] = np.sqrt(of_line[1, u])
-        for u in range(of_sample.shape[1]):
-            of_sample[0, u] = sample_errors[point, u] / sample_left[point, u]
-            of_sample[1, u] = 1.0 / sample_left[point, u]
-            of_sample[2, u] = np.sqrt(of_sample[1, u])
-        highest = 0.0
+               least: FloatArray, weight: FloatArray, half: int, lowest: float, alike: bool,
+               of_line: FloatArray, of_sample: FloatArray, grown: FloatArray, space: FloatArray,
+               sums: FloatArray, found: FloatArray) -> None:
+    """Fill the rows of `found`: two errors, chance, statistic, two variances, logarithm.
+
+    `of_line` and `of_sample` take 1 / l, its root, e / l and e^2 / l; where line and sample have
+    the same leverages, the first two of `of_line` serve both.
+    """
+    n, count = len(found), len(line)
+    inverses = of_line if alike else of_sample
+    for start in range(0, n, AT_ONCE):
+        m = min(AT_ONCE, n - start)
+        for u in range(len(line_left)):
+            _invert(line_left[u, start:start + m], of_line[0, u, :m], of_line[1, u, :m])
+            _divide(line_errors[u, start:start + m], of_line[0, u, :m], of_line[2, u, :m],
+                    of_line[3, u, :m])
+        for u in range(len(sample_left)):
+            if not alike:
+                _invert(sample_left[u, start:start + m], of_sample[0, u, :m], of_sample[1, u, :m])
+            _divide(sample_errors[u, start:start + m], inverses[0, u, :m], of_sample[2, u, :m],
+                    of_sample[3, u, :m])
+        sums[:] = 0.0
+        highest, plain, total = sums[0, :m], sums[1, :m], sums[2, :m]
         for c in range(count):
-            one, other = line[c], sample[c]
-            rest = square[c] - of_line[0, one] * line_errors[point, one] \
-                - of_sample[0, other] * sample_errors[point, other]
-            space[0, c] = square[c] / max(rest, least[c])
-            highest = max(highest, space[0, c])
-        plain = 0.0
-        for c in range(count):
-            space[2, c] = weight[c] * of_line[2, line[c]] * of_sample[2, sample[c]]
-            plain += space[2, c]
-            space[1, c] = max(space[0, c] / highest, lowest)
-        left = half
-        while True:
-            if left & 1:
-                for c in range(count):
-                    space[2, c] *= space[1, c]
-            left >>= 1
-            if left == 0:
-                break
-            for c in range(count):
-                space[1, c] *= space[1, c]
-        total, statistic = 0.0, 0.0
-        first, second, third, fourth = 0.0, 0.0, 0.0, 0.0
-        for c in range(count):
-            w = space[2, c]
-            total += w
-            statistic += w * (space[0, c] - 1.0)
-            first += w * of_line[0, line[c]]
-            second += w * of_sample[0, sample[c]]
-            third += w * of_line[1, line[c]]
-            fourth += w * of_sample[1, sample[c]]
-        power = half * np.log(highest)
-        found[point, 0] = first / total
-        found[point, 1] = second / total
-        found[point, 2] = plain / total * np.exp(-power)
-        found[point, 3] = half * statistic / total
-        found[point, 4] = third / total
-        found[point, 5] = fourth / total
-        found[point, 6] = power + np.log(total)
+            _grow(of_line[3, line[c], :m], of_sample[3, sample[c], :m], square[c], least[c],
+                  grown[c, :m], highest)
+        inverse = sums[8, :m]
+        for p in range(m):
+            inverse[p] = 1.0 / highest[p]
+        for first in range(0, count, CELLS):
+            last = min(first + CELLS, count)
+            for c in range(first, last):
+                some = slice((c - first) * m, (c - first + 1) * m)
+                _weigh(of_line[1, line[c], :m], inverses[1, sample[c], :m], weight[c],
+                       grown[c, :m], inverse, lowest, space[0, some], space[1, some], plain)
+            _raise(space[1, :(last - first) * m], half, space[0, :(last - first) * m])
+            for c in range(first, last):
+                share = space[0, (c - first) * m:(c - first + 1) * m]
+                _add_grown(share, grown[c, :m], total, sums[3, :m])
+                _add(share, of_line[2, line[c], :m], of_line[0, line[c], :m], sums[4, :m],
+                     sums[6, :m])
+                _add(share, of_sample[2, sample[c], :m], inverses[0, sample[c], :m], sums[5, :m],
+                     sums[7, :m])
+        for p in range(m):
+            power = half * np.log(highest[p])
+            found[start + p, 0] = sums[4, p] / total[p]
+            found[start + p, 1] = sums[5, p] / total[p]
+            found[start + p, 2] = plain[p] / total[p] * np.exp(-power)
+            found[start + p, 3] = half * sums[3, p] / total[p]
+            found[start + p, 4] = sums[6, p] / total[p]
+            found[start + p, 5] = sums[7, p] / total[p]
+            found[start + p, 6] = power + np.log(total[p])

@@ -13,7 +13,14 @@ import numpy as np
 
 from termsel.adjustment.left_out import Prediction, chance_of, leave_each_out
 from termsel.adjustment.monomials import Exponents, monomials
-from termsel.adjustment.shrinkage import TINY, Design, Shrinkage, Side, design_of
+from termsel.adjustment.shrinkage import (
+    CANCELLED,
+    TINY,
+    Design,
+    Side,
+    design_of,
+    shrinkage_of,
+)
 from termsel.measurements.features import FloatArray, IntArray
 
 SIZES = 10.0 ** np.arange(-0.5, 5.5, 0.5)
@@ -37,9 +44,6 @@ fall and a relief; and their standard deviation in natural logarithms."""
 
 NO_NOISE = 1e-11
 """Noise that counts as none, as a part of the image's half-range."""
-
-CANCELLED = 1e-8
-"""What remains of a number where rounding errors of a difference matter."""
 
 NEVER = 30.0
 """Solutions less likely than the likeliest by this, in natural logarithms, are left out."""
@@ -97,7 +101,7 @@ def _mixed(design: Design, along: FloatArray) -> tuple[FloatArray, FloatArray] |
     if few == design.rest.shape[1]:
         return None
     ratios, group = np.unique(design.scales[:, few], return_inverse=True)
-    u, values = design.many
+    u, values, _ = design.many
     turned = u.T @ np.concatenate([design.rest[:, :few], along], axis=1)
     keep = 1.0 / (1.0 + ((SIZES * ratios[:, None])[:, :, None] * values) ** 2)    # (r, s, m)
     gram = (turned.T @ (keep[..., None] * turned))[group]
@@ -183,15 +187,13 @@ class Posterior:
     def sides(self) -> tuple[Side, Side]:
         """Solutions of line and of sample: of many points few matter, and of a model that is not
         chosen none is asked for."""
-        group, size = np.divmod(np.stack(self.cells.which), len(SIZES))
-        groups, least = np.unique(group), size.min()
-        sizes = SIZES[least:size.max() + 1]
-        cells = np.searchsorted(groups, group) * len(sizes) + size - least
+        which, cell = np.unique(np.stack(self.cells.which), return_inverse=True)
+        group, size = np.divmod(which, len(SIZES))
         line, sample = self.designs
-        of_line = Shrinkage(line, groups, sizes)
-        of_sample = of_line if sample is line else Shrinkage(sample, groups, sizes)
-        return (of_line.side(self.targets[:, 0], cells[0]),
-                of_sample.side(self.targets[:, 1], cells[1]))
+        of_line = shrinkage_of(line, group, size, SIZES)
+        of_sample = of_line if sample is line else shrinkage_of(sample, group, size, SIZES)
+        return (of_line.side(self.targets[:, 0], cell[0]),
+                of_sample.side(self.targets[:, 1], cell[1]))
 
     @property
     def square(self) -> FloatArray:
@@ -229,8 +231,8 @@ class Posterior:
         errors, spread = np.empty((2, len(points), 2))
         each, mean = np.zeros((len(points), len(share))), np.zeros(len(points))
         for axis, side in enumerate(self.sides):
-            left = side.left[points]                                                  # (m, u)
-            error, own = side.errors[points] / left / weight, 1.0 + (1.0 - left) / weight**2
+            left = side.left[:, points].T                                             # (m, u)
+            error, own = side.errors[:, points].T / left / weight, 1.0 + (1.0 - left) / weight**2
             strain, count = error**2 / own / 2, left.shape[1]
             errors[:, axis] = error @ np.bincount(side.cell, share, count)
             spread[:, axis] = own @ np.bincount(side.cell, share, count)
@@ -270,12 +272,13 @@ def posterior(columns: FloatArray, image: FloatArray, order: IntArray, weights: 
     noise = 2 * in_use * (NO_NOISE * float(np.ptp(image, axis=0).max()) / 2) ** 2
     weights = np.ones_like(image) if weights is None else weights
     few = scales.shape[1] if few is None else few
-    of_line, of_sample = (design_of(columns * w[:, None], order < 2, scales, few)
-                          for w in weights.T)
+    # Line and sample have one design unless their weights differ.
+    alike = (weights[:, 0] == weights[:, 1]).all()
+    of_line = design_of(columns * weights[:, :1], order < 2, scales, few)
+    of_sample = of_line if alike else design_of(columns * weights[:, 1:], order < 2, scales, few)
     if of_line is None or of_sample is None or freedom < 4:
         return None
     targets = image * weights
-    # Line and sample have one design unless their weights differ.
     line, sample = _odds(of_line, targets) if of_line is of_sample else (
         _odds(of_line, targets[:, :1]) + _odds(of_sample, targets[:, 1:]))
     return Posterior((line, sample), _cells([line, sample], freedom, noise), freedom, noise,

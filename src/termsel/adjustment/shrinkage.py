@@ -2,21 +2,25 @@
 
 With the free columns taken out, and the others multiplied by their scales, U S V' is the singular
 value decomposition of what remains. The solution of a size s leaves 1 / (1 + (s S)^2) of what is
-measured along each column of U. A group is one set of scales.
+measured along each column of U. A group is one set of scales, a solution a group and a size.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
 
 import numpy as np
 
+from termsel.adjustment.orthogonal import orthogonal
 from termsel.adjustment.solve import TOLERANCE
 from termsel.measurements.features import BoolArray, FloatArray, IntArray
 
 TINY = 1e-14
 """What is left of 1 by rounding error."""
+
+CANCELLED = 1e-8
+"""What remains of a number where rounding errors of a difference matter."""
 
 AT_ONCE = 1 << 16
 """Numbers of several groups that are worked on together: fewer calls, as long as a cache holds
@@ -54,12 +58,20 @@ class Design:
     few: int
 
     @cached_property
-    def many(self) -> tuple[FloatArray, FloatArray]:
-        """U, shape (m, m), and S, shape (m,), of all shrunken columns but the first few, bare."""
-        u, values, _ = np.linalg.svd(self.rest[:, self.few:])
+    def many(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """U, shape (m, m), S, shape (m,), and V' of all shrunken columns but the first few, bare.
+        """
+        u, values, vt = np.linalg.svd(self.rest[:, self.few:])
         strength = np.zeros(len(u))
         strength[:len(values)] = values
-        return u, strength
+        return u, strength, vt[:len(values)]
+
+    @cached_property
+    def unexplained(self) -> FloatArray:
+        """What no column explains of each point, shape (n,)."""
+        if self.explained.shape[1] == len(self.explained):
+            return np.zeros(len(self.explained))
+        return np.asarray(np.maximum(1.0 - (self.explained**2).sum(axis=1), 0.0))
 
     @cached_property
     def _known(self) -> tuple[BoolArray, FloatArray, FloatArray, FloatArray]:
@@ -105,21 +117,11 @@ def design_of(columns: FloatArray, free: BoolArray, scales: FloatArray,
     Design or None
         None if all rows but any one do not determine the free columns.
     """
-    return _design(columns.tobytes(), free.tobytes(), scales.tobytes(), *columns.shape, few)
-
-
-@lru_cache(maxsize=4)
-def _design(columns_of: bytes, free_of: bytes, scales_of: bytes, n: int,
-            count: int, few: int) -> Design | None:
-    """Return the same; line and sample, and a field of no size, ask for one."""
-    columns = np.frombuffer(columns_of).reshape(n, count)
-    free = np.frombuffer(free_of, dtype=bool)
-    scales = np.frombuffer(scales_of).reshape(-1, int((~free).sum()))
     lead = columns[:, free]
     f = lead.shape[1]
     if len(lead) <= f:
         return None
-    q, r = np.linalg.qr(np.concatenate([lead, columns[:, ~free]], axis=1))
+    q, r = orthogonal(np.concatenate([lead, columns[:, ~free]], axis=1))
     if (np.abs(np.diag(r))[:f] <= TOLERANCE * np.linalg.norm(lead, axis=0)).any() \
             or (1.0 - (q[:, :f]**2).sum(axis=1)).min() < TOLERANCE:
         return None
@@ -128,10 +130,10 @@ def _design(columns_of: bytes, free_of: bytes, scales_of: bytes, n: int,
 
 @dataclass(frozen=True, eq=False)
 class Side:
-    """The u solutions of one axis, those of some groups by some sizes.
+    """The u solutions of one axis.
 
     `cell`, shape (c,), is that of each cell of the posterior. `left` is 1 minus the leverage of
-    each point, `errors` are what the fit leaves, shape (n, u); `effective`, shape (u,), are
+    each point, `errors` are what the fit leaves, shape (u, n); `effective`, shape (u,), are
     effective parameters. `coefficients` are the shrunken ones, shape (u, k), and `free` what is
     measured along the free columns.
     """
@@ -145,26 +147,38 @@ class Side:
 
 
 class Shrinkage:
-    """What the solutions of some groups by some sizes do, whatever is measured.
+    """What solutions do, whatever is measured, by one decomposition for each group.
 
     Parameters
     ----------
     design : Design
-    groups : ndarray of int, shape (g,)
-    sizes : ndarray, shape (s,)
+    group, size : ndarray of int, shape (u,)
+        Of each solution.
+    sizes : ndarray
+        All there are.
     """
 
-    def __init__(self, design: Design, groups: IntArray, sizes: FloatArray) -> None:
+    def __init__(self, design: Design, group: IntArray, size: IntArray,
+                 sizes: FloatArray) -> None:
+        groups, which = np.unique(group, return_inverse=True)
+        least, most = int(size.min()), int(size.max())
+        # Where the solutions stand among all of these groups and sizes.
+        self._place = which * (most + 1 - least) + size - least
         self._design, self._scales = design, design.scales[groups]
         self._u, values, self._vt = design.decomposed(groups)
-        ratio = sizes[:, None] * values[:, None]                                  # (g, s, m)
+        some = sizes[least:most + 1, None]
+        ratio = some * values[:, None]                                            # (g, s, m)
         self._keep = 1.0 / (1.0 + ratio**2)
-        self._grown = sizes[:, None] * ratio * self._keep
-        self._effective = (design.explained.shape[1] - self._keep.sum(axis=2)).ravel()
+        self._grown = some * ratio * self._keep
+        self._effective = design.explained.shape[1] - self._mine(self._keep).sum(axis=1)
+
+    def _mine(self, every: FloatArray) -> FloatArray:
+        """Return the rows of the solutions, of those of all groups and sizes, shape (u, k)."""
+        return np.asarray(every.reshape(-1, every.shape[2])[self._place])
 
     @cached_property
-    def _left(self) -> FloatArray:
-        """1 minus the leverage of each point, shape (n, g s)."""
+    def left(self) -> FloatArray:
+        """1 minus the leverage of each point, shape (u, n)."""
         design, (count, sizes, m) = self._design, self._keep.shape
         places = np.ascontiguousarray(design.basis.T)
         n = places.shape[1]
@@ -175,18 +189,99 @@ class Shrinkage:
             along = self._u[some].swapaxes(1, 2) @ places
             along *= along
             np.matmul(self._keep[some], along, out=left[some])
-        if design.explained.shape[1] < n:
-            left += np.maximum(1.0 - (design.explained**2).sum(axis=1), 0.0)
-        return np.maximum(left.reshape(-1, n).T, TINY, order="C")
+        mine = self._mine(left)
+        mine += design.unexplained
+        return np.maximum(mine, TINY, out=mine)
 
-    def side(self, target: FloatArray, cell: IntArray) -> Side:
-        """Return the solutions for what is measured of one axis, shape (n,)."""
+    def side(self, target: FloatArray, which: IntArray) -> Side:
+        """Return the solutions for what is measured of one axis.
+
+        Parameters
+        ----------
+        target : ndarray, shape (n,)
+        which : ndarray of int, shape (c,)
+            Solution of each cell of the posterior.
+        """
         design = self._design
         along = ((design.basis.T @ target) @ self._u)[:, None]                    # (g, 1, m)
-        turned = (self._keep * along) @ self._u.swapaxes(1, 2)
-        errors = design.basis @ turned.reshape(-1, turned.shape[2]).T
-        errors += design.beyond(target)[:, None]
-        coefficients = (self._grown * along) @ self._vt * self._scales[:, None]
-        return Side(cell, self._left, errors, self._effective,
-                    coefficients.reshape(-1, coefficients.shape[2]),
+        errors = self._mine((self._keep * along) @ self._u.swapaxes(1, 2)) @ design.basis.T
+        errors += design.beyond(target)
+        coefficients = self._mine((self._grown * along) @ self._vt * self._scales[:, None])
+        return Side(which, self.left, errors, self._effective, coefficients,
                     design.explained[:, :len(design.lead)].T @ target)
+
+
+class SharedShrinkage:
+    """The same by one decomposition for all groups, that of the columns of one scale.
+
+    With W what a size leaves along it, and the few other columns C by their scales, a solution
+    leaves W - W C (I + C'W C)^-1 C'W of what is measured.
+
+    Parameters
+    ----------
+    design : Design
+        With few columns of scales of their own.
+    group, size : ndarray of int, shape (u,)
+        Of each solution.
+    sizes : ndarray
+        All there are.
+    """
+
+    def __init__(self, design: Design, group: IntArray, size: IntArray,
+                 sizes: FloatArray) -> None:
+        few = design.few
+        self._design, self._own = design, sizes[size, None] * design.scales[group]
+        u, values, self._vt = design.many
+        self._ratio = self._own[:, few:few + 1] * values                             # (u, m)
+        self._keep = 1.0 / (1.0 + self._ratio**2)
+        self._columns = self._own[:, :few, None] * (design.rest[:, :few].T @ u)  # C', (u, f, m)
+        weighted = self._columns * self._keep[:, None]
+        self._root = np.linalg.cholesky(
+            np.eye(few) + weighted @ self._columns.swapaxes(1, 2))
+        self._turned = np.linalg.solve(self._root, weighted)
+        self._along = u.T @ design.basis.T                                           # (m, n)
+
+    @cached_property
+    def left(self) -> FloatArray | None:
+        """1 minus the leverage of each point, shape (u, n); None where rounding errors matter."""
+        whole = self._keep @ self._along**2 + self._design.unexplained
+        count, few, m = self._turned.shape
+        less = (self._turned.reshape(-1, m) @ self._along).reshape(count, few, -1)
+        less *= less
+        left = whole - less.sum(axis=1)
+        return None if (left <= CANCELLED * whole).any() else np.maximum(left, TINY, out=left)
+
+    def side(self, target: FloatArray, which: IntArray) -> Side:
+        """Return the solutions for what is measured of one axis (see `Shrinkage.side`)."""
+        design = self._design
+        assert self.left is not None
+        along = self._along @ target
+        mixed = self._turned @ along                                                 # (u, f)
+        rest = self._keep * along - (mixed[:, None] @ self._turned)[:, 0]
+        coefficients = self._own.copy()
+        coefficients[:, :design.few] *= np.linalg.solve(self._root.swapaxes(1, 2),
+                                                        mixed[..., None])[..., 0]
+        coefficients[:, design.few:] *= (self._ratio * rest)[:, :len(self._vt)] @ self._vt
+        effective = (design.explained.shape[1] - self._keep.sum(axis=1)
+                     + (self._turned**2).sum(axis=(1, 2)))
+        return Side(which, self.left, rest @ self._along + design.beyond(target), effective,
+                    coefficients, design.explained[:, :len(design.lead)].T @ target)
+
+
+def shrinkage_of(design: Design, group: IntArray, size: IntArray,
+                 sizes: FloatArray) -> Shrinkage | SharedShrinkage:
+    """Return what solutions do, by one decomposition where the design and rounding errors allow.
+
+    Parameters
+    ----------
+    design : Design
+    group, size : ndarray of int, shape (u,)
+        Of each solution.
+    sizes : ndarray
+        All there are.
+    """
+    if design.few < design.rest.shape[1]:
+        shared = SharedShrinkage(design, group, size, sizes)
+        if shared.left is not None:
+            return shared
+    return Shrinkage(design, group, size, sizes)

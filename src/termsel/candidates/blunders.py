@@ -74,7 +74,7 @@ def find_blunders(control: FeatureSet, heights: bool) -> Suspects | None:
     if whole is None:
         return None
     used, test = _settled(
-        control, *_forward(control, _core(control, whole, heights), whole, heights), heights)
+        control, *_forward(control, *_core(control, whole, heights), whole, heights), heights)
     while not (used.all() or test.local) and (
             choice := choose(control.take(used), heights, whole=False)):
         more = used | _predicted_by(choice.chosen, control)
@@ -136,14 +136,15 @@ def judge_others(chosen: Judged, heights: bool, others: Points) -> Suspects | No
     return test.suspects(far & decided, far & ~decided, ~used)
 
 
-def _core(control: FeatureSet, whole: Test, heights: bool) -> BoolArray:
-    """Return the features that remain where those that fit worst are set aside.
+def _core(control: FeatureSet, whole: Test, heights: bool) -> tuple[BoolArray, Test]:
+    """Return the features that remain where those that fit worst are set aside, and their test.
 
     Of points step by step. With lines, which are many, those that have no weight under the biweight
     are; a whole third where these are more, or the features too few for a quadratic.
     """
     if len(control.lines):
-        return _weighty(control, whole, heights)
+        used = _weighty(control, whole, heights)
+        return used, test_of(control, used, heights) or whole
     used, test = np.ones(len(control), dtype=bool), whole
     core = len(control) - int(MOST * len(control))
     while used.sum() > core:
@@ -155,7 +156,7 @@ def _core(control: FeatureSet, whole: Test, heights: bool) -> BoolArray:
         if nearer is None:
             break
         used, test = fewer, nearer
-    return used
+    return used, test
 
 
 def _weighty(control: FeatureSet, whole: Test, heights: bool) -> BoolArray:
@@ -197,11 +198,10 @@ def suspicious(control: FeatureSet, heights: bool) -> bool:
     return weightless is None or bool(weightless.any())
 
 
-def _forward(control: FeatureSet, used: BoolArray, whole: Test,
+def _forward(control: FeatureSet, used: BoolArray, test: Test, whole: Test,
              heights: bool) -> tuple[BoolArray, Test]:
     """Admit features again that those in use predict; leave out those they no longer do."""
     n, seen = len(control), set[bytes]()
-    test = test_of(control, used, heights) or whole
     while used.tobytes() not in seen:
         seen.add(used.tobytes())
         out = ~used & test.far(n) & test.decided()
@@ -219,7 +219,9 @@ def _forward(control: FeatureSet, used: BoolArray, whole: Test,
             bad = np.flatnonzero(used & test.far(n) & test.decided())
             if bad.size and (~used).sum() < int(MOST * n):
                 now[bad[np.argmax(test.strain[bad])]] = False
-        nearer = test_of(control, now, heights)
+        if (now == used).all():
+            break
+        nearer = whole if now.all() else test_of(control, now, heights)
         if nearer is None:
             break
         used, test = now, nearer

@@ -6,6 +6,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Protocol, TypeVar
 
 import numpy as np
 from scipy.special import fdtri
@@ -16,9 +18,9 @@ from termsel.adjustment.field import collocate
 from termsel.adjustment.left_out import Prediction, chance_of
 from termsel.adjustment.lines import row_weights
 from termsel.adjustment.monomials import monomials
-from termsel.adjustment.posterior import posterior, scales_of
+from termsel.adjustment.posterior import Posterior, posterior, scales_of
 from termsel.candidates.local import LIKELY
-from termsel.measurements.features import BoolArray, FeatureSet, FloatArray
+from termsel.measurements.features import BoolArray, FeatureSet, FloatArray, Points
 from termsel.measurements.scaling import scaling_of
 from termsel.models.polynomial import Polynomial, Polynomial2D, Polynomial3D
 
@@ -125,8 +127,22 @@ def local_test(every: FeatureSet, used: BoolArray, heights: bool) -> Test | None
 
 def test_of(control: FeatureSet, used: BoolArray, heights: bool) -> Test | None:
     """Return what the features in use predict, by the shrunken quadratic or, if better, cubic."""
-    of_degree = _test_of_lines if len(control.lines) else _test_of_points
-    quadratic, cubic = (of_degree(control, used, heights, degree) for degree in (2, 3))
+    if len(control.lines):
+        return _better(*(_test_of_lines(control, used, heights, degree) for degree in (2, 3)))
+    one = _better(*(_of_points(control.points, used, heights, degree) for degree in (2, 3)))
+    return one.test() if one else None
+
+
+class _Judged(Protocol):
+    @property
+    def squares(self) -> FloatArray: ...
+
+
+_One = TypeVar("_One", bound=_Judged)
+
+
+def _better(quadratic: _One | None, cubic: _One | None) -> _One | None:
+    """Return the cubic if its squared errors are clearly smaller, else the quadratic."""
     if quadratic is None or cubic is None:
         return cubic or quadratic
     tiny = np.finfo(float).tiny
@@ -139,9 +155,33 @@ def polynomial_of(heights: bool, degree: int) -> Polynomial:
     return (Polynomial3D if heights else Polynomial2D)(degree=degree)
 
 
-def _test_of_points(control: FeatureSet, used: BoolArray, heights: bool,
-                    degree: int) -> Test | None:
-    points = control.points
+@dataclass(frozen=True, eq=False)
+class _OfPoints:
+    """What a shrunken polynomial of the points in use predicts for all points."""
+
+    found: Posterior
+    points: Points
+    used: BoolArray
+    image_scale: float
+
+    @cached_property
+    def squares(self) -> FloatArray:
+        """Squared errors of the points in use, each by the others, shape (m,)."""
+        pixels = self.found.left_out.errors / weights_of(self.points) * self.image_scale
+        return np.asarray((pixels[self.used] ** 2).sum(axis=1))
+
+    def test(self) -> Test:
+        """Return the test: points that are not in use are looked at here alone."""
+        found, used = self.found, self.used
+        rows = _rows(found.left_out)
+        rows[~used] = _rows(found.beyond(np.flatnonzero(~used), UNUSED))
+        pixels = rows[:, :2] / weights_of(self.points) * self.image_scale
+        noise = float(np.sqrt(found.cells.share @ found.square / found.freedom))
+        return Test(np.abs(pixels).max(axis=1), rows[:, 2], rows[:, 3], rows[:, 4],
+                    noise * self.image_scale, found.freedom, self.squares)
+
+
+def _of_points(points: Points, used: BoolArray, heights: bool, degree: int) -> _OfPoints | None:
     scaling = scaling_of(FeatureSet(points.take(used)))
     scaled = scaling.points(points)
     exponents = polynomial_of(heights, degree).exponents
@@ -149,14 +189,7 @@ def _test_of_points(control: FeatureSet, used: BoolArray, heights: bool,
     weights = weights_of(points) * np.where(used, 1.0, UNUSED)[:, None]
     found = posterior(monomials(scaled.ground, exponents), scaled.image, order, weights,
                       scales_of(np.array(exponents)[order > 1]), int(used.sum()))
-    if found is None:
-        return None
-    rows = _rows(found.left_out)
-    rows[~used] = _rows(found.beyond(np.flatnonzero(~used), UNUSED))
-    pixels = rows[:, :2] / weights_of(points) * scaling.image_scale
-    noise = float(np.sqrt(found.cells.share @ found.square / found.freedom)) * scaling.image_scale
-    return Test(np.abs(pixels).max(axis=1), rows[:, 2], rows[:, 3], rows[:, 4], noise,
-                 found.freedom, (pixels[used] ** 2).sum(axis=1))
+    return None if found is None else _OfPoints(found, points, used, scaling.image_scale)
 
 
 def _test_of_lines(control: FeatureSet, used: BoolArray, heights: bool,

@@ -90,15 +90,27 @@ def select_forward(columns: FloatArray, target: FloatArray,
         return None
     folds = min(n, MAX_FOLDS)
     fold = np.arange(n) % folds
-    augmented = np.concatenate([columns, target[:, :, None]], axis=2)
-    systems = np.stack([_without_each(one, fold) for one in augmented])
+    order = np.argsort(~forced, kind="stable")
+    columns = columns[:, :, order]
+    # Line and sample have the same columns unless their weights differ.
+    if (columns == columns[0]).all():
+        rows = np.concatenate([columns[0], target.T], axis=1)
+        augmented, factors = [rows] * axes, [_without_each(rows, fold)] * axes
+        own = range(k, k + axes)
+    else:
+        augmented = [np.concatenate([one, aim[:, None]], axis=1)
+                     for one, aim in zip(columns, target, strict=True)]
+        factors, own = [_without_each(rows, fold) for rows in augmented], range(k, k + 1)
+    which = [np.append(np.arange(k), own[axis % len(own)]) for axis in range(axes)]
+    systems = np.concatenate([one[:, :, some] for one, some in zip(factors, which, strict=True)])
     equations = np.tile(np.append(n - np.bincount(fold), n).astype(np.float64), axes)
-    found = _chosen(systems.reshape(-1, *systems.shape[2:]), equations, forced, most)
+    found = _chosen(systems, equations, int(forced.sum()), most)
     if found is None:
         return None
-    best = found.reshape(axes, folds + 1, k)
-    return [AxisTerms(chosen[folds], _errors(one, fold, system, chosen[:folds]))
-            for one, system, chosen in zip(augmented, systems, best, strict=True)]
+    best, each = found.reshape(axes, folds + 1, k), np.split(systems, axes)
+    return [AxisTerms(chosen[folds][np.argsort(order)],
+                      _errors(rows[:, some], fold, system, chosen[:folds]))
+            for rows, some, system, chosen in zip(augmented, which, each, best, strict=True)]
 
 
 def _without_each(rows: FloatArray, fold: IntArray) -> FloatArray:
@@ -122,7 +134,7 @@ def _triangle(rows: FloatArray) -> FloatArray:
     return np.asarray(np.linalg.qr(rows, mode="r"))
 
 
-def _chosen(systems: FloatArray, equations: FloatArray, forced: BoolArray,
+def _chosen(systems: FloatArray, equations: FloatArray, forced: int,
             most: int) -> BoolArray | None:
     """Return the terms that each of s systems selects, shape (s, k); None if the forced ones are
     dependent.
@@ -130,39 +142,44 @@ def _chosen(systems: FloatArray, equations: FloatArray, forced: BoolArray,
     Parameters
     ----------
     systems : ndarray, shape (s, r, k + 1)
-        Columns and target, or their triangular factor.
+        Triangular factors of columns and target.
     equations : ndarray, shape (s,)
         How many each system had.
-    forced : ndarray of bool, shape (k,)
+    forced : int
+        Terms that are always in; they come first.
     most : int
         Terms that are selected at most, forced ones apart.
     """
-    rest, left = systems[:, :, :-1].copy(), systems[:, :, -1]
-    count, k = len(rest), len(forced)
-    lengths = np.linalg.norm(rest, axis=1)
-    chosen = np.zeros((count, k), dtype=bool)
-    best, least = chosen.copy(), np.full(count, np.inf)
-    rows, free = np.arange(count), int((~forced).sum())
-    for step in range(k):
-        norms = np.linalg.norm(rest, axis=1)
-        usable = ~chosen & (norms > TOLERANCE * lengths)
-        if step < k - free:
-            entering = np.full(count, np.flatnonzero(forced)[step])
-            if not usable[rows, entering].all():
-                return None
-        else:
-            added = step - (k - free)
-            least, best = _keep_best(left, equations, added, free, step, chosen, least, best)
-            if added == min(most, free) or not usable.any(axis=1).all():
-                break
-            gain = np.einsum("bnk,bn->bk", rest, left) ** 2
-            gain = np.where(usable, gain / np.where(usable, norms, 1.0) ** 2, -1.0)
-            entering = gain.argmax(axis=1)
-        q = rest[rows, :, entering] / norms[rows, entering, None]
+    count, free = len(systems), systems.shape[2] - 1 - forced
+    lengths = np.linalg.norm(systems[:, :, :-1], axis=1)
+    lead = np.abs(np.diagonal(systems, axis1=1, axis2=2)[:, :forced])
+    if (lead <= TOLERANCE * lengths[:, :forced]).any():
+        return None
+    # The forced terms are taken out: their rows of the triangle are.
+    rest, left = systems[:, forced:, forced:-1].copy(), systems[:, forced:, -1]
+    lengths = lengths[:, forced:]
+    chosen = np.zeros((count, free), dtype=bool)
+    best, least, rows = chosen.copy(), np.full(count, np.inf), np.arange(count)
+    # All terms are a candidate of their own. No selection leaves less than they do.
+    counts = range(max(min(most, free - 1), 0) + 1)
+    bounds = np.array([_criterion(systems[:, forced + free:, -1], equations, more, free,
+                                  forced + more) for more in counts])
+    for added in counts:
+        value = _criterion(left, equations, added, free, forced + added)
+        better = value < least
+        least, best = np.where(better, value, least), np.where(better[:, None], chosen, best)
+        squares = np.einsum("bnk,bnk->bk", rest, rest)
+        usable = ~chosen & (squares > (TOLERANCE * lengths) ** 2)
+        if (not usable.any(axis=1).all()
+                or (least < bounds[added + 1:].min(axis=0, initial=np.inf)).all()):
+            break
+        gain = np.einsum("bnk,bn->bk", rest, left) ** 2
+        entering = np.where(usable, gain / np.where(usable, squares, 1.0), -1.0).argmax(axis=1)
+        q = rest[rows, :, entering] / np.sqrt(squares[rows, entering])[:, None]
         rest -= q[:, :, None] * np.einsum("bn,bnk->bk", q, rest)[:, None, :]
         left = left - q * np.einsum("bn,bn->b", q, left)[:, None]
         chosen[rows, entering] = True
-    return best
+    return np.concatenate([np.ones((count, forced), dtype=bool), best], axis=1)
 
 
 def _errors(rows: FloatArray, fold: IntArray, systems: FloatArray, best: BoolArray) -> FloatArray:
@@ -183,11 +200,7 @@ def _errors(rows: FloatArray, fold: IntArray, systems: FloatArray, best: BoolArr
     return errors
 
 
-def _keep_best(left: FloatArray, n: FloatArray, count: int, free: int, used: int,
-               chosen: BoolArray, least: FloatArray, best: BoolArray,
-               ) -> tuple[FloatArray, BoolArray]:
-    """Return the least criteria so far and the selections they are of; n equations each."""
+def _criterion(left: FloatArray, n: FloatArray, count: int, free: int, used: int) -> FloatArray:
+    """Return the criterion of some of the free terms, of n equations each."""
     rss = np.maximum((left**2).sum(axis=1), np.finfo(float).tiny)
-    value = n * np.log(rss / n) + used * np.log(n) + 2 * np.log(comb(free, count))
-    better = value < least
-    return np.where(better, value, least), np.where(better[:, None], chosen, best)
+    return np.asarray(n * np.log(rss / n) + used * np.log(n) + 2 * np.log(comb(free, count)))

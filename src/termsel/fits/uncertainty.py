@@ -165,7 +165,7 @@ class _Belief:
     def contest(self, weights: FloatArray) -> float:
         """Return the variance, over the solutions, of the logarithm of their mean square error."""
         found = self.found
-        each = sum((1.0 / side.left / w[:, None] ** 2).mean(axis=0)[side.cell]
+        each = sum((1.0 / side.left / w**2).mean(axis=1)[side.cell]
                    for side, w in zip(found.sides, weights.T, strict=True))
         logarithm = np.log(found.square * each)
         return float(found.cells.share @ (logarithm - found.cells.share @ logarithm) ** 2)

@@ -22,7 +22,7 @@ from termsel.measurements.attributes import (
 )
 from termsel.measurements.frames import Tabular
 from termsel.measurements.ids import check_ids
-from termsel.measurements.parts import rows_of, unchecked
+from termsel.measurements.parts import names_at, rows_of, unchecked
 from termsel.measurements.values import (
     check_deviations,
     check_finite,
@@ -119,9 +119,9 @@ class Points(Tabular):
         """Return the points at `index` (integers or a mask)."""
         rows = rows_of(self.ids, index)
         return unchecked(
-            self, ids=tuple(self.ids[i] for i in rows), image=self.image[rows],
+            self, ids=names_at(self.ids, rows), image=self.image[rows],
             ground=self.ground[rows], sigma=None if self.sigma is None else self.sigma[rows],
-            roles=tuple(self.roles[i] for i in rows), attributes=rows_at(self.attributes, rows))
+            roles=names_at(self.roles, rows), attributes=rows_at(self.attributes, rows))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -228,7 +228,7 @@ class Lines(Tabular):
         """Return the lines at `index` (integers or a mask)."""
         rows = rows_of(self.ids, index)
         return unchecked(
-            self, ids=tuple(self.ids[i] for i in rows), image=self.image[rows],
+            self, ids=names_at(self.ids, rows), image=self.image[rows],
             ground=self.ground[rows], sigma=None if self.sigma is None else self.sigma[rows],
             attributes=rows_at(self.attributes, rows))
 

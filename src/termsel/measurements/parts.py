@@ -37,6 +37,11 @@ def rows_of(ids: Sequence[str], index: ArrayLike) -> NDArray[np.intp]:
     return np.asarray(rows)
 
 
+def names_at(names: Sequence[str], rows: NDArray[np.intp]) -> tuple[str, ...]:
+    """Return the names of rows; of a thousand points they are asked for many times."""
+    return tuple(map(names.__getitem__, rows.tolist()))
+
+
 def unchecked(whole: _Table, **changes: Any) -> _Table:
     """Return points or lines with some fields changed, without the checks of new ones.
 

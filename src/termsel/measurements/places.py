@@ -24,16 +24,18 @@ def spatial_order(xy: ArrayLike) -> IntArray:
     ndarray of int, shape (n,)
     """
     xy = np.asarray(xy, dtype=np.float64)
-
-    def halve(index: IntArray) -> list[int]:
-        if len(index) <= 2:
-            return [int(i) for i in index]
-        side = int(np.argmax(np.ptp(xy[index], axis=0)))
-        index = index[np.argsort(xy[index, side], kind="stable")]
-        middle = len(index) // 2
-        return halve(index[:middle]) + halve(index[middle:])
-
-    return np.array(halve(np.arange(len(xy))), dtype=np.intp)
+    order, starts = np.arange(len(xy)), np.zeros(1, dtype=np.intp)
+    while (sizes := np.diff(starts, append=len(xy))).max(initial=0) > 2:
+        part = np.repeat(np.arange(len(starts)), sizes)
+        there = xy[order]
+        side = np.argmax(np.maximum.reduceat(there, starts)
+                         - np.minimum.reduceat(there, starts), axis=1)
+        # Parts of one or two points are ready.
+        along = np.where(sizes[part] > 2, there[np.arange(len(xy)), side[part]], 0.0)
+        order = order[np.lexsort((along, part))]
+        divided = sizes > 2
+        starts = np.sort(np.concatenate([starts, (starts + sizes // 2)[divided]]))
+    return order
 
 
 def centres(control: FeatureSet) -> FloatArray:
