@@ -26,7 +26,7 @@ from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
 import numpy as np
-from scipy import linalg
+from scipy.linalg import lapack
 from scipy.spatial.distance import cdist
 
 from termsel.adjustment.equations import weights_of
@@ -78,8 +78,8 @@ class Part:
         Logarithm of the evidence, up to what all parts share.
     lengths : tuple of float, or None
         None without a field.
-    root : ndarray, shape (k, k)
-        Lower triangle of the knots' covariance; empty without a field.
+    inverse : ndarray, shape (k, k)
+        Of the lower triangle of the knots' covariance; empty without a field.
     columns : ndarray, shape (n, c)
         Monomials at the points, and what spans the field.
     """
@@ -87,7 +87,7 @@ class Part:
     found: Posterior
     log: float
     lengths: tuple[float, float] | None
-    root: FloatArray
+    inverse: FloatArray
     columns: FloatArray
 
 
@@ -184,7 +184,7 @@ class Collocation:
                   if share > NEGLIGIBLE]
         each = []
         for _, part in likely:
-            spanned = _with_field(columns, places, self.knots, part)
+            spanned = _with_field(columns, places, self.knots, part.lengths, part.inverse)
             field = spanned[:, columns.shape[1]:]
             # Away from the knots the field has a variance that their covariances do not span.
             missing = None if part.lengths is None else np.square(np.tile(RATIOS, len(FALLS)))[
@@ -209,8 +209,7 @@ class Collocation:
             rest += share * (self.points.image - part.columns[:, lead:] @ shrunk)
             total[lead:] += share * shrunk[:terms - lead]
             if part.lengths and share > NEGLIGIBLE:
-                fields.append((part.lengths, share * linalg.solve_triangular(
-                    part.root, shrunk[terms - lead:], lower=True, trans="T")))
+                fields.append((part.lengths, share * part.inverse.T @ shrunk[terms - lead:]))
         affine = self.parts[0].columns[:, :lead]
         for axis, w in enumerate(weights.T):
             total[:lead, axis] = np.linalg.lstsq(affine * w[:, None], rest[:, axis] * w)[0]
@@ -258,11 +257,10 @@ def _collocated(image: bytes, ground: bytes, sigma: bytes | None,
     mixed = np.array([[*rule, *np.full(len(knots), ratio)] for rule in rules for ratio in RATIOS])
     parts, weights = [], None if sigma is None else weights_of(points)
     for lengths in (None, *LENGTHS):
-        root = np.empty((0, 0)) if lengths is None else np.asarray(np.linalg.cholesky(
-            _matern(knots, knots, lengths) + JITTER * np.eye(len(knots))))
-        bare = columns if lengths is None else np.concatenate(
-            [columns, linalg.solve_triangular(root, _matern(knots, there, lengths),
-                                              lower=True).T], axis=1)
+        inverse = np.empty((0, 0)) if lengths is None else np.asarray(lapack.dtrtri(
+            np.linalg.cholesky(_matern(knots, knots, lengths) + JITTER * np.eye(len(knots))),
+            lower=1)[0])
+        bare = _with_field(columns, there, knots, lengths, inverse)
         orders = np.concatenate([order, np.full(bare.shape[1] - len(order), DEGREE)])
         found = polynomial_posterior(points.ground, points.image, exponents, weights) \
             if lengths is None else posterior(bare, points.image, orders, weights, mixed,
@@ -270,7 +268,7 @@ def _collocated(image: bytes, ground: bytes, sigma: bytes | None,
         if found is None:
             return None
         parts.append(Part(found, found.cells.log + np.log(_belief(lengths) / len(found.scales)),
-                          lengths, root, bare))
+                          lengths, inverse, bare))
     return Collocation(points, exponents, turn, knots, tuple(parts))
 
 
@@ -300,17 +298,15 @@ def _belief(lengths: tuple[float, float] | None) -> float:
 
 
 def _with_field(columns: FloatArray, places: FloatArray, knots: FloatArray,
-                part: Part) -> FloatArray:
+                lengths: tuple[float, float] | None, inverse: FloatArray) -> FloatArray:
     """Return the monomials, and the columns that span the field of a part."""
-    if part.lengths is None:
+    if lengths is None:
         return columns
-    field = linalg.solve_triangular(part.root, _matern(knots, places, part.lengths), lower=True)
-    return np.concatenate([columns, field.T], axis=1)
+    return np.concatenate([columns, _matern(places, knots, lengths) @ inverse.T], axis=1)
 
 
-def _matern(a: FloatArray, b: FloatArray, lengths: tuple[float, float] | None) -> FloatArray:
+def _matern(a: FloatArray, b: FloatArray, lengths: tuple[float, float]) -> FloatArray:
     """Return the correlations between places, shape (len(a), len(b))."""
-    assert lengths is not None
     r = cdist(a * np.sqrt(3.0) / lengths, b * np.sqrt(3.0) / lengths)
     found: FloatArray = np.exp(-r)
     r += 1.0

@@ -62,8 +62,8 @@ def chance_of(statistic: FloatArray, freedom: int) -> FloatArray:
 
 def leave_each_out(left: tuple[FloatArray, FloatArray], errors: tuple[FloatArray, FloatArray],
                    cell: tuple[IntArray, IntArray], square: FloatArray, least: FloatArray,
-                   share: FloatArray, log: float, half: int) -> Prediction:
-    """Return each point as all others predict it.
+                   share: FloatArray, log: float, half: int, count: int) -> Prediction:
+    """Return each of the first points as all others predict it.
 
     Parameters
     ----------
@@ -79,14 +79,37 @@ def leave_each_out(left: tuple[FloatArray, FloatArray], errors: tuple[FloatArray
         Logarithm of the evidence with all points.
     half : int
         Half the degrees of freedom without a point.
+    count : int
+        Points that are looked at.
     """
-    n = left[0].shape[1]
-    width, found = min(n, AT_ONCE), np.empty((n, 7))
+    width, found = min(count, AT_ONCE), np.empty((count, 7))
     line, sample = (np.empty((4, len(one), width)) for one in left)
     _leave_out(*left, *errors, *cell, square, least, share * square, half, np.exp(LEAST / half),
                left[0] is left[1], line, sample, np.empty((len(share), width)),
                np.empty((2, CELLS * width)), np.empty((9, width)), found)
     return Prediction(found[:, :2], found[:, 2], found[:, 3], found[:, 4:6], log + found[:, 6])
+
+
+def mean_chance(strain: tuple[FloatArray, FloatArray], cell: tuple[IntArray, IntArray],
+                scale: FloatArray, share: FloatArray, half: int) -> FloatArray:
+    """Return the mean of (1 + scale (strain of line + strain of sample))^-half, shape (m,).
+
+    Parameters
+    ----------
+    strain : tuple of ndarray, shape (u, m) and (v, m)
+        Under the solutions of line and sample.
+    cell : tuple of ndarray of int, shape (c,)
+        Which solutions of line and of sample occur together.
+    scale, share : ndarray, shape (c,)
+        Of each such pair: a factor, and its probability.
+    half : int
+        Half the degrees of freedom.
+    """
+    m = strain[0].shape[1]
+    found = np.zeros(m)
+    _mean_chance(*strain, *cell, scale, share, half, np.exp(LEAST / half),
+                 np.empty((2, CELLS * min(m, AT_ONCE))), found)
+    return found
 
 
 @_compiled
@@ -215,3 +238,31 @@ def _leave_out(line_left: FloatArray, sample_left: FloatArray, line_errors: Floa
             found[start + p, 4] = sums[6, p] / total[p]
             found[start + p, 5] = sums[7, p] / total[p]
             found[start + p, 6] = power + np.log(total[p])
+
+
+@_compiled
+def _begin(line: FloatArray, sample: FloatArray, scale: float, weight: float, lowest: float,
+           share: FloatArray, power: FloatArray) -> None:
+    for p in range(len(share)):
+        share[p] = weight
+        power[p] = max(1.0 / (1.0 + scale * (line[p] + sample[p])), lowest)
+
+
+@_compiled
+def _mean_chance(line_strain: FloatArray, sample_strain: FloatArray, line: IntArray,
+                 sample: IntArray, scale: FloatArray, weight: FloatArray, half: int,
+                 lowest: float, space: FloatArray, found: FloatArray) -> None:
+    """Add to `found`."""
+    for start in range(0, len(found), AT_ONCE):
+        m = min(AT_ONCE, len(found) - start)
+        for first in range(0, len(weight), CELLS):
+            last = min(first + CELLS, len(weight))
+            for c in range(first, last):
+                some = slice((c - first) * m, (c - first + 1) * m)
+                _begin(line_strain[line[c], start:start + m], sample_strain[sample[c],
+                       start:start + m], scale[c], weight[c], lowest, space[0, some],
+                       space[1, some])
+            _raise(space[1, :(last - first) * m], half, space[0, :(last - first) * m])
+            for c in range(last - first):
+                for p in range(m):
+                    found[start + p] += space[0, c * m + p]

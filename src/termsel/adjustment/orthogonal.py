@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.linalg import lapack
+from scipy.linalg import blas, lapack
 
 from termsel.measurements.features import FloatArray
 
@@ -57,4 +57,5 @@ def _step(columns: FloatArray) -> tuple[FloatArray, FloatArray, float] | None:
     except np.linalg.LinAlgError:
         return None
     inverse, fault = lapack.dtrtri(r)
-    return None if fault else (np.asarray(columns @ inverse), r, far)
+    # In the order of Fortran the columns are the rows of a matrix.
+    return None if fault else (blas.dtrmm(1.0, inverse, columns.T, trans_a=1).T, r, far)

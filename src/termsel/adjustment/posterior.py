@@ -11,7 +11,7 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 
-from termsel.adjustment.left_out import Prediction, chance_of, leave_each_out
+from termsel.adjustment.left_out import Prediction, leave_each_out, mean_chance
 from termsel.adjustment.monomials import Exponents, monomials
 from termsel.adjustment.shrinkage import (
     CANCELLED,
@@ -173,6 +173,8 @@ class Posterior:
         Of the shrunken coefficients for size 1.
     targets : ndarray, shape (n, 2)
         Weighted measurements.
+    in_use : int
+        Points whose weight matters; they come first.
     """
 
     odds: tuple[Odds, Odds]
@@ -182,6 +184,7 @@ class Posterior:
     designs: tuple[Design, Design]
     scales: FloatArray
     targets: FloatArray
+    in_use: int
 
     @cached_property
     def sides(self) -> tuple[Side, Side]:
@@ -210,37 +213,37 @@ class Posterior:
 
     @cached_property
     def left_out(self) -> Prediction:
-        """What all points but one predict for it, for each point."""
+        """What all points but one predict for it, for each point in use."""
         line, sample = self.sides
         square = self.square
         return leave_each_out((line.left, sample.left), (line.errors, sample.errors),
                               (line.cell, sample.cell), square, self.noise + TINY * square,
-                              self.cells.share, self.cells.log, self.freedom // 2 - 1)
+                              self.cells.share, self.cells.log, self.freedom // 2 - 1,
+                              self.in_use)
 
-    def beyond(self, points: IntArray, weight: float) -> Prediction:
-        """Return what the points in use predict for others.
+    def beyond(self, weight: float) -> Prediction:
+        """Return what the points in use predict for the others.
 
         Parameters
         ----------
-        points : ndarray of int, shape (m,)
-            Points that stand in the equations with a weight too small to matter.
         weight : float
-            That weight.
+            Of the others in the equations, too small to matter.
         """
-        share, variance = self.cells.share, self.square / self.freedom
-        errors, spread = np.empty((2, len(points), 2))
-        each, mean = np.zeros((len(points), len(share))), np.zeros(len(points))
+        share, strains = self.cells.share, []
+        errors, spread, mean = (np.zeros((len(self.targets) - self.in_use, 2)) for _ in range(3))
         for axis, side in enumerate(self.sides):
-            left = side.left[:, points].T                                             # (m, u)
-            error, own = side.errors[:, points].T / left / weight, 1.0 + (1.0 - left) / weight**2
-            strain, count = error**2 / own / 2, left.shape[1]
-            errors[:, axis] = error @ np.bincount(side.cell, share, count)
-            spread[:, axis] = own @ np.bincount(side.cell, share, count)
-            mean += strain @ np.bincount(side.cell, share / variance, count)
-            each += strain.take(side.cell, axis=1)
-        each /= variance
-        return Prediction(errors, chance_of(each, self.freedom) @ share, mean, spread,
-                          np.full(len(points), self.cells.log))
+            left = side.left[:, self.in_use:]                                         # (u, m)
+            error = side.errors[:, self.in_use:] / left / weight
+            own = 1.0 + (1.0 - left) / weight**2
+            strains.append(error**2 / own / 2)
+            each, sure = (np.bincount(side.cell, one, len(left))
+                          for one in (share, share * self.freedom / self.square))
+            errors[:, axis], spread[:, axis] = each @ error, each @ own
+            mean[:, axis] = sure @ strains[axis]
+        line, sample = self.sides
+        return Prediction(errors, mean_chance((strains[0], strains[1]), (line.cell, sample.cell),
+                                              2.0 / self.square, share, self.freedom // 2),
+                          mean.sum(axis=1), spread, np.full(len(errors), self.cells.log))
 
 
 def posterior(columns: FloatArray, image: FloatArray, order: IntArray, weights: FloatArray | None,
@@ -259,7 +262,7 @@ def posterior(columns: FloatArray, image: FloatArray, order: IntArray, weights: 
     scales : ndarray, shape (g, j)
         As `scales_of` gives them.
     in_use : int
-        Number of points whose weight matters.
+        Number of points whose weight matters; they come first.
     few : int, optional
         Shrunken columns after which all have one scale in each group; by default none have.
 
@@ -282,7 +285,7 @@ def posterior(columns: FloatArray, image: FloatArray, order: IntArray, weights: 
     line, sample = _odds(of_line, targets) if of_line is of_sample else (
         _odds(of_line, targets[:, :1]) + _odds(of_sample, targets[:, 1:]))
     return Posterior((line, sample), _cells([line, sample], freedom, noise), freedom, noise,
-                     (of_line, of_sample), scales, targets)
+                     (of_line, of_sample), scales, targets, in_use)
 
 
 def polynomial_posterior(ground: FloatArray, image: FloatArray, exponents: Exponents,

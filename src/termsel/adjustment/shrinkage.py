@@ -236,9 +236,9 @@ class SharedShrinkage:
         self._keep = 1.0 / (1.0 + self._ratio**2)
         self._columns = self._own[:, :few, None] * (design.rest[:, :few].T @ u)  # C', (u, f, m)
         weighted = self._columns * self._keep[:, None]
-        self._root = np.linalg.cholesky(
-            np.eye(few) + weighted @ self._columns.swapaxes(1, 2))
-        self._turned = np.linalg.solve(self._root, weighted)
+        self._inverse = np.linalg.inv(np.linalg.cholesky(
+            np.eye(few) + weighted @ self._columns.swapaxes(1, 2)))
+        self._turned = self._inverse @ weighted
         self._along = u.T @ design.basis.T                                           # (m, n)
 
     @cached_property
@@ -259,8 +259,7 @@ class SharedShrinkage:
         mixed = self._turned @ along                                                 # (u, f)
         rest = self._keep * along - (mixed[:, None] @ self._turned)[:, 0]
         coefficients = self._own.copy()
-        coefficients[:, :design.few] *= np.linalg.solve(self._root.swapaxes(1, 2),
-                                                        mixed[..., None])[..., 0]
+        coefficients[:, :design.few] *= (mixed[:, None] @ self._inverse)[:, 0]
         coefficients[:, design.few:] *= (self._ratio * rest)[:, :len(self._vt)] @ self._vt
         effective = (design.explained.shape[1] - self._keep.sum(axis=1)
                      + (self._turned**2).sum(axis=(1, 2)))

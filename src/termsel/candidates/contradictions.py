@@ -20,7 +20,7 @@ from termsel.adjustment.lines import row_weights
 from termsel.adjustment.monomials import monomials
 from termsel.adjustment.posterior import Posterior, posterior, scales_of
 from termsel.candidates.local import LIKELY
-from termsel.measurements.features import BoolArray, FeatureSet, FloatArray, Points
+from termsel.measurements.features import BoolArray, FeatureSet, FloatArray, IntArray, Points
 from termsel.measurements.scaling import scaling_of
 from termsel.models.polynomial import Polynomial, Polynomial2D, Polynomial3D
 
@@ -157,25 +157,29 @@ def polynomial_of(heights: bool, degree: int) -> Polynomial:
 
 @dataclass(frozen=True, eq=False)
 class _OfPoints:
-    """What a shrunken polynomial of the points in use predicts for all points."""
+    """What a shrunken polynomial of the points in use predicts for all points.
+
+    `order` is that of the points in `found`: those in use come first.
+    """
 
     found: Posterior
-    points: Points
-    used: BoolArray
+    order: IntArray
+    weights: FloatArray
     image_scale: float
 
     @cached_property
     def squares(self) -> FloatArray:
         """Squared errors of the points in use, each by the others, shape (m,)."""
-        pixels = self.found.left_out.errors / weights_of(self.points) * self.image_scale
-        return np.asarray((pixels[self.used] ** 2).sum(axis=1))
+        errors = self.found.left_out.errors
+        return np.asarray(((errors / self.weights[self.order[:len(errors)]]
+                            * self.image_scale) ** 2).sum(axis=1))
 
     def test(self) -> Test:
         """Return the test: points that are not in use are looked at here alone."""
-        found, used = self.found, self.used
-        rows = _rows(found.left_out)
-        rows[~used] = _rows(found.beyond(np.flatnonzero(~used), UNUSED))
-        pixels = rows[:, :2] / weights_of(self.points) * self.image_scale
+        found = self.found
+        rows = np.empty((len(self.order), 5))
+        rows[self.order] = np.concatenate([_rows(found.left_out), _rows(found.beyond(UNUSED))])
+        pixels = rows[:, :2] / self.weights * self.image_scale
         noise = float(np.sqrt(found.cells.share @ found.square / found.freedom))
         return Test(np.abs(pixels).max(axis=1), rows[:, 2], rows[:, 3], rows[:, 4],
                     noise * self.image_scale, found.freedom, self.squares)
@@ -185,11 +189,12 @@ def _of_points(points: Points, used: BoolArray, heights: bool, degree: int) -> _
     scaling = scaling_of(FeatureSet(points.take(used)))
     scaled = scaling.points(points)
     exponents = polynomial_of(heights, degree).exponents
-    order = np.array(exponents).sum(axis=1)
-    weights = weights_of(points) * np.where(used, 1.0, UNUSED)[:, None]
-    found = posterior(monomials(scaled.ground, exponents), scaled.image, order, weights,
-                      scales_of(np.array(exponents)[order > 1]), int(used.sum()))
-    return None if found is None else _OfPoints(found, points, used, scaling.image_scale)
+    powers = np.array(exponents).sum(axis=1)
+    weights, order = weights_of(points), np.argsort(~used, kind="stable")
+    found = posterior(monomials(scaled.ground[order], exponents), scaled.image[order], powers,
+                      (weights * np.where(used, 1.0, UNUSED)[:, None])[order],
+                      scales_of(np.array(exponents)[powers > 1]), int(used.sum()))
+    return None if found is None else _OfPoints(found, order, weights, scaling.image_scale)
 
 
 def _test_of_lines(control: FeatureSet, used: BoolArray, heights: bool,

@@ -116,14 +116,17 @@ def select_forward(columns: FloatArray, target: FloatArray,
 def _without_each(rows: FloatArray, fold: IntArray) -> FloatArray:
     """Return the triangular factors of all rows but those of each fold, and at the end of all.
 
-    Folds are taken in groups, whose other rows are factored once.
+    Folds are taken in groups, each of which is factored once.
     """
     folds = int(fold.max()) + 1
     found = np.empty((folds + 1, min(rows.shape), rows.shape[1]))
-    found[folds] = _triangle(rows)
-    for some in np.array_split(np.arange(folds), round(np.sqrt(folds))):
+    groups = np.array_split(np.arange(folds), round(np.sqrt(folds)))
+    each = [_triangle(rows[np.isin(fold, some)]) for some in groups]
+    found[folds] = _triangle(np.concatenate(each))
+    for group, some in enumerate(groups):
         mine = np.isin(fold, some)
-        others, kept = _triangle(rows[~mine]), fold[mine] != some[:, None]
+        others = _triangle(np.concatenate([rows[:0], *each[:group], *each[group + 1:]]))
+        kept = fold[mine] != some[:, None]
         found[some] = _triangle(np.concatenate([
             np.broadcast_to(others, (len(some), *others.shape)), rows[mine] * kept[:, :, None]],
             axis=1))
