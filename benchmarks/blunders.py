@@ -29,6 +29,7 @@ from benchmarks.sets import (
     rmse_of,
     split,
 )
+from termsel.adjustment import blunder_odds
 from termsel.adjustment.monomials import graded_exponents, monomials
 from termsel.candidates import blunders, contradictions
 from termsel.candidates.blunders import find_blunders
@@ -257,8 +258,9 @@ def _quantile(values: list[float]) -> str:
 
 
 CONSTANTS = {"LEVEL": (contradictions, blunders), "STRAIN": (contradictions, blunders),
-             "ALLOWANCE": (contradictions,), "MOST": (blunders,), "STEP": (blunders,),
-             "CLEAR": (blunders,)}
+             "ALLOWANCE": (contradictions,), "LOOK": (contradictions,), "MOST": (blunders,),
+             "STEP": (blunders,), "CLEAR": (blunders,), "SIZES": (blunder_odds,),
+             "FORM": (blunder_odds,)}
 """By name, the modules that know it."""
 
 
@@ -334,8 +336,8 @@ are wrong: what the best search could reach.
 
 Blunders smaller than the error that the points leave to the model cannot be named, and cost
 little: with 24 points on `s1_grd_iw` that is 5 px. With 24 points in a scene that calls for a
-cubic, a blunder far from the other points looks like a bend. The report names such points as
-undecided.
+cubic, a blunder far from the other points looks like a bend. It is left out as a probable blunder
+if that is likelier; else the report names it as undecided, or it is not seen.
 
 ## Splits worse than {WORST}
 
@@ -348,8 +350,9 @@ are worse.
 ## Constants
 
 Median ratio to clean data, blunders named, and right points left out, with each constant of
-`termsel.candidates.contradictions` and `termsel.candidates.blunders` halved and doubled: one point
-in 15 of 24 and of 40 points, one split each.
+`termsel.candidates.contradictions`, `termsel.candidates.blunders` and
+`termsel.adjustment.blunder_odds` halved and doubled: one point in 15 of 24 and of 40 points, one
+split each.
 
 {sensitivity(wanted, 1)}
 

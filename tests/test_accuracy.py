@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 
 import termsel
+from termsel.adjustment.monomials import graded_exponents, monomials
+from termsel.adjustment.posterior import SIZES, posterior
 from termsel.candidates.portfolio import choose
 from termsel.candidates.repetition import repeated
 from termsel.fits.accuracy import (
@@ -20,7 +22,7 @@ from termsel.fits.accuracy import (
     predicted_rmse,
     rmse_interval,
 )
-from termsel.fits.uncertainty import shared_variance
+from termsel.fits.uncertainty import _Belief, shared_variance
 from termsel.measurements.features import FeatureSet, Points
 from termsel.measurements.metres import in_metres
 from termsel.measurements.scaling import scaling_of
@@ -93,6 +95,33 @@ def test_what_places_have_in_common_falls_with_points_and_is_unknown_with_lines(
     assert shared[0] > 2 * shared[1] > 4 * shared[2] > 0
     lines = simulate_scene("ikonos-hamedan", n_lines=6)
     assert shared_variance(Polynomial3D(degree=3), _scaled(lines)) is None
+
+
+def test_solutions_that_differ_in_their_errors_contest_each_other() -> None:
+    """By the hat matrices of ridge regressions, one for each size of line and of sample."""
+    rng = np.random.default_rng(0)
+    columns = monomials(np.column_stack([rng.uniform(-1, 1, (9, 2)), np.zeros(9)]),
+                        graded_exponents(2, 2))
+    image = columns @ rng.standard_normal((6, 2)) + 0.3 * rng.standard_normal((9, 2))
+    weights, scales = rng.uniform(0.5, 2, (9, 2)), np.array([[1.0, 0.3, 2.0]])
+    found = posterior(columns, image, np.array([0, 1, 1, 2, 2, 2]), weights, scales, 9)
+    assert found is not None
+
+    def figures(axis: int, size: float) -> tuple[float, float]:
+        rows = columns * weights[:, axis, None]
+        prior = np.diag(np.concatenate([np.zeros(3), 1 / (size * scales[0]) ** 2]))
+        left = np.eye(9) - rows @ np.linalg.solve(rows.T @ rows + prior, rows.T)
+        target = image[:, axis] * weights[:, axis]
+        return target @ left @ target, float(np.mean(
+            1 / np.diag(left) / weights[:, axis] ** 2))
+
+    known = [[figures(axis, size) for size in SIZES] for axis in (0, 1)]
+    logs = np.array([np.log((known[0][i][0] + known[1][j][0]) * (known[0][i][1] + known[1][j][1]))
+                     for i, j in zip(*found.cells.which, strict=True)])
+    mean = np.average(logs, weights=found.cells.share)
+    expected = np.average((logs - mean) ** 2, weights=found.cells.share)
+    assert expected > 1e-3
+    assert _Belief(found, 2, 2).contest(weights) == pytest.approx(expected, rel=1e-6)
 
 
 @pytest.mark.slow

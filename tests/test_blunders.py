@@ -134,24 +134,6 @@ def test_rounding_errors_are_no_blunders() -> None:
     assert found.notes == ()
 
 
-@pytest.mark.parametrize(("shift", "blunder", "undecided"), [
-    (12.0, False, False), (60.0, False, True), (200.0, True, False)])
-def test_a_far_point_alone_is_told_from_a_bend_by_a_large_error_alone(
-        shift: float, blunder: bool, undecided: bool) -> None:
-    """Nothing is near the corner, so the others hardly determine the model there."""
-    rng = np.random.default_rng(4)
-    ground = np.column_stack([rng.uniform(0, 400, (24, 2)), rng.uniform(0, 100, 24)])
-    ground[0] = 1000.0, 1000.0, 50.0
-    image = ground[:, 1::-1] * 2 + 0.5 * rng.standard_normal((24, 2))
-    image[0] += shift
-    found = find_blunders(FeatureSet(Points(tuple(map(str, range(24))), image, ground),
-                                     no_lines(), "local"), True)
-    assert found is not None
-    assert (found.blunders[0], found.undecided[0]) == (blunder, undecided)
-    assert not found.blunders[1:].any()
-    assert found.limits[0] == found.limits.max() > 40.0
-
-
 @pytest.mark.parametrize(("error", "blunder"), [(5e-7, False), (5e-5, True)])
 def test_an_error_below_rounding_is_no_blunder(error: float, blunder: bool) -> None:
     rng = np.random.default_rng(0)

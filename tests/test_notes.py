@@ -333,29 +333,36 @@ def test_check_points_beyond_half_the_relief_of_the_control(
 
 
 def suspected(n: int, blunders: Iterable[int] = (), undecided: Iterable[int] = (),
-              scale: float = 1.0) -> list[str]:
+              scale: float = 1.0, probable: Iterable[int] = ()) -> list[str]:
     """Notes on points of which some are suspected; the errors are 10 px and more."""
     points = at(np.random.default_rng(0).uniform(0, 10, (n, 3)))
-    at_blunders, at_undecided = (np.isin(np.arange(n), list(which))
-                                 for which in (blunders, undecided))
-    found = Suspects(at_blunders, at_undecided, 10.0 + np.arange(n), scale * (1.0 + np.arange(n)))
+    at_blunders, at_probable, at_undecided = (np.isin(np.arange(n), list(which))
+                                              for which in (blunders, probable, undecided))
+    found = Suspects(at_blunders, at_probable, at_undecided, 10.0 + np.arange(n),
+                     scale * (1.0 + np.arange(n)))
     return list(outliers._notes(FeatureSet(points), found))
 
 
 LEFT_OUT = ("Left out as blunders: {}. In brackets: how far the other points predict them from "
             "where they were measured.")
+PROBABLE = ("Left out as probable blunders: {}. They are more likely wrong than right; the other "
+            "points are too few or too far to be certain.")
 UNDECIDED = ("Perhaps blunders, still in use: {}. The other points are too few or too far to tell.")
 
 
 @pytest.mark.parametrize(("found", "notes"), [
     (suspected(17), []),
-    (suspected(16), ["With 16 points an error must exceed 8.5 px to be found at half of them, and "
-                     "16 px at {15}."]),
+    (suspected(16), ["With 16 points an error must exceed 8.5 px to be found for certain at "
+                     "half of them, and 16 px at {15}."]),
     (suspected(16, scale=100.0), [
-        "With 16 points no blunder can be found: any of them may be one."]),
+        "With 16 points no blunder can be found for certain: any may be one."]),
     (suspected(17, [2]), [LEFT_OUT.format("{2} (12 px)")]),
     (suspected(17, [2, 5]), [LEFT_OUT.format("{5} (15 px), {2} (12 px)")]),
     (suspected(17, [], [3]), [UNDECIDED.format("{3} (13 px)")]),
+    (suspected(17, [2, 4], [], 1.0, [4]), [LEFT_OUT.format("{2} (12 px)"),
+                                           PROBABLE.format("{4} (14 px)")]),
+    (suspected(17, [4], [], 1.0, [4]), [PROBABLE.format("{4} (14 px)")
+                                        + LEFT_OUT.partition(".")[2]]),
     (suspected(17, [2], [3]), [LEFT_OUT.format("{2} (12 px)"), UNDECIDED.format("{3} (13 px)")])])
 def test_suspected_points_are_told(found: list[str], notes: list[str]) -> None:
     ids = at(np.random.default_rng(0).uniform(0, 10, (17, 3))).ids

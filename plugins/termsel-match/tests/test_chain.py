@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -23,7 +24,7 @@ from termsel.testing import command_checks, criterion_checks
 from termsel_match.chain import georeference, model_for, reasons
 from termsel_match.commands import NOT_GOOD_ENOUGH, auto_georeference
 from termsel_match.criteria import Agreement
-from termsel_match.selection import select_points, with_lines
+from termsel_match.selection import AGREEING, select_points, with_lines
 
 CHECKS = (*criterion_checks(Agreement()), *command_checks(
     auto_georeference, ["none.tif", "--reference", "none.tif", "-o", "none.tif"]))
@@ -79,7 +80,10 @@ def test_a_map_shows_the_ground_where_it_is(place: Any, says: Any, tmp_path: Pat
     assert code == 0, text
     assert "Not good enough" not in text
     assert (folder / "report.txt").read_text() in text
-    assert "NSSDA and ASPRS of the result: of independent candidates that agree" in text
+    record = json.loads((folder / "result" / "result.json").read_text())
+    assert record["notes"][-1] == AGREEING
+    assert AGREEING in text
+    assert AGREEING in " ".join((folder / "result" / "summary.txt").read_text().split())
     assert {"candidates.csv", "report.txt", "result"} == {one.name for one in folder.iterdir()}
     with rasterio.open(output) as raster, rasterio.open(place / "ortho.tif") as ortho:
         window = ortho.window(*raster.bounds)

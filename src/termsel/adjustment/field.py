@@ -29,12 +29,13 @@ import numpy as np
 from scipy.linalg import lapack
 from scipy.spatial.distance import cdist
 
+from termsel.adjustment.blunder_odds import blunder_odds
 from termsel.adjustment.equations import weights_of
 from termsel.adjustment.foresight import foresee
 from termsel.adjustment.left_out import Prediction
 from termsel.adjustment.monomials import Exponents, graded_exponents, monomials
 from termsel.adjustment.posterior import NEVER, Posterior, polynomial_posterior, posterior
-from termsel.measurements.features import FloatArray, Points
+from termsel.measurements.features import FloatArray, IntArray, Points
 
 LENGTHS = ((0.15, 0.15), (0.3, 0.3), (0.6, 0.6), (1.2, 1.2), (0.15, 1.2), (1.2, 0.15))
 """Lengths of line and sample, by the half-range of the image: from about the distance of
@@ -162,6 +163,11 @@ class Collocation:
 
         return Prediction(mean("errors"), mean("chance"), mean("statistic"), mean("spread"),
                           np.logaddexp.reduce(logs))
+
+    def blunder_odds(self, points: IntArray) -> FloatArray:
+        """Return how much likelier points are as blunders (see `blunder_odds`)."""
+        return blunder_odds([(share, part.found, part.lengths is not None)
+                             for share, part in self._likely], points)
 
     def predict(self, ground: FloatArray) -> FloatArray:
         """Return line and sample of places, shape (m, 2)."""

@@ -9,8 +9,11 @@ other, so the features that fit worst are first set aside, a third of all, and e
 again once the features in use predict it.
 
 A prediction far from the other features rests on the form of the model, and a blunder there looks
-like a bend of the image. Such a feature stays in use, and is named as undecided, unless its error
-is large even against the variance that its place gives.
+like a bend of the image. No test tells them apart, and only an error that is large even against the
+variance that its place gives is named by one. Of points, what is likelier is told all the same: as
+a blunder or as a right point, under all polynomials and random fields that the others call for.
+Points that are likelier blunders are left out. Others with such an error stay in use, and are named
+as undecided.
 
 References
 ----------
@@ -31,6 +34,7 @@ from termsel.candidates.contradictions import (
     STRAIN,
     Suspects,
     Test,
+    likeliest_blunder,
     local_test,
     polynomial_of,
     test_of,
@@ -51,6 +55,11 @@ STEP = 0.34
 CLEAR = 1.5
 """Errors by the largest one of points in use, beyond which a point is a blunder under a model that
 is no polynomial."""
+
+LEAST = 8
+"""Points in use below which none is left out for being likelier a blunder: too many right ones
+are."""
+
 
 def find_blunders(control: FeatureSet, heights: bool) -> Suspects | None:
     """Return which control features are blunders.
@@ -81,7 +90,22 @@ def find_blunders(control: FeatureSet, heights: bool) -> Suspects | None:
         if (more == used).all():
             break
         used = more
-    return test.suspects(~used, used & test.far(len(control)) & ~test.decided(), everything)
+    kept = used if len(control.lines) else _without_probable(control, used, heights)
+    if (kept != used).any():
+        test = local_test(control, kept, heights) or test_of(control, kept, heights) or test
+    undecided = kept & test.far(len(control)) & ~test.decided()
+    return test.suspects(~kept, used & ~kept, undecided, everything)
+
+
+def _without_probable(control: FeatureSet, used: BoolArray, heights: bool) -> BoolArray:
+    """Leave out points that are likelier blunders than right, the likeliest one first each time."""
+    kept = used.copy()
+    while kept.sum() >= LEAST and (~kept).sum() < int(MOST * len(control)):
+        worst = likeliest_blunder(control, kept, heights)
+        if worst is None:
+            break
+        kept[worst] = False
+    return kept
 
 
 def _predicted_by(chosen: Judged, features: FeatureSet) -> BoolArray:
@@ -133,7 +157,7 @@ def judge_others(chosen: Judged, heights: bool, others: Points) -> Suspects | No
         return None
     far = test.far(len(others)) & ~_predicted_by(chosen, every)
     decided = test.decided()
-    return test.suspects(far & decided, far & ~decided, ~used)
+    return test.suspects(far & decided, np.zeros_like(far), far & ~decided, ~used)
 
 
 def _core(control: FeatureSet, whole: Test, heights: bool) -> tuple[BoolArray, Test]:

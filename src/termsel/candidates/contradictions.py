@@ -14,14 +14,14 @@ from scipy.special import fdtri
 
 from termsel.adjustment.coupled import coupled
 from termsel.adjustment.equations import weights_of
-from termsel.adjustment.field import collocate
+from termsel.adjustment.field import Collocation, collocate
 from termsel.adjustment.left_out import Prediction, chance_of
 from termsel.adjustment.lines import row_weights
 from termsel.adjustment.monomials import monomials
 from termsel.adjustment.posterior import Posterior, posterior, scales_of
 from termsel.candidates.local import LIKELY
 from termsel.measurements.features import BoolArray, FeatureSet, FloatArray, IntArray, Points
-from termsel.measurements.scaling import scaling_of
+from termsel.measurements.scaling import Scaling, scaling_of
 from termsel.models.polynomial import Polynomial, Polynomial2D, Polynomial3D
 
 LEVEL = 1e-3
@@ -38,6 +38,9 @@ has, on account of the form of the model."""
 ROUNDING = 1e-6
 """Errors that are none [px]."""
 
+LOOK = 2.0
+"""Standard deviations within which an error says nothing of a blunder, and is not looked at."""
+
 UNUSED = 1e-3
 """Weight at which a point has no influence and is predicted all the same."""
 
@@ -49,6 +52,8 @@ class Suspects:
     Parameters
     ----------
     blunders : ndarray of bool, shape (n,)
+    probable : ndarray of bool, shape (n,)
+        Those blunders that are none beyond chance, and likelier blunders than right all the same.
     undecided : ndarray of bool, shape (n,)
         Those with such an error that the others do not determine the model at their place.
     errors : ndarray, shape (n,)
@@ -59,6 +64,7 @@ class Suspects:
     """
 
     blunders: BoolArray
+    probable: BoolArray
     undecided: BoolArray
     errors: FloatArray
     limits: FloatArray
@@ -91,11 +97,12 @@ class Test:
         """Return the features whose error exceeds what their place allows."""
         return self.strain > ALLOWANCE * self.spread
 
-    def suspects(self, blunders: BoolArray, undecided: BoolArray, which: BoolArray) -> Suspects:
+    def suspects(self, blunders: BoolArray, probable: BoolArray, undecided: BoolArray,
+                 which: BoolArray) -> Suspects:
         """Return what is found of some of the features."""
         least = np.sqrt(fdtri(2, self.freedom, 1 - LEVEL / which.sum()))
         strain = np.maximum(max(STRAIN, float(least)), ALLOWANCE * self.spread)
-        return Suspects(blunders[which], undecided[which], self.errors[which],
+        return Suspects(blunders[which], probable[which], undecided[which], self.errors[which],
                         np.maximum(strain * self.spread * self.noise, ROUNDING)[which])
 
 
@@ -104,8 +111,7 @@ def local_test(every: FeatureSet, used: BoolArray, heights: bool) -> Test | None
     if len(every.lines):
         return None
     points, control = every.points, every.points.take(used)
-    scaling = scaling_of(FeatureSet(control))
-    found = collocate(scaling.points(control), 3 if heights else 2)
+    scaling, found = _collocated(control, heights)
     if found is None or found.probability <= LIKELY:
         return None
     scaled = scaling.points(points)
@@ -123,6 +129,40 @@ def local_test(every: FeatureSet, used: BoolArray, heights: bool) -> Test | None
     return Test(np.abs(pixels).max(axis=1), rows[:, 2], rows[:, 3], rows[:, 4],
                  float(np.sqrt(unit[0])) * scaling.image_scale, freedom,
                  (pixels[used] ** 2).sum(axis=1), local=True)
+
+
+def likeliest_blunder(control: FeatureSet, used: BoolArray, heights: bool) -> int | None:
+    """Return the point in use that is likeliest a blunder, under all that is believed of points.
+
+    Parameters
+    ----------
+    control : FeatureSet
+        Points alone.
+    used : ndarray of bool, shape (n,)
+    heights : bool
+
+    Returns
+    -------
+    int or None
+        None if none is likelier a blunder than right. Beforehand one point of all is believed to
+        be one.
+    """
+    in_use = np.flatnonzero(used)
+    points = control.points.take(used)
+    scaling, found = _collocated(points, heights)
+    if found is None:
+        return None
+    large = np.abs(found.errors).max(axis=1) * scaling.image_scale > ROUNDING
+    looked_at = np.flatnonzero(large & (found.left_out.statistic > LOOK**2))
+    if not looked_at.size:
+        return None
+    odds = found.blunder_odds(looked_at)
+    return int(in_use[looked_at[odds.argmax()]]) if odds.max() > np.log(len(points) - 1) else None
+
+
+def _collocated(points: Points, heights: bool) -> tuple[Scaling, Collocation | None]:
+    scaling = scaling_of(FeatureSet(points))
+    return scaling, collocate(scaling.points(points), 3 if heights else 2)
 
 
 def test_of(control: FeatureSet, used: BoolArray, heights: bool) -> Test | None:

@@ -87,19 +87,25 @@ def _named(ids: tuple[str, ...], found: Suspects, which: BoolArray) -> str:
 
 def _notes(control: FeatureSet, found: Suspects) -> Iterator[str]:
     what = control.word
-    if found.blunders.any():
-        yield (f"Left out as blunders: {_named(control.ids, found, found.blunders)}. In brackets: "
-               f"how far the other {what} predict them from where they were measured.")
+    brackets = f"In brackets: how far the other {what} predict them from where they were measured."
+    certain = found.blunders & ~found.probable
+    if certain.any():
+        yield (f"Left out as blunders: {_named(control.ids, found, certain)}. {brackets}")
+    if found.probable.any():
+        yield (f"Left out as probable blunders: {_named(control.ids, found, found.probable)}. They "
+               f"are more likely wrong than right; the other {what} are too few or too far to be "
+               f"certain.{'' if certain.any() else f' {brackets}'}")
     if found.undecided.any():
         yield (f"Perhaps blunders, still in use: {_named(control.ids, found, found.undecided)}. "
                f"The other {what} are too few or too far to tell.")
     if len(control) < FEW:
         worst, half = int(np.argmax(found.limits)), float(np.median(found.limits))
         if half > np.ptp(control.image_vertices(), axis=0).max():
-            yield f"With {len(control)} {what} no blunder can be found: any of them may be one."
+            yield f"With {len(control)} {what} no blunder can be found for certain: any may be one."
             return
-        yield (f"With {len(control)} {what} an error must exceed {_size(half)} px to be found at "
-               f"half of them, and {_size(found.limits[worst])} px at {control.ids[worst]}.")
+        yield (f"With {len(control)} {what} an error must exceed {_size(half)} px to be found for "
+               f"certain at half of them, and {_size(found.limits[worst])} px at "
+               f"{control.ids[worst]}.")
 
 
 def _size(error: float) -> str:

@@ -19,7 +19,7 @@ from termsel import (
 from termsel.files.atomic import write_text
 from termsel_match.points import Candidates, match_points
 from termsel_match.rounds import Matched, iterate_lines, rms_distance
-from termsel_match.selection import Selected, select_points, with_lines
+from termsel_match.selection import AGREEING, Selected, select_points, with_lines
 from termsel_match.starts import Start
 from termsel_match.vectors import read_vectors
 
@@ -72,8 +72,7 @@ class Georeferenced:
             f"{int(one.independent.sum())} agree, with an RMSE of {one.rmse:.2f} px",
             f"Median error of all of them, right or wrong: {one.median:.2f} px; accepted: "
             f"{self.accept:g} px",
-            "Independent RMSE, NSSDA and ASPRS of the result: of independent candidates that "
-            "agree, without the others; they may be too small"]
+            AGREEING]
         if self.lines is not None:
             last = self.lines.rounds[-1]
             lines.append(f"Lines: {last.agreeing} of {last.pieces} straight pieces of vectors "

@@ -12,6 +12,7 @@ import shapely
 
 import termsel
 from termsel import FeatureSet, Fit, Points, Result, TermselError
+from termsel.io.result_folder import write_result
 from termsel_match.rasters import FloatArray, Mask
 from termsel_match.starts import turned
 
@@ -23,6 +24,8 @@ _SIGMAS = 3.5
 _LEAST_LIMIT = 0.5  # px
 _ROUNDS = 20
 _WORSE = 1.1  # times the check RMSE of the points: more is not by chance
+AGREEING = ("Independent RMSE, NSSDA and ASPRS figures are of the independent candidates that "
+            "agree with the model, without the others. They may be too small.")
 _MEDIAN = 1.1774  # of the distance in two dimensions, in standard deviations of one
 
 
@@ -121,8 +124,8 @@ def select_points(features: FeatureSet, model: str, options: Mapping[str, Any], 
     agrees = errors <= limit
     _require(agrees, roles, least)
     kept = with_roles.with_(points=with_roles.points.take(agrees))
-    result = termsel.run("owdis-points", features=kept, model=model, solver="all-terms",
-                         options=dict(options), seed=seed, out=out)
+    result = _told(termsel.run("owdis-points", features=kept, model=model, solver="all-terms",
+                               options=dict(options), seed=seed, out=out), out)
     return Selected(result, agrees, independent, limit,
                     _covered(points.take(agrees & ~independent), features.image_size), points)
 
@@ -182,9 +185,18 @@ def with_lines(selected: Selected, lines: FeatureSet, model: str, options: Mappi
             f"points and lines contradict each other: candidates for check are {with_them:.2f} px "
             f"from the model of both, and {alone:.2f} px from that of the points",
             hint="Are the vectors where the reference is?")
-    result = termsel.run("owdis-lines", features=both, model=model, solver="all-terms",
-                         options={**options, "mixed": True}, seed=seed, out=out, overwrite=True)
+    result = _told(termsel.run(
+        "owdis-lines", features=both, model=model, solver="all-terms",
+        options={**options, "mixed": True}, seed=seed, out=out, overwrite=True), out)
     return replace(selected, result=result)
+
+
+def _told(result: Result, out: Path | str | None) -> Result:
+    """Return a result with the note on what its independent figures are of, also in its folder."""
+    told = replace(result, notes=(*result.notes, AGREEING))
+    if out is not None:
+        write_result(told, Path(out))
+    return told
 
 
 def _roles(count: int, seed: int) -> Any:
