@@ -26,7 +26,7 @@ LEAST = -300.0
 AT_ONCE, CELLS = 64, 8
 """Points and cells that are worked on together: what is read again stays in a cache."""
 
-# Nothing is allocated. Sums may be taken in any order.
+# Nothing is allocated. Sums may be taken in any order. `max` would be compiled on its own.
 _compiled = partial(compiled, _nrt=False, fastmath={"reassoc", "contract", "nsz", "nnan"})
 
 
@@ -82,12 +82,23 @@ def leave_each_out(left: tuple[FloatArray, FloatArray], errors: tuple[FloatArray
     count : int
         Points that are looked at.
     """
-    width, found = min(count, AT_ONCE), np.empty((count, 7))
-    line, sample = (np.empty((4, len(one), width)) for one in left)
-    _leave_out(*left, *errors, *cell, square, least, share * square, half, np.exp(LEAST / half),
-               left[0] is left[1], line, sample, np.empty((len(share), width)),
-               np.empty((2, CELLS * width)), np.empty((9, width)), found)
+    found, alike = np.empty((count, 7)), left[0] is left[1]
+    room = _room(left, len(share), min(count, AT_ONCE))
+    for start in range(0, count, AT_ONCE):
+        if count - start < AT_ONCE:
+            room = _room(left, len(share), count - start)
+        _leave_out(*left, *errors, *cell, square, least, share * square, half,
+                   np.exp(LEAST / half), alike, start, *room, found)
     return Prediction(found[:, :2], found[:, 2], found[:, 3], found[:, 4:6], log + found[:, 6])
+
+
+def _room(left: tuple[FloatArray, FloatArray], cells: int,
+          width: int) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray,
+                               FloatArray]:
+    """Return what `_leave_out` works in for some points."""
+    line, sample = (np.empty((4, len(one), width)) for one in left)
+    return (line, sample, np.empty((cells, width)), np.zeros(CELLS * width),
+            np.zeros(CELLS * width), np.empty((10, width)))
 
 
 def mean_chance(strain: tuple[FloatArray, FloatArray], cell: tuple[IntArray, IntArray],
@@ -107,8 +118,8 @@ def mean_chance(strain: tuple[FloatArray, FloatArray], cell: tuple[IntArray, Int
     """
     m = strain[0].shape[1]
     found = np.zeros(m)
-    _mean_chance(*strain, *cell, scale, share, half, np.exp(LEAST / half),
-                 np.empty((2, CELLS * min(m, AT_ONCE))), found)
+    _mean_chance(*strain, *cell, scale, share, half, np.exp(LEAST / half), np.empty(m), np.empty(m),
+                 found)
     return found
 
 
@@ -130,21 +141,24 @@ def _divide(errors: FloatArray, inverse: FloatArray, ratio: FloatArray, part: Fl
 @_compiled
 def _grow(line: FloatArray, sample: FloatArray, square: float, least: float, grown: FloatArray,
           highest: FloatArray) -> None:
-    """Fill in S / S'."""
+    """Fill in S / S' - 1."""
     for p in range(len(grown)):
-        grown[p] = square / max(square - line[p] - sample[p], least)
-        highest[p] = max(highest[p], grown[p])
+        less = line[p] + sample[p]
+        less = less if less < square - least else square - least
+        grown[p] = less / (square - less)
+        highest[p] = grown[p] if grown[p] > highest[p] else highest[p]
 
 
 @_compiled
 def _weigh(line: FloatArray, sample: FloatArray, weight: float, grown: FloatArray,
-           highest: FloatArray, lowest: float, share: FloatArray, power: FloatArray,
+           inverse: FloatArray, lowest: float, share: FloatArray, power: FloatArray,
            plain: FloatArray) -> None:
     """Fill in probabilities but for a power, and that of which it is one."""
     for p in range(len(share)):
         share[p] = weight * line[p] * sample[p]
         plain[p] += share[p]
-        power[p] = max(grown[p] * highest[p], lowest)
+        part = (1.0 + grown[p]) * inverse[p]
+        power[p] = part if part > lowest else lowest
 
 
 @_compiled
@@ -176,93 +190,68 @@ def _add(share: FloatArray, one: FloatArray, other: FloatArray, sums: FloatArray
 
 
 @_compiled
-def _add_grown(share: FloatArray, grown: FloatArray, total: FloatArray,
-               statistic: FloatArray) -> None:
-    for p in range(len(share)):
-        total[p] += share[p]
-        statistic[p] += share[p] * (grown[p] - 1.0)
-
-
-@_compiled
 def _leave_out(line_left: FloatArray, sample_left: FloatArray, line_errors: FloatArray,
                sample_errors: FloatArray, line: IntArray, sample: IntArray, square: FloatArray,
                least: FloatArray, weight: FloatArray, half: int, lowest: float, alike: bool,
-               of_line: FloatArray, of_sample: FloatArray, grown: FloatArray, space: FloatArray,
-               sums: FloatArray, found: FloatArray) -> None:
-    """Fill the rows of `found`: two errors, chance, statistic, two variances, logarithm.
+               start: int, of_line: FloatArray, of_sample: FloatArray, grown: FloatArray,
+               share: FloatArray, power: FloatArray, sums: FloatArray, found: FloatArray) -> None:
+    """Fill rows of `found`: two errors, chance, statistic, two variances, logarithm.
 
     `of_line` and `of_sample` take 1 / l, its root, e / l and e^2 / l; where line and sample have
     the same leverages, the first two of `of_line` serve both.
     """
-    n, count = len(found), len(line)
+    m, ones = of_line.shape[2], sums[9]
     inverses = of_line if alike else of_sample
-    for start in range(0, n, AT_ONCE):
-        m = min(AT_ONCE, n - start)
-        for u in range(len(line_left)):
-            _invert(line_left[u, start:start + m], of_line[0, u, :m], of_line[1, u, :m])
-            _divide(line_errors[u, start:start + m], of_line[0, u, :m], of_line[2, u, :m],
-                    of_line[3, u, :m])
-        for u in range(len(sample_left)):
-            if not alike:
-                _invert(sample_left[u, start:start + m], of_sample[0, u, :m], of_sample[1, u, :m])
-            _divide(sample_errors[u, start:start + m], inverses[0, u, :m], of_sample[2, u, :m],
-                    of_sample[3, u, :m])
-        sums[:] = 0.0
-        highest, plain, total = sums[0, :m], sums[1, :m], sums[2, :m]
-        for c in range(count):
-            _grow(of_line[3, line[c], :m], of_sample[3, sample[c], :m], square[c], least[c],
-                  grown[c, :m], highest)
-        inverse = sums[8, :m]
-        for p in range(m):
-            inverse[p] = 1.0 / highest[p]
-        for first in range(0, count, CELLS):
-            last = min(first + CELLS, count)
-            for c in range(first, last):
-                some = slice((c - first) * m, (c - first + 1) * m)
-                _weigh(of_line[1, line[c], :m], inverses[1, sample[c], :m], weight[c],
-                       grown[c, :m], inverse, lowest, space[0, some], space[1, some], plain)
-            _raise(space[1, :(last - first) * m], half, space[0, :(last - first) * m])
-            for c in range(first, last):
-                share = space[0, (c - first) * m:(c - first + 1) * m]
-                _add_grown(share, grown[c, :m], total, sums[3, :m])
-                _add(share, of_line[2, line[c], :m], of_line[0, line[c], :m], sums[4, :m],
-                     sums[6, :m])
-                _add(share, of_sample[2, sample[c], :m], inverses[0, sample[c], :m], sums[5, :m],
-                     sums[7, :m])
-        for p in range(m):
-            power = half * np.log(highest[p])
-            found[start + p, 0] = sums[4, p] / total[p]
-            found[start + p, 1] = sums[5, p] / total[p]
-            found[start + p, 2] = plain[p] / total[p] * np.exp(-power)
-            found[start + p, 3] = half * sums[3, p] / total[p]
-            found[start + p, 4] = sums[6, p] / total[p]
-            found[start + p, 5] = sums[7, p] / total[p]
-            found[start + p, 6] = power + np.log(total[p])
-
-
-@_compiled
-def _begin(line: FloatArray, sample: FloatArray, scale: float, weight: float, lowest: float,
-           share: FloatArray, power: FloatArray) -> None:
-    for p in range(len(share)):
-        share[p] = weight
-        power[p] = max(1.0 / (1.0 + scale * (line[p] + sample[p])), lowest)
+    for u in range(len(line_left)):
+        _invert(line_left[u, start:start + m], of_line[0, u], of_line[1, u])
+        _divide(line_errors[u, start:start + m], of_line[0, u], of_line[2, u], of_line[3, u])
+    for u in range(len(sample_left)):
+        if not alike:
+            _invert(sample_left[u, start:start + m], of_sample[0, u], of_sample[1, u])
+        _divide(sample_errors[u, start:start + m], inverses[0, u], of_sample[2, u],
+                of_sample[3, u])
+    sums[:9] = 0.0
+    ones[:] = 1.0
+    for c in range(len(weight)):
+        _grow(of_line[3, line[c]], of_sample[3, sample[c]], square[c], least[c], grown[c], sums[0])
+    for p in range(m):
+        sums[8, p] = 1.0 / (1.0 + sums[0, p])
+    for first in range(0, len(weight), CELLS):
+        last = min(first + CELLS, len(weight))
+        for c in range(first, last):
+            some = slice((c - first) * m, (c - first + 1) * m)
+            _weigh(of_line[1, line[c]], inverses[1, sample[c]], weight[c], grown[c], sums[8],
+                   lowest, share[some], power[some], sums[1])
+        _raise(power, half, share)
+        for c in range(first, last):
+            one = share[(c - first) * m:(c - first + 1) * m]
+            _add(one, grown[c], ones, sums[2], sums[3])
+            _add(one, of_line[2, line[c]], of_line[0, line[c]], sums[4], sums[5])
+            _add(one, of_sample[2, sample[c]], inverses[0, sample[c]], sums[6], sums[7])
+    for p in range(m):
+        logarithm, total = half * np.log1p(sums[0, p]), sums[3, p]
+        found[start + p, 0] = sums[4, p] / total
+        found[start + p, 1] = sums[6, p] / total
+        found[start + p, 2] = sums[1, p] / total * np.exp(-logarithm)
+        found[start + p, 3] = half * sums[2, p] / total
+        found[start + p, 4] = sums[5, p] / total
+        found[start + p, 5] = sums[7, p] / total
+        found[start + p, 6] = logarithm + np.log(total)
 
 
 @_compiled
 def _mean_chance(line_strain: FloatArray, sample_strain: FloatArray, line: IntArray,
                  sample: IntArray, scale: FloatArray, weight: FloatArray, half: int,
-                 lowest: float, space: FloatArray, found: FloatArray) -> None:
+                 lowest: float, share: FloatArray, power: FloatArray, found: FloatArray) -> None:
     """Add to `found`."""
-    for start in range(0, len(found), AT_ONCE):
-        m = min(AT_ONCE, len(found) - start)
-        for first in range(0, len(weight), CELLS):
-            last = min(first + CELLS, len(weight))
-            for c in range(first, last):
-                some = slice((c - first) * m, (c - first + 1) * m)
-                _begin(line_strain[line[c], start:start + m], sample_strain[sample[c],
-                       start:start + m], scale[c], weight[c], lowest, space[0, some],
-                       space[1, some])
-            _raise(space[1, :(last - first) * m], half, space[0, :(last - first) * m])
-            for c in range(last - first):
-                for p in range(m):
-                    found[start + p] += space[0, c * m + p]
+    m = len(found)
+    for c in range(len(weight)):
+        one, other = line[c], sample[c]
+        for p in range(m):
+            share[p] = weight[c]
+            strain = line_strain[one, p] + sample_strain[other, p]
+            part = 1.0 / (1.0 + scale[c] * strain)
+            power[p] = part if part > lowest else lowest
+        _raise(power, half, share)
+        for p in range(m):
+            found[p] += share[p]
