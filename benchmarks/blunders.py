@@ -259,8 +259,8 @@ def _quantile(values: list[float]) -> str:
 
 CONSTANTS = {"LEVEL": (contradictions, blunders), "STRAIN": (contradictions, blunders),
              "ALLOWANCE": (contradictions,), "LOOK": (contradictions,), "MOST": (blunders,),
-             "STEP": (blunders,), "CLEAR": (blunders,), "SIZES": (blunder_odds,),
-             "FORM": (blunder_odds,)}
+             "STEP": (blunders,), "CLEAR": (blunders,), "LEAST": (blunders,),
+             "SIZES": (blunder_odds,), "FORM": (blunder_odds,)}
 """By name, the modules that know it."""
 
 
