@@ -80,6 +80,30 @@ def test_a_compilation_is_foretold_where_there_will_be_one(tmp_path: Path) -> No
     assert [told(), told()] == ["False False", "True True"]
 
 
+PAIR = """
+from typing import NamedTuple
+from termsel.adjustment.compiled import compiled
+
+
+class Pair(NamedTuple):
+    x: float
+
+
+@compiled
+def kernel(pair):
+    return pair.x
+"""
+
+
+def test_code_kept_for_a_class_of_another_name_is_compiled_again(tmp_path: Path) -> None:
+    source = tmp_path / "own.py"
+    for name in ("Pair", "Twins"):
+        source.write_text(PAIR.replace("Pair", name))
+        done = _python(f"import own; print(own.kernel(own.{name}(1.0)))",
+                       PYTHONPATH=str(tmp_path))
+        assert done.stdout == "1.0\n", done.stderr
+
+
 COUNTS = """
 from termsel.adjustment.compiled import compiled
 

@@ -113,6 +113,7 @@ def test_a_large_space_is_not_cut_and_ends_with_a_certificate(
 def test_at_any_time_the_bound_holds_and_rises(criterion: str,
                                                monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(subsets, "_BRANCH", 1 << 9)
+    monkeypatch.setattr(subsets, "_RESIDUALS", 1 << 9)
     problem = termsel.prepare("poly-terms", criterion=criterion, options={"degree": 4}).problem
     states = list(prove(problem))
     found = problem.evaluate(np.array([state.front()[-1] for state in states[1:]]))
@@ -128,6 +129,7 @@ def test_at_any_time_every_size_has_a_bound_that_holds(criterion: str,
                                                        monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(subsets, "_BRANCH", 1 << 9)
     monkeypatch.setattr(subsets, "_PIECE", 1 << 9)
+    monkeypatch.setattr(subsets, "_RESIDUALS", 1 << 6)
     monkeypatch.setattr(subsets, "_DESCEND_FROM", 1)
     monkeypatch.setattr(subsets, "_SMALL", 1 << 9)
     monkeypatch.setattr(subset_descents, "_RESTARTS", 1)
@@ -145,6 +147,29 @@ def test_at_any_time_every_size_has_a_bound_that_holds(criterion: str,
         partly += 0 < sum(one.optimal for one in sizes) < len(sizes)
     assert partly
     assert all(one.optimal for one in states[-1].by_size(problem))
+
+
+def test_of_many_selections_those_that_beat_all_smaller_ones_are_proven(
+        monkeypatch: pytest.MonkeyPatch) -> None:
+    problem = termsel.prepare("poly-terms", criterion="ebic", options={"degree": 4}).problem
+    *_, proof = prove(problem)
+    whole = {one.genes.sum(): one for one in proof.by_size(problem)}
+    monkeypatch.setattr(subsets, "_DESCEND_FROM", 1)
+    monkeypatch.setattr(subsets, "_SMALL", 1)
+    monkeypatch.setattr(subset_descents, "_RESTARTS", 0)
+    *_, proof = prove(problem)
+    assert proof.complete
+    least, beaten = np.inf, 0
+    for one in proof.by_size(problem):
+        optimum = whole[one.genes.sum()]
+        if optimum.better:
+            assert one.optimal
+            least = optimum.objective
+        else:
+            assert least * (1 + 1e-9) <= one.bound <= optimum.objective  # figures are negative
+            beaten += not one.optimal
+    assert least == whole[max(n for n, one in whole.items() if one.better)].objective
+    assert beaten
 
 
 def test_a_bound_that_reaches_the_best_proves_it(monkeypatch: pytest.MonkeyPatch) -> None:

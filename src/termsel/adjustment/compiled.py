@@ -14,6 +14,9 @@ from numba.core.caching import FunctionCache
 
 log = logging.getLogger(__name__)
 
+_UNREADABLE = (EOFError, UnpicklingError, OSError, AttributeError, ImportError)
+"""What reading kept code raises that is damaged, or is of a version with other names."""
+
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
 
@@ -24,7 +27,7 @@ class _Cache(FunctionCache):  # type: ignore[misc]  # numba has no types
         """Return the code kept, None if there is none."""
         try:
             return super().load_overload(sig, target_context)
-        except (EOFError, UnpicklingError, OSError):  # emptied, truncated, not to be read
+        except _UNREADABLE:  # emptied, truncated, not to be read
             self._forget()
             return None
 
@@ -32,14 +35,14 @@ class _Cache(FunctionCache):  # type: ignore[misc]  # numba has no types
         """Keep the code if the disk takes it."""
         try:
             super().save_overload(sig, data)
-        except (EOFError, UnpicklingError, OSError) as error:
+        except _UNREADABLE as error:
             log.info("The compiled code cannot be kept: %s", error)
 
     def has_code(self) -> bool:
         """Return whether code of this very source, compiled by this numba, is kept."""
         try:
             return bool(self._cache_file._load_index())
-        except (EOFError, UnpicklingError, OSError):  # it will be compiled again
+        except _UNREADABLE:  # it will be compiled again
             return False
 
     def _forget(self) -> None:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from termsel.measurements.features import FloatArray
 
 
@@ -154,3 +156,35 @@ class Blocks(NamedTuple):
     weight: FloatArray
     share: FloatArray
     cursor: Any
+
+
+def levels_of(tops: list[FloatArray], extras: list[FloatArray], floor: FloatArray,
+              leverage: FloatArray, cross: FloatArray, depths: int) -> Levels:
+    """Return the vectors at depth 0, and room for the other depths."""
+    n = floor.shape[1] - 1
+    top, extra = (np.zeros((depths, len(blocks), blocks[0].shape[1], max(map(len, blocks))))
+                  for blocks in (tops, extras))
+    for room, blocks in ((top, tops), (extra, extras)):
+        for f, block in enumerate(blocks):
+            room[0, f, :, :len(block)] = block.T
+    square = np.full((depths, *floor.shape), np.inf)
+    square[0, :, :n] = (top[0, :, :n] ** 2).sum(axis=2)
+    share = np.zeros((*square.shape, top.shape[2] - n))
+    products = top[0, :, :n] @ top[0, :, n:].swapaxes(1, 2)
+    np.divide(products, square[0, :, :n, None], out=share[0, :, :n],
+              where=square[0, :, :n, None] > 0)
+    grown = np.zeros((2, depths, len(leverage)))
+    grown[:, 0] = leverage, cross
+    return Levels(top, extra, square, share, floor, grown[0], grown[1])
+
+
+def blocks_of(levels: int, n: int, e: int) -> Blocks:
+    """Return space for blocks of n columns and e rows of the score."""
+    def products() -> Products:
+        own, f = np.empty((2, levels, n))
+        return Products(np.empty((levels, n, n)), own, f, np.empty(levels))
+
+    sums, whole = np.empty((levels, n)), np.empty(levels)
+    inverse, a, u = np.empty((3, n))
+    return Blocks(products(), products(), sums, whole, inverse, a, u, np.empty(max(n, e)),
+                  np.empty(e), np.empty(levels), np.empty(levels, dtype=np.intp))

@@ -17,7 +17,6 @@ from termsel.adjustment.subset_blocks import SHARE, eliminate, pairs, prepare, s
 from termsel.adjustment.subset_bounds import first_closed
 from termsel.adjustment.subset_kernels import (
     RATIONAL,
-    RSS,
     dot,
     less,
     less_measured,
@@ -40,7 +39,7 @@ def branch(kind: int, levels: Levels, limits: Limits, records: Records, used: An
     Parameters
     ----------
     kind : int
-        LINEAR, RATIONAL or RSS.
+        LINEAR or RATIONAL.
     levels, limits, records, used, counts, cursor, mask
         As for `subset_kernels.walk`; one system, one target.
     ends : ndarray of int, shape (depths,)
@@ -70,7 +69,6 @@ def branch(kind: int, levels: Levels, limits: Limits, records: Records, used: An
         upper[0, k] = 1.0
     if kind == RATIONAL:
         upper[0, -1] /= limits.margin * (upper.shape[1] - 1)
-    errors = levels.top if kind == RSS else levels.extra
     while True:
         left = most - depth
         if entering:
@@ -81,13 +79,13 @@ def branch(kind: int, levels: Levels, limits: Limits, records: Records, used: An
             limit = limit * (1.0 + 1e-9) + limits.slack - limits.offset
             if open_ > _BLOCK and limit < np.inf:
                 end = first if limit < 0.0 else first_closed(
-                    levels.top[depth, 0], errors[depth, 0], first, n, limit, upper[depth],
+                    levels.top[depth, 0], levels.extra[depth, 0], first, n, limit, upper[depth],
                     kind == RATIONAL, space)
                 pruned += counts[n - end, left] - 1
             ends[depth] = end
             if first < end and left > 1 and open_ <= _BLOCK:
                 lost = _block(kind, levels, limits, records, depth, first, end, cursor, mask[depth],
-                              errors[depth, 0], upper[depth], blocks)
+                              upper[depth], blocks)
                 if lost >= 0:
                     infeasible += lost
                     ends[depth] = first
@@ -148,8 +146,7 @@ def _score(kind: int, levels: Levels, depth: int, c: int, limits: Limits) -> flo
 
 @_compiled
 def _block(kind: int, levels: Levels, limits: Limits, records: Records, depth: int, first: int,
-           end: int, cursor: IntArray, mask: Any, errors: FloatArray, upper: FloatArray,
-           b: Blocks) -> int:
+           end: int, cursor: IntArray, mask: Any, upper: FloatArray, b: Blocks) -> int:
     """Decide all subsets that add columns, the first of them first, ..., end - 1.
 
     Returns
@@ -160,7 +157,8 @@ def _block(kind: int, levels: Levels, limits: Limits, records: Records, depth: i
     """
     n = levels.top.shape[2] - 1
     count, left, best = n - first, limits.room - depth, records.best
-    lost, below = prepare(levels.top[depth, 0], errors, first, n, upper, levels.floor[0], b)
+    lost, below = prepare(levels.top[depth, 0], levels.extra[depth, 0], first, n, upper,
+                          levels.floor[0], b)
     infeasible, level = 0, 0
     b.share[0] = 1.0
     b.cursor[0] = -1

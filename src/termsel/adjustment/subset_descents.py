@@ -7,6 +7,7 @@ from itertools import count
 
 import numpy as np
 
+from termsel.adjustment.subset_kernels import RSS
 from termsel.adjustment.subset_stack import Stack
 from termsel.adjustment.subset_system import BITS, Masks, Piece, better
 from termsel.measurements.features import FloatArray, IntArray
@@ -33,6 +34,8 @@ def descents(stack: Stack) -> Iterator[tuple[FloatArray, Masks]]:
     for restart in count():
         if pieces * _WORTH > stack.everything.count:
             return
+        if restart >= _RESTARTS and stack.kind == RSS:
+            return  # the proof finds the rest as fast
         if restart < _RESTARTS:
             starts = [rng.permutation(len(rest))[:rng.integers(1, room + 1)]]
         else:

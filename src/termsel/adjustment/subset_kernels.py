@@ -21,9 +21,6 @@ LINEAR, RATIONAL, PRESS, RSS = range(4)
 """Kinds of score: squares of errors, or of quotients of errors and denominators, or of
 leave-one-out errors, or of residuals."""
 
-_BOUND_FROM = 6  # columns to the right from which a bound saves more than it costs
-
-
 # Sums may be taken in any order (SIMD), yet infinities and NaN keep their meaning. A subset costs
 # as much as two atomic operations on a reference count or the passing of some arrays, so slices
 # are not counted (_nrt=False: nothing may be allocated here) and calls are inlined.
@@ -191,43 +188,8 @@ def _open_leverage(v: FloatArray, w: FloatArray, square: float, leverage: FloatA
 
 
 @_compiled
-def _remaining_rss(top: FloatArray, first: int, n: int, work: FloatArray) -> float:
-    """Return the residual sum of squares with every column from `first` on in use.
-
-    No column is too small to count: even where columns are dependent, modified Gram-Schmidt
-    gives the triangle of nearly the same columns.
-    """
-    vectors = len(top)
-    for j in range(first, vectors):
-        less(work[j], top[j], top[j], 0.0)
-    for i in range(first, n):
-        square = dot(work[i], work[i])
-        if square > 0.0:
-            for j in range(i + 1, vectors):
-                less(work[j], work[j], work[i], dot(work[i], work[j]) / square)
-    total = 0.0
-    for j in range(n, vectors):
-        total += dot(work[j], work[j])
-    return total
-
-
-@_compiled
-def largest_open(bound: float, best: FloatArray, smallest: int, largest: int,
-                 slack: float) -> int:
-    """Return the largest size of which a subset could still be a best one, ties included.
-
-    No subset scores less than the bound. Returns smallest - 1 if all sizes are settled.
-    """
-    size = largest
-    while size >= smallest and bound > best[size] * (1.0 + 1e-9) + slack:
-        size -= 1
-    return size
-
-
-@_compiled
 def walk(kind: int, levels: Levels, limits: Limits, records: Records, used: Any,
-         counts: IntArray, cursor: IntArray, rooms: IntArray, mask: Any, work: FloatArray,
-         single: bool | None) -> tuple[int, int]:
+         counts: IntArray, cursor: IntArray, mask: Any, single: bool | None) -> int:
     """Enumerate all subsets of n columns in addition to those in use already.
 
     Parameters
@@ -241,15 +203,15 @@ def walk(kind: int, levels: Levels, limits: Limits, records: Records, used: Any,
         Mask of the subset in use already.
     counts : ndarray of int, shape (n + 1, room + 1)
         Number of subsets of so many columns with at most so many members.
-    cursor, rooms, mask, work
-        Space for integers (depths,) twice, uint64 (depths,), and floats (n + r, rows).
+    cursor, mask
+        Space for integers (depths,) and uint64 (depths,).
     single : bool, optional
         None if f = r = 1: a type of its own, for which faster code is compiled.
 
     Returns
     -------
-    infeasible, pruned : int
-        Number of subsets without a score, and below a bound that rules them out.
+    int
+        Number of subsets without a score.
     """
     if single is None:
         systems, r = 1, 1
@@ -257,8 +219,8 @@ def walk(kind: int, levels: Levels, limits: Limits, records: Records, used: Any,
         systems, r = levels.top.shape[1], levels.share.shape[3]
     n = levels.top.shape[2] - r
     size, room = limits.size, limits.room
-    infeasible, pruned, depth = 0, 0, 0
-    mask[0], rooms[0] = used, room
+    infeasible, depth = 0, 0
+    mask[0] = used
     first, last = 0 if room > 0 else n, n + 1
     while True:
         top, extra = levels.top[depth], levels.extra[depth]
@@ -302,23 +264,13 @@ def walk(kind: int, levels: Levels, limits: Limits, records: Records, used: Any,
         last = n
         while True:
             i = cursor[depth]
-            right = n - 1 - i
-            room = rooms[depth]
-            if right <= 0 or depth + 1 >= room:
+            if i >= n - 1 or depth + 1 >= room:
                 if depth == 0:
-                    return infeasible, pruned
+                    return infeasible
                 depth -= 1
             elif levels.square[depth, 0, i] > 0.0:
-                if kind == RSS and right >= _BOUND_FROM:
-                    bound = limits.offset + _remaining_rss(levels.top[depth, 0], i, n, work)
-                    most = largest_open(bound, records.best, size + depth + 2,
-                                        size + min(room, depth + 1 + right), limits.slack) - size
-                    pruned += counts[right, room - depth - 1] - counts[right, most - depth - 1]
-                    room = most
-                if depth + 1 < room:
-                    break
+                break
             cursor[depth] += 1
-        rooms[depth + 1] = room
         if kind == PRESS:
             _open_leverage(levels.top[depth, 0, i], levels.extra[depth, 0, i],
                            levels.square[depth, 0, i], levels.leverage, levels.cross, depth)

@@ -10,15 +10,25 @@ import numpy as np
 
 from termsel.adjustment.compiled import is_compiled
 from termsel.adjustment.solve import TOLERANCE
-from termsel.adjustment.subset_arrays import Blocks, Levels, Limits, Products, Records, Space
+from termsel.adjustment.subset_arrays import (
+    Levels,
+    Limits,
+    Records,
+    Space,
+    blocks_of,
+    levels_of,
+)
 from termsel.adjustment.subset_bounds import first_closed
 from termsel.adjustment.subset_branches import branch
 from termsel.adjustment.subset_held_out import branch_held_out, least_held_out
-from termsel.adjustment.subset_kernels import LINEAR, PRESS, RATIONAL, RSS, largest_open, walk
+from termsel.adjustment.subset_kernels import LINEAR, PRESS, RATIONAL, RSS, walk
+from termsel.adjustment.subset_residuals import branch_residuals, node_bound
 from termsel.adjustment.subset_system import BITS, SCORES, Masks, Piece, SubsetSystem, Walked
+from termsel.adjustment.subset_trees import ROUNDING, Tree, tree_of
 from termsel.errors import TermselError, unknown_name
 from termsel.measurements.features import FloatArray, IntArray
 
+_ENUMERATED = 300  # subsets that cost less than bounds of their residuals
 _HALVINGS = 7  # of the interval in which a bound lies: less than a per cent of the RMSE is left
 
 
@@ -65,9 +75,10 @@ class Stack:
     @property
     def branches(self) -> bool:
         """Whether subsets are decided by branch and bound."""
-        return self.holds_out or (self.kind != PRESS and len(self.systems) == 1
-                and (self.kind != RATIONAL or self.margin > 0.0)
-                and self.systems[0].control.shape[1] == self.k + 1)
+        return self.holds_out or self.kind == RSS or (
+            self.kind != PRESS and len(self.systems) == 1
+            and (self.kind != RATIONAL or self.margin > 0.0)
+            and self.systems[0].control.shape[1] == self.k + 1)
 
     @cached_property
     def holds_out(self) -> bool:
@@ -78,7 +89,8 @@ class Stack:
     @property
     def needs_compilation(self) -> bool:
         """Whether the first branch spends a while on compilation, once per machine and version."""
-        return self.branches and not self.holds_out and not is_compiled(branch)
+        return self.branches and not self.holds_out and not is_compiled(
+            branch_residuals if self.kind == RSS else branch)
 
     @cached_property
     def _targets(self) -> IntArray:
@@ -87,31 +99,33 @@ class Stack:
     @cached_property
     def _slack(self) -> float:
         """Rounding error to allow in a residual sum of squares."""
-        return 1e-13 * float((self.systems[0].control[:, self.k:] ** 2).sum())
+        return 1e-13 * self.largest
+
+    @property
+    def largest(self) -> float:
+        """No residual sum of squares is larger."""
+        return float((self.systems[0].control[:, self.k:] ** 2).sum())
 
     @property
     def starts(self) -> list[Piece]:
         """Single subsets, each a candidate for the best of its size: bounds need some."""
-        if self.kind != RSS or self.branches:
+        if self.kind != RSS:
             return []
         used, rest, room = self.everything.used, self.everything.rest, self.everything.room
         return [Piece(np.concatenate([used, rest[:n]]), rest[:0], 0) for n in range(room + 1)]
 
     def trimmed(self, piece: Piece, best: FloatArray) -> Piece:
-        """Return the part of a piece that may still have a best subset, if any.
-
-        No subset has a lower residual sum of squares than all its columns and the rest together.
-        """
+        """Return the part of a piece that may still have a best subset, if any."""
         if self.kind != RSS:
             return piece
-        size, n = len(piece.used), len(piece.used) + len(piece.rest)
-        columns = np.concatenate([piece.used, piece.rest, self._targets])
-        bound = _triangle(self.systems[0].control[:, columns], n)[1]
-        most = largest_open(bound, best, size, size + piece.room, self._slack)
-        return replace(piece, room=most - size)
+        size, room = len(piece.used), min(piece.room, len(piece.rest))
+        open_ = piece.least <= best[size:size + room + 1] * (1.0 + 1e-9) + self._slack
+        return replace(piece, room=int(np.append(-1, np.flatnonzero(open_))[-1]))
 
     def walk(self, piece: Piece, best: FloatArray, masks: Masks) -> Walked:
         """Decide the subsets of a piece, given the best ones so far."""
+        if self.kind == RSS and self.branches and piece.count > _ENUMERATED:
+            return self._walk_residuals(piece, best.copy(), masks.copy())
         prepared = self._prepared(piece)
         if prepared is None:
             return Walked(best, masks, piece.count, 0)
@@ -122,34 +136,60 @@ class Stack:
         records = Records(best, masks, np.append(BITS[piece.rest], np.uint64(0)),
                           np.array([self.some_of]), self.parents, guard, np.empty(depths),
                           np.empty(guard.shape[1]))
-        cursor, rooms = np.zeros((2, depths), dtype=np.intp)
+        cursor, ends = np.zeros((2, depths), dtype=np.intp)
         mask, used = np.zeros(depths, dtype=np.uint64), BITS[piece.used].sum()
         counts = _counts(n, limits.room)
         if self.holds_out:
             infeasible, pruned = branch_held_out(
-                self.kind, levels, limits, records, used, counts, cursor, rooms, mask,
+                self.kind, levels, limits, records, used, counts, cursor, ends, mask,
                 np.empty((vectors, height)))
-        elif self.branches:
+        elif self.branches and self.kind != RSS:
             space = self._space(levels)
             infeasible, pruned = branch(
-                self.kind, levels, limits, records, used, counts, cursor, rooms, mask,
+                self.kind, levels, limits, records, used, counts, cursor, ends, mask,
                 np.empty((depths, space.rows.shape[1])), space,
-                _blocks(depths, n, space.rows.shape[1] - 1))
+                blocks_of(depths, n, space.rows.shape[1] - 1))
         else:
             infeasible, pruned = walk(
-                self.kind, levels, limits, records, used, counts, cursor, rooms, mask,
-                np.empty((vectors, height)), None if levels.share[0].size == n + 1 else False)
+                self.kind, levels, limits, records, used, counts, cursor, mask,
+                None if levels.share[0].size == n + 1 else False), 0
         return Walked(best, masks, infeasible, pruned)
+
+    def _walk_residuals(self, piece: Piece, best: FloatArray, masks: Masks) -> Walked:
+        columns = np.concatenate([piece.used, piece.rest])
+        k, used, rows = len(columns), len(piece.used), self.systems[0]
+        tree, guard = self._tree(piece)
+        records = Records(best, masks, BITS[columns], np.array([self.some_of]), self.parents,
+                          guard, np.empty(k + 1), np.empty(len(rows.guard)))
+        limits = Limits(self.margin, TOLERANCE, 0.0, self._slack, used, min(piece.room, k - used))
+        infeasible, enumerated = branch_residuals(
+            tree, limits, records, _counts(k, k), _ENUMERATED,
+            None if len(self._targets) == 1 else False)
+        return Walked(best, masks, infeasible, piece.count - enumerated)
+
+    def _tree(self, piece: Piece) -> tuple[Tree, FloatArray]:
+        """Return the root of a piece, and the guard's denominators of its columns and target."""
+        columns, rows = np.concatenate([piece.used, piece.rest]), self.systems[0]
+        return tree_of(rows.control[:, np.concatenate([columns, self._targets])],
+                       rows.guard[:, np.append(columns, self._targets[0])], rows.lengths[columns],
+                       self.margin, len(piece.used))
 
     def bounded(self, piece: Piece, best: FloatArray) -> Piece:
         """Return a piece with a lower bound of the scores of its subsets.
 
-        The bound is at most the best score so far, and not below the piece's own; a piece without
-        any subset that has a score has that best score too.
+        The bound is not below the piece's own. If not of residuals, it is at most the best score so
+        far; a piece without any subset that has a score has that best score too.
         """
         found = float(best.min())
-        if not self.branches or not 0.0 < found < np.inf or piece.least >= found:
+        if not self.branches or not 0.0 < found < np.inf or (
+                piece.least >= found and self.kind != RSS):
             return piece
+        if self.kind == RSS:
+            size = len(piece.used)
+            largest = best[size:size + min(piece.room, len(piece.rest)) + 1]
+            limit = float(largest[np.isfinite(largest)].max(initial=0.0))
+            return replace(piece, least=max(piece.least, node_bound(
+                self._tree(piece)[0], 0, limit) * (1.0 - ROUNDING) - self._slack))
         prepared = self._prepared(piece)
         if prepared is None:
             return replace(piece, least=found)
@@ -157,12 +197,12 @@ class Stack:
         if self.holds_out:
             return replace(piece, least=max(piece.least, min(found, least_held_out(levels))))
         n, space = len(piece.rest), self._space(levels)
-        errors = (levels.top if self.kind == RSS else levels.extra)[0, 0]
+        errors = levels.extra[0, 0]
         def above(value: float) -> bool:
             upper = np.ones(space.rows.shape[1])
             if self.kind == RATIONAL:
                 upper[-1] /= limits.margin * (len(upper) - 1)
-            limit = value + self._slack - limits.offset
+            limit = value + limits.slack - limits.offset
             return limit <= 0.0 or first_closed(
                 levels.top[0, 0], errors, 0, n, limit, upper, self.kind == RATIONAL,
                 space) == 0
@@ -182,8 +222,7 @@ class Stack:
         return replace(piece, least=max(piece.least, min(low, own)))
 
     def _space(self, levels: Levels) -> Space:
-        _, _, vectors, height = levels.top.shape
-        e = height if self.kind == RSS else levels.extra.shape[3] // (
+        vectors, e = levels.top.shape[2], levels.extra.shape[3] // (
             2 if self.kind == RATIONAL else 1)
         gram, triangle = np.empty((2, vectors, vectors))
         return Space(gram, triangle, np.empty((vectors, e + 1)),
@@ -230,21 +269,9 @@ class Stack:
             tops.append(top)
             extras.append(extra)
             guards.append(guard)
-        levels = _levels(tops, extras, floor, leverage, cross, max(room, 1))
+        levels = levels_of(tops, extras, floor, leverage, cross, max(room, 1))
         limits = Limits(self.margin, TOLERANCE, offset, self._slack, len(used), room)
         return levels, limits, np.ascontiguousarray(guards[0].T)
-
-
-def _blocks(levels: int, n: int, e: int) -> Blocks:
-    """Return space for blocks of n columns and e rows of the score."""
-    def products() -> Products:
-        own, f = np.empty((2, levels, n))
-        return Products(np.empty((levels, n, n)), own, f, np.empty(levels))
-
-    sums, whole = np.empty((levels, n)), np.empty(levels)
-    inverse, a, u = np.empty((3, n))
-    return Blocks(products(), products(), sums, whole, inverse, a, u, np.empty(max(n, e)),
-                  np.empty(e), np.empty(levels), np.empty(levels, dtype=np.intp))
 
 
 @cache
@@ -254,26 +281,6 @@ def _counts(columns: int, room: int) -> IntArray:
     for n in range(1, columns + 1):
         counts[n, 1:] = counts[n - 1, 1:] + counts[n - 1, :-1]
     return counts
-
-
-def _levels(tops: list[FloatArray], extras: list[FloatArray], floor: FloatArray,
-            leverage: FloatArray, cross: FloatArray, depths: int) -> Levels:
-    """Return the vectors at depth 0, and room for the other depths."""
-    n = floor.shape[1] - 1
-    top, extra = (np.zeros((depths, len(blocks), blocks[0].shape[1], max(map(len, blocks))))
-                  for blocks in (tops, extras))
-    for room, blocks in ((top, tops), (extra, extras)):
-        for f, block in enumerate(blocks):
-            room[0, f, :, :len(block)] = block.T
-    square = np.full((depths, *floor.shape), np.inf)
-    square[0, :, :n] = (top[0, :, :n] ** 2).sum(axis=2)
-    share = np.zeros((*square.shape, top.shape[2] - n))
-    products = top[0, :, :n] @ top[0, :, n:].swapaxes(1, 2)
-    np.divide(products, square[0, :, :n, None], out=share[0, :, :n],
-              where=square[0, :, :n, None] > 0)
-    grown = np.zeros((2, depths, len(leverage)))
-    grown[:, 0] = leverage, cross
-    return Levels(top, extra, square, share, floor, grown[0], grown[1])
 
 
 def stack(system: SubsetSystem, score: str, folds: Sequence[IntArray],

@@ -11,8 +11,9 @@ References
 Furnival and Wilson 1974, Technometrics 16(4): the tree, and the bound for residual sums of
 squares. Bjorck 1967, BIT 7(1): the accuracy of modified Gram-Schmidt. That check points, folds
 and leave-one-out errors take part is termsel's own formulation, and so are the bounds of
-`termsel.adjustment.subset_bounds`, for the scores "check" and "rss" of one target, and of
-`termsel.adjustment.subset_held_out`, for "press" and "kfold" without denominators.
+`termsel.adjustment.subset_bounds`, for the score "check" of one target, of
+`termsel.adjustment.subset_held_out`, for "press" and "kfold" without denominators, and of
+`termsel.adjustment.subset_residuals`, for "rss" where poles keep subsets out.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from __future__ import annotations
 import logging
 import time
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
@@ -48,9 +49,11 @@ __all__ = ["MAX_COLUMNS", "SCORES", "SubsetResult", "SubsetSystem", "count_subse
 
 _PIECE = 1 << 16  # subsets enumerated between two checks for interruption: some milliseconds
 _BRANCH = 1 << 25  # the same, where bounds rule out most of them: a fraction of a second
-_LOOSER = 8  # times fewer of them for other scores than of check points, whose bounds rule out less
+_LOOSER = 8  # times fewer of them for held-out errors, whose bounds rule out less
+_RESIDUALS = 1 << 28  # the same for residuals, whose bounds rule out most
 _DESCEND_FROM = 1 << 24  # subsets from which good ones are sought before any proof
 _SMALL = 1 << 27  # subsets up to which those of few columns are decided before all others
+_BISECTIONS = 60  # of the logarithm of 1e30, to all digits
 _AHEAD = 16  # pieces in progress at once, whatever the number of workers
 
 
@@ -104,6 +107,7 @@ def search(
     folds: Sequence[IntArray] = (),
     max_terms: int | None = None,
     workers: int = 1,
+    cost: Callable[[FloatArray], FloatArray] | None = None,
 ) -> Iterator[SubsetResult]:
     """Decide every subset of the columns, piece by piece.
 
@@ -112,7 +116,7 @@ def search(
     system : SubsetSystem
     score : {"check", "rss", "press", "kfold"}
         "check": sum of squared errors of the check points. "rss": residual sum of squares of
-        the control rows; a lower bound saves most of the work. "press": sum of squared
+        the control rows. "press": sum of squared
         leave-one-out errors of the control rows. "kfold": sum of squared errors of the rows
         of each fold under the solution from all other rows.
     folds : sequence of ndarray of int
@@ -121,6 +125,11 @@ def search(
         Most columns of a subset, forced ones included.
     workers : int
         Threads. The result does not depend on it, nor does the memory on the number of subsets.
+    cost : callable, optional
+        What turns the scores of all sizes into figures to compare, each rising with its score. If
+        given, and subsets are many, "rss" proves the best subset of each size that has a lower
+        figure than all smaller sizes, the optimum included. Of other sizes it proves that they
+        have not: their best may stay unknown.
 
     Yields
     ------
@@ -162,8 +171,11 @@ def search(
         walked = systems.walk(start, best, masks)
         best, masks = walked.best, walked.masks
     looked = infeasible = pruned = 0
-    branch = _BRANCH if score == "check" else _BRANCH // _LOOSER
+    branch = {"check": _BRANCH, "rss": _RESIDUALS}.get(score, _BRANCH // _LOOSER)
     largest = branch if systems.branches else _PIECE
+    if score != "rss" or total <= _DESCEND_FROM:
+        cost = None
+    limits = _limits(cost, best, systems.largest)
     todo = [systems.everything]
     climbs = score == "check" and total > _DESCEND_FROM
     for found in rungs(systems, best, masks, largest, workers) if climbs else ():
@@ -178,31 +190,38 @@ def search(
             # same best subsets, and a bound spares the same work, with any number of workers.
             if todo and len(waiting) < _AHEAD:
                 whole = todo.pop()
-                piece = systems.trimmed(whole, best)
+                piece = systems.trimmed(whole, limits)
                 pruned += whole.count - piece.count
                 if piece.count > largest:
-                    todo += [systems.bounded(half, best) for half in piece.halves()]
+                    todo += [systems.bounded(half, limits) for half in piece.halves()]
                 elif piece.count:
-                    waiting.append((piece, pool.submit(systems.walk, piece, best, masks)))
+                    known = np.where(limits < best, np.uint64(0), masks)
+                    waiting.append((piece, pool.submit(systems.walk, piece, limits, known)))
                 if piece.count == whole.count:
                     continue
             else:
                 piece, future = waiting.popleft()
                 walked = future.result()
-                best, masks = better(best, masks, walked.best, walked.masks)
+                # A limit that no subset reached is none's score.
+                scores = np.where(walked.masks > 0, walked.best, np.inf)
+                scores[0] = walked.best[0]
+                improves = bool((scores < best).any())
+                best, masks = better(best, masks, scores, walked.masks)
+                if improves:
+                    limits = _limits(cost, best, systems.largest)
                 looked += piece.count - walked.pruned
                 infeasible += walked.infeasible
                 pruned += walked.pruned
             open_ = (*todo, *(piece for piece, _ in waiting))
             yield SubsetResult(best, masks, looked + pruned, total, infeasible, pruned,
-                               _floor(best, open_, settled))
+                               _floor(np.minimum(best, limits), open_, settled))
     finally:
         pool.shutdown(cancel_futures=True)
 
 
 def is_bounded(system: SubsetSystem, score: str, folds: Sequence[IntArray] = ()) -> bool:
     """Return whether bounds rule subsets out, so that no time can be estimated."""
-    return score == "rss" or stack(system, score, folds, None).branches
+    return stack(system, score, folds, None).branches
 
 
 def estimate_seconds(
@@ -254,6 +273,25 @@ def _floor(best: FloatArray, pieces: Sequence[Piece], settled: int = 0) -> Float
                       len(piece.used) + min(piece.room, len(piece.rest)) + 1)
         np.minimum(floor[sizes], piece.least, out=floor[sizes])
     return floor
+
+
+def _limits(cost: Callable[[FloatArray], FloatArray] | None, best: FloatArray,
+            largest: float) -> FloatArray:
+    """Return the score of each size above which no subset is of interest.
+
+    Below, it may have a lower figure than all smaller sizes, or be the best of its size. No score
+    is above `largest`.
+    """
+    if cost is None:
+        return best
+    known = cost(best)
+    least = np.minimum.accumulate(np.where(np.isnan(known), np.inf, known))
+    low, high = np.full_like(best, largest * 1e-30), np.minimum(best, largest)
+    for _ in range(_BISECTIONS):
+        middle = np.sqrt(low * high)
+        above = cost(middle) > least
+        low, high = np.where(above, low, middle), np.where(above, middle, high)
+    return np.where(known > least, high, best)
 
 
 def _nothing(k: int) -> tuple[FloatArray, Masks]:

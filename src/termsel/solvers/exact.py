@@ -90,7 +90,8 @@ class Exact(Solver):
     Branch and bound over all term selections, line and sample separately where they are
     independent; or a walk over all selections of control features. It begins with a descent from
     several starts. At any time it has the best selection, a lower bound of all, and the gap.
-    termsel's own formulation; see the modules subsets, subset_bounds and row_subsets.
+    termsel's own formulation; see the modules subsets, subset_bounds, subset_residuals and
+    row_subsets.
     """
 
     name = "exact"

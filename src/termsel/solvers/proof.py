@@ -181,7 +181,7 @@ class Proof:
         for i, one, value in zip(known[feasible], genes[feasible], values[feasible].tolist(),
                                  strict=True):
             bound = None
-            if self.complete:
+            if self.complete and floor[i] == total[i]:
                 bound = value
             elif objective is not None and floor[i] > -np.inf:
                 bound = min(value, objective(float(floor[i])))
@@ -254,7 +254,7 @@ def prove(problem: Problem, max_terms: int | None = None,
     parts = problem.parts()
     limits = [limits_of(problem, part, max_terms) for part in parts]
     walks = [subsets.search(part.system, part.score, folds=part.folds, max_terms=most,
-                            workers=workers or os.cpu_count() or 1)
+                            workers=workers or os.cpu_count() or 1, cost=part.cost)
              for part, (_, most) in zip(parts, limits, strict=True)]
     minimum = tuple(least for least, _ in limits)
     # Every part makes its first steps before any is finished, so that there is a result for each
