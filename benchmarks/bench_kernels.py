@@ -208,6 +208,9 @@ def _growth(rng: np.random.Generator) -> Iterator[Row]:
         yield from compare(f"growth: half of {n} lines, 38 terms",
                       [(equations, None, rng.random((50, n)) < 0.5)],
                       5 if n > 1000 else 30)
+        yield from compare(f"growth: half of {n} lines, three quarters of 38 terms",
+                      [(equations, rng.random((50, 38)) < 0.75, rng.random((50, n)) < 0.5)],
+                      5 if n > 1000 else 30)
     line = axes_of(model, scene(rng, 74, 0))[LINE]
     for p in (1, 10, 100, 1000, 10_000):
         yield from compare(f"growth: population {p}, half of 39 terms",

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from termsel.adjustment import Equations, solve
-from termsel.adjustment.blocks import reduced
+from termsel.adjustment.blocks import paying, reduced
 from termsel.adjustment.kernels import BLOCK, _prepared, needs_compilation, solve_many
 from termsel.measurements.features import FeatureSet, Points
 from termsel.models.rational import RationalFunctions
@@ -270,9 +270,21 @@ def test_many_rows_are_solved_as_lapack_does(prior: bool) -> None:
             gap = np.linalg.norm(A[rows] @ (x - one.coefficients))
             assert gap <= 1e-10 * np.linalg.norm(b)
         system = next(reduced(_prepared(equations).blocks, _prepared(equations).triangle[:, :k],
-                              mask[None], slice(None)))[1]
+                              mask[None], np.array([True]), slice(None)))[1]
         unsafe += system is None
     assert 1 <= unsafe <= 20
+    # With terms of their own, too, where that is faster: of many terms, and for many features.
+    terms = rng.random((40, k)) < np.linspace(0.2, 1.0, 40)[:, None]
+    those = paying(_prepared(equations).feature, terms, features)
+    assert 5 <= those.sum() <= 35
+    for on, mask, x, lacking in zip(terms, features, *solve_many(equations, terms, features),
+                                    strict=True):
+        one = solve(equations, on, mask)
+        assert (lacking == 0) == one.feasible
+        if one.feasible:
+            rows = mask[equations.feature]
+            gap = np.linalg.norm(A[rows] @ (x - one.coefficients))
+            assert gap <= 1e-10 * np.linalg.norm(equations.b[rows])
     # Neither the other individuals nor threads change anything.
     alone = np.concatenate([solve_many(equations, None, features[i:i + 1])[0]
                             for i in range(len(features))])

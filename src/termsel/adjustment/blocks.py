@@ -25,9 +25,11 @@ from termsel.measurements.features import BoolArray, FloatArray, IntArray
 SAFE = 1e4
 """Condition of the normal equations up to which they are used."""
 
-BLOCK_COST, GAIN = 0.7, 12
+BLOCK_COST, GAIN, OWN_GAIN = 0.7, 12, 8
 """Cost of a block by that of a row that is factored; rows less these, by terms, from which blocks
-are faster. Measured with 38 and 39 terms."""
+are faster: all rows, where half are selected, and the selected ones of an individual with terms of
+its own, whose blocks cost as much as rows, as few may be read together. Measured with 38 and 39
+terms."""
 
 _BYTES = 1 << 28  # of all blocks
 _DETERMINED = 1e-7  # least part of a column that those before it leave
@@ -156,8 +158,29 @@ def _reduce(total: FloatArray, triangle: FloatArray, lower: FloatArray,
     return trace * back
 
 
-def reduced(blocks: FloatArray, triangle: FloatArray, features: BoolArray,
-            part: slice) -> Iterator[tuple[int, FloatArray | None]]:
+def paying(feature: IntArray, terms: BoolArray, features: BoolArray) -> BoolArray:
+    """Return the individuals for which blocks are faster than factoring their rows, shape (p,).
+
+    A row takes time in proportion to its selected terms, a block does not.
+
+    Parameters
+    ----------
+    feature : ndarray of int, shape (m,)
+        As for `blocks_of`.
+    terms : ndarray of bool, shape (p, k)
+    features : ndarray of bool, shape (p, n) or (p, n + 1)
+    """
+    k = terms.shape[1]
+    if terms.all():  # then `blocks_of` has decided
+        return np.ones(len(terms), dtype=bool)
+    count = np.count_nonzero(features, axis=1)
+    rows = count * len(feature) / max(features.shape[1], 1)  # as the mean feature has
+    return np.asarray(rows * np.count_nonzero(terms, axis=1)
+                      >= (count + OWN_GAIN * k) * k)
+
+
+def reduced(blocks: FloatArray, triangle: FloatArray, features: BoolArray, those: BoolArray,
+            part: slice) -> Iterator[tuple[slice, FloatArray | None]]:
     """Yield k rows for each individual of a part, with the same solutions as all of its rows.
 
     Parameters
@@ -166,23 +189,30 @@ def reduced(blocks: FloatArray, triangle: FloatArray, features: BoolArray,
         As `blocks_of` gives them.
     triangle : ndarray, shape (k, k)
     features : ndarray of bool, shape (p, n) or (p, n + 1)
+    those : ndarray of bool, shape (p,)
+        Individuals for which blocks pay.
     part : slice
 
     Yields
     ------
-    int
-        The individual.
+    slice
+        One individual; several where blocks do not pay.
     ndarray, shape (k, k + 2), or None
-        Triangle, right-hand side and a column of zeros; None where that is not safe.
+        Triangle, right-hand side and a column of zeros; None where that is not safe, or does not
+        pay.
     """
     k, n = len(triangle), len(blocks) - 1
     lower, system = np.empty((k, k)), np.zeros((k, k + 2))
     triangle = np.ascontiguousarray(triangle)
-    everyone = range(len(features))[part]
-    for start in range(everyone.start, everyone.stop, _SUMMED):
-        some = np.ascontiguousarray(features[start:min(start + _SUMMED, everyone.stop), :n])
+    everyone = np.arange(len(features))[part]
+    for run in np.split(everyone, np.flatnonzero(np.diff(those[part])) + 1):
+        if run.size and not those[run[0]]:
+            yield slice(int(run[0]), int(run[-1]) + 1), None
+    mine = everyone[those[part]]
+    for start in range(0, len(mine), _SUMMED):
+        some = mine[start:start + _SUMMED]
         total = np.empty((len(some), blocks.shape[1]))
-        _sum(blocks, some, total)
-        for one, summed in enumerate(total, start):
+        _sum(blocks, np.ascontiguousarray(features[some, :n]), total)
+        for one, summed in zip(some.tolist(), total, strict=True):
             safe = _reduce(summed, triangle, lower, system) <= SAFE
-            yield one, system if safe else None
+            yield slice(one, one + 1), system if safe else None

@@ -27,7 +27,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import NDArray
 
-from termsel.adjustment.blocks import blocks_of, reduced
+from termsel.adjustment.blocks import blocks_of, paying, reduced
 from termsel.adjustment.compiled import compiled, is_compiled
 from termsel.adjustment.distinct import distinct
 from termsel.adjustment.equations import Equations
@@ -369,12 +369,12 @@ def solve_many(
                    columns[some], rows, TOLERANCE, shared.longest, coefficients[some],
                    violation[some])
 
-        if features is None or terms is not None or shared.blocks is None:
+        if features is None or shared.blocks is None:
             factor(part, source, feature, rows[part])
             return
         alone = np.zeros(k, dtype=np.intp), np.ones((1, 1), dtype=bool)
-        for one, few in reduced(shared.blocks, shared.triangle[:, :k], rows, part):
-            here = slice(one, one + 1)
+        for here, few in reduced(shared.blocks, shared.triangle[:, :k], rows,
+                                 paying(feature, columns, rows), part):
             if few is None:
                 factor(here, source, feature, rows[here])
             else:
