@@ -61,7 +61,8 @@ def compiled(function: _Function, **flags: Any) -> _Function:
     **flags
         Of numba.njit.
     """
-    dispatcher = numba.njit(nogil=True, error_model="numpy", **flags)(function)
+    dispatcher = numba.njit(nogil=True, error_model="numpy", no_cfunc_wrapper=True,
+                            **flags)(function)
     of_types = dispatcher.get_call_template
 
     def of_plain_types(args: Iterable[Any], keywords: Mapping[str, Any]) -> Any:
