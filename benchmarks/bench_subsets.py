@@ -135,6 +135,7 @@ def rows() -> Iterator[Row]:
     yield compare("2D, 21 terms, press", plane, "press")
     yield compare("2D, 15 terms, 5 folds", plane_polynomial(rng, 4), "kfold", folds=folds)
     yield compare("2D, 21 terms, rss and its bound", plane, "rss")
-    yield compare("RFM, 39 terms, rss, 81 million of up to 8", rational(rng, 20, 74), "rss",
-                  max_terms=8)
+    wide = rational(rng, 20, 74)
+    yield compare("RFM, 39 terms, rss, 81 million of up to 8", wide, "rss", max_terms=8)
+    yield compare("RFM, 39 terms, rss, 6.5e9 of up to 12", wide, "rss", max_terms=12)
     yield from growth(rng)
