@@ -275,10 +275,12 @@ def test_many_rows_are_solved_as_lapack_does(prior: bool) -> None:
     assert 1 <= unsafe <= 20
     # With terms of their own, too, where that is faster: of many terms, and for many features.
     terms = rng.random((40, k)) < np.linspace(0.2, 1.0, 40)[:, None]
+    terms[5], features[5] = True, np.arange(n) % 6 == 0
+    found, violation = solve_many(equations, None, features)
     those = paying(_prepared(equations).feature, terms, features)
     assert 5 <= those.sum() <= 35
-    for on, mask, x, lacking in zip(terms, features, *solve_many(equations, terms, features),
-                                    strict=True):
+    own = solve_many(equations, terms, features)
+    for on, mask, x, lacking in zip(terms, features, *own, strict=True):
         one = solve(equations, on, mask)
         assert (lacking == 0) == one.feasible
         if one.feasible:
@@ -289,4 +291,6 @@ def test_many_rows_are_solved_as_lapack_does(prior: bool) -> None:
     alone = np.concatenate([solve_many(equations, None, features[i:i + 1])[0]
                             for i in range(len(features))])
     np.testing.assert_array_equal(alone, found)
+    np.testing.assert_array_equal(own[0], np.concatenate([
+        solve_many(equations, terms[i:i + 1], features[i:i + 1])[0] for i in range(40)]))
     np.testing.assert_array_equal(solve_many(equations, None, features, threads=3)[0], found)

@@ -170,13 +170,11 @@ def paying(feature: IntArray, terms: BoolArray, features: BoolArray) -> BoolArra
     terms : ndarray of bool, shape (p, k)
     features : ndarray of bool, shape (p, n) or (p, n + 1)
     """
-    k = terms.shape[1]
-    if terms.all():  # then `blocks_of` has decided
-        return np.ones(len(terms), dtype=bool)
+    k, selected = terms.shape[1], np.count_nonzero(terms, axis=1)
     count = np.count_nonzero(features, axis=1)
     rows = count * len(feature) / max(features.shape[1], 1)  # as the mean feature has
-    return np.asarray(rows * np.count_nonzero(terms, axis=1)
-                      >= (count + OWN_GAIN * k) * k)
+    # Of all terms `blocks_of` has decided.
+    return np.asarray((selected == k) | (rows * selected >= (count + OWN_GAIN * k) * k))
 
 
 def reduced(blocks: FloatArray, triangle: FloatArray, features: BoolArray, those: BoolArray,
