@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.special import logsumexp
@@ -84,6 +86,20 @@ def test_a_far_point_alone_is_left_out_once_it_is_likelier_a_blunder(
     assert (found.blunders[0], found.probable[0]) == (blunder, probable)
     assert not found.blunders[1:].any()
     assert found.limits[0] == found.limits.max() > 40.0
+
+
+def test_what_is_below_the_error_found_for_certain_is_called_probable() -> None:
+    """Next to another blunder the forward search alone leaves it out."""
+    features = far_point(60.0)
+    image = features.points.image.copy()
+    image[7] += 25.0
+    features = features.with_(points=replace(features.points, image=image))
+    without = np.delete(np.arange(24), [2, 3, 4, 9, 13, 14, 15, 16])
+    found = find_blunders(features.take(without), True)
+    assert found is not None
+    assert np.flatnonzero(found.blunders).tolist() == [0, 4]
+    assert found.probable.tolist() == (found.blunders & (found.errors < found.limits)).tolist()
+    assert found.probable[0]
 
 
 def test_among_few_points_none_is_likelier_a_blunder() -> None:

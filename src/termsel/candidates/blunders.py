@@ -93,8 +93,8 @@ def find_blunders(control: FeatureSet, heights: bool) -> Suspects | None:
     kept = used if len(control.lines) else _without_probable(control, used, heights)
     if (kept != used).any():
         test = local_test(control, kept, heights) or test_of(control, kept, heights) or test
-    undecided = kept & test.far(len(control)) & ~test.decided()
-    return test.suspects(~kept, used & ~kept, undecided, everything)
+    far, decided = test.far(len(control)), test.decided()
+    return test.suspects(~kept, ~kept & ~(far & decided), kept & far & ~decided, everything)
 
 
 def _without_probable(control: FeatureSet, used: BoolArray, heights: bool) -> BoolArray:

@@ -53,7 +53,7 @@ class Suspects:
     ----------
     blunders : ndarray of bool, shape (n,)
     probable : ndarray of bool, shape (n,)
-        Those blunders that are none beyond chance, and likelier blunders than right all the same.
+        Those blunders that the features in use do not show for certain.
     undecided : ndarray of bool, shape (n,)
         Those with such an error that the others do not determine the model at their place.
     errors : ndarray, shape (n,)
