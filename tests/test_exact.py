@@ -17,6 +17,7 @@ from termsel.criteria import CheckRmse, Fits
 from termsel.errors import TermselError
 from termsel.runs.assess import assessed
 from termsel.solvers import exact
+from termsel.solvers import proof as proof_module
 from termsel.solvers.exact import Exact, gap
 from termsel.solvers.ga import GeneticAlgorithm
 from termsel.solvers.proof import count, prove
@@ -149,8 +150,11 @@ def test_at_any_time_every_size_has_a_bound_that_holds(criterion: str,
     assert all(one.optimal for one in states[-1].by_size(problem))
 
 
+@pytest.mark.parametrize("fewest", [0, 12])
 def test_of_many_selections_those_that_beat_all_smaller_ones_are_proven(
-        monkeypatch: pytest.MonkeyPatch) -> None:
+        fewest: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    most = proof_module.limits_of
+    monkeypatch.setattr(proof_module, "limits_of", lambda *given: (fewest, most(*given)[1]))
     problem = termsel.prepare("poly-terms", criterion="ebic", options={"degree": 4}).problem
     *_, proof = prove(problem)
     whole = {one.genes.sum(): one for one in proof.by_size(problem)}

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from termsel.adjustment import subset_stack, subsets
-from termsel.adjustment.subset_residuals import node_bound
+from termsel.adjustment.subset_residuals import _order, node_bound
 from termsel.adjustment.subset_stack import Stack, stack
 from termsel.adjustment.subset_system import Piece, SubsetSystem
 from termsel.adjustment.subsets import SubsetResult, search
@@ -102,6 +102,41 @@ def test_guard_points_raise_the_bound() -> None:
         assert bound <= inside * (1 + 1e-6) + slack
         raised += bound > 1.1 * least + slack
     assert raised > 30
+
+
+def test_bounds_without_a_column_hold_whatever_weights_a_node_inherits() -> None:
+    lowered = 0
+    for seed in range(60):
+        rng = np.random.default_rng([seed, 8])
+        system, k = quotient(rng, 8), 8
+        ready = stack(system, "rss", (), None)
+        tree = ready._tree(Piece(np.arange(0), np.arange(k), k))[0]
+        m = min(len(tree.least), 12)
+        tree.state[0, 4], tree.point[0, :m] = m, np.arange(m)
+        tree.weight[0, :m] = tree.rss[0] * 10.0 ** rng.uniform(-2, 3, size=m)
+        bound = node_bound(tree, 0, 1.0)
+        assert bound >= tree.rss[0]
+        lowered += tree.state[0, 4] == 0
+        _order(tree, 0, bound)
+        for i, value in zip(tree.order[0, :k], tree.bound[0, :k], strict=True):
+            piece = Piece(np.arange(0), np.delete(np.arange(k), i), k - 1)
+            least = ready.walk(piece, np.full(9, np.inf), np.zeros(9, dtype=np.uint64)).best.min()
+            assert value <= least * (1 + 1e-6) + 1e-12 * (system.target**2).sum(), seed
+    assert lowered > 5
+
+
+def test_what_few_columns_can_do_stays_proven(monkeypatch: pytest.MonkeyPatch) -> None:
+    beaten = 0
+    for name, value in (("_DESCEND_FROM", 1), ("_SMALL", 600)):
+        monkeypatch.setattr(subsets, name, value)
+    for seed in range(10):
+        system = quotient(np.random.default_rng([seed, 9]), 11)
+        *_, found = search(system, "rss", cost=lambda scores: scores + np.arange(12.0))
+        settled = slice(0, 5)
+        assert (found.floor[settled] == found.best[settled]).all()
+        figures = found.best[settled] + np.arange(5)
+        beaten += (figures > np.minimum.accumulate(figures)).sum()
+    assert beaten > 5
 
 
 def test_with_figures_the_sizes_that_smaller_ones_beat_stay_unknown(

@@ -78,7 +78,8 @@ def branch_residuals(tree: Tree, limits: Limits, records: Records, counts: IntAr
                 limit = max(limit, best[size])
             bound = node_bound(tree, depth, limit * (1.0 + ROUNDING) + limits.slack)
             if not bound < np.inf:  # columns in use depend on each other
-                infeasible += counts[n - p, min(most - p, n - p)]
+                lost = counts[n - p, min(most - p, n - p)]
+                infeasible, enumerated = infeasible + lost, enumerated + lost
                 depth -= 1
                 continue
             bound = bound * (1.0 - ROUNDING) - limits.slack
@@ -130,8 +131,7 @@ def node_bound(tree: Tree, d: int, limit: float) -> float:
         if not abs(R[d, i, i]) > DEPENDENT:
             tree.state[d, 4] = -1
             return float(_dependent(tree, d))
-    for i in range(n):
-        tree.shifted[i] = q[d, 0, i]
+    tree.shifted[:n] = q[d, 0, :n]
     for a in range(m):
         _solve_guard(tree, d, a, n)
         for i in range(n):
@@ -188,8 +188,11 @@ def node_bound(tree: Tree, d: int, limit: float) -> float:
         m = max(m, slot + 1)
         tree.point[d, slot], weight[d, slot] = worst, 0.0
         _solve_guard(tree, d, slot, n)
+    if bound < tree.rss[d]:  # the parent's weights are too high; `_order` needs those of the bound
+        bound, m = tree.rss[d], 0
+        tree.shifted[:n] = q[d, 0, :n]
     tree.state[d, 4] = m
-    return float(max(bound, tree.rss[d]))
+    return float(bound)
 
 
 @_compiled
@@ -228,8 +231,7 @@ def _write(tree: Tree, d: int, all_in_use: bool) -> None:
                 tree.cursor[place] = i
                 place += 1
     for j in range(tree.target.shape[1]):
-        for t in range(n):
-            tree.work[n + j, t] = tree.target[d, j, t]
+        tree.work[n + j, :n] = tree.target[d, j, :n]
 
 
 @_compiled
@@ -328,10 +330,8 @@ def _drop(tree: Tree, d: int, place: int) -> None:
         i = tree.order[d, before]
         tree.fixed[e, i - (i > x)] = True
     # Row x is rotated with each row below it in turn.
-    for t in range(x + 1, n):
-        row[t] = R[d, x, t]
-    for j in range(r):
-        tree.last[j] = q[d, j, x]
+    row[x + 1:n] = R[d, x, x + 1:n]
+    tree.last[:] = q[d, :, x]
     for i in range(x + 1, n):
         length = np.sqrt(row[i] * row[i] + R[d, i, i] * R[d, i, i])
         cosine = row[i] / length if length > 0.0 else 1.0

@@ -214,7 +214,7 @@ def search(
                 pruned += walked.pruned
             open_ = (*todo, *(piece for piece, _ in waiting))
             yield SubsetResult(best, masks, looked + pruned, total, infeasible, pruned,
-                               _floor(np.minimum(best, limits), open_, settled))
+                               _floor(best, open_, settled, limits))
     finally:
         pool.shutdown(cancel_futures=True)
 
@@ -262,12 +262,14 @@ def _small(systems: Stack) -> Iterator[Piece]:
         yield piece
 
 
-def _floor(best: FloatArray, pieces: Sequence[Piece], settled: int = 0) -> FloatArray:
+def _floor(best: FloatArray, pieces: Sequence[Piece], settled: int,
+           limits: FloatArray | float = np.inf) -> FloatArray:
     """Return lower bounds of the scores of every size, given the pieces still to be decided.
 
-    All subsets with less than `settled` columns are decided.
+    All subsets with less than `settled` columns are decided; others only below the limits.
     """
-    floor = best.copy()
+    floor = np.minimum(best, limits)
+    floor[:settled] = best[:settled]
     for piece in pieces:
         sizes = slice(max(len(piece.used), settled),
                       len(piece.used) + min(piece.room, len(piece.rest)) + 1)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -94,13 +95,8 @@ class Proof:
 
     def _costs(self, floor: bool = False) -> list[FloatArray]:
         """Return the cost of the best subset of each size, or the least that it may have."""
-        costs = []
-        for part, result, least in zip(self.parts, self.results, self.minimum, strict=True):
-            scores = result.floor if floor else result.best
-            cost = np.where(np.isfinite(scores), part.cost(scores), np.inf)
-            cost[:least] = np.inf
-            costs.append(cost)
-        return costs
+        return [_cost(result.floor if floor else result.best, part, least)
+                for part, result, least in zip(self.parts, self.results, self.minimum, strict=True)]
 
     def _objective(self, best: float) -> Callable[[float], float] | None:
         """Return what turns a sum of costs into the objective, given the best selection's.
@@ -206,6 +202,13 @@ def each_of(problem: Problem, genes: Genes) -> tuple[FloatArray, BoolArray]:
             np.array([one.violation[0] == 0 for one in found]))
 
 
+def _cost(scores: FloatArray, part: EnumerablePart, least: int) -> FloatArray:
+    """Return the cost of a score of each size; infinite for less than so many genes."""
+    cost = np.where(np.isfinite(scores), part.cost(scores), np.inf)
+    cost[:least] = np.inf
+    return cost
+
+
 def _joint(costs: Sequence[FloatArray]) -> tuple[FloatArray, IntArray]:
     """Return the least sum of costs of every total size, and how it splits into the parts' sizes.
 
@@ -254,8 +257,9 @@ def prove(problem: Problem, max_terms: int | None = None,
     parts = problem.parts()
     limits = [limits_of(problem, part, max_terms) for part in parts]
     walks = [subsets.search(part.system, part.score, folds=part.folds, max_terms=most,
-                            workers=workers or os.cpu_count() or 1, cost=part.cost)
-             for part, (_, most) in zip(parts, limits, strict=True)]
+                            workers=workers or os.cpu_count() or 1,
+                            cost=partial(_cost, part=part, least=least))
+             for part, (least, most) in zip(parts, limits, strict=True)]
     minimum = tuple(least for least, _ in limits)
     # Every part makes its first steps before any is finished, so that there is a result for each
     # whenever the user stops.
