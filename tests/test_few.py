@@ -15,7 +15,9 @@ from termsel.candidates.portfolio import choose
 from termsel.candidates.relief import carriers, heights_hold
 from termsel.candidates.repetition import repeated
 from termsel.formats.readers.csv_tables import write_points_csv
+from termsel.measurements.crs import transformation
 from termsel.measurements.features import FeatureSet, FloatArray, Points
+from termsel.runs import data_notes
 from termsel.simulate import simulate_scene
 
 Call = Callable[..., SimpleNamespace]
@@ -195,6 +197,23 @@ def test_points_on_one_line_are_told(side: str, said: str) -> None:
     notes = [note for note in found.notes if "one straight line" in note]
     assert len(notes) == 1
     assert notes[0].startswith(f"All points lie close to one straight line {said}")
+
+
+@pytest.mark.parametrize("crs", ["EPSG:4979", "EPSG:4978"])
+@pytest.mark.parametrize(("width", "narrow"), [(0.01, True), (0.04, False)])
+def test_what_is_narrow_is_so_in_metres(crs: str, width: float, narrow: bool) -> None:
+    """A strip of three degrees in the far north; in x and y a scene at the equator is a line."""
+    rng = np.random.default_rng(0)
+    image = rng.uniform(0, 1000, (20, 2))
+    ground = np.column_stack([20 + 3 * rng.random(20), 72 + width * 3 * rng.random(20) / 3.24,
+                              np.zeros(20)])
+    if crs == "EPSG:4978":
+        ground[:, :2] -= 20, 72
+        ground[:, 1] *= 3.24
+        ground = transformation("EPSG:4979", crs)(ground)
+        ground[0, 2] = np.nan
+    both = FeatureSet(Points(tuple(map(str, range(20))), image, ground), crs=crs)
+    assert bool(list(data_notes._on_one_line(both))) == narrow
 
 
 def test_points_all_over_a_scene_lie_on_no_line() -> None:

@@ -346,7 +346,7 @@ def suspected(n: int, blunders: Iterable[int] = (), undecided: Iterable[int] = (
 LEFT_OUT = ("Left out as blunders: {}. In brackets: how far the other points predict them from "
             "where they were measured.")
 PROBABLE = ("Left out as probable blunders: {}. They are more likely wrong than right; the other "
-            "points are too few or too far to be certain.")
+            "points are too few or too far to tell for certain. Look at them in the image.")
 UNDECIDED = ("Perhaps blunders, still in use: {}. The other points are too few or too far to tell.")
 
 

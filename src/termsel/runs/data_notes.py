@@ -8,9 +8,11 @@ import numpy as np
 
 from termsel.candidates.candidate import heights_differ
 from termsel.candidates.relief import carriers
+from termsel.measurements.crs import is_geocentric
 from termsel.measurements.features import FeatureSet, FloatArray, Points
 from termsel.measurements.joined import join_points
 from termsel.measurements.longitudes import jumps
+from termsel.measurements.metres import in_metres
 from termsel.measurements.roles import Observations, together
 from termsel.measurements.twins import groups, twins
 
@@ -55,18 +57,29 @@ def notes_on_data(read: FeatureSet, observations: Observations, heights: bool) -
 def _on_one_line(both: FeatureSet) -> Iterator[str]:
     """Yield where the features lie on one straight line, in the image or on the ground."""
     where = " and ".join(name for name, places in (
-        ("in the image", both.image_vertices()), ("on the ground", both.ground_vertices()[:, :2]))
+        ("in the image", both.image_vertices()), ("on the ground", _in_plan(both)))
         if _is_narrow(places))
     if where:
         yield (f"All {both.word} lie close to one straight line {where}. Nothing tells what the "
                "model does away from it: measure points there.")
 
 
+def _in_plan(both: FeatureSet) -> FloatArray:
+    """Return where features are on the ground, with one unit along all axes."""
+    ground = both.ground_vertices()
+    if both.crs and is_geocentric(both.crs):
+        # In x and y alone a scene may be seen from its side.
+        return ground[~np.isnan(ground[:, 2])]
+    plan = ground[:, :2] - ground[:, :2].mean(axis=0)
+    metres = in_metres(both.crs, ground, plan) if both.crs else None
+    return plan if metres is None else metres
+
+
 def _is_narrow(places: FloatArray) -> bool:
     """Return whether three or more places lie on a line, and not all at one place."""
     if len(places) <= 2:
         return False
-    along, across = np.linalg.svd(places - places.mean(axis=0), compute_uv=False)
+    along, across, *_ = np.linalg.svd(places - places.mean(axis=0), compute_uv=False)
     return bool(along > 0.0 and across <= NARROW * along)
 
 
