@@ -345,8 +345,8 @@ def suspected(n: int, blunders: Iterable[int] = (), undecided: Iterable[int] = (
 
 LEFT_OUT = ("Left out as blunders: {}. In brackets: how far the other points predict them from "
             "where they were measured.")
-PROBABLE = ("Left out as probable blunders: {}. They are more likely wrong than right; the other "
-            "points are too few or too far to tell for certain. Look at them in the image.")
+PROBABLE = ("Left out as probable blunders: {}. They are more likely wrong than right, but not for "
+            "certain. Look at them in the image.")
 UNDECIDED = ("Perhaps blunders, still in use: {}. The other points are too few or too far to tell.")
 
 

@@ -93,8 +93,8 @@ def _notes(control: FeatureSet, found: Suspects) -> Iterator[str]:
         yield (f"Left out as blunders: {_named(control.ids, found, certain)}. {brackets}")
     if found.probable.any():
         yield (f"Left out as probable blunders: {_named(control.ids, found, found.probable)}. They "
-               f"are more likely wrong than right; the other {what} are too few or too far to tell "
-               f"for certain. Look at them in the image.{'' if certain.any() else f' {brackets}'}")
+               "are more likely wrong than right, but not for certain. Look at them in the image."
+               f"{'' if certain.any() else f' {brackets}'}")
     if found.undecided.any():
         yield (f"Perhaps blunders, still in use: {_named(control.ids, found, found.undecided)}. "
                f"The other {what} are too few or too far to tell.")
