@@ -76,7 +76,7 @@ def test_subsets_of_few_columns_are_decided_before_all_others(
         yield np.full(systems.k + 1, np.inf), np.zeros(systems.k + 1, dtype=np.uint64)
 
     monkeypatch.setattr(subsets, "descents", nothing)
-    for name in ("_SMALL", "_PIECE", "_BRANCH", "_RESIDUALS"):
+    for name in ("_SMALL", "_PIECE", "_BRANCH"):
         monkeypatch.setattr(subsets, name, 100)
     monkeypatch.setattr(subsets, "_DESCEND_FROM", 1)
     rng = np.random.default_rng(3)

@@ -142,7 +142,7 @@ def test_what_few_columns_can_do_stays_proven(monkeypatch: pytest.MonkeyPatch) -
 def test_with_figures_the_sizes_that_smaller_ones_beat_stay_unknown(
         monkeypatch: pytest.MonkeyPatch) -> None:
     spared = 0
-    for name, value in (("_DESCEND_FROM", 1), ("_SMALL", 1), ("_RESIDUALS", 64)):
+    for name, value in (("_DESCEND_FROM", 1), ("_SMALL", 1), ("_BRANCH", 64)):
         monkeypatch.setattr(subsets, name, value)
     for seed in range(25):
         rng = np.random.default_rng([seed, 9])

@@ -231,7 +231,7 @@ def test_workers_and_pieces_do_not_matter(score: str, monkeypatch: pytest.Monkey
     system = polynomial(np.random.default_rng(8), k=11, m=16)
     folds = folds_of(16) if score == "kfold" else ()
     whole = last(system, score, folds=folds, max_terms=9)
-    for name in ("_PIECE", "_BRANCH", "_RESIDUALS"):
+    for name in ("_PIECE", "_BRANCH"):
         monkeypatch.setattr(subsets, name, 20)
     one, two = (list(search(system, score, folds=folds, max_terms=9, workers=w)) for w in (1, 2))
     assert len(one) == len(two) > 50

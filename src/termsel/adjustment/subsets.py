@@ -50,7 +50,6 @@ __all__ = ["MAX_COLUMNS", "SCORES", "SubsetResult", "SubsetSystem", "count_subse
 _PIECE = 1 << 16  # subsets enumerated between two checks for interruption: some milliseconds
 _BRANCH = 1 << 25  # the same, where bounds rule out most of them: a fraction of a second
 _LOOSER = 8  # times fewer of them for held-out errors, whose bounds rule out less
-_RESIDUALS = 1 << 28  # the same for residuals, whose bounds rule out most
 _DESCEND_FROM = 1 << 24  # subsets from which good ones are sought before any proof
 _SMALL = 1 << 27  # subsets up to which those of few columns are decided before all others
 _BISECTIONS = 60  # of the logarithm of 1e30, to all digits
@@ -171,7 +170,7 @@ def search(
         walked = systems.walk(start, best, masks)
         best, masks = walked.best, walked.masks
     looked = infeasible = pruned = 0
-    branch = {"check": _BRANCH, "rss": _RESIDUALS}.get(score, _BRANCH // _LOOSER)
+    branch = _BRANCH if score in ("check", "rss") else _BRANCH // _LOOSER
     largest = branch if systems.branches else _PIECE
     if score != "rss" or total <= _DESCEND_FROM:
         cost = None
