@@ -56,9 +56,9 @@ CLEAR = 1.5
 """Errors by the largest one of points in use, beyond which a point is a blunder under a model that
 is no polynomial."""
 
-LEAST = 8
-"""Points in use below which none is left out for being likelier a blunder: too many right ones
-are."""
+LEAST = 21
+"""Points below which none is left out for being likelier a blunder. They are no more than the
+coefficients of a cubic polynomial, and a right point that shows a bend may look like one."""
 
 
 def find_blunders(control: FeatureSet, heights: bool) -> Suspects | None:
@@ -90,7 +90,9 @@ def find_blunders(control: FeatureSet, heights: bool) -> Suspects | None:
         if (more == used).all():
             break
         used = more
-    kept = used if len(control.lines) else _without_probable(control, used, heights)
+    kept = used
+    if len(control) >= LEAST and not len(control.lines):
+        kept = _without_probable(control, used, heights)
     if (kept != used).any():
         test = local_test(control, kept, heights) or test_of(control, kept, heights) or test
     far, decided = test.far(len(control)), test.decided()
@@ -100,7 +102,7 @@ def find_blunders(control: FeatureSet, heights: bool) -> Suspects | None:
 def _without_probable(control: FeatureSet, used: BoolArray, heights: bool) -> BoolArray:
     """Leave out points that are likelier blunders than right, the likeliest one first each time."""
     kept = used.copy()
-    while kept.sum() >= LEAST and (~kept).sum() < int(MOST * len(control)):
+    while (~kept).sum() < int(MOST * len(control)):
         worst = likeliest_blunder(control, kept, heights)
         if worst is None:
             break
