@@ -217,14 +217,7 @@ class SharedShrinkage:
     With W what a size leaves along it, and the few other columns C by their scales, a solution
     leaves W - W C (I + C'W C)^-1 C'W of what is measured.
 
-    Parameters
-    ----------
-    design : Design
-        With few columns of scales of their own.
-    group, size : ndarray of int, shape (u,)
-        Of each solution.
-    sizes : ndarray
-        All there are.
+    It takes what `Shrinkage` takes; the design has few columns of scales of their own.
     """
 
     def __init__(self, design: Design, group: IntArray, size: IntArray,
@@ -271,13 +264,7 @@ def shrinkage_of(design: Design, group: IntArray, size: IntArray,
                  sizes: FloatArray) -> Shrinkage | SharedShrinkage:
     """Return what solutions do, by one decomposition where the design and rounding errors allow.
 
-    Parameters
-    ----------
-    design : Design
-    group, size : ndarray of int, shape (u,)
-        Of each solution.
-    sizes : ndarray
-        All there are.
+    It takes what `Shrinkage` takes.
     """
     if design.few < design.rest.shape[1]:
         shared = SharedShrinkage(design, group, size, sizes)
