@@ -27,7 +27,7 @@ def blunders_found_once() -> Iterator[None]:
     """
     from termsel.candidates import blunders, compare
     from termsel.results.checksums import of_features
-    from termsel.runs import outliers
+    from termsel.runs.auto import outliers
 
     known: dict[Any, Any] = {}
 

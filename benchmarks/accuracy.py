@@ -26,13 +26,13 @@ import numpy as np
 
 import termsel
 from benchmarks.sets import NOISE, PLAIN, heights_of, names, put, rmse_of, split
-from termsel.adjustment import posterior
 from termsel.candidates import portfolio
 from termsel.candidates.portfolio import choose
 from termsel.formats.readers.csv_tables import write_points_csv
 from termsel.measurements.features import FeatureSet, Points
+from termsel.priors import posterior
 from termsel.simulate.catalogue import SCENES
-from termsel.studies.images import IMAGES, folders_of
+from termsel.studies.cells.images import IMAGES, folders_of
 
 HERE = Path(__file__).parent
 STUDIES = ("honest-accuracy", "honest-accuracy-ga")
@@ -354,7 +354,7 @@ points are check points. {GA_SPLITS} of the splits at {', '.join(map(str, GA_COU
 ## Constants
 
 The median over splits of auto's independent RMSE divided by that of the best plain structure of
-the split, at 12, 20 and 40 points. Each constant of `termsel.adjustment.posterior` and of
+the split, at 12, 20 and 40 points. Each constant of `termsel.priors.posterior` and of
 `termsel.candidates.portfolio` is halved and doubled.
 
 {constants}

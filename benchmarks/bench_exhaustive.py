@@ -17,8 +17,8 @@ import numpy as np
 
 from benchmarks.bench_kernels import Row
 from termsel import prepare
-from termsel.adjustment.subset_system import SubsetSystem
-from termsel.adjustment.subsets import search
+from termsel.enumeration.columns.system import SubsetSystem
+from termsel.enumeration.subsets import search
 
 TERMS = 10
 

@@ -22,7 +22,7 @@ from termsel.problems.base import Evaluation, Problem
 from termsel.problems.segments import Genes
 from termsel.problems.selection import SelectionProblem
 from termsel.solvers.base import Generation, Solver
-from termsel.solvers.ga import GeneticAlgorithm
+from termsel.solvers.genetic.ga import GeneticAlgorithm
 
 
 class PluginCriterion(CheckRmse):

@@ -18,7 +18,7 @@ import numpy as np
 
 from benchmarks.bench_kernels import Row, best_of
 from benchmarks.bench_subsets import finish, lapack, plane_polynomial
-from termsel.adjustment.subset_system import SubsetSystem
+from termsel.enumeration.columns.system import SubsetSystem
 from termsel.measurements.features import BoolArray, FloatArray
 
 MOST, PENALISED = 8, 4

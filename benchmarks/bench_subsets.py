@@ -19,8 +19,8 @@ import numpy as np
 
 from benchmarks.bench_kernels import LSTSQ, Row
 from termsel.adjustment.monomials import RPC00B, monomials
-from termsel.adjustment.subset_system import SubsetSystem
-from termsel.adjustment.subsets import SubsetResult, search
+from termsel.enumeration.columns.system import SubsetSystem
+from termsel.enumeration.subsets import SubsetResult, search
 from termsel.measurements.features import BoolArray, FloatArray, IntArray
 
 SAMPLE = 1 << 12

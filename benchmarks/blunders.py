@@ -29,7 +29,6 @@ from benchmarks.sets import (
     rmse_of,
     split,
 )
-from termsel.adjustment import blunder_odds
 from termsel.adjustment.monomials import graded_exponents, monomials
 from termsel.candidates import blunders, contradictions
 from termsel.candidates.blunders import find_blunders
@@ -37,6 +36,7 @@ from termsel.candidates.contradictions import Suspects
 from termsel.candidates.portfolio import choose
 from termsel.measurements.features import BoolArray, FeatureSet, FloatArray, Points
 from termsel.measurements.scaling import scaling_of
+from termsel.priors import blunder_odds
 
 COUNTS = (24, 40, 74)
 WORST = 1.5
@@ -351,7 +351,7 @@ are worse.
 
 Median ratio to clean data, blunders named, and right points left out, with each constant of
 `termsel.candidates.contradictions`, `termsel.candidates.blunders` and
-`termsel.adjustment.blunder_odds` halved and doubled: one point in 15 of 24 and of 40 points, one
+`termsel.priors.blunder_odds` halved and doubled: one point in 15 of 24 and of 40 points, one
 split each.
 
 {sensitivity(wanted, 1)}

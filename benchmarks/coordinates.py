@@ -21,7 +21,7 @@ from termsel.measurements.scaling import scaling_of
 from termsel.models.base import SensorModel
 from termsel.models.polynomial import Affine, Polynomial3D
 from termsel.models.projective import DLT3D
-from termsel.runs.fit_crs import SYSTEMS, fit_crs_of
+from termsel.runs.task.fit_crs import SYSTEMS, fit_crs_of
 from termsel.simulate import simulate_scene
 from termsel.simulate.catalogue import SCENES
 

@@ -20,15 +20,15 @@ from scipy.stats import spearmanr
 
 import termsel
 from benchmarks.sets import ROOT, put, rmse_of
-from termsel.adjustment.subset_stack import Stack, stack
-from termsel.adjustment.subset_system import Piece
+from termsel.enumeration.columns.system import Piece
+from termsel.enumeration.stack import Stack, stack
 from termsel.fits.rmse import Rmse
 from termsel.measurements.features import FloatArray, no_lines
 from termsel.report.theme import BLUNDER, CONTROL, INDEPENDENT, UNUSED, data, require_altair, styled
 from termsel.simulate import simulate_scene
-from termsel.solvers.proof import limits_of
-from termsel.studies.groups import Runs, group
-from termsel.studies.summaries import quantiles, reachable, wilson
+from termsel.solvers.proofs.proof import limits_of
+from termsel.studies.statistics.groups import Runs, group
+from termsel.studies.statistics.summaries import quantiles, reachable, wilson
 
 HERE = Path(__file__).parent
 STUDIES = ("gap-rfm", "gap-rfm-long", "gap-rfm-papers")
@@ -324,7 +324,7 @@ selections by branch and bound. The bound uses three facts on all selections of 
 their fits lie on one sphere through the observations; their denominators are positive; their
 squared check errors are a weighted sum that the best known selection limits. A convex quadratic
 form holds all three. If its minimum is above the limit, none of these selections can be better. The
-module `termsel.adjustment.subset_bounds` has the proof; tests hold it against enumeration.
+module `termsel.enumeration.bounds.closed` has the proof; tests hold it against enumeration.
 
 The proof took {minutes:.0f} minutes on two cores. The optimum: {listed}.
 """

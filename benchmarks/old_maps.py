@@ -21,10 +21,10 @@ import numpy as np
 
 import termsel
 from benchmarks.sets import DATA, PLAIN, heights_of, put, rmse_of, split
-from termsel.adjustment import field
 from termsel.candidates import local
 from termsel.candidates.portfolio import best_of, choose
 from termsel.measurements.features import FeatureSet, Points
+from termsel.priors import field
 from termsel.simulate import simulate_map
 from termsel.simulate.catalogue import SCENES
 

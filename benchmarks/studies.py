@@ -24,10 +24,10 @@ import numpy as np
 
 import termsel
 from termsel.formats.readers.csv_tables import write_points_csv
+from termsel.studies.cells.journal import JOURNAL, read_journal
+from termsel.studies.cells.table import TIMES
 from termsel.studies.compare import asked, plan_cells, works_of
-from termsel.studies.journal import JOURNAL, read_journal
-from termsel.studies.progress import Progress
-from termsel.studies.table import TIMES
+from termsel.studies.execution.progress import Progress
 
 STUDY = """problems = [{name = "poly-terms", degree = 3}]
 solvers = ["random", "ga"]

@@ -18,7 +18,7 @@ from termsel.cli.new_plugin import package
 from termsel.options import Option
 from termsel.plugins.kinds import KINDS
 from termsel.plugins.registry import Entry, registry
-from termsel.runs.task import DATA_OPTIONS
+from termsel.runs.task.task import DATA_OPTIONS
 from termsel.solvers.budget import SEARCH_OPTIONS
 
 OF_EVERY_RUN = {"data": DATA_OPTIONS, "search": SEARCH_OPTIONS}

@@ -10,7 +10,6 @@ import pytest
 
 import termsel
 from termsel.adjustment.monomials import graded_exponents, monomials
-from termsel.adjustment.posterior import SIZES, posterior
 from termsel.candidates.portfolio import choose
 from termsel.candidates.repetition import repeated
 from termsel.fits.accuracy import (
@@ -23,10 +22,11 @@ from termsel.fits.accuracy import (
     rmse_interval,
 )
 from termsel.fits.uncertainty import _Belief, shared_variance
+from termsel.measurements.coordinates.metres import in_metres
 from termsel.measurements.features import FeatureSet, Points
-from termsel.measurements.metres import in_metres
 from termsel.measurements.scaling import scaling_of
 from termsel.models.polynomial import Polynomial3D
+from termsel.priors.posterior import SIZES, posterior
 from termsel.simulate import simulate_scene
 
 

@@ -11,9 +11,9 @@ import termsel
 from termsel.measurements.features import BoolArray, FloatArray
 from termsel.problems.genome import Genome
 from termsel.problems.segments import Bits
-from termsel.solvers.aco import AntColony, deposit, grafts, renew, settled
 from termsel.solvers.base import Generation
-from termsel.solvers.exact import gap
+from termsel.solvers.heuristics.aco import AntColony, deposit, grafts, renew, settled
+from termsel.solvers.proofs.exact import gap
 from termsel.testing import problems
 from termsel.testing.problems import Toy
 

@@ -9,11 +9,11 @@ import pytest
 from scipy.special import logsumexp
 
 from termsel import FeatureSet, Lines, Points
-from termsel.adjustment.blunder_odds import FORM, SIZES, blunder_odds
 from termsel.adjustment.monomials import graded_exponents, monomials
-from termsel.adjustment.posterior import Posterior, posterior
 from termsel.candidates.blunders import find_blunders
 from termsel.measurements.features import FloatArray, no_lines
+from termsel.priors.blunder_odds import FORM, SIZES, blunder_odds
+from termsel.priors.posterior import Posterior, posterior
 
 PLANE = graded_exponents(2, 2)
 N = 12

@@ -12,14 +12,14 @@ from scipy.special import fdtrc
 
 import termsel
 from termsel import FeatureSet, Points
-from termsel.adjustment.left_out import chance_of
 from termsel.adjustment.monomials import graded_exponents, monomials
-from termsel.adjustment.posterior import posterior, scales_of
 from termsel.candidates.blunders import find_blunders, judge_others
 from termsel.candidates.portfolio import choose
 from termsel.candidates.shrunken import average
 from termsel.measurements.features import no_lines, no_points
 from termsel.measurements.scaling import scaling_of
+from termsel.priors.held_out import chance_of
+from termsel.priors.posterior import posterior, scales_of
 
 
 def scene(n: int, seed: int = 1, name: str = "ikonos-hamedan") -> FeatureSet:

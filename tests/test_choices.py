@@ -19,8 +19,8 @@ from termsel.candidates.selected import select_forward
 from termsel.candidates.shrunken import average
 from termsel.criteria import Ebic, Fits, KFold
 from termsel.fits.fit import Fit
+from termsel.measurements.coordinates.places import spatial_order
 from termsel.measurements.features import BoolArray, FeatureSet, FloatArray, Points, no_points
-from termsel.measurements.places import spatial_order
 from termsel.measurements.roles import by_roles
 from termsel.measurements.scaling import scaling_of
 from termsel.models.projective import DLT3D
@@ -28,12 +28,12 @@ from termsel.problems.base import Evaluation, Problem, Selection
 from termsel.problems.genome import Genome
 from termsel.problems.segments import Bits
 from termsel.results.checksums import of_features
-from termsel.runs.recommend import recommended
-from termsel.runs.task import ask, observe, prepare
+from termsel.runs.search.recommend import recommended
+from termsel.runs.task.task import ask, observe, prepare
 from termsel.solvers.base import Generation
 from termsel.solvers.budget import Budget
 from termsel.solvers.ledger import Ledger
-from termsel.solvers.proof import limits_of
+from termsel.solvers.proofs.proof import limits_of
 from termsel.solvers.refinement import POLISH_SHARE
 from termsel.solvers.search import Search, search
 

@@ -27,20 +27,20 @@ from termsel.models.radial import Radial2D, Radial3D
 from termsel.models.rational import RationalFunctions
 from termsel.problems.base import Inputs
 from termsel.problems.selection import SelectionProblem
-from termsel.solvers.aco import AntColony
-from termsel.solvers.exact import Exact
-from termsel.solvers.ga import GeneticAlgorithm
-from termsel.solvers.ga_correlation import CorrelationSeededGA
-from termsel.solvers.ga_steady import SteadyStateGA
-from termsel.solvers.ga_transgenic import TransgenicGA
-from termsel.solvers.ica import ImperialistCompetition
-from termsel.solvers.nested_regression import NestedRegression
-from termsel.solvers.pareto import AgeMoea2, Nsga2, SmsEmoa, Spea2
-from termsel.solvers.pso import BinarySwarm
-from termsel.solvers.ridge_lasso import Lasso, Ridge
-from termsel.solvers.stepwise import Stepwise, TTest
-from termsel.solvers.swap import Swap
-from termsel.solvers.yardsticks import AllTerms, RandomSearch
+from termsel.solvers.bridges.pareto import AgeMoea2, Nsga2, SmsEmoa, Spea2
+from termsel.solvers.genetic.ga import GeneticAlgorithm
+from termsel.solvers.genetic.ga_correlation import CorrelationSeededGA
+from termsel.solvers.genetic.ga_steady import SteadyStateGA
+from termsel.solvers.genetic.ga_transgenic import TransgenicGA
+from termsel.solvers.heuristics.aco import AntColony
+from termsel.solvers.heuristics.ica import ImperialistCompetition
+from termsel.solvers.heuristics.pso import BinarySwarm
+from termsel.solvers.heuristics.swap import Swap
+from termsel.solvers.heuristics.yardsticks import AllTerms, RandomSearch
+from termsel.solvers.proofs.exact import Exact
+from termsel.solvers.regression.nested_regression import NestedRegression
+from termsel.solvers.regression.ridge_lasso import Lasso, Ridge
+from termsel.solvers.regression.stepwise import Stepwise, TTest
 from termsel.testing import (
     Check,
     check_criterion,

@@ -22,9 +22,9 @@ from termsel.options import Option
 from termsel.problems import segments
 from termsel.problems.base import Evaluation, Problem
 from termsel.solvers.base import Generation, Solver
-from termsel.solvers.ga import GeneticAlgorithm
+from termsel.solvers.genetic.ga import GeneticAlgorithm
+from termsel.solvers.heuristics.yardsticks import RandomSearch
 from termsel.solvers.ledger import Ledger
-from termsel.solvers.yardsticks import RandomSearch
 from termsel.testing import (
     Check,
     check_model,

@@ -18,12 +18,17 @@ from termsel.cli.main import cli
 from termsel.errors import TermselError
 from termsel.fits.least_squares import fit
 from termsel.formats.readers.csv_tables import PointsCsv, write_points_csv
-from termsel.measurements.crs import height_reference, is_geocentric, to_wgs84, transformation
+from termsel.measurements.coordinates.crs import (
+    height_reference,
+    is_geocentric,
+    to_wgs84,
+    transformation,
+)
 from termsel.measurements.features import FeatureSet, Lines, Points
 from termsel.measurements.scaling import Scaling, scaling_of
 from termsel.models.polynomial import Affine, Polynomial3D
 from termsel.models.rpc_fit import rpc_of
-from termsel.runs.fit_crs import fit_crs_of
+from termsel.runs.task.fit_crs import fit_crs_of
 
 pyproj = pytest.importorskip("pyproj")
 

@@ -16,8 +16,8 @@ from termsel.adjustment.lines import row_weights
 from termsel.adjustment.solve import solve
 from termsel.criteria import CheckRmse
 from termsel.errors import TermselError
+from termsel.measurements.coordinates.places import spatial_order
 from termsel.measurements.features import ROLES, BoolArray, FeatureSet, FloatArray, Lines, Points
-from termsel.measurements.places import spatial_order
 from termsel.measurements.roles import ASSIGNABLE, assign
 from termsel.measurements.scaling import scaling_of
 from termsel.models.base import SensorModel

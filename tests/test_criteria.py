@@ -28,8 +28,8 @@ from termsel.models.quotient import RationalModel
 from termsel.problems.base import WORST, Inputs
 from termsel.problems.selection import SelectionProblem
 from termsel.simulate import simulate_scene
-from termsel.solvers.exact import gap
-from termsel.solvers.proof import count, prove
+from termsel.solvers.proofs.exact import gap
+from termsel.solvers.proofs.proof import count, prove
 
 CRITERIA = ("press", "kfold", "ebic")
 

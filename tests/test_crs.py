@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 
 from termsel.errors import TermselError
-from termsel.measurements.coordinates import check_ground
-from termsel.measurements.crs import (
+from termsel.measurements.coordinates.crs import (
     height_reference,
     horizontal,
     is_geographic,
     normalise,
     to_wgs84,
 )
+from termsel.measurements.coordinates.plausible import check_ground
 from termsel.measurements.features import FeatureSet, Lines, Points, no_points
 
 

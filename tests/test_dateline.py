@@ -12,8 +12,8 @@ import pytest
 
 import termsel
 from termsel.formats.readers.csv_tables import write_points_csv
+from termsel.measurements.coordinates.longitudes import continuous, without_jump
 from termsel.measurements.features import FeatureSet
-from termsel.measurements.longitudes import continuous, without_jump
 from termsel.models.rpc_fit import rpc_of
 
 Call = Callable[..., SimpleNamespace]

@@ -34,11 +34,11 @@ from scipy.stats import ks_2samp
 import termsel
 from termsel import TermselError, search
 from termsel.cli.main import cli
-from termsel.solvers.chance import OwnChance
-from termsel.solvers.deap_algorithms import Deap
-from termsel.solvers.ga import GeneticAlgorithm
+from termsel.solvers.bridges.chance import OwnChance
+from termsel.solvers.bridges.deap_algorithms import Deap
+from termsel.solvers.bridges.pymoo_algorithms import ALGORITHMS, SINGLE, UNFIT, Pymoo
+from termsel.solvers.genetic.ga import GeneticAlgorithm
 from termsel.solvers.ledger import Ledger
-from termsel.solvers.pymoo_algorithms import ALGORITHMS, SINGLE, UNFIT, Pymoo
 from termsel.testing import problems
 from termsel.testing.checks import Check
 from termsel.testing.problems import Watched
@@ -425,8 +425,8 @@ def test_a_loop_that_breeds_nothing_comes_to_an_end(monkeypatch: pytest.MonkeyPa
 
 
 def test_a_loop_that_never_returns_ends_with_its_time(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("termsel.solvers.silence.GRACE", 0.1)
-    monkeypatch.setattr("termsel.solvers.silence._EVERY", 0.1)
+    monkeypatch.setattr("termsel.solvers.bridges.silence.GRACE", 0.1)
+    monkeypatch.setattr("termsel.solvers.bridges.silence._EVERY", 0.1)
     found = search(problems.twelve_terms(), termsel.from_deap(own_box, stuck)(population=10),
                    seconds=0.8)
     assert found.evaluations == 10

@@ -12,15 +12,16 @@ import pytest
 
 import termsel
 import termsel.report.text
-from termsel.adjustment import subset_descents, subsets
 from termsel.criteria import CheckRmse, Fits
+from termsel.enumeration import descents as subset_descents
+from termsel.enumeration import subsets
 from termsel.errors import TermselError
-from termsel.runs.assess import assessed
-from termsel.solvers import exact
-from termsel.solvers import proof as proof_module
-from termsel.solvers.exact import Exact, gap
-from termsel.solvers.ga import GeneticAlgorithm
-from termsel.solvers.proof import count, prove
+from termsel.runs.judgement.assess import assessed
+from termsel.solvers.genetic.ga import GeneticAlgorithm
+from termsel.solvers.proofs import exact
+from termsel.solvers.proofs import proof as proof_module
+from termsel.solvers.proofs.exact import Exact, gap
+from termsel.solvers.proofs.proof import count, prove
 from termsel.testing import check_criterion
 
 

@@ -13,9 +13,9 @@ import pytest
 
 import termsel
 import termsel.report.text
-from termsel.adjustment.row_subsets import Branch, RowSystem, Selections
+from termsel.enumeration.features.walk import Branch, RowSystem, Selections
 from termsel.measurements.features import FeatureSet
-from termsel.solvers.exact_features import duration, prove_features, selections_of
+from termsel.solvers.proofs.exact_features import duration, prove_features, selections_of
 
 
 def random_systems(rng: np.random.Generator, n: int, *, ill: bool) -> tuple[RowSystem, ...]:

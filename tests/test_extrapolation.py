@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 import termsel
+from termsel.measurements.coordinates.places import beyond
 from termsel.measurements.features import FeatureSet
-from termsel.measurements.places import beyond
 from termsel.simulate import simulate_scene
 
 SQUARE = np.array([(0.0, 0.0), (0.0, 10.0), (10.0, 0.0), (10.0, 10.0), (5.0, 5.0)])

@@ -16,8 +16,8 @@ from termsel import Evaluation, Generation, Problem, Solver, TermselError, searc
 from termsel.cli.main import cli
 from termsel.plugins.registry import Entry, registry
 from termsel.solvers.budget import EVALUATIONS, SEARCH_OPTIONS
-from termsel.solvers.ga import GeneticAlgorithm
-from termsel.solvers.yardsticks import RandomSearch
+from termsel.solvers.genetic.ga import GeneticAlgorithm
+from termsel.solvers.heuristics.yardsticks import RandomSearch
 from termsel.testing import problems
 
 

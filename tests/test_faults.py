@@ -32,12 +32,12 @@ from termsel.problems.genome import Genome
 from termsel.problems.recipes import Recipe
 from termsel.problems.segments import Bits
 from termsel.results.result import Result
-from termsel.runs.assess import fit_of
+from termsel.runs.judgement.assess import fit_of
 from termsel.runs.run import run
-from termsel.runs.task import Task, prepare
+from termsel.runs.task.task import Task, prepare
 from termsel.solvers.base import Generation, Solver
+from termsel.solvers.heuristics.yardsticks import RandomSearch
 from termsel.solvers.search import search
-from termsel.solvers.yardsticks import RandomSearch
 
 HERE = Path(__file__).name
 

@@ -15,9 +15,9 @@ from termsel.candidates.portfolio import choose
 from termsel.candidates.relief import carriers, heights_hold
 from termsel.candidates.repetition import repeated
 from termsel.formats.readers.csv_tables import write_points_csv
-from termsel.measurements.crs import transformation
+from termsel.measurements.coordinates.crs import transformation
 from termsel.measurements.features import FeatureSet, FloatArray, Points
-from termsel.runs import data_notes
+from termsel.runs.task import data_notes
 from termsel.simulate import simulate_scene
 
 Call = Callable[..., SimpleNamespace]

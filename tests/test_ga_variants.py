@@ -16,19 +16,19 @@ from termsel.problems.base import WORST, Evaluation, Problem
 from termsel.problems.genome import Genome
 from termsel.problems.segments import Bits, random_subsets
 from termsel.solvers.base import Solver
-from termsel.solvers.ga import GeneticAlgorithm
-from termsel.solvers.ga_correlation import (
+from termsel.solvers.genetic.ga import GeneticAlgorithm
+from termsel.solvers.genetic.ga_correlation import (
     CorrelationSeededGA,
     activation_probabilities,
     correlation_sums,
     seeded_population,
 )
-from termsel.solvers.ga_steady import (
+from termsel.solvers.genetic.ga_steady import (
     SteadyStateGA,
     coding,
 )
-from termsel.solvers.ga_transgenic import TransgenicGA, qualification
-from termsel.solvers.operators import replace_one, set_crossover
+from termsel.solvers.genetic.ga_transgenic import TransgenicGA, qualification
+from termsel.solvers.genetic.operators import replace_one, set_crossover
 from termsel.solvers.search import search
 from termsel.testing.problems import narrow
 

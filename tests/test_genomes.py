@@ -23,10 +23,10 @@ from termsel import (
 from termsel.plugins.registry import registry
 from termsel.problems.base import Evaluation, Selection
 from termsel.problems.segments import SEGMENTS, AnySegment, Genes
+from termsel.solvers.genetic.operators import crossover, from_keys, mutation, n_keys
+from termsel.solvers.heuristics.swap import neighbours
 from termsel.solvers.ledger import Ledger
-from termsel.solvers.operators import crossover, from_keys, mutation, n_keys
 from termsel.solvers.search import search
-from termsel.solvers.swap import neighbours
 from termsel.testing.problems import Toy, kept
 
 

@@ -26,10 +26,10 @@ from termsel.models.polynomial import Affine
 from termsel.problems.base import Evaluation, Problem, Selection
 from termsel.problems.genome import Genome
 from termsel.problems.segments import Bits
-from termsel.solvers import silence
 from termsel.solvers.base import Generation, Solver
+from termsel.solvers.bridges import silence
+from termsel.solvers.heuristics.yardsticks import RandomSearch
 from termsel.solvers.search import Search, search
-from termsel.solvers.yardsticks import RandomSearch
 
 
 class Ones(Problem):

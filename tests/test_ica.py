@@ -12,8 +12,7 @@ from hypothesis import strategies as st
 import termsel
 from termsel.problems.base import Evaluation
 from termsel.solvers.base import Generation
-from termsel.solvers.exact import gap
-from termsel.solvers.ica import (
+from termsel.solvers.heuristics.ica import (
     Empires,
     ImperialistCompetition,
     assimilate,
@@ -27,6 +26,7 @@ from termsel.solvers.ica import (
     sizes,
     total_power,
 )
+from termsel.solvers.proofs.exact import gap
 from termsel.testing import problems
 from termsel.testing.problems import Watched
 

@@ -9,7 +9,7 @@ from termsel.candidates.candidate import Candidate, named
 from termsel.errors import counted
 from termsel.fits.figures import Baseline
 from termsel.fits.rmse import Rmse
-from termsel.runs.judge import judge, judge_choice, name_conventional
+from termsel.runs.judgement.judge import judge, judge_choice, name_conventional
 
 
 def rmse(independent: float | None, n: int = 20) -> dict[str, Rmse | None]:

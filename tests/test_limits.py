@@ -17,10 +17,10 @@ from termsel.fits.diagnosis import doubts, significance
 from termsel.fits.figures import in_role
 from termsel.fits.fit import Fit
 from termsel.fits.least_squares import LEAST_SQUARES
-from termsel.measurements.coordinates import check_ground
+from termsel.measurements.coordinates.places import beyond
+from termsel.measurements.coordinates.plausible import check_ground
 from termsel.measurements.features import FeatureSet, FloatArray, Lines, Points
 from termsel.measurements.joined import join_points
-from termsel.measurements.places import beyond
 from termsel.measurements.roles import by_roles, observe, together
 from termsel.measurements.scaling import scaling_of
 from termsel.models.poles import pole_violation

@@ -13,10 +13,10 @@ import termsel
 from termsel.problems.genome import Genome
 from termsel.problems.segments import Bits
 from termsel.solvers import refinement
-from termsel.solvers import swap as local
-from termsel.solvers.ga import GeneticAlgorithm
+from termsel.solvers.genetic.ga import GeneticAlgorithm
+from termsel.solvers.heuristics import swap as local
 from termsel.solvers.ledger import Progress
-from termsel.solvers.proof import prove
+from termsel.solvers.proofs.proof import prove
 from termsel.testing.problems import kept
 
 

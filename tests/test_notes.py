@@ -22,9 +22,11 @@ from termsel.measurements.scaling import scaling_of
 from termsel.models.base import SensorModel
 from termsel.models.polynomial import Affine, Polynomial2D
 from termsel.models.rational import RationalFunctions
-from termsel.runs import auto, outliers, steps
-from termsel.runs.judge import notes_on
-from termsel.runs.recommend import recommended
+from termsel.runs.auto import outliers
+from termsel.runs.auto import strategy as auto
+from termsel.runs.judgement.judge import notes_on
+from termsel.runs.search import steps
+from termsel.runs.search.recommend import recommended
 from termsel.solvers.search import Search
 
 GRID = np.array([(x, y, 0.3 * (x - y) ** 2) for x in range(5) for y in range(5)], dtype=float)

@@ -19,8 +19,8 @@ from termsel.measurements.features import Lines
 from termsel.measurements.scaling import scaling_of
 from termsel.models.polynomial import Polynomial3D
 from termsel.models.rpc import Rpc
-from termsel.runs import steps
-from termsel.runs.steps import search_in_steps
+from termsel.runs.search import steps
+from termsel.runs.search.steps import search_in_steps
 from termsel.simulate import simulate_scene
 
 QUICK = {"population": 40, "polish": False}

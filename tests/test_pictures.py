@@ -23,9 +23,9 @@ from termsel.report import view
 from termsel.report.plots import KINDS, chart
 from termsel.report.small import small_map
 from termsel.report.theme import styled
-from termsel.studies import figures
-from termsel.studies.figures import figures_of
-from termsel.studies.spec import spec_of
+from termsel.studies.plan.spec import spec_of
+from termsel.studies.shown import figures
+from termsel.studies.shown.figures import figures_of
 from termsel.studies.study import Study
 
 pytest.importorskip("altair")

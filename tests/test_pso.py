@@ -9,8 +9,8 @@ import pytest
 
 import termsel
 from termsel.problems.base import Evaluation
-from termsel.solvers.exact import gap
-from termsel.solvers.pso import BinarySwarm, improved, leaders, sigmoid
+from termsel.solvers.heuristics.pso import BinarySwarm, improved, leaders, sigmoid
+from termsel.solvers.proofs.exact import gap
 from termsel.testing import problems
 
 

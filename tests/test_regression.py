@@ -18,14 +18,22 @@ from termsel.fits.least_squares import fit
 from termsel.measurements.features import FeatureSet, Points
 from termsel.problems.base import Problem
 from termsel.simulate import simulate_scene
-from termsel.solvers.nested_regression import (
+from termsel.solvers.heuristics.yardsticks import AllTerms
+from termsel.solvers.regression.nested_regression import (
     NestedRegression,
     explained_share,
     rational_errors,
     rms,
 )
-from termsel.solvers.ridge_lasso import Lasso, Piece, Ridge, lasso_path, shrink, standardise
-from termsel.solvers.stepwise import (
+from termsel.solvers.regression.ridge_lasso import (
+    Lasso,
+    Piece,
+    Ridge,
+    lasso_path,
+    shrink,
+    standardise,
+)
+from termsel.solvers.regression.stepwise import (
     Regression,
     Stepwise,
     TermRegression,
@@ -36,7 +44,6 @@ from termsel.solvers.stepwise import (
     regressions,
     significance,
 )
-from termsel.solvers.yardsticks import AllTerms
 
 SELECTORS = (Stepwise, TTest, NestedRegression, Lasso)
 SOLVERS = (*SELECTORS, Ridge)

@@ -418,7 +418,7 @@ def test_budgets_are_in_the_record_and_the_command(tmp_path: Path) -> None:
 
 
 def test_what_no_command_repeats_is_said(tmp_path: Path) -> None:
-    from termsel.solvers.yardsticks import RandomSearch
+    from termsel.solvers.heuristics.yardsticks import RandomSearch
 
     class Own(RandomSearch):
         """Random search of one's own."""

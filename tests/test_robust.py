@@ -26,7 +26,7 @@ from termsel.measurements.features import FeatureSet, Lines, no_lines
 from termsel.measurements.roles import observe, together
 from termsel.measurements.scaling import scaling_of
 from termsel.models.polynomial import Polynomial3D
-from termsel.runs import owdis
+from termsel.runs.auto import owdis
 from termsel.simulate import scene_truth, simulate_scene
 
 QUICK = {"population": 40, "polish": False}

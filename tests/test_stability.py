@@ -21,7 +21,7 @@ from termsel.measurements.joined import join_points
 from termsel.models.polynomial import Polynomial3D
 from termsel.runs import stability as module
 from termsel.runs.stability import stability
-from termsel.runs.task import prepare
+from termsel.runs.task.task import prepare
 from termsel.solvers.search import search
 
 QUICK = {"model": "poly3d", "solver": "exact", "criterion": "press", "repeats": 4,

@@ -20,10 +20,10 @@ from benchmarks import accuracy, solver_table
 from termsel import TermselError
 from termsel.formats.readers.csv_tables import write_lines_csv, write_points_csv
 from termsel.studies import compare
-from termsel.studies.images import IMAGES, folders_of
-from termsel.studies.outputs import write_outputs
-from termsel.studies.places import places_of
-from termsel.studies.table import TIMES
+from termsel.studies.cells.images import IMAGES, folders_of
+from termsel.studies.cells.table import TIMES
+from termsel.studies.plan.places import places_of
+from termsel.studies.shown.outputs import write_outputs
 
 Call = Callable[..., SimpleNamespace]
 
@@ -359,7 +359,7 @@ def test_a_failing_cell_is_a_row_with_its_reason(monkeypatch: pytest.MonkeyPatch
     def explode(*_: Any, **__: Any) -> Any:
         raise ValueError("a plugin's fault")
 
-    from termsel.studies import work
+    from termsel.studies.execution import work
 
     monkeypatch.setattr(work, "search_without_blunders", explode)
     study = termsel.compare(problems=["poly-terms"], solvers=["random"],

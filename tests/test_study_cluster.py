@@ -19,8 +19,8 @@ import pytest
 
 import termsel
 from termsel import TermselError
-from termsel.studies.progress import Progress
-from termsel.studies.table import TIMES
+from termsel.studies.cells.table import TIMES
+from termsel.studies.execution.progress import Progress
 
 pytest.importorskip("distributed")
 
@@ -112,7 +112,7 @@ def test_a_cluster_gives_what_one_process_gives_whatever_is_lost(cluster: Cluste
 def test_workers_without_a_plugin_are_named_before_anything_runs(
         cluster: Cluster, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     from termsel.studies import compare
-    from termsel.studies.journal import read_journal
+    from termsel.studies.cells.journal import read_journal
 
     asked = {**ASKED, "budget": {"evaluations": 50}}
     for needed, said in ({"termsel-other": "1.0"}, "lacks termsel-other, which the study needs"), (
@@ -167,7 +167,7 @@ def test_the_page_on_clusters_starts_workers_through_a_queue(
 
 @pytest.mark.slow
 def test_a_scheduler_that_does_not_answer_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    from termsel.studies import cluster
+    from termsel.studies.execution import cluster
 
     monkeypatch.setattr(cluster, "PATIENCE", 1.0)
     asked = {**ASKED, "budget": {"evaluations": 50}}
@@ -186,7 +186,7 @@ def test_what_has_no_port_is_no_address(address: str) -> None:
 
 
 def test_a_worker_that_differs_is_named_with_its_address() -> None:
-    from termsel.studies.cluster import require_alike, versions_here
+    from termsel.studies.execution.cluster import require_alike, versions_here
 
     here = versions_here(("termsel", "numpy"))
     assert here["termsel"] == termsel.__version__

@@ -22,12 +22,12 @@ import pytest
 import termsel
 from termsel import TermselError
 from termsel.files.names import JOURNAL
-from termsel.studies.executors import DIED, processes, serial
-from termsel.studies.journal import Journal, read_journal
-from termsel.studies.lock import holder, locked
-from termsel.studies.plans import PLAN
-from termsel.studies.table import TIMES
-from termsel.studies.work import Work
+from termsel.studies.cells.folder import PLAN
+from termsel.studies.cells.journal import Journal, read_journal
+from termsel.studies.cells.lock import holder, locked
+from termsel.studies.cells.table import TIMES
+from termsel.studies.execution.executors import DIED, processes, serial
+from termsel.studies.execution.work import Work
 
 Call = Callable[..., SimpleNamespace]
 

@@ -17,7 +17,7 @@ import pytest
 import termsel
 from termsel.report.page import Section, Table, page
 from termsel.report.small import MOST, small_map
-from termsel.studies.outputs import write_outputs
+from termsel.studies.shown.outputs import write_outputs
 
 pytest.importorskip("altair")
 pytest.importorskip("vl_convert")

@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 
 import termsel
-from termsel.studies.claims import claims, size_in_words
-from termsel.studies.fronts import front_figures, indicators, non_dominated
-from termsel.studies.groups import Groups, Runs, group
-from termsel.studies.ioh import ioh_files
-from termsel.studies.pages import latex, markdown, tables_of
-from termsel.studies.significance import (
+from termsel.studies.shown.ioh import ioh_files
+from termsel.studies.shown.pages import latex, markdown, tables_of
+from termsel.studies.statistics.claims import claims, size_in_words
+from termsel.studies.statistics.fronts import front_figures, indicators, non_dominated
+from termsel.studies.statistics.groups import Groups, Runs, group
+from termsel.studies.statistics.significance import (
     compare_methods,
     critical_difference,
     effect_size,
@@ -25,7 +25,7 @@ from termsel.studies.significance import (
     performance_profile,
     signed_rank,
 )
-from termsel.studies.summaries import (
+from termsel.studies.statistics.summaries import (
     bands,
     ecdf,
     expected_running_time,
@@ -249,7 +249,7 @@ def test_a_claim_has_the_direction_of_the_ranks_that_were_tested() -> None:
 
 def test_ratios_of_what_is_below_zero_are_not_drawn(study: termsel.Study) -> None:
     pytest.importorskip("altair")
-    from termsel.studies.figures import figures_of
+    from termsel.studies.shown.figures import figures_of
 
     records = {key: {**one, "figures": {**one["figures"], "fitness": -1.0}}
                for key, one in study.records.items()}
@@ -335,7 +335,7 @@ def test_iohinspector_reads_the_data(study: termsel.Study, tmp_path: Path) -> No
 def test_parquet_and_csv_hold_the_same(study: termsel.Study, tmp_path: Path) -> None:
     pd = pytest.importorskip("pandas")
     pytest.importorskip("pyarrow")
-    from termsel.studies.outputs import write_outputs
+    from termsel.studies.shown.outputs import write_outputs
 
     written = write_outputs(study, tmp_path)
     assert [path.name for path in written if path.suffix != ".svg"] == [
@@ -348,7 +348,7 @@ def test_parquet_and_csv_hold_the_same(study: termsel.Study, tmp_path: Path) -> 
 
 def test_figures_are_those_that_the_runs_allow(study: termsel.Study) -> None:
     pytest.importorskip("altair")
-    from termsel.studies.figures import alike, critical_differences, figures_of
+    from termsel.studies.shown.figures import alike, critical_differences, figures_of
 
     found = {one.name: one.chart for one in figures_of(study)}
     assert set(found) == {"ecdf-evaluations", "ecdf-cpu-seconds", "convergence",
@@ -367,7 +367,7 @@ def test_figures_are_those_that_the_runs_allow(study: termsel.Study) -> None:
 def test_the_page_of_a_study_says_what_its_summary_says(study: termsel.Study,
                                                         tmp_path: Path) -> None:
     pytest.importorskip("vl_convert")
-    from termsel.studies.outputs import write_outputs
+    from termsel.studies.shown.outputs import write_outputs
 
     write_outputs(study, tmp_path)
     page = unescape((tmp_path / "report.html").read_text())

@@ -7,11 +7,13 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from termsel.adjustment import subset_held_out, subset_rungs, subsets
-from termsel.adjustment.subset_bounds import first_closed
-from termsel.adjustment.subset_kernels import LINEAR, RATIONAL
-from termsel.adjustment.subset_stack import Stack, stack
-from termsel.adjustment.subset_system import Masks, Piece, SubsetSystem
+from termsel.enumeration import rungs as subset_rungs
+from termsel.enumeration import subsets
+from termsel.enumeration.bounds import held_out as subset_held_out
+from termsel.enumeration.bounds.closed import first_closed
+from termsel.enumeration.columns.kernels import LINEAR, RATIONAL
+from termsel.enumeration.columns.system import Masks, Piece, SubsetSystem
+from termsel.enumeration.stack import Stack, stack
 from termsel.measurements.features import FloatArray
 
 

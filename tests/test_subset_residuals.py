@@ -8,11 +8,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from termsel.adjustment import subset_stack, subsets
-from termsel.adjustment.subset_residuals import _order, node_bound
-from termsel.adjustment.subset_stack import Stack, stack
-from termsel.adjustment.subset_system import Piece, SubsetSystem
-from termsel.adjustment.subsets import SubsetResult, search
+from termsel.enumeration import stack as subset_stack
+from termsel.enumeration import subsets
+from termsel.enumeration.bounds.residuals import _order, node_bound
+from termsel.enumeration.columns.system import Piece, SubsetSystem
+from termsel.enumeration.stack import Stack, stack
+from termsel.enumeration.subsets import SubsetResult, search
 from termsel.measurements.features import FloatArray
 
 

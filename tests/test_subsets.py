@@ -11,12 +11,12 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from termsel.adjustment import subsets
 from termsel.adjustment.equations import Equations
 from termsel.adjustment.solve import solve
-from termsel.adjustment.subset_stack import Stack, stack
-from termsel.adjustment.subset_system import SCORES, Piece, SubsetSystem, count_subsets
-from termsel.adjustment.subsets import SubsetResult, estimate_seconds, search
+from termsel.enumeration import subsets
+from termsel.enumeration.columns.system import SCORES, Piece, SubsetSystem, count_subsets
+from termsel.enumeration.stack import Stack, stack
+from termsel.enumeration.subsets import SubsetResult, estimate_seconds, search
 from termsel.errors import TermselError
 
 

@@ -71,19 +71,19 @@ if TYPE_CHECKING:
     )
     from termsel.problems.selection import SelectionProblem
     from termsel.results.result import Result
-    from termsel.runs.assess import assess
     from termsel.runs.fit import fit
+    from termsel.runs.judgement.assess import assess
     from termsel.runs.run import run
-    from termsel.runs.task import Task, prepare
+    from termsel.runs.task.task import Task, prepare
     from termsel.simulate import simulate_scene
     from termsel.solvers import Generation, Solver
-    from termsel.solvers.deap_algorithms import from_deap
-    from termsel.solvers.deap_toolbox import to_deap
-    from termsel.solvers.pymoo_algorithms import from_pymoo
-    from termsel.solvers.pymoo_problem import to_pymoo
+    from termsel.solvers.bridges.deap_algorithms import from_deap
+    from termsel.solvers.bridges.deap_toolbox import to_deap
+    from termsel.solvers.bridges.pymoo_algorithms import from_pymoo
+    from termsel.solvers.bridges.pymoo_problem import to_pymoo
     from termsel.solvers.search import Search, search
+    from termsel.studies.cells.folder import read_study
     from termsel.studies.compare import compare
-    from termsel.studies.plans import read_study
     from termsel.studies.study import Study
 
 _HOME = {
@@ -134,30 +134,30 @@ _HOME = {
     "Solver": "termsel.solvers",
     "Study": "termsel.studies.study",
     "Subset": "termsel.problems.segments",
-    "Task": "termsel.runs.task",
+    "Task": "termsel.runs.task.task",
     "Term": "termsel.models",
     "TermselError": "termsel.errors",
     "ThinPlate": "termsel.models",
     "Writer": "termsel.formats.base",
     "allow_remote": "termsel.files.remote",
-    "assess": "termsel.runs.assess",
+    "assess": "termsel.runs.judgement.assess",
     "ce90": "termsel.fits.accuracy",
     "compare": "termsel.studies.compare",
     "export": "termsel.io.export",
     "feature_options": "termsel.problems.recipes",
     "fit": "termsel.runs.fit",
-    "from_deap": "termsel.solvers.deap_algorithms",
-    "from_pymoo": "termsel.solvers.pymoo_algorithms",
+    "from_deap": "termsel.solvers.bridges.deap_algorithms",
+    "from_pymoo": "termsel.solvers.bridges.pymoo_algorithms",
     "hookimpl": "termsel.plugins.hookspecs",
     "image_equations": "termsel.adjustment",
     "line_normals": "termsel.adjustment",
     "open_dem": "termsel.formats.heights",
     "open_raster": "termsel.files.rasters",
-    "prepare": "termsel.runs.task",
+    "prepare": "termsel.runs.task.task",
     "read": "termsel.io.read",
     "read_result": "termsel.io.result_folder",
     "read_rpc": "termsel.formats.rpc_files",
-    "read_study": "termsel.studies.plans",
+    "read_study": "termsel.studies.cells.folder",
     "rectify": "termsel.io.rectify",
     "register": "termsel.plugins.session",
     "row_weights": "termsel.adjustment",
@@ -167,8 +167,8 @@ _HOME = {
     "simulate_scene": "termsel.simulate",
     "term_options": "termsel.problems.recipes",
     "uncovered_share": "termsel.problems.coverage",
-    "to_deap": "termsel.solvers.deap_toolbox",
-    "to_pymoo": "termsel.solvers.pymoo_problem",
+    "to_deap": "termsel.solvers.bridges.deap_toolbox",
+    "to_pymoo": "termsel.solvers.bridges.pymoo_problem",
     "write_lines_csv": "termsel.formats.readers.csv_tables",
     "write_points_csv": "termsel.formats.readers.csv_tables",
     "write_rpc": "termsel.formats.rpc_files",

@@ -28,7 +28,6 @@ from __future__ import annotations
 import numpy as np
 from scipy.special import chdtr, gammaincinv
 
-from termsel.adjustment.left_out import chance_of
 from termsel.candidates.contradictions import (
     LEVEL,
     STRAIN,
@@ -45,6 +44,7 @@ from termsel.fits.fit import Fit
 from termsel.measurements.features import BoolArray, FeatureSet, FloatArray, Points
 from termsel.measurements.joined import join_points
 from termsel.measurements.scaling import scaling_of
+from termsel.priors.held_out import chance_of
 
 MOST = 1 / 3
 """Largest share of blunders."""

@@ -12,17 +12,17 @@ from typing import Protocol, TypeVar
 import numpy as np
 from scipy.special import fdtri
 
-from termsel.adjustment.coupled import coupled
 from termsel.adjustment.equations import weights_of
-from termsel.adjustment.field import Collocation, collocate
-from termsel.adjustment.left_out import Prediction, chance_of
 from termsel.adjustment.lines import row_weights
 from termsel.adjustment.monomials import monomials
-from termsel.adjustment.posterior import Posterior, posterior, scales_of
 from termsel.candidates.local import LIKELY
 from termsel.measurements.features import BoolArray, FeatureSet, FloatArray, IntArray, Points
 from termsel.measurements.scaling import Scaling, scaling_of
 from termsel.models.polynomial import Polynomial, Polynomial2D, Polynomial3D
+from termsel.priors.field import Collocation, collocate
+from termsel.priors.held_out import Prediction, chance_of
+from termsel.priors.of_lines import coupled
+from termsel.priors.posterior import Posterior, posterior, scales_of
 
 LEVEL = 1e-3
 """Chance of naming any point where there is no blunder, under normal errors."""

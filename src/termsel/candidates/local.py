@@ -6,13 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from termsel.adjustment.field import Collocation
 from termsel.candidates.points import points_alone
 from termsel.fits.fit import Estimator, Fit, HeldOut, Undetermined
 from termsel.fits.fittable import Fittable
 from termsel.fits.least_squares import LeastSquares
 from termsel.measurements.features import BoolArray, FeatureSet
 from termsel.measurements.scaling import Scaling
+from termsel.priors.field import Collocation
 
 LIKELY = 0.75
 """Probability of a random field beyond which points call for it: odds of three to one, beyond

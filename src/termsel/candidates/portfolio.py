@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from termsel.adjustment.field import Collocation
 from termsel.adjustment.parts import independent_parts
 from termsel.candidates.candidate import CANDIDATES, Candidate, named
 from termsel.candidates.local import LIKELY
@@ -20,6 +19,7 @@ from termsel.fits.leave_out import solutions_without_each
 from termsel.measurements.features import FeatureSet, FloatArray, no_lines, no_points
 from termsel.measurements.scaling import Scaling, scaling_of
 from termsel.models.poles import guard_points, pole_violation
+from termsel.priors.field import Collocation
 
 BETTER, CLEARLY = 1.0, 3.0
 """Standard errors by which the logarithms of squared errors must be smaller: of the shrunken cubic

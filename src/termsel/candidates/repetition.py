@@ -10,8 +10,8 @@ from termsel.adjustment.lines import row_weights
 from termsel.candidates.portfolio import EXACT, Choice, Watch, choose, choose_features, shrinks
 from termsel.candidates.relief import heights_hold
 from termsel.fits.fit import Fit, Undetermined
+from termsel.measurements.coordinates.places import ground_centres, spatial_order
 from termsel.measurements.features import FeatureSet, FloatArray
-from termsel.measurements.places import ground_centres, spatial_order
 from termsel.measurements.scaling import scaling_of
 
 MAX_FOLDS, FOLDS_WITH_LINES = 20, 10

@@ -15,7 +15,7 @@ Noise is taken to be the same in line and sample; its variance is integrated out
 
 Every solution on the grid is linear in the measurements. Leaving a point out changes it, and
 its probability, in closed form, so that the leave-one-out errors are those of the whole
-procedure repeated without each point. Lines couple line and sample: `termsel.adjustment.coupled`
+procedure repeated without each point. Lines couple line and sample: `termsel.priors.of_lines`
 has the same for them.
 
 References
@@ -31,11 +31,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from termsel.adjustment.coupled import coupled
 from termsel.adjustment.equations import line_normals, weights_of
 from termsel.adjustment.lines import row_weights
 from termsel.adjustment.monomials import Exponents, monomials
-from termsel.adjustment.posterior import DRAWS, polynomial_posterior
 from termsel.adjustment.solve import Adjustment
 from termsel.errors import counted
 from termsel.fits.fit import Estimator, Fit, HeldOut, Undetermined
@@ -43,6 +41,8 @@ from termsel.fits.fittable import Fittable
 from termsel.measurements.features import BoolArray, FeatureSet, FloatArray
 from termsel.measurements.scaling import Scaling
 from termsel.models.polynomial import Polynomial
+from termsel.priors.of_lines import coupled
+from termsel.priors.posterior import DRAWS, polynomial_posterior
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,11 +8,11 @@ from typing import Any
 
 import click
 
-from termsel.cli.asked import parse_settings
 from termsel.cli.bars import study_bar
 from termsel.cli.completion import complete
 from termsel.cli.messages import echo, say_written, show_messages
-from termsel.cli.remote import allow_remote
+from termsel.cli.options.remote import allow_remote
+from termsel.cli.options.run_options import parse_settings
 from termsel.cli.tables import print_table
 from termsel.errors import TermselError, counted
 from termsel.interrupts import INTERRUPTED
@@ -99,8 +99,8 @@ def compare(files: tuple[Path, ...], out: Path | None, workers: int, scheduler: 
     show_messages()
 
     from termsel.studies import compare as comparing
-    from termsel.studies.outputs import write_outputs
-    from termsel.studies.pages import summary
+    from termsel.studies.shown.outputs import write_outputs
+    from termsel.studies.shown.pages import summary
 
     with study_bar(quiet) as observe:
         found = comparing.compare(study, out=out, workers=workers, scheduler=scheduler,
@@ -169,7 +169,7 @@ def _keys_of(given: dict[str, Any]) -> dict[str, Any]:
 
 
 def _show_status(folder: Path) -> None:
-    from termsel.studies.plans import status
+    from termsel.studies.cells.folder import status
 
     progress, holder = status(folder)
     echo(f"{progress.finished} of {counted(progress.total, 'cell')}: {progress.text()}.")
@@ -182,7 +182,7 @@ def _show_status(folder: Path) -> None:
 
 def _show_plan(study: Path | None, keys: dict[str, Any], workers: int) -> None:
     from termsel.studies.compare import estimate
-    from termsel.studies.progress import duration
+    from termsel.studies.execution.progress import duration
 
     total, cells, rows = 0.0, 0, []
     for kind, number, seconds, reason in estimate(study, **keys):

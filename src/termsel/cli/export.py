@@ -6,11 +6,11 @@ from pathlib import Path
 
 import click
 
-from termsel.cli.asked import parse_settings
 from termsel.cli.completion import complete
-from termsel.cli.final import final_option
 from termsel.cli.messages import refuse_stdout, say_written, show_messages
-from termsel.cli.remote import allow_remote
+from termsel.cli.options.final import final_option
+from termsel.cli.options.remote import allow_remote
+from termsel.cli.options.run_options import parse_settings
 
 
 @click.command()

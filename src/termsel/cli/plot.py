@@ -49,7 +49,7 @@ def plot(folder: Path, kind: str, output: Path, overwrite: bool) -> None:
     from termsel.io.replacing import require_replaceable
     from termsel.io.result_folder import read_result
     from termsel.report.plots import chart, require_picture, save
-    from termsel.studies.plans import PLAN
+    from termsel.studies.cells.folder import PLAN
 
     if (folder / PLAN).is_file():
         raise TermselError("this is the folder of a study, and a picture is of one result",

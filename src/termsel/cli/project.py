@@ -6,9 +6,9 @@ from pathlib import Path
 
 import click
 
-from termsel.cli.final import final_option
 from termsel.cli.messages import echo, echo_table, say_written, show_messages
-from termsel.cli.remote import allow_remote
+from termsel.cli.options.final import final_option
+from termsel.cli.options.remote import allow_remote
 
 
 @click.command()

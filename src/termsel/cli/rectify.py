@@ -7,9 +7,9 @@ from pathlib import Path
 import click
 
 from termsel.cli.bars import share_bar
-from termsel.cli.final import final_option
 from termsel.cli.messages import refuse_stdout, say_written, show_messages
-from termsel.cli.remote import allow_remote
+from termsel.cli.options.final import final_option
+from termsel.cli.options.remote import allow_remote
 from termsel.errors import TermselError
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from termsel.cli.messages import refuse_stdout, say_written, show_messages
-from termsel.cli.remote import allow_remote
+from termsel.cli.options.remote import allow_remote
 from termsel.errors import TermselError
 
 REPORT = "report.html"
@@ -42,9 +42,9 @@ def report(folder: Path, output: Path | None, image: str | None, overwrite: bool
     from termsel.files.names import JOURNAL, is_there
     from termsel.io.replacing import require_replaceable
     from termsel.io.result_folder import files_of_result, read_result
-    from termsel.studies.images import IMAGES
-    from termsel.studies.plans import PLAN, read_study
-    from termsel.studies.report import report as study_page
+    from termsel.studies.cells.folder import PLAN, read_study
+    from termsel.studies.cells.images import IMAGES
+    from termsel.studies.shown.report import report as study_page
 
     own = [folder / PLAN, folder / JOURNAL, *(folder / IMAGES).glob("*")]  # of a study
     require_replaceable([output], reads=[folder, image, *own], overwrite=overwrite)

@@ -8,9 +8,9 @@ from typing import Any
 
 import click
 
-from termsel.cli.asked import Asked, run_options
 from termsel.cli.bars import search_bar
 from termsel.cli.messages import echo, say_written, show_messages
+from termsel.cli.options.run_options import Asked, run_options
 from termsel.interrupts import INTERRUPTED
 
 

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from termsel.cli.asked import Asked, run_options
 from termsel.cli.bars import search_bar
 from termsel.cli.messages import echo, say_written, show_messages
+from termsel.cli.options.run_options import Asked, run_options
 from termsel.cli.tables import json_text, print_json, print_table
 from termsel.errors import TermselError
 from termsel.interrupts import INTERRUPTED
@@ -112,7 +112,7 @@ def _for_stable(problem: str, asked: Asked, options: Mapping[str, str],
                 off: Sequence[str]) -> dict[str, str]:
     """Return the options of a fit without some terms: not those of the searches alone."""
     from termsel.plugins.registry import registry
-    from termsel.runs.task import DATA_OPTIONS
+    from termsel.runs.task.task import DATA_OPTIONS
 
     names = registry()
     recipe = names.get("problems", problem)

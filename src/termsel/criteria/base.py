@@ -30,7 +30,7 @@ from termsel.models.quotient import RationalModel
 from termsel.options import Configurable
 
 if TYPE_CHECKING:
-    from termsel.adjustment.subset_system import SubsetSystem
+    from termsel.enumeration.columns.system import SubsetSystem
 
 
 @dataclass(frozen=True, eq=False)
@@ -205,7 +205,7 @@ class Criterion(Configurable, ABC):
     """Whether the figure is an RMSE [px], for which a standard error can be given."""
 
     subset_score: str = ""
-    """Score of `termsel.adjustment.subsets.search` from which the figure follows, if any."""
+    """Score of `termsel.enumeration.subsets.search` from which the figure follows, if any."""
 
     @abstractmethod
     def score(self, fits: Fits) -> FloatArray:

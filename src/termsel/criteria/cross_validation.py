@@ -11,8 +11,8 @@ from termsel.adjustment.leave_out import leave_one_out
 from termsel.adjustment.parts import solve_parts
 from termsel.criteria.base import Criterion, Fits
 from termsel.criteria.losses import LOSS, SQUARES, THRESHOLD
+from termsel.measurements.coordinates.places import spatial_order
 from termsel.measurements.features import FeatureSet, FloatArray, IntArray, Lines, Points, no_lines
-from termsel.measurements.places import spatial_order
 from termsel.measurements.twins import twins
 from termsel.options import COUNT, SEED, Option
 

@@ -14,7 +14,7 @@ from termsel.measurements.features import FloatArray, IntArray
 from termsel.options import COUNT, Option
 
 if TYPE_CHECKING:
-    from termsel.adjustment.subset_system import SubsetSystem
+    from termsel.enumeration.columns.system import SubsetSystem
 
 NO_RESIDUAL = 1e-9
 """Root mean square residual, relative to the image's half-range, that counts as zero: rounding

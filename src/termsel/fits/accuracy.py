@@ -19,8 +19,8 @@ from scipy.special import chdtri, stdtrit
 from termsel.errors import counted
 from termsel.fits.fit import Fit
 from termsel.fits.uncertainty import shared_variance
+from termsel.measurements.coordinates.metres import in_metres
 from termsel.measurements.features import FloatArray, Points
-from termsel.measurements.metres import in_metres
 
 LEVEL = 0.9
 """Probability of an interval."""

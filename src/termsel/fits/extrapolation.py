@@ -7,8 +7,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from termsel.errors import counted
+from termsel.measurements.coordinates.places import beyond, centres
 from termsel.measurements.features import BoolArray, FeatureSet, FloatArray, Points
-from termsel.measurements.places import beyond, centres
 
 FAR = 0.5
 """Distance from the hull of the control, by the hull's longer side, from which on a place counts

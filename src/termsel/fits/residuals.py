@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from termsel.measurements.features import FeatureSet, FloatArray, IntArray, Lines, Points, select
-from termsel.measurements.frames import frame, geo_frame
+from termsel.measurements.tables.frames import frame, geo_frame
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,6 @@
 """How uncertain a fitted model is at any place.
 
-The truth is believed to be a shrunken cubic polynomial (see `termsel.adjustment.posterior`): its
+The truth is believed to be a shrunken cubic polynomial (see `termsel.priors.posterior`): its
 posterior, given the same control points, says how likely each other course of the image is
 between and beyond them. The mean square error of any fit at a place is the variance of that
 posterior there, and the square of the distance of the fit from its mean. A model of a kind that
@@ -16,13 +16,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from termsel.adjustment.equations import weights_of
-from termsel.adjustment.field import Collocation
-from termsel.adjustment.foresight import foresee
 from termsel.adjustment.monomials import graded_exponents, monomials
-from termsel.adjustment.posterior import Posterior, polynomial_posterior
 from termsel.adjustment.solve import Adjustment
 from termsel.fits.fittable import Fittable
 from termsel.measurements.features import BoolArray, FeatureSet, FloatArray
+from termsel.priors.field import Collocation
+from termsel.priors.foresight import foresee
+from termsel.priors.posterior import Posterior, polynomial_posterior
 
 DEGREE = 3
 """Degree of the polynomial that the truth is believed to be; that of the model, if higher."""

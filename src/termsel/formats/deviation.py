@@ -8,8 +8,8 @@ from collections.abc import Callable
 import numpy as np
 
 from termsel.fits.fit import Fit
+from termsel.measurements.coordinates.metres import in_metres
 from termsel.measurements.features import FloatArray
-from termsel.measurements.metres import in_metres
 
 log = logging.getLogger(__name__)
 

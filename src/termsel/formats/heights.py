@@ -13,9 +13,9 @@ import numpy as np
 
 from termsel.errors import TermselError, printable
 from termsel.files.rasters import open_raster, positions
-from termsel.measurements.crs import LOCAL, vertical_datum
+from termsel.measurements.coordinates.crs import LOCAL, vertical_datum
+from termsel.measurements.coordinates.longitudes import nearest
 from termsel.measurements.features import FeatureSet, FloatArray
-from termsel.measurements.longitudes import nearest
 
 log = logging.getLogger(__name__)
 

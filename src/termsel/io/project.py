@@ -16,10 +16,10 @@ from termsel.formats.base import read_once
 from termsel.formats.heights import surface_of
 from termsel.formats.readers.csv_tables import table_text
 from termsel.formats.readers.tables import Table, read_table
-from termsel.measurements.columns import COORDINATES
-from termsel.measurements.crs import is_geographic, normalise
+from termsel.measurements.coordinates.crs import is_geographic, normalise
+from termsel.measurements.coordinates.longitudes import nearest
 from termsel.measurements.features import BoolArray, FloatArray, select
-from termsel.measurements.longitudes import nearest
+from termsel.measurements.tables.columns import COORDINATES
 
 if TYPE_CHECKING:
     from termsel.results.result import Result

@@ -14,11 +14,11 @@ from termsel.errors import TermselError, counted, unknown_name
 from termsel.files.atomic import private_folder
 from termsel.formats.base import Reader, is_utf16, located, read_head, read_once, utf16_error
 from termsel.guard.faults import PluginFault, is_own, name_of
-from termsel.measurements.columns import LINES, OPTIONAL, POINTS
-from termsel.measurements.coordinates import check_ground
-from termsel.measurements.crs import EXAMPLES, normalise
+from termsel.measurements.coordinates.crs import EXAMPLES, normalise
+from termsel.measurements.coordinates.plausible import check_ground
 from termsel.measurements.features import FeatureSet, no_lines, no_points
 from termsel.measurements.joined import join_lines, join_points
+from termsel.measurements.tables.columns import LINES, OPTIONAL, POINTS
 from termsel.plugins.registry import registry
 
 log = logging.getLogger(__name__)

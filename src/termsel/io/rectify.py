@@ -22,9 +22,15 @@ from termsel.formats.vrt import Picture, picture_for, vrt_text
 from termsel.formats.writers.grids import GeolocationVrt
 from termsel.io.export import as_exported
 from termsel.io.replacing import require_replaceable
-from termsel.measurements.crs import LOCAL, horizontal, is_geocentric, is_geographic, normalise
+from termsel.measurements.coordinates.crs import (
+    LOCAL,
+    horizontal,
+    is_geocentric,
+    is_geographic,
+    normalise,
+)
+from termsel.measurements.coordinates.longitudes import continuous
 from termsel.measurements.features import FloatArray
-from termsel.measurements.longitudes import continuous
 from termsel.models.rpc_fit import GOOD, RpcFit, rpc_of
 
 if TYPE_CHECKING:

@@ -26,7 +26,7 @@ from termsel.fits.rmse import Rmse
 from termsel.formats.base import located, parse_json, read_text
 from termsel.formats.readers.csv_tables import LinesCsv, PointsCsv, lines_text, points_text
 from termsel.formats.readers.formulas import guarded
-from termsel.measurements.crs import normalise
+from termsel.measurements.coordinates.crs import normalise
 from termsel.measurements.features import FeatureSet, no_lines, no_points
 from termsel.measurements.roles import Observations, by_roles, together
 from termsel.measurements.scaling import Scaling

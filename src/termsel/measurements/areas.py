@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from termsel.errors import TermselError
-from termsel.measurements.attributes import columns_of
 from termsel.measurements.features import FloatArray, Lines, Points
+from termsel.measurements.tables.attributes import columns_of
 from termsel.measurements.values import FARTHEST
 
 FORMS = ("boundary", "centroid")

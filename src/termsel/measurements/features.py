@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from termsel.display import Glance
 from termsel.errors import TermselError, counted
-from termsel.measurements.attributes import (
+from termsel.measurements.tables.attributes import (
     Attributes,
     TextArray,
     all_rows,
@@ -20,9 +20,9 @@ from termsel.measurements.attributes import (
     as_numbers,
     rows_at,
 )
-from termsel.measurements.frames import Tabular
-from termsel.measurements.ids import check_ids
-from termsel.measurements.parts import names_at, rows_of, unchecked
+from termsel.measurements.tables.frames import Tabular
+from termsel.measurements.tables.ids import check_ids
+from termsel.measurements.tables.parts import names_at, rows_of, unchecked
 from termsel.measurements.values import (
     check_deviations,
     check_finite,

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from termsel.measurements.attributes import Attributes, joined
 from termsel.measurements.features import FloatArray, Lines, Points
+from termsel.measurements.tables.attributes import Attributes, joined
 
 
 def join_points(first: Points, second: Points) -> Points:

@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from termsel.errors import TermselError, unknown_name
+from termsel.measurements.coordinates.longitudes import without_jump
+from termsel.measurements.coordinates.places import spatial_order
 from termsel.measurements.features import (
     ROLES,
     FeatureSet,
@@ -19,9 +21,7 @@ from termsel.measurements.features import (
     no_points,
 )
 from termsel.measurements.joined import join_points
-from termsel.measurements.longitudes import without_jump
 from termsel.measurements.order import in_order
-from termsel.measurements.places import spatial_order
 from termsel.measurements.twins import twins
 
 ASSIGNABLE = ("control", "check", "independent")

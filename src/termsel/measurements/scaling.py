@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from termsel.measurements.crs import is_geographic, transformation
+from termsel.measurements.coordinates.crs import is_geographic, transformation
+from termsel.measurements.coordinates.longitudes import TURN, continuous
 from termsel.measurements.features import FeatureSet, FloatArray, Lines, Points
-from termsel.measurements.longitudes import TURN, continuous
-from termsel.measurements.parts import unchecked
+from termsel.measurements.tables.parts import unchecked
 
 
 @dataclass(frozen=True)

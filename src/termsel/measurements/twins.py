@@ -10,8 +10,8 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from termsel.measurements.attributes import rows_at
 from termsel.measurements.features import FeatureSet, FloatArray, IntArray, Points
+from termsel.measurements.tables.attributes import rows_at
 
 NEAR = 0.01
 """Distance of twins, by the side of the square that each point has for itself; of their heights,

@@ -16,7 +16,7 @@ from termsel.fits.fit import Fit
 from termsel.fits.of_features import control_of, fit_all_terms
 from termsel.guard.arrays import of_optional_type, of_shape, of_type
 from termsel.guard.calls import Check
-from termsel.measurements.crs import to_wgs84
+from termsel.measurements.coordinates.crs import to_wgs84
 from termsel.measurements.features import FeatureSet, FloatArray, IntArray
 from termsel.measurements.scaling import Scaling
 from termsel.options import Configurable

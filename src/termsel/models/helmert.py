@@ -8,7 +8,7 @@ import numpy as np
 
 from termsel.adjustment.equations import Equations
 from termsel.adjustment.lines import image_equations
-from termsel.measurements.crs import is_geographic
+from termsel.measurements.coordinates.crs import is_geographic
 from termsel.measurements.features import FeatureSet, FloatArray, IntArray
 from termsel.models.base import BOTH, LINE, SAMPLE, SensorModel
 from termsel.options import Option

@@ -7,14 +7,14 @@ from typing import ClassVar
 
 import numpy as np
 
-from termsel.adjustment.field import collocate
 from termsel.adjustment.interpolation import Interpolation
 from termsel.adjustment.monomials import Exponents, graded_exponents
-from termsel.adjustment.thin_plate import thin_plates
 from termsel.measurements.features import FeatureSet, FloatArray
 from termsel.models.helmert import plane_units
 from termsel.models.polynomial import Polynomial
 from termsel.options import Option
+from termsel.priors.field import collocate
+from termsel.priors.thin_plate import thin_plates
 
 
 class Interpolating(Polynomial):
@@ -79,7 +79,7 @@ class Field(Interpolating):
     A shrunken cubic polynomial of X and Y, a stationary random field with Matern covariance, for
     what is local, and noise. The lengths, size and noise of the field are not set: solutions on
     a grid are averaged with their probabilities, those without a field among them (see
-    `termsel.adjustment.field`). For old maps, sheets and scanners that shake.
+    `termsel.priors.field`). For old maps, sheets and scanners that shake.
 
     The field takes up any affine function, so that its terms make no difference.
 

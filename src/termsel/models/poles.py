@@ -7,9 +7,9 @@ from functools import lru_cache
 import numpy as np
 
 from termsel.fits.fittable import Fittable
-from termsel.measurements.crs import is_geocentric
+from termsel.measurements.coordinates.crs import is_geocentric
+from termsel.measurements.coordinates.places import spatial_order
 from termsel.measurements.features import FeatureSet, FloatArray, Points
-from termsel.measurements.places import spatial_order
 
 POLE_MARGIN = 0.1
 """Least value of a denominator over the scene; vendor RPCs stay within some hundredths of 1."""

@@ -12,9 +12,9 @@ from termsel.adjustment.monomials import RPC00B
 from termsel.errors import TermselError
 from termsel.fits.fit import Fit
 from termsel.fits.least_squares import fit
-from termsel.measurements.crs import WGS84, normalise, to_wgs84
+from termsel.measurements.coordinates.crs import WGS84, normalise, to_wgs84
+from termsel.measurements.coordinates.longitudes import nearest
 from termsel.measurements.features import BoolArray, FeatureSet, FloatArray, Points, select
-from termsel.measurements.longitudes import nearest
 from termsel.measurements.scaling import scaling_of
 from termsel.models.base import SensorModel
 from termsel.models.rational import RationalFunctions

@@ -69,22 +69,22 @@ def termsel_objectives() -> Iterable[Objective]:
 @hookimpl
 def termsel_solvers() -> Iterable[type[Solver]]:
     """Return the built-in solvers."""
-    from termsel.solvers.aco import AntColony
-    from termsel.solvers.deap_algorithms import Deap
-    from termsel.solvers.exact import Exact
-    from termsel.solvers.ga import GeneticAlgorithm
-    from termsel.solvers.ga_correlation import CorrelationSeededGA
-    from termsel.solvers.ga_steady import SteadyStateGA
-    from termsel.solvers.ga_transgenic import TransgenicGA
-    from termsel.solvers.ica import ImperialistCompetition
-    from termsel.solvers.nested_regression import NestedRegression
-    from termsel.solvers.pareto import AgeMoea2, Nsga2, SmsEmoa, Spea2
-    from termsel.solvers.pso import BinarySwarm
-    from termsel.solvers.pymoo_algorithms import Pymoo
-    from termsel.solvers.ridge_lasso import Lasso, Ridge
-    from termsel.solvers.stepwise import Stepwise, TTest
-    from termsel.solvers.swap import Swap
-    from termsel.solvers.yardsticks import AllTerms, RandomSearch
+    from termsel.solvers.bridges.deap_algorithms import Deap
+    from termsel.solvers.bridges.pareto import AgeMoea2, Nsga2, SmsEmoa, Spea2
+    from termsel.solvers.bridges.pymoo_algorithms import Pymoo
+    from termsel.solvers.genetic.ga import GeneticAlgorithm
+    from termsel.solvers.genetic.ga_correlation import CorrelationSeededGA
+    from termsel.solvers.genetic.ga_steady import SteadyStateGA
+    from termsel.solvers.genetic.ga_transgenic import TransgenicGA
+    from termsel.solvers.heuristics.aco import AntColony
+    from termsel.solvers.heuristics.ica import ImperialistCompetition
+    from termsel.solvers.heuristics.pso import BinarySwarm
+    from termsel.solvers.heuristics.swap import Swap
+    from termsel.solvers.heuristics.yardsticks import AllTerms, RandomSearch
+    from termsel.solvers.proofs.exact import Exact
+    from termsel.solvers.regression.nested_regression import NestedRegression
+    from termsel.solvers.regression.ridge_lasso import Lasso, Ridge
+    from termsel.solvers.regression.stepwise import Stepwise, TTest
 
     return [Deap, Pymoo, GeneticAlgorithm, CorrelationSeededGA, SteadyStateGA, TransgenicGA,
             ImperialistCompetition, BinarySwarm, AntColony,

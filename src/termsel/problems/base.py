@@ -19,8 +19,8 @@ from termsel.problems.genome import Genome
 from termsel.problems.segments import Genes
 
 if TYPE_CHECKING:
-    from termsel.adjustment.row_subsets import RowSystem
-    from termsel.adjustment.subset_system import SubsetSystem
+    from termsel.enumeration.columns.system import SubsetSystem
+    from termsel.enumeration.features.walk import RowSystem
     from termsel.problems.objectives import Objective
 
 WORST = 1e9
@@ -84,7 +84,7 @@ class EnumerablePart:
         Which genes of the genome switch the system's columns.
     system : SubsetSystem
     score : str
-        As for `termsel.adjustment.subsets.search`.
+        As for `termsel.enumeration.subsets.search`.
     cost : callable
         Turns the best score of every size, shape (k + 1,), into what adds up over the parts.
     folds : tuple of ndarray of int

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from termsel.adjustment.equations import Equations, row_axes
-from termsel.adjustment.subset_system import SubsetSystem
+from termsel.enumeration.columns.system import SubsetSystem
 from termsel.errors import TermselError
 from termsel.measurements.features import (
     BoolArray,

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from termsel.adjustment.parts import Part
-from termsel.adjustment.row_subsets import RowSystem
 from termsel.criteria.base import CheckRmse
+from termsel.enumeration.features.walk import RowSystem
 from termsel.measurements.features import BoolArray, FloatArray
 from termsel.problems.constraints import most_terms
 

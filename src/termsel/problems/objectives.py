@@ -11,8 +11,8 @@ from termsel.adjustment.equations import Equations
 from termsel.adjustment.parts import Part
 from termsel.guard.arrays import of_shape
 from termsel.guard.faults import blamed, wrong
+from termsel.measurements.coordinates.places import centres
 from termsel.measurements.features import BoolArray, FeatureSet, FloatArray
-from termsel.measurements.places import centres
 from termsel.problems.coverage import uncovered_share
 
 

@@ -8,11 +8,11 @@ from dataclasses import replace
 import numpy as np
 
 from termsel.adjustment.parts import independent_parts, solve_parts
-from termsel.adjustment.row_subsets import RowSystem
 from termsel.criteria import Criterion, Fits
+from termsel.enumeration.features.walk import RowSystem
 from termsel.errors import TermselError, unknown_name
+from termsel.measurements.coordinates.places import centres
 from termsel.measurements.features import BoolArray, FloatArray, IntArray, select
-from termsel.measurements.places import centres
 from termsel.models.base import LINE, SAMPLE, SensorModel
 from termsel.models.poles import POLE_MARGIN, guard_points, pole_violation
 from termsel.models.terms import Term

@@ -7,8 +7,8 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from termsel.solvers.base import GIVEN
-from termsel.solvers.ga import GeneticAlgorithm
-from termsel.solvers.ga_correlation import CorrelationSeededGA
+from termsel.solvers.genetic.ga import GeneticAlgorithm
+from termsel.solvers.genetic.ga_correlation import CorrelationSeededGA
 
 _BY_NAME = (GeneticAlgorithm, CorrelationSeededGA)
 """Solvers that have other options when they are named."""

@@ -14,9 +14,9 @@ from termsel.fits.fit import Fit
 from termsel.fits.least_squares import fit as least_squares
 from termsel.fits.residuals import Residual, Residuals
 from termsel.fits.scene import errors_on_ground, scene_grid
-from termsel.measurements.crs import is_geographic
+from termsel.measurements.coordinates.crs import is_geographic
+from termsel.measurements.coordinates.metres import in_metres
 from termsel.measurements.features import FeatureSet, FloatArray
-from termsel.measurements.metres import in_metres
 from termsel.measurements.roles import by_roles
 from termsel.report.sizes import size_of
 

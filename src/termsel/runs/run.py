@@ -20,11 +20,11 @@ from termsel.models.base import SensorModel
 from termsel.plugins.registry import registry
 from termsel.problems.recipes import Recipe
 from termsel.results.result import Result
-from termsel.runs.assess import assessed
-from termsel.runs.auto import LEAST, choose_for, wanted
-from termsel.runs.blunders_out import search_without_blunders
+from termsel.runs.auto.strategy import LEAST, choose_for, wanted
+from termsel.runs.judgement.assess import assessed
 from termsel.runs.notebook import notebook_observer
-from termsel.runs.task import DATA_OPTIONS, Task, ask, loaded, observe, prepare
+from termsel.runs.search.blunders_out import search_without_blunders
+from termsel.runs.task.task import DATA_OPTIONS, Task, ask, loaded, observe, prepare
 from termsel.solvers.base import Solver
 from termsel.solvers.search import Observer
 from termsel.threads import one_blas_thread

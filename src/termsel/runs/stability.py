@@ -20,8 +20,8 @@ from termsel.measurements.twins import twins
 from termsel.models.poles import guard_points, pole_violation
 from termsel.problems.segments import Bits
 from termsel.runs.notebook import notebook_observer
-from termsel.runs.recommend import recommended
-from termsel.runs.task import Task, prepare
+from termsel.runs.search.recommend import recommended
+from termsel.runs.task.task import Task, prepare
 from termsel.solvers.ledger import Progress
 from termsel.solvers.search import Observer, search
 from termsel.threads import one_blas_thread

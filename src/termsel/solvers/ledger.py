@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from termsel.adjustment.row_subsets import RowSystem
+from termsel.enumeration.features.walk import RowSystem
 from termsel.guard.faults import wrong
 from termsel.guard.isolation import Returned
 from termsel.measurements.features import FloatArray

@@ -10,8 +10,8 @@ import numpy as np
 from termsel.errors import TermselError
 from termsel.problems.base import Evaluation
 from termsel.solvers.base import Generation
+from termsel.solvers.heuristics.swap import climb, neighbours
 from termsel.solvers.ledger import BudgetSpent, Ledger, Progress
-from termsel.solvers.swap import climb, neighbours
 
 POLISH_SHARE = 3
 """Evaluations of the local refinement, relative to those of the search before it: enough for most

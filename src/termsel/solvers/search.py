@@ -17,15 +17,15 @@ from termsel.problems.base import Evaluation, Problem
 from termsel.problems.genome import Genome
 from termsel.problems.segments import Genes
 from termsel.solvers.base import Generation, Solver
+from termsel.solvers.bridges.silence import heard
 from termsel.solvers.budget import EVALUATIONS, IDLE, TOLERANCE, Budget, Patience, require_limits
 from termsel.solvers.ledger import BudgetSpent, Ledger, Progress, Tally
 from termsel.solvers.refinement import POLISH_SHARE, Polish, refine
-from termsel.solvers.silence import heard
 from termsel.threads import one_blas_thread
 
 if TYPE_CHECKING:
-    from termsel.solvers.exact_features import FeatureProof
-    from termsel.solvers.proof import Proof
+    from termsel.solvers.proofs.exact_features import FeatureProof
+    from termsel.solvers.proofs.proof import Proof
 
 NONE = Evaluation(np.full((1, 1), np.inf), np.zeros(1))
 """Of an individual, before a solver has evaluated any."""

@@ -16,20 +16,20 @@ from termsel.io.export import writer_of
 from termsel.measurements.features import FeatureSet
 from termsel.plugins.registry import registry
 from termsel.runs.notebook import line_of_many
-from termsel.runs.provenance import versions
-from termsel.studies.cells import Cell, cells_of, kind_of
-from termsel.studies.data import data_of
-from termsel.studies.executors import processes, serial
-from termsel.studies.images import IMAGES, folders_of, write_files
-from termsel.studies.interruption import deferred
-from termsel.studies.journal import Journal, read_journal
-from termsel.studies.lock import locked
-from termsel.studies.outputs import NAMES
-from termsel.studies.plans import PLAN, plan_of, write_plan
-from termsel.studies.progress import Progress, Tally
-from termsel.studies.spec import Spec, read_spec, spec_of
+from termsel.runs.task.provenance import versions
+from termsel.studies.cells.cell import Cell, cells_of, kind_of
+from termsel.studies.cells.folder import PLAN, plan_of, write_plan
+from termsel.studies.cells.images import IMAGES, folders_of, write_files
+from termsel.studies.cells.journal import Journal, read_journal
+from termsel.studies.cells.lock import locked
+from termsel.studies.execution.executors import processes, serial
+from termsel.studies.execution.interruption import deferred
+from termsel.studies.execution.progress import Progress, Tally
+from termsel.studies.execution.work import Outcome, Work, do, failed
+from termsel.studies.plan.data import data_of
+from termsel.studies.plan.spec import Spec, read_spec, spec_of
+from termsel.studies.shown.outputs import NAMES
 from termsel.studies.study import Study
-from termsel.studies.work import Outcome, Work, do, failed
 
 log = logging.getLogger(__name__)
 
@@ -261,7 +261,7 @@ def _outcomes(cells: list[Cell], stopped: Callable[[], bool], workers: int,
             yield failed(cell.key, cell.data.reason)
     works, features = works_of(cells)
     if scheduler is not None:
-        from termsel.studies.cluster import on_cluster
+        from termsel.studies.execution.cluster import on_cluster
 
         yield from on_cluster(works, features, stopped, scheduler, plugins)
         return

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 from termsel.display import Glance
 from termsel.errors import TermselError, counted
-from termsel.studies.spec import Spec
-from termsel.studies.table import Row, columns_of, rows_of
+from termsel.studies.cells.table import Row, columns_of, rows_of
+from termsel.studies.plan.spec import Spec
 
 if TYPE_CHECKING:
     import geopandas as gpd
@@ -103,7 +103,7 @@ class Study(Glance):
         TermselError
             If geopandas is not installed, or the study has no folder.
         """
-        from termsel.studies.outlines import map_of
+        from termsel.studies.cells.outlines import map_of
 
         if self.folder is None:
             raise TermselError("this study was run without a folder, so its images are not kept",

@@ -13,7 +13,7 @@ from termsel.models.polynomial import Polynomial3D
 from termsel.models.terms import Term
 from termsel.problems.base import Inputs
 from termsel.problems.selection import SelectionProblem
-from termsel.solvers.proof import prove
+from termsel.solvers.proofs.proof import prove
 from termsel.testing.checks import (
     Case,
     Check,

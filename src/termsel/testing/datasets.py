@@ -6,8 +6,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from termsel.measurements.coordinates import check_ground
-from termsel.measurements.crs import normalise
+from termsel.measurements.coordinates.crs import normalise
+from termsel.measurements.coordinates.plausible import check_ground
 from termsel.measurements.datasets import DatasetSpec
 from termsel.measurements.features import FeatureSet
 from termsel.testing.checks import (

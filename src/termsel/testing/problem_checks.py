@@ -9,9 +9,9 @@ import numpy as np
 
 from termsel.problems.base import Evaluation, Problem, Selection, evaluation_fault
 from termsel.problems.recipes import Recipe
-from termsel.runs.task import prepare
+from termsel.runs.task.task import prepare
+from termsel.solvers.heuristics.yardsticks import RandomSearch
 from termsel.solvers.search import search
-from termsel.solvers.yardsticks import RandomSearch
 from termsel.testing.checks import (
     Case,
     Check,

@@ -340,7 +340,7 @@ def solver_checks(
 
     Examples
     --------
-    >>> from termsel.solvers.yardsticks import AllTerms
+    >>> from termsel.solvers.heuristics.yardsticks import AllTerms
     >>> solver_checks(AllTerms)[1].name
     'generations_hold'
     """
@@ -369,7 +369,7 @@ def check_solver(
 
     Examples
     --------
-    >>> from termsel.solvers.ga import GeneticAlgorithm
+    >>> from termsel.solvers.genetic.ga import GeneticAlgorithm
     >>> check_solver(GeneticAlgorithm)
     """
     run_all(solver_checks(solver, options=options, problem=problem,

@@ -15,8 +15,8 @@ from termsel.formats.base import Writer
 from termsel.measurements.features import FeatureSet, Points
 from termsel.models.rational import RationalFunctions
 from termsel.results.result import Result
-from termsel.runs.assess import assessed
-from termsel.runs.task import prepare
+from termsel.runs.judgement.assess import assessed
+from termsel.runs.task.task import prepare
 from termsel.solvers.search import search
 from termsel.testing.checks import (
     Case,

@@ -16,9 +16,9 @@ from termsel.formats.readers.tables import (
     sniff_table,
 )
 from termsel.measurements.areas import FORMS, Area, CornerError, boundary, centroids
-from termsel.measurements.attributes import alike
-from termsel.measurements.columns import COORDINATES, USE
 from termsel.measurements.features import FeatureSet
+from termsel.measurements.tables.attributes import alike
+from termsel.measurements.tables.columns import COORDINATES, USE
 from termsel.options import Option
 
 _AREAS = USE | COORDINATES | {"corner": ("corner", "vertex")}

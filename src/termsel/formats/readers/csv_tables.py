@@ -23,9 +23,9 @@ from termsel.formats.readers.tables import (
     read_table,
     sniff_table,
 )
-from termsel.measurements.attributes import Attributes
-from termsel.measurements.columns import LINES, POINTS
 from termsel.measurements.features import FeatureSet, FloatArray, Lines, Points
+from termsel.measurements.tables.attributes import Attributes
+from termsel.measurements.tables.columns import LINES, POINTS
 
 
 class PointsCsv(Reader):

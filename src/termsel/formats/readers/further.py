@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterable, Sequence
 
 from termsel.formats.readers.formulas import unguarded
-from termsel.measurements.attributes import is_free
+from termsel.measurements.tables.attributes import is_free
 
 _COMMA = re.compile(r"[+-]?\d+,\d+")
 

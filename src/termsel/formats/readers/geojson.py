@@ -12,8 +12,8 @@ from typing import Any
 
 from termsel.errors import TermselError
 from termsel.formats.base import located, parse_json, read_text
-from termsel.measurements.attributes import is_free
-from termsel.measurements.crs import normalise
+from termsel.measurements.coordinates.crs import normalise
+from termsel.measurements.tables.attributes import is_free
 
 
 @dataclass(frozen=True)

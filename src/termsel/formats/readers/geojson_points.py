@@ -16,8 +16,8 @@ from termsel.formats.readers.geojson import (
     sniff_geojson,
     vertices,
 )
-from termsel.measurements.attributes import columns_of
 from termsel.measurements.features import ROLES, FeatureSet, Points
+from termsel.measurements.tables.attributes import columns_of
 from termsel.options import Option
 
 _USED = frozenset({"id", "filename", "ji", "role", "enabled", "sigma_px", "info"})

@@ -23,9 +23,9 @@ from termsel.formats.readers.geojson import (
     vertices,
 )
 from termsel.formats.readers.tables import read_table
-from termsel.measurements.attributes import alike, columns_of
-from termsel.measurements.columns import LINES
 from termsel.measurements.features import FeatureSet, FloatArray, Lines
+from termsel.measurements.tables.attributes import alike, columns_of
+from termsel.measurements.tables.columns import LINES
 from termsel.options import Option
 
 log = logging.getLogger(__name__)

@@ -21,11 +21,11 @@ from termsel.errors import TermselError, unknown_name
 from termsel.formats.base import located, read_text
 from termsel.formats.readers.formulas import unguarded
 from termsel.formats.readers.further import as_text, further
-from termsel.measurements.attributes import Attributes, rows_at, text_array
-from termsel.measurements.columns import OPTIONAL, USE
-from termsel.measurements.crs import normalise
+from termsel.measurements.coordinates.crs import normalise
 from termsel.measurements.features import ROLES, FloatArray, Points
-from termsel.measurements.ids import refused
+from termsel.measurements.tables.attributes import Attributes, rows_at, text_array
+from termsel.measurements.tables.columns import OPTIONAL, USE
+from termsel.measurements.tables.ids import refused
 from termsel.options import Option
 
 log = logging.getLogger(__name__)

@@ -20,8 +20,8 @@ from termsel.formats.base import Writer
 from termsel.formats.deviation import by_splines, places_of, say_deviation
 from termsel.formats.heights import Dem, surface_of
 from termsel.formats.vrt import IMAGE, Gcp, picture_for, vrt_text
+from termsel.measurements.coordinates.utm import for_warping
 from termsel.measurements.features import FloatArray
-from termsel.measurements.utm import for_warping
 from termsel.options import COUNT, Option
 from termsel.results.result import Result
 

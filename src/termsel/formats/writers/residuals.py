@@ -14,9 +14,9 @@ from termsel.fits.scene import errors_on_ground
 from termsel.formats.base import Writer
 from termsel.formats.deviation import say_measured
 from termsel.formats.writers.qgis_style import OPTIONS, TABLE, styles
-from termsel.measurements.attributes import TextArray, distinct
-from termsel.measurements.crs import horizontal
+from termsel.measurements.coordinates.crs import horizontal
 from termsel.measurements.features import FloatArray
+from termsel.measurements.tables.attributes import TextArray, distinct
 from termsel.options import Option
 from termsel.results.result import Result
 

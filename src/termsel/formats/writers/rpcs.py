@@ -17,7 +17,7 @@ from termsel.formats.base import Writer
 from termsel.formats.deviation import places_of, say_deviation
 from termsel.formats.rpc_files import read_rpc, rpb_text, rpc_items, rpc_txt_text
 from termsel.formats.vrt import IMAGE, picture_for, vrt_text
-from termsel.measurements.crs import LOCAL, normalise, to_wgs84
+from termsel.measurements.coordinates.crs import LOCAL, normalise, to_wgs84
 from termsel.models.rpc import Rpc
 from termsel.options import Option
 from termsel.results.result import Result

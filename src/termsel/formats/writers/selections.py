@@ -15,9 +15,9 @@ from termsel.formats.base import Writer
 from termsel.formats.deviation import say_measured, say_splines
 from termsel.formats.readers.csv_tables import line_columns, write_table
 from termsel.formats.vrt import IMAGE, Gcp, picture_for, vrt_text
-from termsel.measurements.crs import LOCAL, horizontal, normalise, to_wgs84
+from termsel.measurements.coordinates.crs import LOCAL, horizontal, normalise, to_wgs84
+from termsel.measurements.coordinates.utm import for_warping
 from termsel.measurements.features import BoolArray, FloatArray
-from termsel.measurements.utm import for_warping
 from termsel.options import Option
 from termsel.results.result import Result
 

@@ -1,0 +1,309 @@
+"""What a user asks a run for: the options that `run` and `stability` share."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import click
+
+from termsel.cli.completion import complete
+from termsel.cli.options.remote import allow_remote
+from termsel.cli.report import REPORT
+from termsel.errors import TermselError
+from termsel.options import SEED
+
+if TYPE_CHECKING:
+    from termsel.measurements.features import FeatureSet
+
+Command = TypeVar("Command", bound=Callable[..., Any])
+
+_OPTIONS = (
+    click.option("--problem", metavar="NAME", shell_complete=complete("problems"),
+                 help="The problem to solve; see `termsel list problems`. By default the "
+                      "strategy auto answers: owdis-lines where there are lines, else rfm-terms, "
+                      "or poly-terms where heights are not known."),
+    click.option("--dataset", metavar="NAME", shell_complete=complete("datasets"),
+                 help="A data set known by name; the problem's own by default."),
+    click.option("--points", metavar="FILE", type=click.Path(path_type=Path),
+                 help="Points, in any format of `termsel list readers`."),
+    click.option("--lines", metavar="FILE", type=click.Path(path_type=Path),
+                 help="Control lines, likewise."),
+    click.option("--areas", metavar="FILE", type=click.Path(path_type=Path),
+                 help="Areas, by their corners: as lines along their edges, or as centroids where "
+                      "points are the control; --set areas_as=boundary or centroid chooses."),
+    click.option("--format", "formats", metavar="NAME", multiple=True,
+                 shell_complete=complete("readers"),
+                 help="Read the file in this format, whatever it looks like. With several files, "
+                      "give one for each, in the order points, lines, areas."),
+    click.option("--dem", metavar="FILE", type=click.Path(path_type=Path),
+                 help="Raster of heights, for points and lines that have none."),
+    click.option("--raster", metavar="FILE",
+                 help="The image the points were measured in, for formats that need it."),
+    click.option("--image-lines", metavar="FILE",
+                 help="Image lines id,line1,sample1,line2,sample2, for ground lines from a GIS."),
+    click.option("--crs", metavar="CRS",
+                 help="CRS of the ground coordinates: EPSG:4979 for longitude, latitude and "
+                      "ellipsoidal height; `local` for plane coordinates without a CRS."),
+    click.option("--fit-crs", metavar="CRS",
+                 help="Coordinates the model is fitted in: geodetic, projected (UTM), geocentric "
+                      "or EPSG:n. auto takes the one of the first three that predicts best."),
+    click.option("--off", metavar="IDS", multiple=True,
+                 help="Leave out these points and lines, such as P07,P12."),
+    click.option("--role", metavar="ID=ROLE", multiple=True,
+                 help="Role of a point, whatever the file says: control, check, independent or "
+                      "off; may be repeated."),
+    click.option("--model", metavar="NAME", shell_complete=complete("models"),
+                 help="Sensor model; see `termsel list models`."),
+    click.option("--solver", metavar="NAME", shell_complete=complete("solvers"),
+                 help="Solver; see `termsel list solvers`."),
+    click.option("--then", metavar="NAME", shell_complete=complete("solvers"),
+                 help="Solver of the second step, with --set steps=features-first or "
+                      "terms-first."),
+    click.option("--criterion", metavar="NAME", shell_complete=complete("criteria"),
+                 help="What is minimised; see `termsel list criteria`."),
+    click.option("--strategy", type=click.Choice(["auto", "as-asked"]),
+                 help="`auto` chooses among plain and shrunken models of points and lines by "
+                      "predicted RMSE; `as-asked` runs the problem's solver. auto is the default "
+                      "for rfm-terms, poly-terms, and where no problem is named, unless you ask "
+                      "for a method or a budget."),
+    click.option("--set", "settings", metavar="KEY=VALUE", multiple=True,
+                 help="An option of the problem, model, solver, criterion, data or file format; "
+                      "may be repeated. `termsel describe NAME` lists them."),
+    click.option("--seed", type=click.IntRange(0, SEED), default=1, show_default=True,
+                 help="Seed of the search; the same seed gives the same selection."),
+    click.option("--generations", type=click.IntRange(1, 10**12),
+                 help="Stop after N generations beyond the first population."),
+    click.option("--evaluations", type=click.IntRange(1, 10**12),
+                 help="Stop after N evaluations, those of a local refinement included."),
+    click.option("--seconds", type=click.FloatRange(0, 1e9, min_open=True),
+                 help="Stop after S seconds."),
+    click.option("--patience", type=click.IntRange(1, 10**12),
+                 help="Stop after N generations without a gain above --set tolerance."),
+    click.option("--export", "exports", metavar="FORMAT", multiple=True,
+                 shell_complete=complete("writers"),
+                 help="Write the result to --out in this format too; may be repeated."),
+    click.option("--report", "reports", is_flag=True,
+                 help="Write the page report.html to --out too; see `termsel report`."),
+    click.option("--overwrite", is_flag=True, help="Replace what is already in --out."),
+    click.option("--json", "as_json", is_flag=True, help="Print JSON alone on stdout."),
+    click.option("--quiet", is_flag=True, help="No progress bar."),
+)
+
+
+def run_options(command: Command) -> Command:
+    """Add the options of `Asked` to a command, but for ``--out``."""
+    command = allow_remote(command)
+    for option in reversed(_OPTIONS):
+        command = option(command)
+    return command
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What is asked for by the options of `run_options` and ``--out``; as click gives them.
+
+    Attributes
+    ----------
+    options : dict
+        Those of ``--set``, with those that have an option of their own.
+
+    Raises
+    ------
+    TermselError
+        For a setting without an equals sign, options that exclude each other, and options that
+        say something of what is not given.
+    """
+
+    problem: str | None
+    dataset: str | None
+    points: Path | None
+    lines: Path | None
+    areas: Path | None
+    formats: tuple[str, ...]
+    dem: Path | None
+    raster: str | None
+    image_lines: str | None
+    crs: str | None
+    fit_crs: str | None
+    off: tuple[str, ...]
+    role: tuple[str, ...]
+    model: str | None
+    solver: str | None
+    then: str | None
+    criterion: str | None
+    strategy: str | None
+    settings: tuple[str, ...]
+    seed: int
+    generations: int | None
+    evaluations: int | None
+    seconds: float | None
+    patience: int | None
+    out: Path | None
+    exports: tuple[str, ...]
+    reports: bool
+    overwrite: bool
+    as_json: bool
+    quiet: bool
+    options: dict[str, str] = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "options", parse_settings(
+            self.settings, fit_crs=self.fit_crs, off=",".join(self.off) or None,
+            role=",".join(self.role) or None, then=self.then))
+        if self.dataset is not None and self.files:
+            raise TermselError("--dataset cannot be combined with files",
+                               hint="Give --dataset NAME, or --points FILE and --lines FILE.")
+        for name, value in self._of_files.items():
+            if value and not self.files:
+                raise TermselError(f"{name} requires --points or --lines",
+                                   hint=f"Give --points FILE, or leave {name} out.")
+        if self.problem is None and self.dataset is None and not self.files:
+            raise TermselError("there is nothing to run",
+                               hint="Give --points FILE or --lines FILE, or --problem NAME or "
+                                    "--dataset NAME for simulated data.")
+        if self.exports and self.out is None:
+            raise TermselError("--export requires --out", hint="Give a folder: --out DIR.")
+        if self.reports and self.out is None:
+            raise TermselError("--report requires --out", hint="Give a folder: --out DIR.")
+
+    @property
+    def files(self) -> list[Path]:
+        """Files of features."""
+        return [path for path in (self.points, self.lines, self.areas) if path is not None]
+
+    @property
+    def _of_files(self) -> dict[str, Any]:
+        return {"--format": self.formats, "--dem": self.dem, "--raster": self.raster,
+                "--image-lines": self.image_lines, "--crs": self.crs}
+
+    @property
+    def reads(self) -> list[object]:
+        """Everything that may be the name of a file that is read."""
+        return [*self.files, self.dem, self.raster, self.image_lines, *self.options.values()]
+
+    @property
+    def source(self) -> str | None:
+        """The files, for the record."""
+        return ", ".join(str(path) for path in (*self.files, self.image_lines)
+                         if path is not None) or None
+
+    @property
+    def budget(self) -> dict[str, Any]:
+        """Seed and limits of a search."""
+        return {"seed": self.seed, "generations": self.generations,
+                "evaluations": self.evaluations, "seconds": self.seconds,
+                "patience": self.patience}
+
+    def exported(self) -> dict[str, Path]:
+        """Return the file in ``--out`` of each format; an unknown one is an error.
+
+        Raises
+        ------
+        TermselError
+            For an unknown format; if one of the files is read, or is there and may not be replaced.
+        """
+        from termsel.io.export import writer_of
+        from termsel.io.replacing import require_replaceable
+
+        if self.out is None:
+            return {}
+        files = {to: self.out / f"result{writer_of(to).suffix or f'.{to}'}" for to in self.exports}
+        require_replaceable([part for to, file in files.items()
+                             for part in writer_of(to).files(file)],
+                            reads=self.reads, overwrite=self.overwrite)
+        return files
+
+    def page(self) -> Path | None:
+        """Return the page of ``--report``, if it is asked for.
+
+        Raises
+        ------
+        TermselError
+            If altair is not installed; if the page is there and may not be replaced.
+        """
+        from termsel.io.replacing import require_replaceable
+        from termsel.report.theme import require_altair
+
+        if not self.reports or self.out is None:
+            return None
+        require_altair()
+        require_replaceable([self.out / REPORT], reads=self.reads, overwrite=self.overwrite)
+        return self.out / REPORT
+
+    def read(self) -> tuple[FeatureSet | None, dict[str, str]]:
+        """Return the features of the files, if any are given, and the options that remain.
+
+        Options of readers are theirs alone.
+
+        Raises
+        ------
+        TermselError
+            As `termsel.read`, and for an option of a reader that is given twice.
+        """
+        from termsel.io.read import read
+        from termsel.plugins.registry import registry
+
+        options = dict(self.options)
+        if self.areas is not None and self.problem is not None \
+                and registry().get("problems", self.problem).control == "points":
+            options.setdefault("areas_as", "centroid")
+        if not self.files:
+            return None, options
+        given = {"raster": self.raster, "image_lines": self.image_lines}
+        known = {option.name for entry in registry().entries("readers")
+                 for option in entry.object.declared_options}
+        of_readers = {key: options.pop(key) for key in list(options) if key in known}
+        for key in of_readers:
+            if given.get(key) is not None:
+                raise TermselError(f"{key} is given twice", hint="Give it once.")
+        return read(self.points, self.lines, areas=self.areas, crs=self.crs, format=self.formats,
+                    dem=self.dem, **{**given, **of_readers}), options
+
+    def command(self, problem: str, solver: str, criterion: str,
+                settings: Mapping[str, str]) -> str:
+        """Return a command that runs another method on the same data, quoted for the shell.
+
+        Parameters
+        ----------
+        problem, solver, criterion : str
+        settings : mapping
+            All options of ``--set``, those of the readers included.
+        """
+        from termsel.files.remote import remote_allowed
+
+        words = ["termsel", "run", "--problem", problem]
+        data = {"--dataset": self.dataset, "--points": self.points, "--lines": self.lines,
+                "--areas": self.areas, **self._of_files, "--model": self.model,
+                "--solver": solver, "--criterion": criterion,
+                "--set": tuple(f"{key}={value}" for key, value in settings.items())}
+        for name, value in data.items():
+            for one in value if isinstance(value, tuple) else [value]:
+                words += [] if one is None else [name, str(one)]
+        return shlex.join([*words, "--allow-remote"] if remote_allowed() else words)
+
+
+def parse_settings(settings: tuple[str, ...], **own: str | None) -> dict[str, str]:
+    """Return the options of ``--set KEY=VALUE``, with those that commands have as their own.
+
+    Raises
+    ------
+    TermselError
+        For a setting without an equals sign, or a key set twice.
+    """
+    options: dict[str, str] = {}
+    for setting in settings:
+        key, equals, value = setting.partition("=")
+        if not equals or not key.strip():
+            raise TermselError(f"--set {setting!r} is not of the form KEY=VALUE",
+                               hint="For example --set population=300.")
+        if key.strip() in options:
+            raise TermselError(f"--set {key.strip()} is given twice", hint="Give it once.")
+        options[key.strip()] = value.strip()
+    for key, given in own.items():
+        if given is not None and options.setdefault(key, given) != given:
+            raise TermselError(f"{key} is given twice", hint="Give it once.")
+    return options

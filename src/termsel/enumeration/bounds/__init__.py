@@ -1,0 +1,1 @@
+"""Lower bounds of all subsets below a node, one module a criterion."""

@@ -1,0 +1,186 @@
+"""A bound that rules out many subsets at once, for the enumeration of all subsets.
+
+Let I be the columns in use, and let all vectors have them removed: the columns T and the target r
+in the control rows, V and e in the c rows of the score, d and D for the denominators there. A
+subset that adds columns S of F to I has coefficients b, zero outside S, errors e - V b, and
+denominators D + d b, none below the margin. Both are divided by t = 1 / (sum of D + d b), which
+leaves the score as it is: let x = t b. Four facts hold for each such subset, whatever S is:
+
+1. sum of t D + d x = 1, each of them is positive, and 0 < t <= 1 / (c margin).
+2. T b is the projection of r on the columns S, so that |T b - r / 2| = |r| / 2: the projections
+   of r on all subspaces lie on one sphere. Hence |T x - t r / 2|^2 = t^2 |r|^2 / 4.
+3. If t <= tau, fact 2 gives |T x - t r / 2|^2 <= tau^2 |r|^2 / 4.
+4. If the score is at most B, and no t D + d x is above U <= 1, then
+   sum of ((t e - V x) / U)^2 <= B.
+
+Hence, for positive weights that add up to 1, their mean q(t, x) of t^2 / tau^2, of
+4 |T x - t r / 2|^2 / (tau |r|)^2 and of sum of ((t e - V x) / U)^2 / B is at most 1. It is a
+quadratic form without linear part. Its minimum where t D + d x add up to 1 has a closed form. If
+that is above 1, no subset of F scores B or less. Otherwise all points (t, x) with q <= 1 on that
+plane lie in an ellipsoid, on which t and each t D + d x have largest values: new tau and U, to be
+used in turn. If one is negative, no subset scores B or less. They hold for the subsets below, too.
+
+That all is divided by the sum of the denominators keeps it finite where columns are more than
+rows: b itself may grow without limit there. Without denominators t = tau = U = 1, and q is least
+squares with a constraint. termsel's own formulation; fact 2 is Thales'.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+
+import numpy as np
+
+from termsel.adjustment.compiled import compiled
+from termsel.enumeration.columns.arrays import Space
+from termsel.measurements.features import FloatArray
+
+_compiled = partial(compiled, _nrt=False, fastmath={"reassoc", "contract", "arcp", "nsz"})
+
+_STEPS = 8  # of tau and U; each costs as much as a test
+_GAIN = 0.9  # a step that lowers no limit to this share is the last
+_PIVOT = 1e-8  # least pivot of the quadratic, relative to its diagonal
+_ROUNDING = 1e-6  # of what is 1 at the limit; errors are below 1e-14 / pivot
+_SPHERE, _SCALE = 0.15, 0.1  # weights of facts 3 and 1; the rest is of fact 4
+
+
+@_compiled
+def first_closed(top: FloatArray, extra: FloatArray, first: int, n: int, limit: float,
+                 upper: FloatArray, rational: bool, space: Space) -> int:
+    """Return a column from which on no subset scores `limit` or less.
+
+    Parameters
+    ----------
+    top, extra : ndarray, shape (n + 1, rows) and (n + 1, c) or (n + 1, 2 c)
+        One depth of `Levels`, without the columns in use.
+    first, n : int
+        F is first, ..., n - 1.
+    limit : float
+        B of the module's text.
+    upper : ndarray, shape (c + 1,)
+        U and tau, lowered in place; 1 for scores without denominators.
+    rational : bool
+        Whether there are denominators.
+    space : Space
+
+    Returns
+    -------
+    int
+        j: all subsets that add some of j, ..., n - 1 alone score more. `first` if none of F need
+        be looked at; n if nothing is known.
+
+    Notes
+    -----
+    Columns are eliminated from the last to the first, after the target. The minimum over the
+    coefficients of the last i columns alone is known after i steps, so one elimination tests every
+    tail of F. With the Cholesky factor L of q and the sums s of the denominators' columns the
+    minimum is 1 / |L^-1 s|^2.
+    """
+    count, c = n - first + 1, len(upper) - 1
+    gram, triangle, weight, h, y = space.gram, space.triangle, space.x[0], space.x[1], space.x[2]
+    square = 0.0
+    for k in range(top.shape[1]):
+        square += top[n, k] * top[n, k]
+    if not square > 0.0:
+        return n
+    # The target is vector 0 and stands for -t; column n - i is vector i.
+    for i in range(count):
+        for j in range(i + 1):
+            total = 0.0
+            for k in range(top.shape[1]):
+                total += top[n - i, k] * top[n - j, k]
+            gram[i, j] = 4.0 / square * total * (1.0 if j > 0 else 0.5 if i > 0 else 0.25)
+    closed = 0
+    for _ in range(_STEPS):
+        tau = upper[c]
+        sphere, scale = _SPHERE / (tau * tau), _SCALE / (tau * tau)
+        if not rational:
+            sphere, scale = 0.5, 0.0
+        for k in range(c):
+            weight[k] = (1.0 - (sphere + scale) * tau * tau) / (limit * upper[k] * upper[k])
+        # Cholesky's triangle of the quadratic, and the minimum, vector by vector.
+        minimum, failed = 0.0, False
+        for i in range(count):
+            for k in range(c):
+                y[k] = weight[k] * extra[n - i, k]
+            for j in range(i + 1):
+                total = sphere * gram[i, j]
+                for k in range(c):
+                    total += y[k] * extra[n - j, k]
+                triangle[i, j] = total
+            total = 0.0
+            for k in range(c, extra.shape[1]):
+                total += extra[n - i, k]
+            if not rational:
+                total = 1.0 if i == 0 else 0.0
+            if i == 0:
+                triangle[0, 0] += scale
+            pivot = triangle[i, i]
+            least = _PIVOT * pivot
+            for j in range(i):
+                ratio = triangle[i, j]
+                for k in range(j):
+                    ratio -= triangle[i, k] * triangle[j, k]
+                ratio /= triangle[j, j]
+                triangle[i, j] = ratio
+                pivot -= ratio * ratio
+                total -= ratio * h[j]
+            if not pivot > least:
+                failed = True
+                break
+            triangle[i, i] = np.sqrt(pivot)
+            h[i] = total / triangle[i, i]
+            minimum += h[i] * h[i]  # its inverse
+            if minimum < 1.0 - _ROUNDING and i > closed:
+                closed = i
+        if failed or closed == count - 1 or not rational:
+            return n - closed
+        gained = _lowered(extra, n, count, upper, minimum, triangle, h, space.rows, weight, y)
+        if gained < 0:
+            return first
+        if gained == 0:
+            return n - closed
+    return n - closed
+
+
+@_compiled
+def _lowered(extra: FloatArray, n: int, count: int, upper: FloatArray, inverse: float,
+             triangle: FloatArray, h: FloatArray, rows: FloatArray, along: FloatArray,
+             length: FloatArray) -> int:
+    """Lower the limits to their maxima on an ellipsoid.
+
+    With z = L'(-t, x) and h = L^-1 s its points are |z|^2 <= 1 and h'z = 1. The maximum of a linear
+    function a'z is a'h / |h|^2 + ((1 - 1 / |h|^2) (|a|^2 - (a'h)^2 / |h|^2))^1/2.
+
+    Returns
+    -------
+    int
+        1 if a limit is lower by some share, 0 if none is, -1 if one is negative.
+    """
+    c = len(upper) - 1
+    for k in range(c + 1):
+        along[k] = length[k] = 0.0
+    for i in range(count):
+        for k in range(c):
+            rows[i, k] = extra[n - i, c + k]
+        rows[i, c] = 0.0 if i > 0 else -1.0
+        for j in range(i):
+            ratio = triangle[i, j]
+            for k in range(c + 1):
+                rows[i, k] -= ratio * rows[j, k]
+        ratio = 1.0 / triangle[i, i]
+        for k in range(c + 1):
+            rows[i, k] *= ratio
+            along[k] += rows[i, k] * h[i]
+            length[k] += rows[i, k] * rows[i, k]
+    radius = max(0.0, 1.0 - 1.0 / inverse) + _ROUNDING
+    gained = 0
+    for k in range(c + 1):
+        across = max(0.0, length[k] - along[k] * along[k] / inverse) + _ROUNDING * length[k]
+        largest = along[k] / inverse + np.sqrt(radius * across)
+        if largest < 0.0:
+            return -1
+        if largest < _GAIN * upper[k]:
+            gained = 1
+        upper[k] = min(upper[k], largest)
+    return gained

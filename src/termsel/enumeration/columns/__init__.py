@@ -1,0 +1,1 @@
+"""Subsets of columns: the terms of a model."""

@@ -1,0 +1,1 @@
+"""Ground coordinates and their reference systems."""

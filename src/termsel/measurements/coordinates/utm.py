@@ -1,0 +1,58 @@
+"""Zones of UTM, on WGS84."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from termsel.errors import TermselError
+from termsel.measurements.coordinates.crs import horizontal, is_geographic, transformation
+from termsel.measurements.features import FloatArray
+
+
+def utm_zone(lon: float, lat: float) -> str:
+    """Return the CRS of the zone of a place.
+
+    Parameters
+    ----------
+    lon, lat : float
+        [deg]; longitudes may go on beyond 180 degrees.
+
+    Raises
+    ------
+    TermselError
+        Near the poles, where there is none; without pyproj.
+    """
+    lon = (lon + 180) % 360 - 180
+    try:
+        from pyproj.aoi import AreaOfInterest
+        from pyproj.database import query_utm_crs_info
+    except ImportError:
+        raise TermselError("the UTM zone of the control needs the package pyproj, which is not "
+                           "installed", hint='Install it: pip install "termsel[gis]".') from None
+    zones = query_utm_crs_info("WGS 84", AreaOfInterest(lon, lat, lon, lat))
+    if not zones:
+        raise TermselError(f"no UTM zone holds longitude {lon:.6g}, latitude {lat:.6g}",
+                           hint="UTM goes from 80 S to 84 N: name a projected CRS, --fit-crs "
+                                "EPSG:n, such as EPSG:3031 or EPSG:3413.")
+    return f"EPSG:{zones[0].code}"
+
+
+def for_warping(ground: FloatArray, crs: str) -> tuple[FloatArray, str]:
+    """Return ground coordinates, and the CRS without heights, as GDAL's warper needs them.
+
+    It does not find places whose longitudes go on beyond 180 degrees: these come in UTM.
+
+    Parameters
+    ----------
+    ground : ndarray, shape (..., 3)
+        NaN where nothing is known.
+    crs : str
+    """
+    if not is_geographic(crs) or not (np.abs(ground[..., 0]) > 180.0).any():
+        return ground, horizontal(crs)
+    lon, lat = (float(np.nanmin(ground[..., i]) + np.nanmax(ground[..., i])) / 2 for i in (0, 1))
+    zone = utm_zone(lon, lat)
+    turned = transformation(horizontal(crs), zone)(ground.reshape(-1, 3))
+    turned[:, 2] = ground[..., 2].ravel()
+    turned[np.isnan(ground[..., 0]).ravel()] = np.nan
+    return turned.reshape(ground.shape), zone

@@ -1,0 +1,1 @@
+"""Features as tables: columns, ids, attributes, frames."""

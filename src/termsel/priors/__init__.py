@@ -1,0 +1,1 @@
+"""Estimates under a prior: shrunken polynomials, random fields, splines, blunders."""

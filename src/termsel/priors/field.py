@@ -1,0 +1,337 @@
+"""A polynomial with a random field: collocation, averaged over its scales.
+
+Line and sample are each a shrunken cubic polynomial (see `termsel.priors.posterior`), a
+stationary Gaussian random field and noise. The field has the Matern covariance of smoothness 3/2,
+
+    (ratio size)^2 (1 + r) exp(-r),   r^2 = 3 ((dl / length_l)^2 + (ds / length_s)^2),
+
+with distances dl, ds between places in the image. The lengths may differ: strips and sheets of
+maps stretch along one axis, and scanners shake along lines. Neither lengths nor ratio, size and
+noise are known. All solutions on a grid are averaged with their posterior probabilities, those
+without a field, which are believed as likely beforehand, among them. So where the points show no
+local deformation the shrunken polynomial remains.
+
+With many points the field is spanned by the covariances with KNOTS of them.
+
+References
+----------
+Moritz 1980, Advanced Physical Geodesy, for collocation; Matheron 1969 for universal kriging;
+Stein 1999, Interpolation of Spatial Data, for the Matern covariance; Hoeting et al. 1999 for
+averaging; Quinonero-Candela and Rasmussen 2005, JMLR 6, for few knots. The prior is termsel's own.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+
+import numpy as np
+from scipy.linalg import lapack
+from scipy.spatial.distance import cdist
+
+from termsel.adjustment.equations import weights_of
+from termsel.adjustment.monomials import Exponents, graded_exponents, monomials
+from termsel.measurements.features import FloatArray, IntArray, Points
+from termsel.priors.blunder_odds import blunder_odds
+from termsel.priors.foresight import foresee
+from termsel.priors.held_out import Prediction
+from termsel.priors.posterior import NEVER, Posterior, polynomial_posterior, posterior
+
+LENGTHS = ((0.15, 0.15), (0.3, 0.3), (0.6, 0.6), (1.2, 1.2), (0.15, 1.2), (1.2, 0.15))
+"""Lengths of line and sample, by the half-range of the image: from about the distance of
+neighbours among a hundred points to where a field cannot be told from a polynomial; and two that
+differ."""
+
+RATIOS = (0.02, 0.2, 2.0)
+"""Standard deviations of the field by those of quadratic coefficients, which `posterior.SIZES`
+takes from the noise to where they are as good as free."""
+
+FALLS, RELIEF = (0.01, 0.1), 0.1
+"""Cubic coefficients by quadratic ones, and those of one power of Z more, next to a field. With one
+fall alone a field must stand in for the cubic terms that it does not allow."""
+
+DEGREE = 3
+
+FIELD, ALIKE = 0.5, 0.9
+"""Probability of a field before the points are looked at, and that its lengths are equal then."""
+
+KNOTS = 100
+
+NEGLIGIBLE = 1e-6
+"""Probability of a part that is left out of a prediction."""
+
+AT_ONCE = 2000
+"""Places whose covariances are held in memory."""
+
+JITTER = 1e-10
+"""Part of the field's variance that is added, so that covariances of close points can be
+decomposed."""
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """All solutions with one pair of lengths, or without a field.
+
+    Parameters
+    ----------
+    found : Posterior
+    log : float
+        Logarithm of the evidence, up to what all parts share.
+    lengths : tuple of float, or None
+        None without a field.
+    inverse : ndarray, shape (k, k)
+        Of the lower triangle of the knots' covariance; empty without a field.
+    columns : ndarray, shape (n, c)
+        Monomials at the points, and what spans the field.
+    """
+
+    found: Posterior
+    log: float
+    lengths: tuple[float, float] | None
+    inverse: FloatArray
+    columns: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Collocation:
+    """What control points predict, averaged over all parts.
+
+    Parameters
+    ----------
+    points : Points
+        Scaled.
+    exponents : k exponents of X, Y, Z
+        Affine ones first.
+    turn : ndarray, shape (f, 2)
+        Affine coefficients that bring ground positions into the image.
+    knots : ndarray, shape (k, 2)
+        Places in the image.
+    parts : tuple of Part
+        The first without a field.
+    """
+
+    points: Points
+    exponents: Exponents
+    turn: FloatArray
+    knots: FloatArray
+    parts: tuple[Part, ...]
+
+    @cached_property
+    def shares(self) -> FloatArray:
+        """Probability of each part."""
+        return _normalised(np.array([part.log for part in self.parts]))
+
+    @property
+    def probability(self) -> float:
+        """Probability of a field."""
+        return float(1.0 - self.shares[0])
+
+    @property
+    def effective(self) -> float:
+        """Effective parameters of line and sample together."""
+        return float(sum(share * part.found.mean(axis)[1]
+                         for share, part in self._likely for axis in (0, 1)))
+
+    @cached_property
+    def errors(self) -> FloatArray:
+        """Measured minus predicted of each point by the others, shape (n, 2).
+
+        In closed form: without a point the solutions change, and so do their probabilities.
+        """
+        return self.left_out.errors / weights_of(self.points)
+
+    @cached_property
+    def _likely(self) -> list[tuple[float, Part]]:
+        """Parts that matter, with their probabilities."""
+        highest = max(part.log for part in self.parts)
+        return [(share, part) for share, part in zip(self.shares, self.parts, strict=True)
+                if part.log > highest - NEVER]
+
+    @cached_property
+    def left_out(self) -> Prediction:
+        """What all points but one predict for it, for each point, under all parts."""
+        parts = [part for _, part in self._likely]
+        each = [part.found.left_out for part in parts]
+        # What is known of a part beforehand is its logarithm without that of its points.
+        logs = np.array([part.log - part.found.cells.log + one.log
+                         for part, one in zip(parts, each, strict=True)])
+        shares = _normalised(logs)                                                    # (p, n)
+
+        def mean(name: str) -> FloatArray:
+            values = np.array([getattr(one, name) for one in each])
+            return np.asarray(np.einsum("pn,pn...->n...", shares, values))
+
+        return Prediction(mean("errors"), mean("chance"), mean("statistic"), mean("spread"),
+                          np.logaddexp.reduce(logs))
+
+    def blunder_odds(self, points: IntArray) -> FloatArray:
+        """Return how much likelier points are as blunders (see `blunder_odds`)."""
+        return blunder_odds([(share, part.found, part.lengths is not None)
+                             for share, part in self._likely], points)
+
+    def predict(self, ground: FloatArray) -> FloatArray:
+        """Return line and sample of places, shape (m, 2)."""
+        polynomial, fields = self._coefficients
+        columns = monomials(ground, self.exponents)
+        image = columns @ polynomial
+        places = columns[:, :len(self.turn)] @ self.turn
+        for start in range(0, len(ground), AT_ONCE):
+            some = slice(start, start + AT_ONCE)
+            for lengths, weights in fields:
+                image[some] += _matern(places[some], self.knots, lengths) @ weights
+        return np.asarray(image)
+
+    def spread(self, ground: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the variance of the prediction, shape (m, 2), and that of the noise, (2,)."""
+        lead = len(self.turn)
+        columns = monomials(ground, self.exponents)
+        places = columns[:, :lead] @ self.turn
+        likely = [(share, part) for share, part in zip(self.shares, self.parts, strict=True)
+                  if share > NEGLIGIBLE]
+        each = []
+        for _, part in likely:
+            spanned = _with_field(columns, places, self.knots, part.lengths, part.inverse)
+            field = spanned[:, columns.shape[1]:]
+            # Away from the knots the field has a variance that their covariances do not span.
+            missing = None if part.lengths is None else np.square(np.tile(RATIOS, len(FALLS)))[
+                :, None] * np.maximum(1.0 - (field**2).sum(axis=1), 0.0)
+            each.append(foresee(part.found, columns[:, :lead], spanned[:, lead:], missing))
+        shares = [share for share, _ in likely]
+        mean = sum(share * one.image for share, one in zip(shares, each, strict=True))
+        variance = sum((share * (one.variance + (one.image - mean) ** 2)
+                        for share, one in zip(shares, each, strict=True)),
+                       np.zeros((len(ground), 2)))
+        return variance, np.full(2, float(np.dot(shares, [one.noise for one in each])))
+
+    @cached_property
+    def _coefficients(self) -> tuple[FloatArray, list[tuple[tuple[float, float], FloatArray]]]:
+        """Averaged coefficients of the monomials, and those of the knots of each field by lengths.
+        """
+        lead = len(self.turn)
+        terms, weights = len(self.exponents), weights_of(self.points)
+        total, rest, fields = np.zeros((terms, 2)), np.zeros_like(self.points.image), []
+        for share, part in self._likely:
+            shrunk = np.stack([part.found.mean(axis)[0] for axis in (0, 1)], axis=1)
+            rest += share * (self.points.image - part.columns[:, lead:] @ shrunk)
+            total[lead:] += share * shrunk[:terms - lead]
+            if part.lengths and share > NEGLIGIBLE:
+                fields.append((part.lengths, share * part.inverse.T @ shrunk[terms - lead:]))
+        affine = self.parts[0].columns[:, :lead]
+        for axis, w in enumerate(weights.T):
+            total[:lead, axis] = np.linalg.lstsq(affine * w[:, None], rest[:, axis] * w)[0]
+        return total, fields
+
+
+def collocate(points: Points, variables: int) -> Collocation | None:
+    """Return what control points predict by a polynomial with a random field.
+
+    Parameters
+    ----------
+    points : Points
+        Scaled.
+    variables : {2, 3}
+        2 for a polynomial in X and Y, 3 for one in X, Y and Z.
+
+    Returns
+    -------
+    Collocation or None
+        None if all points but any one do not determine an affine model with redundancy.
+    """
+    if len(points) < variables + 3:
+        return None
+    image, ground, sigma = (None if one is None else np.ascontiguousarray(one).tobytes()
+                            for one in (points.image, points.ground, points.sigma))
+    return _collocated(image, ground, sigma, variables)
+
+
+@lru_cache(maxsize=4)
+def _collocated(image: bytes, ground: bytes, sigma: bytes | None,
+                variables: int) -> Collocation | None:
+    """Return the collocation of points; a fit asks for the same one many times."""
+    places = np.frombuffer(image).reshape(-1, 2)
+    points = Points(tuple(map(str, range(len(places)))), places,
+                    np.frombuffer(ground).reshape(-1, 3),
+                    None if sigma is None else np.frombuffer(sigma).reshape(-1, 2))
+    exponents = graded_exponents(DEGREE, variables)
+    order = np.array(exponents).sum(axis=1)
+    shrunk = np.array(exponents)[order > 1]
+    columns = monomials(points.ground, exponents)
+    turn = _turn(points, exponents[:variables + 1])
+    there = columns[:, :variables + 1] @ turn
+    knots = _spread_out(there)
+    rules = [fall ** (order[order > 1] - 2.0) * RELIEF ** shrunk[:, 2] for fall in FALLS]
+    mixed = np.array([[*rule, *np.full(len(knots), ratio)] for rule in rules for ratio in RATIOS])
+    parts, weights = [], None if sigma is None else weights_of(points)
+    for lengths in (None, *LENGTHS):
+        inverse = np.empty((0, 0)) if lengths is None else np.asarray(lapack.dtrtri(
+            np.linalg.cholesky(_matern(knots, knots, lengths) + JITTER * np.eye(len(knots))),
+            lower=1)[0])
+        bare = _with_field(columns, there, knots, lengths, inverse)
+        orders = np.concatenate([order, np.full(bare.shape[1] - len(order), DEGREE)])
+        found = polynomial_posterior(points.ground, points.image, exponents, weights) \
+            if lengths is None else posterior(bare, points.image, orders, weights, mixed,
+                                              len(points), len(shrunk))
+        if found is None:
+            return None
+        parts.append(Part(found, found.cells.log + np.log(_belief(lengths) / len(found.scales)),
+                          lengths, inverse, bare))
+    return Collocation(points, exponents, turn, knots, tuple(parts))
+
+
+def _turn(points: Points, linear: Exponents) -> FloatArray:
+    """Return the affine transformation that brings places into the image, shape (f, 2).
+
+    Distances between places are taken in the image: there sheets shrink and scanners shake, and
+    line and sample have one unit.
+
+    Parameters
+    ----------
+    points : Points
+        Scaled.
+    linear : f exponents of X, Y, Z
+        Of an affine function.
+    """
+    return np.asarray(np.linalg.lstsq(monomials(points.ground, linear), points.image)[0])
+
+
+def _belief(lengths: tuple[float, float] | None) -> float:
+    """Return the probability of a part before the points are looked at."""
+    if lengths is None:
+        return 1.0 - FIELD
+    alike = sum(line == sample for line, sample in LENGTHS)
+    return FIELD * (ALIKE / alike if lengths[0] == lengths[1]
+                    else (1.0 - ALIKE) / (len(LENGTHS) - alike))
+
+
+def _with_field(columns: FloatArray, places: FloatArray, knots: FloatArray,
+                lengths: tuple[float, float] | None, inverse: FloatArray) -> FloatArray:
+    """Return the monomials, and the columns that span the field of a part."""
+    if lengths is None:
+        return columns
+    return np.concatenate([columns, _matern(places, knots, lengths) @ inverse.T], axis=1)
+
+
+def _matern(a: FloatArray, b: FloatArray, lengths: tuple[float, float]) -> FloatArray:
+    """Return the correlations between places, shape (len(a), len(b))."""
+    r = cdist(a * np.sqrt(3.0) / lengths, b * np.sqrt(3.0) / lengths)
+    found: FloatArray = np.exp(-r)
+    r += 1.0
+    found *= r
+    return found
+
+
+def _spread_out(places: FloatArray) -> FloatArray:
+    """Return the places, of many KNOTS that are far apart, whatever their order."""
+    if len(places) <= KNOTS:
+        return places
+    taken = [int(np.argmin(np.linalg.norm(places - places.mean(axis=0), axis=1)))]
+    columns, apart = np.ascontiguousarray(places.T), np.full(len(places), np.inf)
+    while len(taken) < KNOTS:
+        line, sample = columns - columns[:, taken[-1:]]
+        apart = np.minimum(apart, np.sqrt(line * line + sample * sample))
+        taken.append(int(apart.argmax()))
+    return places[taken]
+
+
+def _normalised(logs: FloatArray) -> FloatArray:
+    return np.asarray(np.exp(logs - np.logaddexp.reduce(logs)))

@@ -1,0 +1,323 @@
+"""The posterior of a shrunken polynomial: all solutions on a grid of scales, and their weights.
+
+`termsel.candidates.shrunken` says what the prior is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+
+import numpy as np
+
+from termsel.adjustment.monomials import Exponents, monomials
+from termsel.measurements.features import FloatArray, IntArray
+from termsel.priors.held_out import Prediction, leave_each_out, mean_chance
+from termsel.priors.shrinkage import (
+    CANCELLED,
+    TINY,
+    Design,
+    Side,
+    design_of,
+    shrinkage_of,
+)
+
+SIZES = 10.0 ** np.arange(-0.5, 5.5, 0.5)
+"""Standard deviations of quadratic coefficients by that of the noise. From where they cannot be
+told from 0 to where they are as good as free."""
+
+TYPICAL = 10.0
+"""Size beyond which larger ones are ever less likely, in proportion: the tail of a half-Cauchy
+prior. Where few points leave hardly any redundancy, the data do not exclude that there is no noise
+and all sizes are huge; this does."""
+
+FALLS = (0.01, 0.03, 0.1, 0.3)
+"""Cubic coefficients by quadratic ones."""
+
+RELIEFS = (0.03, 0.1, 0.3, 1.0)
+"""Coefficients of one power of Z more, by those without."""
+
+DRAWS, SPREAD = 64, 1.0
+"""How often factors of single terms are drawn, apart from 1 for all, divided among all pairs of a
+fall and a relief; and their standard deviation in natural logarithms."""
+
+NO_NOISE = 1e-11
+"""Noise that counts as none, as a part of the image's half-range."""
+
+NEVER = 30.0
+"""Solutions less likely than the likeliest by this, in natural logarithms, are left out."""
+
+
+@dataclass(frozen=True, eq=False)
+class Odds:
+    """How likely all solutions of one axis are, groups of scales by sizes, shape (g s,).
+
+    Both make up prior and marginal likelihood, square^-nu/2 exp(evidence).
+    """
+
+    evidence: FloatArray
+    square: FloatArray
+
+
+def scales_of(exponents: FloatArray, draws: int | None = None) -> FloatArray:
+    """Return standard deviations of the shrunken coefficients for size 1, shape (g, k)."""
+    draws = DRAWS if draws is None else draws
+    order, height = exponents.sum(axis=1), exponents[:, 2]
+    reliefs, falls = RELIEFS if height.any() else (1.0,), FALLS if order.max() > 2 else (1.0,)
+    rule = np.array([fall ** (order - 2.0) * relief ** height
+                     for fall in falls for relief in reliefs])
+    rng = np.random.default_rng(0)
+    own = np.exp(SPREAD * rng.standard_normal((draws // len(rule), *rule.shape)))
+    return np.concatenate([rule, (rule * own).reshape(-1, rule.shape[1])])
+
+
+def _odds(design: Design, targets: FloatArray) -> list[Odds]:
+    """Return how likely the solutions of each axis are, for all scales and sizes."""
+    along = design.basis.T @ targets
+    evidence, squares = _mixed(design, along) or _decomposed(design, along)
+    evidence = (evidence - 0.5 * np.log1p((SIZES / TYPICAL) ** 2)).ravel()
+    beyond = (design.beyond(targets) ** 2).sum(axis=0)
+    return [Odds(evidence, rest + square.ravel())
+            for rest, square in zip(beyond, squares, strict=True)]
+
+
+def _decomposed(design: Design, along: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return evidence, shape (g, s), and sums of squares, shape (a, g, s), in the basis."""
+    u, values, _ = design.decomposed(np.arange(len(design.scales)))
+    keep = 1.0 / (1.0 + (SIZES[:, None] * values[:, None, :]) ** 2)           # (g, s, m)
+    squares = keep @ (u.swapaxes(1, 2) @ along) ** 2
+    return 0.5 * np.log(keep).sum(axis=2), np.moveaxis(squares, 2, 0)
+
+
+def _mixed(design: Design, along: FloatArray) -> tuple[FloatArray, FloatArray] | None:
+    """Return the same by one decomposition for all groups, that of the columns of one scale.
+
+    With W what a size leaves along it, and the few other columns C by their scales, a sum of
+    squares is y'W y - y'W C (I + C'W C)^-1 C'W y. None without such columns, and where rounding
+    errors matter: where hardly anything remains of a difference.
+    """
+    few = design.few
+    if few == design.rest.shape[1]:
+        return None
+    ratios, group = np.unique(design.scales[:, few], return_inverse=True)
+    u, values, _ = design.many
+    turned = u.T @ np.concatenate([design.rest[:, :few], along], axis=1)
+    keep = 1.0 / (1.0 + ((SIZES * ratios[:, None])[:, :, None] * values) ** 2)    # (r, s, m)
+    gram = (turned.T @ (keep[..., None] * turned))[group]
+    scale = np.ones((len(group), len(SIZES), turned.shape[1]))
+    scale[..., :few] = SIZES[:, None] * design.scales[:, None, :few]
+    # The last rows are L^-1 C'W y; of the ones that are added, those of the targets are not used.
+    root = np.linalg.cholesky(np.eye(turned.shape[1]) + gram * scale[..., None]
+                              * scale[..., None, :])
+    whole = np.diagonal(gram, axis1=2, axis2=3)[..., few:]
+    squares = whole - (root[..., few:, :few] ** 2).sum(axis=3)
+    if (squares <= CANCELLED * whole).any():
+        return None
+    logs = np.log(np.diagonal(root, axis1=2, axis2=3)[..., :few]).sum(axis=2)
+    return 0.5 * np.log(keep).sum(axis=2)[group] - logs, np.moveaxis(squares, 2, 0)
+
+
+@dataclass(frozen=True, eq=False)
+class Cells:
+    """The points of the grid that matter: which solutions of line and of sample, and how likely.
+
+    `log` is the logarithm of the evidence of all together, up to what the measurements alone say.
+    """
+
+    which: tuple[IntArray, IntArray]
+    share: FloatArray
+    log: float
+
+
+def _cells(odds: Sequence[Odds], freedom: int, noise: float) -> Cells:
+    """Return what is on the grid of group, size of line and size of sample, and not NEVER."""
+    line, sample = (np.arange(len(one.square)).reshape(-1, len(SIZES)) for one in odds)
+    shape = (*line.shape, len(SIZES))
+    first = np.broadcast_to(line[:, :, None], shape).ravel()
+    second = np.broadcast_to(sample[:, None, :], shape).ravel()
+    logarithm = (odds[0].evidence[first] + odds[1].evidence[second] - freedom / 2 * np.log(
+        odds[0].square[first] + odds[1].square[second] + noise))
+    kept = logarithm > logarithm.max() - NEVER
+    share, log = shares(logarithm[kept])
+    return Cells((first[kept], second[kept]), share, float(log))
+
+
+def shares(logarithm: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return probabilities, which add up to 1 along the first axis, and the logarithm of what they
+    had added up to."""
+    highest = logarithm.max(axis=0)
+    share = np.exp(logarithm - highest)
+    total = share.sum(axis=0)
+    share /= total
+    return share, highest + np.log(total)
+
+
+@dataclass(frozen=True, eq=False)
+class Posterior:
+    """All solutions for both axes.
+
+    Parameters
+    ----------
+    odds : tuple of Odds
+        Of line and of sample.
+    cells : Cells
+        Which solutions matter, and their probabilities.
+    freedom : int
+        Equations in use less the terms that are not shrunk.
+    noise : float
+        Sum of squares that counts as none.
+    designs : tuple of Design
+        Of line and of sample.
+    scales : ndarray, shape (g, k)
+        Of the shrunken coefficients for size 1.
+    targets : ndarray, shape (n, 2)
+        Weighted measurements.
+    in_use : int
+        Points whose weight matters; they come first.
+    """
+
+    odds: tuple[Odds, Odds]
+    cells: Cells
+    freedom: int
+    noise: float
+    designs: tuple[Design, Design]
+    scales: FloatArray
+    targets: FloatArray
+    in_use: int
+
+    @cached_property
+    def sides(self) -> tuple[Side, Side]:
+        """Solutions of line and of sample: of many points few matter, and of a model that is not
+        chosen none is asked for."""
+        which, cell = np.unique(np.stack(self.cells.which), return_inverse=True)
+        group, size = np.divmod(which, len(SIZES))
+        line, sample = self.designs
+        of_line = shrinkage_of(line, group, size, SIZES)
+        of_sample = of_line if sample is line else shrinkage_of(sample, group, size, SIZES)
+        return (of_line.side(self.targets[:, 0], cell[0]),
+                of_sample.side(self.targets[:, 1], cell[1]))
+
+    @property
+    def square(self) -> FloatArray:
+        """Sum of squares of each cell, shape (c,)."""
+        line, sample = (odds.square[which]
+                        for odds, which in zip(self.odds, self.cells.which, strict=True))
+        return np.asarray(line + sample + self.noise)
+
+    def mean(self, axis: int) -> tuple[FloatArray, float]:
+        """Return the shrunken coefficients of an axis, averaged, and its effective parameters."""
+        side = self.sides[axis]
+        share = np.bincount(side.cell, self.cells.share, len(side.effective))
+        return share @ side.coefficients, float(side.effective @ share)
+
+    @cached_property
+    def left_out(self) -> Prediction:
+        """What all points but one predict for it, for each point in use."""
+        line, sample = self.sides
+        square = self.square
+        return leave_each_out((line.left, sample.left), (line.errors, sample.errors),
+                              (line.cell, sample.cell), square, self.noise + TINY * square,
+                              self.cells.share, self.cells.log, self.freedom // 2 - 1,
+                              self.in_use)
+
+    def beyond(self, weight: float) -> Prediction:
+        """Return what the points in use predict for the others.
+
+        Parameters
+        ----------
+        weight : float
+            Of the others in the equations, too small to matter.
+        """
+        share, strains = self.cells.share, []
+        errors, spread, mean = (np.zeros((len(self.targets) - self.in_use, 2)) for _ in range(3))
+        for axis, side in enumerate(self.sides):
+            left = side.left[:, self.in_use:]                                         # (u, m)
+            error = side.errors[:, self.in_use:] / left / weight
+            own = 1.0 + (1.0 - left) / weight**2
+            strains.append(error**2 / own / 2)
+            each, sure = (np.bincount(side.cell, one, len(left))
+                          for one in (share, share * self.freedom / self.square))
+            errors[:, axis], spread[:, axis] = each @ error, each @ own
+            mean[:, axis] = sure @ strains[axis]
+        line, sample = self.sides
+        return Prediction(errors, mean_chance((strains[0], strains[1]), (line.cell, sample.cell),
+                                              2.0 / self.square, share, self.freedom // 2),
+                          mean.sum(axis=1), spread, np.full(len(errors), self.cells.log))
+
+
+def posterior(columns: FloatArray, image: FloatArray, order: IntArray, weights: FloatArray | None,
+              scales: FloatArray, in_use: int, few: int | None = None) -> Posterior | None:
+    """Return all solutions for points.
+
+    Parameters
+    ----------
+    columns : ndarray, shape (n, k)
+        Monomials of the scaled ground positions.
+    image : ndarray, shape (n, 2)
+    order : ndarray of int, shape (k,)
+        Orders of the monomials; affine ones first.
+    weights : ndarray, shape (n, 2) or None
+        By which equations are multiplied.
+    scales : ndarray, shape (g, j)
+        As `scales_of` gives them.
+    in_use : int
+        Number of points whose weight matters; they come first.
+    few : int, optional
+        Shrunken columns after which all have one scale in each group; by default none have.
+
+    Returns
+    -------
+    Posterior or None
+        None if all points but any one do not determine the affine terms.
+    """
+    freedom = 2 * (in_use - int((order < 2).sum()))
+    noise = 2 * in_use * (NO_NOISE * float(np.ptp(image, axis=0).max()) / 2) ** 2
+    weights = np.ones_like(image) if weights is None else weights
+    few = scales.shape[1] if few is None else few
+    # Line and sample have one design unless their weights differ.
+    alike = (weights[:, 0] == weights[:, 1]).all()
+    of_line = design_of(columns * weights[:, :1], order < 2, scales, few)
+    of_sample = of_line if alike else design_of(columns * weights[:, 1:], order < 2, scales, few)
+    if of_line is None or of_sample is None or freedom < 4:
+        return None
+    targets = image * weights
+    line, sample = _odds(of_line, targets) if of_line is of_sample else (
+        _odds(of_line, targets[:, :1]) + _odds(of_sample, targets[:, 1:]))
+    return Posterior((line, sample), _cells([line, sample], freedom, noise), freedom, noise,
+                     (of_line, of_sample), scales, targets, in_use)
+
+
+def polynomial_posterior(ground: FloatArray, image: FloatArray, exponents: Exponents,
+                         weights: FloatArray | None) -> Posterior | None:
+    """Return all solutions of a polynomial for points that are all in use.
+
+    Parameters
+    ----------
+    ground : ndarray, shape (n, 3)
+        Scaled to [-1, 1].
+    image : ndarray, shape (n, 2)
+    exponents : k exponents of X, Y, Z
+        Affine ones first.
+    weights : ndarray, shape (n, 2) or None
+        By which equations are multiplied.
+
+    Returns
+    -------
+    Posterior or None
+        As `posterior`.
+    """
+    return _of_polynomial(ground.tobytes(), image.tobytes(), exponents,
+                          None if weights is None else weights.tobytes())
+
+
+@lru_cache(maxsize=2)
+def _of_polynomial(ground: bytes, image: bytes, exponents: Exponents,
+                   weights: bytes | None) -> Posterior | None:
+    """Return the same; a shrunken polynomial, and a field that may be none, ask for one."""
+    powers = np.array(exponents)
+    order = powers.sum(axis=1)
+    places = np.frombuffer(image).reshape(-1, 2)
+    return posterior(monomials(np.frombuffer(ground).reshape(-1, 3), exponents), places, order,
+                     None if weights is None else np.frombuffer(weights).reshape(-1, 2),
+                     scales_of(powers[order > 1]), len(places))

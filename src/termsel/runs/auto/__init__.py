@@ -1,0 +1,1 @@
+"""The strategy auto: a model chosen by what it predicts."""

@@ -1,0 +1,271 @@
+"""The strategy "auto": the best model of the points, with an estimate of its accuracy."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from termsel.candidates.compare import compare, has_heights
+from termsel.candidates.portfolio import (
+    EXACT,
+    Judged,
+    best_of,
+    choose_features,
+    exact,
+    portfolio,
+)
+from termsel.candidates.repetition import folds_of, repeated
+from termsel.errors import TermselError, counted
+from termsel.fits.accuracy import accuracy_of, predicted_by
+from termsel.fits.diagnosis import diagnose
+from termsel.fits.extrapolation import warnings_of
+from termsel.fits.figures import figures, finite_or_none, in_role, residuals_of
+from termsel.fits.fit import Fit
+from termsel.interrupts import answered
+from termsel.measurements.features import FloatArray, no_points, select
+from termsel.measurements.roles import Observations, together, with_lines
+from termsel.measurements.twins import merged
+from termsel.models.base import SensorModel
+from termsel.problems.base import Evaluation, Selection
+from termsel.problems.recipes import Recipe
+from termsel.results.result import Result
+from termsel.runs.auto.final import final_fit
+from termsel.runs.auto.outliers import judged_independent, without_blunders
+from termsel.runs.auto.owdis import with_selected_lines
+from termsel.runs.judgement.judge import judge_choice
+from termsel.runs.task.data_notes import notes_on_data
+from termsel.runs.task.provenance import data_of, plugins_of, versions
+from termsel.runs.task.task import FEW, Request, all_control
+from termsel.solvers.base import Generation
+from termsel.solvers.ledger import Progress
+from termsel.solvers.search import Observer
+
+INTERRUPTED = ("The run was interrupted when {0} of {1} candidates were judged. The choice was not "
+               "repeated without some of the points, so it predicts no accuracy.")
+
+NAMES = ("auto", "as-asked")
+
+LEAST = 2
+"""Control points without which there is no answer."""
+
+
+def wanted(strategy: str | None, recipe: Recipe, asked: Mapping[str, Any], *,
+           unnamed: bool = False) -> bool:
+    """Return whether a run is to choose its method by itself.
+
+    Parameters
+    ----------
+    strategy : {"auto", "as-asked"} or None
+        None means "auto" for problems that a portfolio can answer, but for those whose search comes
+        first, where nothing of a method is asked for.
+    recipe : Recipe
+    asked : mapping
+        What the user has named of a method, by what it is called; None or empty counts as not
+        named.
+    unnamed : bool
+        Whether nobody named the problem: then "auto" comes before its own search.
+
+    Raises
+    ------
+    TermselError
+        If "auto" is asked for and so is a method, or the problem is not one for it.
+    """
+    if strategy is not None and strategy not in NAMES:
+        raise TermselError(f"there is no strategy {strategy!r}",
+                           hint=f"Choose {' or '.join(NAMES)}.")
+    named = [name for name, value in asked.items() if value]
+    if strategy != "auto":
+        return (strategy is None and recipe.portfolio and (unnamed or not recipe.search_first)
+                and not named)
+    if not recipe.portfolio:
+        raise TermselError(f"the strategy auto is not for the problem {recipe.name}",
+                           hint="It chooses among models of points and lines: rfm-terms, "
+                                "poly-terms, owdis-lines.")
+    if named:
+        raise TermselError(
+            f"the strategy auto chooses the method itself, and {named[0]} is asked for",
+            hint="Leave one of them out; --strategy as-asked runs a method as it is.")
+    return True
+
+
+class _Watch:
+    """Tells observers how far a choice is, and keeps the candidates judged for all points.
+
+    Parameters
+    ----------
+    observers : iterable of callable
+    candidates, folds : int
+        How many there are; each fold judges all candidates, as the choice itself does.
+
+    Attributes
+    ----------
+    candidates : int
+    judged : list of Judged
+        Of all points.
+    count : int
+        Candidates judged, those of folds included.
+    """
+
+    def __init__(self, observers: Iterable[Observer], candidates: int, folds: int) -> None:
+        self._observers = tuple(observers)
+        self.candidates, self._folds = candidates, folds
+        self.judged: list[Judged] = []
+        self.count = 0
+
+    def tell(self, what: str, share: float | None = None) -> None:
+        """Tell what is being done, and the share of it that is done."""
+        best = min((one.predicted for one in self.judged), default=np.inf)
+        generation = Generation(self.count, np.zeros((0, 0), dtype=bool),
+                                Evaluation(np.zeros((0, 1)), np.zeros(0)))
+        for observe in self._observers:
+            observe(Progress(generation, self.count, share, best, 0.0,
+                             np.zeros(0, dtype=bool), what))
+
+    def candidate(self, one: Judged | None) -> None:
+        """Count a candidate that was judged, and tell."""
+        fold = self.count // self.candidates
+        self.count += 1
+        if one and not fold:
+            self.judged.append(one)
+        self.tell("candidates" if not fold else f"fold {fold} of {self._folds}",
+                  self.count / self.candidates / (1 + self._folds))
+
+
+def choose_for(request: Request, observations: Observations, seed: int,
+               observers: Iterable[Observer] = ()) -> Result:
+    """Return the choice from the portfolio as a result.
+
+    Parameters
+    ----------
+    request : Request
+        Its model and solver take no part.
+    observations : Observations
+    seed : int
+        Of the search by OWDIS, where there are points and lines.
+    observers : iterable of callable
+        Called with `Progress` after each candidate.
+
+    Returns
+    -------
+    Result
+        Also when interrupted with Ctrl-C, if any candidate was judged.
+
+    Raises
+    ------
+    TermselError
+        If control and check points together determine no candidate.
+    """
+    start = time.perf_counter()
+    heights = has_heights(observations)
+    watch = _Watch(observers, len(portfolio(heights)), folds_of(merged(together(observations))))
+    watch.tell("blunders")
+    of_data = tuple(notes_on_data(request.features, observations, heights=True))
+    clean, outliers, notes = without_blunders(observations, heights)
+    both = merged(together(clean))
+    choice, errors, interrupted = None, None, False
+    heights = has_heights(clean)
+    try:
+        choice = exact(both) if len(both) <= EXACT else choose_features(
+            both, heights, watch.candidate)
+        if choice and len(both.lines):
+            watch.tell("OWDIS")
+            choice, errors = with_selected_lines(both, heights, choice, seed)
+        if choice and errors is None and len(both) > EXACT:
+            errors = repeated(both, heights, watch.candidate)
+    except KeyboardInterrupt:
+        choice, errors, interrupted = choice or best_of(watch.judged), None, True
+        if choice is None:
+            raise
+        answered()
+    if choice is None:
+        raise TermselError(
+            f"the {len(both)} control and check {both.word} lie so that no model can be held "
+            "against them", hint="Measure more, spread over the scene.")
+    chosen, comparison = choice.chosen, compare(clean, choice)
+    if errors is not None and not len(chosen.fit.control.lines):
+        errors = errors[:len(both.points)]  # what lines were predicted to be says nothing
+    expected = None if errors is None else predicted_by(
+        chosen.fit, errors, len(observations.independent))
+    predicted = None if expected is None else expected.rmse
+    observations = with_lines(clean, observations.control.lines)
+    fitted = in_role(chosen.fit, observations)
+    model = fitted.model
+    rmse = figures(fitted, observations)
+    contradicting, more = judged_independent(observations.independent, heights, chosen)
+    final = final_fit(chosen, observations.features.points, heights,
+                      [one.id for one in contradicting])
+    # The chosen one is the selection, and is not shown twice unless it is plain.
+    baselines = tuple(b for b in comparison.baselines
+                      if b.name != chosen.name or chosen.candidate.is_plain)
+    folds = folds_of(both)
+    said = INTERRUPTED.format(min(watch.count, watch.candidates), watch.candidates) \
+        if interrupted else ""
+    return Result(
+        problem=request.recipe.name, model=model.name, solver="auto", criterion="press", seed=seed,
+        options={"problem": {}, "data": request.options["data"], "model": model.options,
+                 "solver": {}, "criterion": {}, "search": {}},
+        data=data_of(request.features, request.source, observations),
+        selection=Selection(select(model.terms, fitted.terms),
+                            select(observations.control.ids, fitted.used)),
+        feasible=True, rmse=rmse, baselines=baselines,
+        judgement=judge_choice(chosen.candidate, predicted, rmse, baselines,
+                               request.features.noise),
+        notes=(*_few(request),
+               *of_data,
+               *_notes(request.model, clean, errors, said,
+                       plane=not model.uses_height), *notes, *_lines(fitted), *more),
+        outliers=(*outliers, *contradicting), predicted=expected,
+        accuracy=accuracy_of(fitted, observations.independent), final=final,
+        objectives={"press": chosen.predicted} if np.isfinite(chosen.predicted) else {},
+        evaluations=watch.count or len(choice.judged), lookups=0, generations=0,
+        seconds=time.perf_counter() - start, interrupted=interrupted, polish=None, fit=fitted,
+        residuals=residuals_of(fitted, observations, check_used=True),
+        # Blunders are those that were left out, by a test of their own.
+        diagnosis=replace(diagnose(fitted), doubts=None),
+        features=observations.features, versions=versions(),
+        plugins=plugins_of(request),
+        strategy={
+            "name": "auto", "chosen": chosen.name, "reason": choice.reason,
+            "predicted": predicted, "folds": folds,
+            "fitted_to": ["control", "check"],
+            "candidates": [
+                {"name": one.name, "model": one.fit.model.name,
+                 "n_terms": int(one.fit.terms.sum()), "effective": one.fit.effective,
+                 "predicted": finite_or_none(one.predicted)} for one in choice.judged]})
+
+
+def _lines(fitted: Fit) -> list[str]:
+    lines = len(fitted.control.lines.features)
+    if not lines or fitted.used[len(fitted.control.points):].any():
+        return []
+    return [f"None of the {counted(lines, 'line')} is used: the points alone predict better."]
+
+
+def _few(request: Request) -> list[str]:
+    if not all_control(request):
+        return []
+    return [f"With fewer than {FEW} points and no roles, all points are control. --set "
+            "fractions=2:1:1 assigns roles all the same."]
+
+
+def _notes(model: SensorModel, observations: Observations, errors: FloatArray | None,
+           interrupted: str = "", *, plane: bool = False) -> list[str]:
+    both = together(observations)
+    notes = [*warnings_of(both, np.ones(len(both), dtype=bool), no_points())]
+    if interrupted:
+        notes.append(interrupted)
+    elif len(both) <= EXACT:
+        notes.append(f"{len(both)} {both.word} determine the model exactly, so nothing tells its "
+                     "accuracy." + " They do not tell either whether the image is mirrored."
+                     * (len(both) == 2))
+    elif errors is None:
+        notes.append(f"The {both.word} are too few to repeat the choice without some of them, so "
+                     "it predicts no accuracy.")
+    if not plane and has_heights(observations) and not model.uses_height:
+        notes.append(f"Heights are known and were used. --model {model.name} keeps to a plane "
+                     "model.")
+    return notes

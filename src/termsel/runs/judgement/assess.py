@@ -1,0 +1,263 @@
+"""What a search found: its figures, its front, and what it is compared with."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, replace
+from typing import Any
+
+import numpy as np
+
+from termsel.candidates.compare import compare_robustly
+from termsel.candidates.ridge import RidgeByOrder
+from termsel.errors import TermselError, unknown_name
+from termsel.fits.accuracy import accuracy_of
+from termsel.fits.diagnosis import Doubts, diagnose
+from termsel.fits.figures import baseline, figures, plain_rmse, residuals_of
+from termsel.fits.fit import Fit
+from termsel.fits.least_squares import fit
+from termsel.guard.faults import HINT, wrong
+from termsel.measurements.features import BoolArray
+from termsel.models.base import SensorModel
+from termsel.models.poles import guard_points, pole_violation
+from termsel.problems.base import Selection
+from termsel.problems.segments import Genes
+from termsel.results.result import Outlier, Result
+from termsel.runs.judgement.judge import judge, name_conventional, notes_on
+from termsel.runs.task.data_notes import notes_on_data
+from termsel.runs.task.provenance import data_of, notes_on_sessions, plugins_of, versions
+from termsel.runs.task.task import Task
+from termsel.solvers.base import GIVEN
+from termsel.solvers.proofs.exact import gap
+from termsel.solvers.proofs.proof import SizeProof
+from termsel.solvers.search import Search
+
+
+def assess(task: Task, genes: Genes) -> Result:
+    """Return the result of genes that an optimiser of one's own has found.
+
+    Independent points are looked at here alone: assess what the optimiser ends with, and nothing
+    that it decides by.
+
+    Parameters
+    ----------
+    task : Task
+        As `termsel.prepare` returns it; the optimiser minimises ``task.problem.evaluate``.
+    genes : ndarray, shape (size,)
+        Valid genes of ``task.problem.genome``; its `repair` makes such of any numbers.
+
+    Returns
+    -------
+    Result
+        With "given" as its solver.
+
+    Raises
+    ------
+    TermselError
+        For genes of another dtype or shape, or out of bounds.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import termsel
+    >>> task = termsel.prepare("poly-terms", options={"degree": 2})
+    >>> genes = task.problem.genome.random(np.random.default_rng(1), 100)
+    >>> order = task.problem.evaluate(genes).order()
+    >>> result = termsel.assess(task, genes[order[0]])
+    >>> result.solver
+    'given'
+    """
+    one = np.asarray(genes)[None]
+    if fault := task.problem.genome.fault(one):
+        raise TermselError(f"termsel.assess got {fault}",
+                           hint="Give one chromosome, as task.problem.genome.repair returns them.")
+    found = task.problem.evaluate(one)
+    result = assessed(task, Search(
+        one[0], found.objectives[0], float(found.violation[0]), seed=0, evaluations=1,
+        generations=0, lookups=0, seconds=0.0, interrupted=False,
+        notes=("The genes were given to termsel.assess; how they were found is not recorded.",)))
+    return replace(result, solver=GIVEN, options={**result.options, "solver": {}},
+                   plugins={part: one for part, one in result.plugins.items()
+                            if part != "solver"})
+
+
+def assessed(task: Task, found: Search) -> Result:
+    """Return the figures of what a search found.
+
+    This is where independent points are looked at, for the first and only time.
+
+    Parameters
+    ----------
+    task : Task
+    found : Search
+    """
+    observations = task.observations
+    selection = task.problem.decode(found.genes)
+    chosen = estimated(task, selection, found)
+    judged = chosen.estimator.least_squares
+    feasible = is_feasible(task, found, chosen)
+    # The objectives of least squares are not those of other coefficients.
+    objectives = found.objectives.tolist() if judged else []
+    rmse, diagnosis = figures(chosen, observations), diagnose(chosen)
+    everything = fit(task.model, observations.control, task.scaling)
+    comparison = compare_robustly(observations)
+    sizes = _sizes(task, found)
+    members = {genes.tobytes(): _member(task, genes)
+               for genes in (*found.front, *(one.genes for one in sizes))}
+    baselines = (baseline("all-terms", everything, None, observations, ("control",)),
+                 *comparison.baselines)
+    return Result(
+        problem=task.recipe.name, model=task.model.name, solver=task.solver.name,
+        criterion=task.criterion.name, seed=found.seed,
+        options={**task.options, "model": task.model.options, "solver": task.solver.options,
+                 "criterion": task.criterion.options,
+                 **({"then": task.then.options} if task.then else {})},
+        data=data_of(task.features, task.source, observations), selection=selection,
+        feasible=feasible, rmse=rmse,
+        baselines=baselines,
+        judgement=judge(name_conventional(task.problem.genome, observations),
+                        task.criterion.name, rmse, baselines, comparison.reference, feasible,
+                        task.features.noise, candidate=comparison.candidate,
+                        blunders=len(comparison.blunders)),
+        notes=(*notes_on_data(task.features, observations, task.model.uses_height),
+               *notes_on(observations, task.criterion, found, chosen),
+               *_on_replaced(task.model, selection), *notes_on_sessions(plugins_of(task))),
+        objectives=dict(zip(task.problem.objectives, objectives, strict=False)),
+        evaluations=found.evaluations, lookups=found.lookups, generations=found.generations,
+        seconds=found.seconds, interrupted=found.interrupted,
+        polish=asdict(found.polish) if found.polish else None,
+        history=tuple(one.to_dict() for one in found.history), fit=chosen,
+        residuals=residuals_of(chosen, observations),
+        diagnosis=diagnosis,
+        outliers=tuple(_outliers(chosen, diagnosis.doubts)),
+        accuracy=accuracy_of(chosen, observations.independent),
+        features=observations.features, versions=versions(),
+        plugins=plugins_of(task),
+        front=tuple(members[genes.tobytes()] for genes in found.front),
+        by_size=tuple({**members[one.genes.tobytes()], "better": one.better,
+                       "optimal": one.optimal, "bound": one.bound, "gap": one.gap}
+                      for one in sizes),
+        certificate=_certificate(task, found, chosen))
+
+
+def _on_replaced(model: SensorModel, selection: Selection) -> Iterable[str]:
+    """Yield which options of the model have other values than those they were given."""
+    for option in model.declared_options:
+        asked, name = model.options[option.name], option.name
+        if asked not in (option.default, selection.parameters.get(name, asked)):
+            yield (f"Option {name} of the model was {asked}; the problem chose "
+                   f"{selection.parameters[name]} in its place.")
+
+
+def _outliers(chosen: Fit, found: Doubts | None) -> Iterable[Outlier]:
+    """Yield the features that the diagnosis takes for blunders."""
+    if found is None:
+        return
+    for name, error in found.wrong.items():
+        kind = "point" if name in chosen.control.points.ids else "line"
+        yield Outlier(name, kind, "control", error, name not in found.in_use)
+
+
+def is_feasible(task: Task, found: Search, chosen: Fit) -> bool:
+    """Return whether the fit of a selection satisfies all conditions.
+
+    The coefficients may be others than those the search saw, so poles are looked for again.
+
+    Parameters
+    ----------
+    task : Task
+    found : Search
+    chosen : Fit
+        As `estimated` returns it.
+    """
+    return (found.violation == 0 if chosen.estimator.least_squares else chosen.determined) \
+        and not _has_pole(task, chosen)
+
+
+def estimated(task: Task, selection: Selection, found: Search) -> Fit:
+    """Return the fit of a selection, by the estimator that the task or the solver asks for.
+
+    Parameters
+    ----------
+    task : Task
+    selection : Selection
+    found : Search
+    """
+    chosen = fit_of(task, selection)
+    if task.options["problem"].get("shrink"):
+        return RidgeByOrder().fit(chosen.model, chosen.control, task.scaling, chosen.terms,
+                                  chosen.used)
+    return chosen if found.coefficients is None else chosen.with_coefficients(found.coefficients)
+
+
+def _certificate(task: Task, found: Search, chosen: Fit) -> Mapping[str, Any] | None:
+    """Return what the solver proved, or how far its find is from the proven optimum."""
+    claim = plugins_of(task).get("solver")
+    if found.certificate is not None and claim:
+        return {**_required(found.certificate, claim["name"]), "claimed_by": claim["name"]}
+    if (found.certificate is not None or found.violation or found.interrupted
+            or not chosen.estimator.least_squares or len(found.objectives) > 1):
+        return found.certificate
+    return gap(task.problem, float(found.objectives[0]))
+
+
+def _required(certificate: Mapping[str, Any], solver: str) -> dict[str, Any]:
+    """Return what a plugin's certificate must say; refuse one that does not."""
+    kinds = {"optimal": bool, "subsets": int, "of": int, "space": str}
+    if not isinstance(certificate, Mapping) or any(
+            not isinstance(certificate.get(key), kind) for key, kind in kinds.items()):
+        raise TermselError(f"the certificate of solver {solver!r} lacks something or has it of "
+                           f"another type: it needs {', '.join(kinds)}",
+                           hint="This is a bug in the solver: tell its author.")
+    return {key: certificate[key] for key in kinds}
+
+
+def _sizes(task: Task, found: Search) -> list[SizeProof]:
+    """Return what the solver proved of the selections of each size; nothing of a plugin's."""
+    return [] if found.proof is None or "solver" in plugins_of(task) \
+        else found.proof.by_size(task.problem)
+
+
+def _member(task: Task, genes: Genes) -> Mapping[str, Any]:
+    """Return the member of a front, with its RMSE on all roles."""
+    observations, selection = task.observations, task.problem.decode(genes)
+    member = fit_of(task, selection)
+    values = task.problem.evaluate(genes[None]).objectives[0].tolist()
+    size = len(selection.features if task.recipe.second == "n_features" else selection.terms)
+    return {"objectives": {task.recipe.second: size,
+                           **dict(zip(task.problem.objectives, values, strict=True))},
+            "selection": selection.to_dict(),
+            "rmse": plain_rmse({"control": member.control_rmse(),
+                                "check": member.rmse(observations.check),
+                                "independent": member.rmse(observations.independent)})}
+
+
+def fit_of(task: Task, selection: Selection) -> Fit:
+    """Return the model fitted with the terms and features that a problem's genes stand for.
+
+    Where the iteration for lines under separate denominators ends with a pole in the scene,
+    the solution it began with, which the search judged, is taken.
+    """
+    control = task.observations.control
+    model = task.model.with_parameters(selection.parameters)
+    terms = _mask(task, model.terms, selection.terms, "term")
+    used = _mask(task, control.ids, selection.features, "control feature")
+    chosen = fit(model, control, task.scaling, terms, used)
+    return fit(model, control, task.scaling, terms, used, iterated=False) \
+        if _has_pole(task, chosen) else chosen
+
+
+def _has_pole(task: Task, chosen: Fit) -> bool:
+    """Return whether a denominator falls short somewhere in the scene."""
+    guard = guard_points(task.scaling.features(task.observations.control),
+                         task.scaling.points(task.observations.check))
+    return bool(pole_violation(chosen.model, chosen.adjustment.coefficients[None], guard).any())
+
+
+def _mask(task: Task, names: tuple[str, ...], chosen: Iterable[str], what: str) -> BoolArray:
+    """Return which names a problem's `decode` gives; refuse one that there is not."""
+    wanted = set(chosen)
+    if not wanted <= set(names):
+        known = unknown_name(what, min(wanted - set(names)), names)
+        raise wrong(task.problem, "decode", f"names an {known.what}", f"{known.hint} {HINT}")
+    return np.array([name in wanted for name in names], dtype=bool)

@@ -1,0 +1,1 @@
+"""The search of a run: steps, blunders, recommendation."""

@@ -1,0 +1,113 @@
+"""Terms and features selected one after the other."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from termsel.errors import TermselError
+from termsel.guard.faults import PluginFault
+from termsel.measurements.features import BoolArray
+from termsel.problems.base import Problem
+from termsel.problems.selection import SelectionProblem
+from termsel.runs.task.task import Task
+from termsel.solvers.base import Solver
+from termsel.solvers.budget import EVALUATIONS, require_limits
+from termsel.solvers.refinement import POLISH_SHARE
+from termsel.solvers.search import Search, begin, search
+
+
+def search_in_steps(task: Task, **how: Any) -> Search:
+    """Search a task's problem as its option "steps" says.
+
+    "joint" searches terms and features together. "terms-first" selects terms with all features
+    in use, then features under these terms; "features-first" selects features under all terms,
+    then terms. The pages of Yavari et al. 2018 that could be consulted combine both and give no
+    sequence. The second step may have a solver of its own. The first step has half of the budget,
+    the second what is left, so that two steps cost no more than one search.
+
+    Parameters
+    ----------
+    task : Task
+    **how
+        Arguments of `termsel.search`.
+
+    Returns
+    -------
+    Search
+        Of the last step; evaluations, generations and seconds are those of both.
+
+    Raises
+    ------
+    TermselError
+        For two steps with several objectives, if the solver of the second cannot take it, or if
+        the first step finds nothing feasible.
+    """
+    problem, options = task.problem, task.options["search"]
+    order = task.options["problem"].get("steps", "joint")
+    if order == "joint" or not isinstance(problem, SelectionProblem):
+        return search(problem, task.solver, **options, **how)
+    if len(problem.objectives) > 1:
+        raise TermselError(f"steps={order} is for one objective, and there are "
+                           f"{len(problem.objectives)}: {', '.join(problem.objectives)}",
+                           hint="Choose --set steps=joint, or a solver for one objective.")
+    is_feature = np.zeros(len(problem.genome.labels), dtype=bool)
+    is_feature[problem.genome.label_slices()["features"]] = True
+    later = is_feature if order == "terms-first" else ~is_feature
+    everything: BoolArray = problem.genome.on | ~problem.genome.off
+    beginning = problem.frozen(everything, later)
+    if task.then is not None:
+        _require_beginning(problem.frozen(everything, ~later), task.then)
+    require_limits(**{name: how.get(name) for name in _LIMITS})
+    budget = _budget(task, how)
+    first = search(beginning, task.solver, **options, **{**how, **{
+        name: value / 2 if name == "seconds" else max(value // 2, 1)
+        for name, value in budget.items()}})
+    word = order.split("-")[0]
+    if first.violation:
+        raise TermselError(
+            f"no selection of {word} with everything else in use satisfies all conditions",
+            hint="Choose --set steps=joint or the other order, or lower the order or degree of "
+                 "the model.")
+    if first.interrupted:
+        return first
+    solver = task.then or task.solver
+    chosen = beginning.genome.chosen(first.genes[None])[0]
+    second = search(problem.frozen(chosen, ~later), solver, **options, **{**how, **{
+        name: max(value - getattr(first, name), _LEAST if name == "seconds" else 1)
+        for name, value in budget.items()}})
+    by = [f" by {each.name}" if task.then else "" for each in (task.solver, solver)]
+    note = (f"In two steps: {word} first{by[0]}, {problem.objectives[0]} "
+            f"{first.objectives[0]:.4g} with {int(chosen[~later].sum())} of "
+            f"{int((~later).sum())} and everything else in use; then the rest{by[1]}, "
+            f"{second.objectives[0]:.4g}.")
+    return second.after(first, note)
+
+
+_LIMITS = ("generations", "evaluations", "seconds")
+"""Of a budget that two steps share."""
+
+_LEAST = 1e-3
+"""Seconds of a second step for which the first left no time: enough for one population."""
+
+
+def _budget(task: Task, how: dict[str, Any]) -> dict[str, float]:
+    """Return the budget of both steps together: that given, or else that of every search."""
+    given = {name: how[name] for name in _LIMITS if how.get(name) is not None}
+    if given or how.get("patience") is not None or task.solver.ends_by_itself:
+        return given
+    return {"evaluations": EVALUATIONS * (
+        1 + POLISH_SHARE if task.options["search"]["polish"] else 1)}
+
+
+def _require_beginning(problem: Problem, solver: Solver) -> None:
+    """Refuse a solver that refuses the second step, before the first has run."""
+    try:
+        begin(problem, solver)
+    except PluginFault:
+        raise
+    except TermselError as error:
+        raise TermselError(
+            f"solver {solver.name!r} cannot do the second step: {error.what}",
+            hint=error.hint and error.hint.replace("--solver", "--then")) from None

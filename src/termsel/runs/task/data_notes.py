@@ -1,0 +1,117 @@
+"""Notes on the data themselves, whatever method they are used by."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from termsel.candidates.candidate import heights_differ
+from termsel.candidates.relief import carriers
+from termsel.measurements.coordinates.crs import is_geocentric
+from termsel.measurements.coordinates.longitudes import jumps
+from termsel.measurements.coordinates.metres import in_metres
+from termsel.measurements.features import FeatureSet, FloatArray, Points
+from termsel.measurements.joined import join_points
+from termsel.measurements.roles import Observations, together
+from termsel.measurements.twins import groups, twins
+
+SOME = 5
+"""Number of points from which on heights may be told from errors."""
+
+NAMED = 5
+"""Groups of points that a note names."""
+
+NARROW = 0.02
+"""Spread across the main direction of all features, by that along it, up to which they lie on a
+line."""
+
+
+def notes_on_data(read: FeatureSet, observations: Observations, heights: bool) -> Iterator[str]:
+    """Yield what the reader of a result must know of the data.
+
+    Parameters
+    ----------
+    read : FeatureSet
+        As read.
+    observations : Observations
+        The same features, each in its role.
+    heights : bool
+        Whether heights would be used.
+    """
+    if jumps(read):
+        yield ("The longitudes jump by a full turn between points. They were made continuous: on "
+               "one side they go on beyond 180 degrees.")
+    both, independent = together(observations), observations.independent
+    yield from _on_twins(both.points, independent)
+    yield from _on_one_line(both)
+    z = both.ground_vertices()[:, 2]
+    if not heights:
+        return
+    yield from _on_carriers(both)
+    if len(z) > 1 and (z == z[0]).all():
+        yield (f"All heights are {z[0]:g}, so they were not used. If they are not known, leave "
+               "them blank or take them from a raster (--dem FILE).")
+
+
+def _on_one_line(both: FeatureSet) -> Iterator[str]:
+    """Yield where the features lie on one straight line, in the image or on the ground."""
+    where = " and ".join(name for name, places in (
+        ("in the image", both.image_vertices()), ("on the ground", _in_plan(both)))
+        if _is_narrow(places))
+    if where:
+        yield (f"All {both.word} lie close to one straight line {where}. Nothing tells what the "
+               "model does away from it: measure points there.")
+
+
+def _in_plan(both: FeatureSet) -> FloatArray:
+    """Return where features are on the ground, with one unit along all axes."""
+    ground = both.ground_vertices()
+    if both.crs and is_geocentric(both.crs):
+        # In x and y alone a scene may be seen from its side.
+        return ground[~np.isnan(ground[:, 2])]
+    plan = ground[:, :2] - ground[:, :2].mean(axis=0)
+    metres = in_metres(both.crs, ground, plan) if both.crs else None
+    return plan if metres is None else metres
+
+
+def _is_narrow(places: FloatArray) -> bool:
+    """Return whether three or more places lie on a line, and not all at one place."""
+    if len(places) <= 2:
+        return False
+    along, across, *_ = np.linalg.svd(places - places.mean(axis=0), compute_uv=False)
+    return bool(along > 0.0 and across <= NARROW * along)
+
+
+def _on_carriers(both: FeatureSet) -> Iterator[str]:
+    """Yield which features heights rest on, where they are one or two."""
+    if not heights_differ(both):
+        return
+    carrying = carriers(both)
+    if len(carrying) == 1 and len(both) < SOME:
+        yield (f"With {len(both)} {both.word} nothing tells what a height does from an error, so "
+               "the model is plane.")
+    elif carrying:
+        yield (f"All heights but that of {' and that of '.join(carrying)} lie on a plane. What a "
+               "height does cannot be told from an error there, so the model is plane. If such a "
+               "point is left out as a blunder, its height may be the reason.")
+
+
+def _on_twins(both: Points, independent: Points) -> Iterator[str]:
+    """Yield what is to be said of points that repeat each other."""
+    found = groups(both.ids, twins(both.ground))
+    if found:
+        yield (f"Points too close to each other to tell anything apart share a role and a fold: "
+               f"{_listed(found)}.")
+    every = join_points(both, independent)
+    apart = set(independent.ids)
+    shared = [group for group in groups(every.ids, twins(every.ground, both.ground))
+              if 0 < len(apart.intersection(group)) < len(group)]
+    if shared:
+        yield (f"Independent points at the places of control or check points do not test the "
+               f"model: {_listed(shared)}.")
+
+
+def _listed(found: list[tuple[str, ...]]) -> str:
+    named = ", ".join(" and ".join(group) for group in found[:NAMED])
+    return f"{named} and {len(found) - NAMED} more groups" if len(found) > NAMED else named

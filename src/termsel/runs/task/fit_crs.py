@@ -1,0 +1,137 @@
+"""The coordinates models are fitted in: geodetic, projected, geocentric, or those given."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import replace
+
+import numpy as np
+
+from termsel.candidates.compare import has_heights
+from termsel.candidates.portfolio import choose
+from termsel.errors import TermselError
+from termsel.measurements.coordinates.crs import (
+    LOCAL,
+    WGS84,
+    is_geocentric,
+    normalise,
+    to_wgs84,
+    transformation,
+)
+from termsel.measurements.coordinates.longitudes import continuous
+from termsel.measurements.coordinates.utm import utm_zone
+from termsel.measurements.features import FeatureSet
+from termsel.measurements.roles import Observations, together
+from termsel.models.base import SensorModel
+from termsel.options import Option
+
+log = logging.getLogger(__name__)
+
+AUTO = "auto"
+SYSTEMS = {"geodetic": "EPSG:4979", "projected": "", "geocentric": "EPSG:4978"}
+"""CRS of each kind of coordinates; the UTM zone of projected ones is that of the control."""
+
+FIT_CRS = Option(
+    "fit_crs", None, "CRS the model is fitted in; by default that of the ground coordinates. "
+    "geodetic is WGS84 longitude, latitude and ellipsoidal height; projected is the UTM zone of "
+    "the control; geocentric is WGS84 X, Y, Z; EPSG:n is any other. auto takes the one of the "
+    "first three that predicts best by leave-one-out. Coordinates of files and results stay in "
+    "their own CRS.")
+
+
+def with_fit_crs(choice: str, observations: Observations, model: SensorModel) -> Observations:
+    """Return observations that say in which CRS a model is fitted.
+
+    Parameters
+    ----------
+    choice : str
+        As the option `FIT_CRS` takes it.
+    observations : Observations
+        Independent points take no part in the choice of a UTM zone or of a CRS.
+    model : SensorModel
+
+    Raises
+    ------
+    TermselError
+        For "local" coordinates, an unknown CRS, coordinates that pyproj cannot transform or
+        without pyproj; for geocentric coordinates under a plane model, or of features whose
+        heights are unknown or all alike.
+    """
+    features, control = observations.features, observations.control
+    if normalise(features.crs) == LOCAL:
+        raise TermselError(f"--fit-crs {choice}: plane coordinates without a CRS cannot be turned "
+                           "into others", hint="State the CRS of the ground coordinates, or leave "
+                                               "--fit-crs out.")
+    spatial = model.uses_height and has_heights(observations)
+    if choice == AUTO:
+        fit_crs = _best(observations, spatial)
+    else:
+        fit_crs = fit_crs_of(choice, control)
+        if not spatial and is_geocentric(fit_crs):
+            raise TermselError(
+                f"geocentric coordinates need heights that are known and differ, and model "
+                f"{model.name!r} " + ("finds none" if model.uses_height else "has none"),
+                hint="Give heights and choose a model with heights, such as --model poly3d; or "
+                     "fit in geodetic or projected coordinates.")
+    # What cannot be transformed is said now.
+    for known in (control.ground_vertices(), observations.check.ground,
+                  observations.independent.ground):
+        transformation(features.crs, fit_crs)(known)
+    if fit_crs == normalise(features.crs) or WGS84.issuperset((fit_crs, normalise(features.crs))):
+        fit_crs = ""
+    return observations.fitted_in(fit_crs)
+
+
+def fit_crs_of(choice: str, control: FeatureSet) -> str:
+    """Return the name of a CRS.
+
+    Parameters
+    ----------
+    choice : str
+        "geodetic", "projected", "geocentric", or a CRS by its own name.
+    control : FeatureSet
+        In a CRS.
+
+    Raises
+    ------
+    TermselError
+        As `with_fit_crs`.
+    """
+    if choice not in SYSTEMS:
+        try:
+            name = normalise(choice)
+        except TermselError as error:
+            raise TermselError(
+                f"option 'fit_crs' does not take {choice!r}: {error.what}",
+                hint=f"It takes: {AUTO} | {' | '.join(SYSTEMS)} | EPSG:n.") from error
+        if name == LOCAL:
+            raise TermselError("option 'fit_crs' does not take 'local'",
+                               hint="Leave it out to fit in the coordinates as they are.")
+        return name
+    return SYSTEMS[choice] or _utm_zone(control)
+
+
+def _utm_zone(control: FeatureSet) -> str:
+    """Return the UTM zone of the middle of the control."""
+    place = to_wgs84(control.crs)(control.ground_vertices())
+    lon, lat = continuous(place[:, 0]), place[:, 1]
+    return utm_zone(*(float(part.min() + part.max()) / 2 for part in (lon, lat)))
+
+
+def _best(observations: Observations, spatial: bool) -> str:
+    """Return the CRS in which the best of the plain and shrunken models predicts best."""
+    both, heights = together(observations), has_heights(observations)
+    predicted: dict[str, float] = {}
+    for system in SYSTEMS:
+        fit_crs = fit_crs_of(system, observations.control)
+        if is_geocentric(fit_crs) and not spatial:
+            continue
+        choice = choose(replace(both, fit_crs=fit_crs), heights)
+        predicted[fit_crs] = np.inf if choice is None else choice.chosen.predicted
+    best = min(predicted, key=lambda crs: predicted[crs])
+    if not np.isfinite(predicted[best]):
+        return normalise(both.crs)
+    log.info("Fitted in %s; by leave-one-out %s pixel.", best, ", ".join(
+        f"{crs} {value:.3f}" for crs, value in predicted.items()))
+    return best
+

@@ -1,0 +1,98 @@
+"""What a result is made of: data and versions, for the record."""
+
+from __future__ import annotations
+
+import platform
+from collections.abc import Iterator, Mapping
+from importlib.metadata import version
+from typing import TYPE_CHECKING, Any
+
+from termsel.measurements.coordinates.crs import height_reference
+from termsel.measurements.features import FeatureSet
+from termsel.measurements.roles import Observations
+from termsel.plugins.hookspecs import PROJECT
+from termsel.plugins.registry import SESSION, registry
+from termsel.results.checksums import of_features
+
+if TYPE_CHECKING:
+    from termsel.runs.task.task import Request, Task
+
+
+def data_of(features: FeatureSet, source: str, observations: Observations) -> dict[str, Any]:
+    """Return what a record says of the features its result is made of.
+
+    Parameters
+    ----------
+    features : FeatureSet
+        As read.
+    source : str
+    observations : Observations
+        The same features, each in its role.
+    """
+    control, size = observations.control, features.image_size
+    return {
+        "source": source, "sha256": of_features(features), "crs": features.crs,
+        "fit_crs": control.fit_crs or features.crs,
+        "heights": features.heights or height_reference(features.crs) or None,
+        "noise": features.noise, "image_size": size and list(size),
+        "counts": {"control": len(control.points), "check": len(observations.check),
+                   "independent": len(observations.independent),
+                   "lines": len(control.lines.features), "off": len(observations.off)},
+        "roles": {"control": list(control.ids), "off": list(observations.off),
+                  "check": list(observations.check.ids),
+                  "independent": list(observations.independent.ids)}}
+
+
+def versions() -> dict[str, str]:
+    """Return the versions of termsel and what it computes with."""
+    packages = ("termsel", "numpy", "scipy", "numba", "deap", "pymoo")
+    return {"python": platform.python_version(), **{name: version(name) for name in packages}}
+
+
+def plugins_of(asked: Request | Task) -> dict[str, dict[str, str]]:
+    """Return the parts of a run that plugins provide, for the record.
+
+    A name alone does not identify them: two packages may use the same one.
+
+    Parameters
+    ----------
+    asked : Request or Task
+
+    Returns
+    -------
+    dict
+        By "problem", "model", "solver", "criterion" and "then": ``name`` as
+        ``distribution:name``, and ``version`` of the distribution. Parts of termsel itself are
+        left out. What no plugin provides has the distribution "session" and its ``class``, as
+        "module.Class".
+    """
+    parts = {"problem": asked.recipe, "model": type(asked.model), "solver": type(asked.solver),
+             "criterion": type(asked.criterion)}
+    if asked.then is not None:
+        parts["then"] = type(asked.then)
+    return {word: found for word, thing in parts.items() if (found := _origin(thing))}
+
+
+def _origin(thing: Any) -> dict[str, str]:
+    """Return what identifies a thing; nothing for one of termsel itself."""
+    entry = registry().origin(thing)
+    if entry is not None and entry.provided_by != SESSION:
+        return {} if entry.provided_by == PROJECT else {
+            "name": entry.full_name, "version": registry().version(entry.provided_by)}
+    made_by = thing if isinstance(thing, type) else thing.build
+    name = getattr(made_by, "__qualname__", type(made_by).__qualname__)
+    return {"name": f"{SESSION}:{thing.name}", "version": "",
+            "class": f"{made_by.__module__}.{name}"}
+
+
+def notes_on_sessions(plugins: Mapping[str, Mapping[str, str]]) -> Iterator[str]:
+    """Yield what is needed to read a result of a model again that no plugin provides.
+
+    Parameters
+    ----------
+    plugins : mapping
+        As `plugins_of` returns them.
+    """
+    if "class" in (model := plugins.get("model", {})):
+        yield (f"No plugin provides the model: call termsel.register({model['class']}) before "
+               "reading this result again.")

@@ -1,0 +1,1 @@
+"""Algorithms of DEAP and pymoo on problems of termsel, and the reverse."""

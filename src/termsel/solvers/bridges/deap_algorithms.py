@@ -1,0 +1,237 @@
+"""DEAP's algorithms, or loops of a user's own, as solvers."""
+
+from __future__ import annotations
+
+import inspect
+import os
+import sys
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from importlib import import_module
+from typing import Any, ClassVar
+
+import numpy as np
+from deap import algorithms, base, tools
+
+from termsel.errors import TermselError
+from termsel.guard.faults import blamed
+from termsel.options import Option
+from termsel.problems.base import Evaluation, Problem
+from termsel.problems.segments import SEGMENTS, AnySegment, Genes
+from termsel.solvers.base import Generation, Solver
+from termsel.solvers.bridges.chance import OwnChance
+from termsel.solvers.bridges.deap_toolbox import Individual, register, to_deap
+
+CHECK = "Check your loop, and the operators with their arguments: select, mate, mutate."
+
+POPULATION = Option("population", 200, "Number of individuals, mu.", int, 2, 100_000)
+
+
+class Deap(Solver):
+    """An algorithm of DEAP with operators of `deap.tools`, one individual at a time.
+
+    eaSimple, eaMuPlusLambda or eaMuCommaLambda of `deap.algorithms` as they are, generation by
+    generation; or a loop of your own, ``module:function``. Operators are named with their
+    arguments: ``--set select=selTournament:tournsize=3``. Individuals have a `deap.base.Fitness`;
+    those that are infeasible have one penalised by `deap.tools.DeltaPenalty`. DEAP draws from
+    Python's global random state, which is left as it was. The solver ``ga`` is the same search
+    with operators on the whole population, without DEAP's lists: faster, and equally good.
+
+    ``Generation.details`` holds a DEAP ``logbook`` of what `deap.tools.Statistics` compiles, and
+    the ``halloffame``.
+    """
+
+    name = "deap"
+    segments: ClassVar[tuple[type[AnySegment], ...]] = SEGMENTS
+    declared_options = (
+        Option("algorithm", "eaSimple", "eaSimple, eaMuPlusLambda or eaMuCommaLambda of "
+               "deap.algorithms, or a loop of your own as module:function."),
+        POPULATION,
+        Option("children", None, "Children of a generation, lambda, of eaMuPlusLambda and "
+               "eaMuCommaLambda; by default twice the population.", int, 2, 200_000),
+        Option("select", "selTournament:tournsize=3", "Selection of deap.tools, with its "
+               "arguments."),
+        Option("mate", None, "Crossover of deap.tools, with its arguments; by default "
+               "cxUniform:indpb=0.5, or operators for genes that are not bits."),
+        Option("mutate", None, "Mutation of deap.tools, with its arguments; by default mutFlipBit "
+               "with one flip on average, or operators for genes that are not bits."),
+        Option("cxpb", None, "Chance that a pair mates; by default 0.9, and 0.7 with "
+               "eaMuPlusLambda and eaMuCommaLambda.", float, 0.0, 1.0),
+        Option("mutpb", None, "Chance that an individual mutates; by default 1, and 0.3 with "
+               "eaMuPlusLambda and eaMuCommaLambda.", float, 0.0, 1.0),
+    )
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(**options)
+        self.runs_code_of_users = ":" in self.options["algorithm"]
+
+    def generations(self, problem: Problem, rng: np.random.Generator) -> Iterator[Generation]:
+        """Yield generations without end (see `Solver.generations`)."""
+        o = self.options
+        box = to_deap(problem)
+        for role in ("select", "mate", "mutate"):
+            register(box, role, o[role], problem.genome)
+        loop = _loop(o["algorithm"])
+        alone = o["algorithm"] == "eaSimple"
+        chances = {"cxpb": o["cxpb"] if o["cxpb"] is not None else 0.9 if alone else 0.7,
+                   "mutpb": o["mutpb"] if o["mutpb"] is not None else 1.0 if alone else 0.3}
+        if "lambda_" in inspect.signature(loop).parameters and sum(chances.values()) > 1:
+            raise TermselError(f"cxpb and mutpb of {o['algorithm']} add up to "
+                               f"{sum(chances.values()):g}", hint="They may add up to 1 at most.")
+        if not sum(chances.values()):
+            raise TermselError("cxpb and mutpb are 0, so no individual would ever change",
+                               hint="Raise one of them.")
+        mu, children = o["population"], o["children"] or 2 * o["population"]
+        if o["algorithm"] == "eaMuCommaLambda" and children < mu:
+            raise TermselError(f"eaMuCommaLambda keeps {mu} of {children} children",
+                               hint="Raise children or lower the population.")
+        yield from evolved(box, loop, rng, mu, {**chances, "mu": mu, "lambda_": children})
+
+
+def _loop(said: str) -> Callable[..., Any]:
+    """Return the algorithm of a name, or the function that module:function says."""
+    module, _, name = said.rpartition(":")
+    known = ("eaSimple", "eaMuPlusLambda", "eaMuCommaLambda")
+    if not module:
+        if name in known:
+            return getattr(algorithms, name)  # type: ignore[no-any-return]
+        raise TermselError(f"there is no algorithm {said!r}",
+                           hint=f"Known are {', '.join(known)}; a loop of yours is "
+                                "module:function.")
+    sys.path.insert(0, os.getcwd())  # as with `python -m`; the command's own folder is there
+    try:
+        found = getattr(import_module(module), name)
+        inspect.signature(found)
+    except (ImportError, AttributeError, NameError, SyntaxError, TypeError, ValueError) as error:
+        raise TermselError(f"the loop {said!r} cannot be imported: {error}",
+                           hint="Give module:function, importable from where you run.") from None
+    finally:
+        sys.path.pop(0)
+    return found  # type: ignore[no-any-return]
+
+
+def evolved(box: base.Toolbox, loop: Callable[..., Any], rng: np.random.Generator, population: int,
+            arguments: Mapping[str, Any]) -> Iterator[Generation]:
+    """Yield the generations of a DEAP algorithm.
+
+    Parameters
+    ----------
+    box : deap.base.Toolbox
+        As `to_deap` returns it, perhaps with other operators.
+    loop : callable
+        Takes population and toolbox, and those of `arguments`, ``stats``, ``halloffame`` and
+        ``verbose`` that it names. If it takes ``ngen``, as those of `deap.algorithms`, it is
+        called for one generation at a time, and at first for none. A generator function yields
+        the population after each generation.
+    rng : numpy.random.Generator
+    population : int
+    arguments : mapping
+    """
+    takes = inspect.signature(loop).parameters
+    stats = tools.Statistics(lambda one: one.fitness.values[0])
+    for word in ("min", "median", "max"):
+        stats.register(word, getattr(np, word))
+    hall, book = tools.HallOfFame(1), tools.Logbook()
+    named = {key: value for key, value in {
+        **arguments, "stats": stats, "halloffame": hall, "verbose": False}.items() if key in takes}
+    called = getattr(loop, "__name__", "loop")
+    if "ngen" not in takes and not inspect.isgeneratorfunction(loop):
+        raise TermselError(f"the loop {called!r} has no argument 'ngen' and yields nothing",
+                           hint="Let it run ngen generations as eaSimple does, or yield the "
+                                "population after each.")
+    chance = OwnChance(rng)
+    with chance:
+        people = box.population(n=population)
+    steps = loop(people, box, **named) if "ngen" not in takes else None
+    index = 0
+    while True:
+        with blamed(loop, called, CHECK), chance:
+            if steps is not None:
+                people = next(steps, None)
+            else:
+                people, _log = loop(people, box, ngen=min(index, 1), **named)
+            if people is None and steps is not None:
+                return
+            if not people:
+                raise TermselError(f"the loop {called!r} returned no population", hint=CHECK)
+            _evaluate(box, people)
+        hall.update(people)
+        book.record(gen=index, **stats.compile(people))
+        yield _generation(index, people, {"logbook": book, "halloffame": hall})
+        index += 1
+
+
+def _evaluate(box: base.Toolbox, people: Iterable[Individual]) -> None:
+    """Evaluate what a loop has left without a fitness."""
+    fresh = [one for one in people if not one.fitness.valid]
+    for one, values in zip(fresh, box.map(box.evaluate, fresh), strict=True):
+        one.fitness.values = values
+
+
+def _generation(index: int, people: list[Individual], details: Mapping[str, Any]) -> Generation:
+    genes: Genes = np.array(people)
+    return Generation(index, genes, Evaluation(
+        np.array([one.objectives for one in people]),
+        np.array([one.violation for one in people])), details)
+
+
+def from_deap(toolbox_factory: Callable[[Problem], base.Toolbox],
+              algorithm: Callable[..., Any] = algorithms.eaSimple, *, name: str | None = None,
+              **arguments: Any) -> type[Solver]:
+    """Return a solver made of a DEAP toolbox and an algorithm.
+
+    Parameters
+    ----------
+    toolbox_factory : callable
+        Takes a problem and returns a toolbox, such as `to_deap`, or a function that replaces
+        operators of what `to_deap` returns.
+    algorithm : callable
+        Of `deap.algorithms`, or a loop of one's own, which takes ``ngen`` or yields the
+        population after each generation.
+    name : str, optional
+        Of the solver; by default that of the factory.
+    **arguments
+        Of the algorithm, such as cxpb and mutpb; 0.5 and 0.2 by default.
+
+    Returns
+    -------
+    type[Solver]
+        With the option ``population``.
+
+    Raises
+    ------
+    TermselError
+        For what is no function; in the search for one that returns no toolbox or population.
+
+    Examples
+    --------
+    >>> import termsel
+    >>> result = termsel.run("poly-terms", solver=termsel.from_deap(termsel.to_deap),
+    ...                      evaluations=300, options={"degree": 2, "population": 40})
+    >>> result.solver
+    'to-deap'
+    """
+    for given_as, what in (("toolbox_factory", toolbox_factory), ("algorithm", algorithm)):
+        if not callable(what):
+            raise TermselError(f"{given_as} is {what!r:.100}, which is no function",
+                               hint="Give a function, such as termsel.to_deap and "
+                                    "deap.algorithms.eaSimple.")
+    given = {"cxpb": 0.5, "mutpb": 0.2, **arguments}
+    called = getattr(toolbox_factory, "__name__", "from-deap")
+    doc = inspect.getdoc(toolbox_factory) or "A DEAP toolbox of a user's own."
+
+    class FromDeap(Solver):
+        __doc__ = doc.splitlines()[0]
+        segments = SEGMENTS
+        declared_options = (POPULATION,)
+        runs_code_of_users = True
+
+        def generations(self, problem: Problem, rng: np.random.Generator) -> Iterator[Generation]:
+            n = self.options["population"]
+            box = toolbox_factory(problem)
+            if not isinstance(box, base.Toolbox):
+                raise TermselError(f"the function {called!r} returned no DEAP toolbox",
+                                   hint="Return what termsel.to_deap(problem) returned.")
+            yield from evolved(box, algorithm, rng, n, {"mu": n, "lambda_": 2 * n, **given})
+
+    FromDeap.name = name or called.strip("_").replace("_", "-").lower()
+    return FromDeap

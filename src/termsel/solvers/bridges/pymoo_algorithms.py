@@ -1,0 +1,188 @@
+"""pymoo's algorithms by name, or one of a user's own, as solvers."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from copy import deepcopy
+from importlib import import_module
+from math import comb
+from typing import Any, ClassVar
+
+import numpy as np
+from pymoo.core.algorithm import Algorithm
+from pymoo.util.ref_dirs import get_reference_directions
+
+from termsel.errors import TermselError
+from termsel.options import COUNT, Option
+from termsel.problems.base import Problem
+from termsel.problems.segments import SEGMENTS, AnySegment
+from termsel.solvers.base import Generation, Solver
+from termsel.solvers.bridges.pareto import SURVIVALS, RveaSurvival, operators
+from termsel.solvers.bridges.pymoo_problem import steps
+
+ALGORITHMS = {
+    "nsga2": "moo.nsga2:NSGA2", "nsga3": "moo.nsga3:NSGA3", "unsga3": "moo.unsga3:UNSGA3",
+    "rvea": "moo.rvea:RVEA", "ctaea": "moo.ctaea:CTAEA", "age": "moo.age:AGEMOEA",
+    "age2": "moo.age2:AGEMOEA2", "sms": "moo.sms:SMSEMOA", "spea2": "moo.spea2:SPEA2",
+    "omni": "moo.omni:OmniOptimizer", "ga": "soo.nonconvex.ga:GA",
+    "ga_niching": "soo.nonconvex.ga_niching:NicheGA"}
+"""Algorithms of pymoo that take operators for bits, keep constraints, and evaluate a population
+at once; where their classes are. Their names are those of pymoo's modules."""
+
+SINGLE = frozenset({"ga", "ga_niching"})
+"""Those for one objective."""
+
+DIRECTED = frozenset({"nsga3", "unsga3", "rvea", "ctaea"})
+"""Those with reference directions."""
+
+_UNCONSTRAINED = "refuses constraints, so it would not keep infeasible selections out"
+_POINTS = "requires reference points; make a solver of it with termsel.from_pymoo"
+_NUMBERS = "moves real numbers, not bits"
+UNFIT = {
+    **dict.fromkeys(("moead", "dnsga2", "kgb"), _UNCONSTRAINED),
+    **dict.fromkeys(("rnsga2", "rnsga3"), _POINTS),
+    "pinsga2": "asks a person after each few generations",
+    "random_search": "is what termsel's own solver 'random' does",
+    **dict.fromkeys(("brkga", "cmaes", "cmopso", "de", "direct", "es", "g3pcx", "gde3", "isres",
+                     "mopso_cd", "nelder", "nrbo", "nsde", "nsder", "optuna", "pattern", "pso",
+                     "pso_ep", "sres"), _NUMBERS)}
+"""Other algorithms of pymoo 0.6, and why they are not offered."""
+
+
+class Pymoo(Solver):
+    """Any algorithm of pymoo that can handle bits, by its name in pymoo.
+
+    Start, crossover, mutation and repair are those of ``nsga2``, which differs only in what
+    survives. The violation is a constraint. ``ga`` and ``ga_niching`` are for one objective, the
+    others for several. NSGA-III, U-NSGA-III, RVEA and C-TAEA get reference directions of Das and
+    Dennis 1998, as many as the population allows. C-TAEA weighs the violation against the
+    objectives as long as few are feasible: where good objectives lead away from what is feasible,
+    it may find nothing feasible.
+
+    Not offered are MOEA/D, D-NSGA-II and KGB-DMOEA, which refuse constraints, and algorithms for
+    real numbers. R-NSGA-II and R-NSGA-III require reference points: make a solver of them with
+    `termsel.from_pymoo`.
+    """
+
+    name = "pymoo"
+    max_objectives: ClassVar[int] = 8
+    segments: ClassVar[tuple[type[AnySegment], ...]] = SEGMENTS
+    declared_options = (
+        Option("algorithm", "nsga2", "The algorithm, as pymoo names its module.",
+               choices=tuple(ALGORITHMS)),
+        Option("population", 100, "Number of selections.", int, 4, 5000),
+        Option("mutation", None, "Chance that a gene changes; by default 1 over the number of "
+               "genes.", float, 0.0, 1.0),
+        Option("horizon", None, "Generations over which rvea shifts its weight from convergence "
+               "to spread; by default as many as the usual budget has.", int, 1, COUNT),
+    )
+
+    def __init__(self, **options: Any) -> None:
+        asked = options.get("algorithm")
+        if isinstance(asked, str) and asked in UNFIT:
+            raise TermselError(f"pymoo's algorithm {asked!r} {UNFIT[asked]}",
+                               hint=f"Choose one of: {', '.join(ALGORITHMS)}.")
+        super().__init__(**options)
+        if self.options["horizon"] and self.options["algorithm"] != "rvea":
+            raise TermselError("option 'horizon' is for algorithm=rvea, and the algorithm is "
+                               f"{self.options['algorithm']}", hint="Leave it out.")
+        one = self.options["algorithm"] in SINGLE
+        # Which number of objectives an algorithm can handle its class does not tell.
+        for word, several in (("min_objectives", 2), ("max_objectives", 8)):
+            setattr(self, word, 1 if one else several)
+
+    def generations(self, problem: Problem, rng: np.random.Generator) -> Iterator[Generation]:
+        """Yield generations without end (see `Solver.generations`)."""
+        name, population = self.options["algorithm"], self.options["population"]
+        module, _, of = ALGORITHMS[name].partition(":")
+        algorithm = getattr(import_module(f"pymoo.algorithms.{module}"), of)
+        given = operators(problem.genome, self.options["mutation"], rng)
+        if name in DIRECTED:
+            given["ref_dirs"] = directions(len(problem.objectives), population)
+            if len(given["ref_dirs"]) > population:
+                raise TermselError(
+                    f"algorithm={name} has a direction for each of {len(problem.objectives)} "
+                    f"objectives, but a population of {population}",
+                    hint=f"Set population={len(given['ref_dirs'])} or more.")
+        if name == "rvea":
+            given["survival"] = RveaSurvival(given["ref_dirs"])
+        if name in ("ctaea", "omni"):
+            # Where few selections differ, neither ends as long as it lacks individuals.
+            given["eliminate_duplicates"] = False
+        if name != "ctaea":  # which has as many as there are directions
+            given["pop_size"] = population
+        made = algorithm(**given)
+        if name in SURVIVALS:
+            made.survival = SURVIVALS[name]()
+        yield from steps(made, problem, rng, self.options["horizon"])
+
+
+def directions(objectives: int, most: int) -> np.ndarray[Any, np.dtype[np.float64]]:
+    """Return reference directions of Das and Dennis 1998, shape (n, objectives).
+
+    Parameters
+    ----------
+    objectives, most : int
+        Number of objectives, and of directions at most.
+    """
+    partitions = 1
+    while comb(partitions + objectives, objectives - 1) <= most:
+        partitions += 1
+    return np.asarray(get_reference_directions("das-dennis", objectives, n_partitions=partitions))
+
+
+def from_pymoo(algorithm: Algorithm, *, name: str | None = None) -> type[Solver]:
+    """Return a solver made of a pymoo algorithm.
+
+    Parameters
+    ----------
+    algorithm : pymoo.core.algorithm.Algorithm
+        Such as ``GA(pop_size=60, sampling=BinaryRandomSampling(), ...)``. Every search has a copy
+        of it. Forced genes and cardinality are kept by repairing what it asks for.
+    name : str, optional
+        Of the solver; by default that of the algorithm's class.
+
+    Returns
+    -------
+    type[Solver]
+
+    Raises
+    ------
+    TermselError
+        For one that refuses constraints, or moves real numbers.
+
+    Examples
+    --------
+    >>> import termsel
+    >>> from pymoo.algorithms.soo.nonconvex.ga import GA
+    >>> from pymoo.operators.crossover.ux import UX
+    >>> from pymoo.operators.mutation.bitflip import BitflipMutation
+    >>> from pymoo.operators.sampling.rnd import BinaryRandomSampling
+    >>> mine = termsel.from_pymoo(GA(pop_size=20, sampling=BinaryRandomSampling(),
+    ...                              crossover=UX(), mutation=BitflipMutation()))
+    >>> termsel.run("poly-terms", solver=mine, evaluations=200, options={"degree": 2}).solver
+    'ga-pymoo'
+    """
+    if not isinstance(algorithm, Algorithm):
+        raise TermselError(f"{algorithm!r:.100} is no algorithm of pymoo",
+                           hint="Give an object, such as GA(pop_size=60, ...).")
+    homes = [one.__module__ for one in type(algorithm).__mro__
+             if one.__module__.startswith("pymoo.")]
+    for reason in (UNFIT.get(home.rpartition(".")[2]) for home in homes):
+        if reason in (_UNCONSTRAINED, _NUMBERS):
+            raise TermselError(f"pymoo's {type(algorithm).__name__} {reason}",
+                               hint="Choose another algorithm, such as GA or NSGA2.")
+    single = any(home.startswith("pymoo.algorithms.soo") for home in homes)
+    several = any(home.startswith("pymoo.algorithms.moo") for home in homes)
+
+    class FromPymoo(Solver):
+        __doc__ = f"{type(algorithm).__name__} of pymoo, as a user set it up."
+        min_objectives = 2 if several else 1
+        max_objectives = 1 if single else 8
+        runs_code_of_users = True
+
+        def generations(self, problem: Problem, rng: np.random.Generator) -> Iterator[Generation]:
+            yield from steps(deepcopy(algorithm), problem, rng)
+
+    FromPymoo.name = name or f"{type(algorithm).__name__.lower()}-pymoo"
+    return FromPymoo

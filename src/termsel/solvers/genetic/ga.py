@@ -1,0 +1,132 @@
+"""Genetic algorithm on DEAP's toolbox."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any, ClassVar
+
+import numpy as np
+from deap import base
+
+from termsel.measurements.features import IntArray
+from termsel.options import COUNT, Option
+from termsel.problems.base import Evaluation, Problem
+from termsel.problems.segments import SEGMENTS, AnySegment, Genes
+from termsel.solvers.base import Generation, Solver
+from termsel.solvers.genetic.operators import crossover, mutation
+
+
+def tournament(order: IntArray, n: int, size: int, rng: np.random.Generator) -> IntArray:
+    """Return n winners of tournaments.
+
+    Parameters
+    ----------
+    order : ndarray of int, shape (p,)
+        Individuals from best to worst.
+    n, size : int
+        Number of tournaments, and of individuals drawn for each.
+    rng : numpy.random.Generator
+    """
+    drawn: IntArray = rng.integers(0, len(order), (n, size)).min(axis=1)
+    return order[drawn]
+
+
+def two_best(order: IntArray, n: int) -> IntArray:
+    """Return the two best in turn, as the parents of n children (Valadan Zoej et al. 2002, 3.2).
+
+    Parameters
+    ----------
+    order : ndarray of int, shape (p,)
+        Individuals from best to worst.
+    n : int
+    """
+    return np.resize(order[:2], n)
+
+
+class GeneticAlgorithm(Solver):
+    """Generational GA: tournament, uniform crossover, bit flips, elitism.
+
+    Chromosome, selection and crossover are those of Akhoundi Khezrabad et al. 2020, table 2, and
+    by name also the mutation. Genes
+    that are not bits have operators of their own (`termsel.solvers.genetic.operators`).
+    The operators act on the whole population at once and are registered in a DEAP toolbox,
+    where they can be replaced. DEAP's own operators are not used, as they draw one individual
+    at a time from the global random state. Infeasible individuals rank behind all feasible ones.
+    """
+
+    name = "ga"
+    published: ClassVar[Mapping[str, Any]] = {"mutation": 0.001}
+    departures: ClassVar[tuple[str, ...]] = (
+        "The best 2 chromosomes survive unchanged; the paper states no elitism (--set elite=0).",
+        "The paper states neither the size of a tournament nor the chance of a crossover: 3, 0.9.",
+        "It ends with its budget; the papers count generations until convergence (--patience).",
+        "The first chromosomes have random shares of genes on, not half of them.")
+    segments: ClassVar[tuple[type[AnySegment], ...]] = SEGMENTS
+    declared_options: ClassVar[tuple[Option, ...]] = (
+        Option("population", 200, "Number of chromosomes.", int, 2, 100_000),
+        Option("parents", "tournament", "Who are crossed: winners of tournaments, or always the "
+               "two best, as in Valadan Zoej et al. 2002.", choices=("tournament", "two-best")),
+        Option("tournament", 3, "Chromosomes drawn for each tournament.", int, 1, 1000),
+        Option("crossover", 0.9, "Chance that a pair of parents mates.", float, 0.0, 1.0),
+        Option("mutation", None, "Chance that a gene changes; by default 1 over the number of "
+               "genes; by name 0.001, as in Akhoundi Khezrabad et al. 2020.", float, 0.0, 1.0),
+        Option("elite", 2, "Best chromosomes that survive unchanged.", int, 0, COUNT),
+    )
+
+    def toolbox(self, problem: Problem, rng: np.random.Generator) -> base.Toolbox:
+        """Return the DEAP toolbox: population, evaluate, select, mate and mutate."""
+        o = self.options
+        box = base.Toolbox()
+        box.register("population", problem.genome.random, rng, o["population"])
+        box.register("evaluate", problem.evaluate)
+        if o["parents"] == "two-best":
+            box.register("select", two_best)
+        else:
+            box.register("select", tournament, size=o["tournament"], rng=rng)
+        box.register("mate", crossover, genome=problem.genome, probability=o["crossover"], rng=rng)
+        rate = 1.0 / problem.genome.size if o["mutation"] is None else o["mutation"]
+        box.register("mutate", mutation, genome=problem.genome, probability=rate, rng=rng)
+        return box
+
+    def survivors(self, genes: Genes, evaluation: Evaluation) -> IntArray:
+        """Return which chromosomes survive unchanged, at most all but one."""
+        return evaluation.order()[:min(self.options["elite"], len(genes) - 1)]
+
+    def children(self, box: base.Toolbox, genes: Genes, evaluation: Evaluation,
+                 n: int) -> Genes:
+        """Return n new chromosomes, before their repair.
+
+        Parameters
+        ----------
+        box : deap.base.Toolbox
+        genes : ndarray, shape (p, g)
+            The population.
+        evaluation : Evaluation
+            Of the population.
+        n : int
+
+        Returns
+        -------
+        ndarray, shape (n, g)
+        """
+        children: Genes = box.mutate(box.mate(genes[box.select(evaluation.order(), n)]))
+        return children
+
+    def generations(self, problem: Problem, rng: np.random.Generator) -> Iterator[Generation]:
+        """Yield generations without end (see `Solver.generations`)."""
+        box = self.toolbox(problem, rng)
+        genes = box.population()
+        evaluation = box.evaluate(genes)
+        yield Generation(0, genes, evaluation)
+        index = 0
+        while True:
+            index += 1
+            kept = self.survivors(genes, evaluation)
+            children = self.children(box, genes, evaluation, len(genes) - len(kept))
+            children = problem.genome.repair(children, rng)
+            offspring = box.evaluate(children)
+            genes = np.concatenate([genes[kept], children])
+            evaluation = Evaluation(
+                np.concatenate([evaluation.objectives[kept], offspring.objectives]),
+                np.concatenate([evaluation.violation[kept], offspring.violation]))
+            yield Generation(index, genes, evaluation)

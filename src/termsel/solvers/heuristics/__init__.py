@@ -1,0 +1,1 @@
+"""Heuristics other than genetic algorithms, and yardsticks."""

@@ -1,0 +1,223 @@
+"""Local search by adding, dropping and swapping genes; also refines the result of others."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator
+
+import numpy as np
+
+from termsel.measurements.features import BoolArray, IntArray, select
+from termsel.problems.base import Evaluation, Problem
+from termsel.problems.genome import Genome
+from termsel.problems.segments import SEGMENTS, AnySegment, Bits, Genes, Subset
+from termsel.solvers.base import Generation, Solver
+from termsel.solvers.genetic.operators import mutation, steps
+
+BATCH = 2000
+"""Most neighbours evaluated before a step: all of a small genome; all of a large one would not
+fit into memory."""
+
+
+def neighbours(genes: Genes, genome: Genome) -> Iterator[Genes]:
+    """Yield all individuals one step away, in batches of up to BATCH.
+
+    Of bits, first come the selections with one gene more or less, then those in which a gene that
+    is on is replaced by another of its segment. Forced genes stay and each segment keeps its
+    cardinality. Of other genes see `termsel.solvers.genetic.operators.steps`.
+
+    Parameters
+    ----------
+    genes : ndarray, shape (size,)
+    genome : Genome
+
+    Yields
+    ------
+    ndarray, shape (n, size)
+    """
+    if genome.dtype == np.bool_:
+        yield from _of_bits(genes, genome)
+        return
+    for segment, where in zip(genome.segments, genome.slices().values(), strict=True):
+        for changed in _of_segment(genes[where], genome, segment):
+            for start in range(0, len(changed), BATCH):
+                part = changed[start:start + BATCH]
+                around = np.repeat(genes[None], len(part), axis=0)
+                around[:, where] = part
+                yield around
+
+
+def _of_segment(genes: Genes, genome: Genome, segment: AnySegment) -> Iterator[Genes]:
+    """Yield the genes of a segment one step away, forced ones as they are."""
+    where = genome.label_slices()[segment.name]
+    if isinstance(segment, Bits):
+        alone = Genome([segment], on=select(segment.labels, genome.on[where]),
+                       off=select(segment.labels, genome.off[where]))
+        yield from _of_bits(genes.astype(bool), alone)
+    else:
+        for around in steps(segment, genes):
+            if isinstance(segment, Subset):
+                # One member gives way to another: neither may be forced.
+                moved = segment.mask(around) ^ segment.mask(genes[None])
+                around = around[~(moved & ~genome.free[where]).any(axis=1)]
+            yield around
+
+
+def _of_bits(genes: BoolArray, genome: Genome) -> Iterator[BoolArray]:
+    """Yield the neighbours in a genome of bits alone."""
+    flips: list[IntArray] = []
+    # Pairs of one gene of the first and one of the second, of which there may be very many: they
+    # are numbered, and made when their batch is. A flip is a pair of the gene with itself.
+    pairs: list[tuple[IntArray, IntArray]] = []
+    for segment, where in zip(genome.segments, genome.slices().values(), strict=True):
+        assert isinstance(segment, Bits)
+        count = int(genes[where].sum())
+        free = np.flatnonzero(genome.free[where]) + where.start
+        on, off = free[genes[free]], free[~genes[free]]
+        flips += [off] if count < segment.most else []
+        flips += [on] if count > segment.minimum else []
+        pairs.append((on, off))
+    single = np.concatenate([*flips, np.empty(0, dtype=np.intp)])
+    ends = np.cumsum([len(single), *(len(on) * len(off) for on, off in pairs)])
+    for start in range(0, int(ends[-1]), BATCH):
+        number = np.arange(start, min(start + BATCH, int(ends[-1])))
+        first = np.empty(len(number), dtype=np.intp)
+        second = np.empty_like(first)
+        first[number < ends[0]] = second[number < ends[0]] = single[number[number < ends[0]]]
+        for (on, off), begin, end in zip(pairs, ends[:-1], ends[1:], strict=True):
+            here = (number >= begin) & (number < end)
+            first[here] = on[(number[here] - begin) // max(len(off), 1)]
+            second[here] = off[(number[here] - begin) % max(len(off), 1)]
+        around = np.repeat(genes[None], len(first), axis=0)
+        around[np.arange(len(first)), first] ^= True
+        around[np.arange(len(first)), second] = ~genes[second]
+        yield around
+
+
+def descend(problem: Problem, genes: Genes, evaluation: Evaluation, index: int = 0,
+            ) -> Iterator[Generation]:
+    """Step to better neighbours until there is none.
+
+    A step goes to the best of the first batch of `neighbours` that has a better one; when the
+    descent ends, no neighbour is better. If several segments of the genome have a better
+    neighbour, the step combines the best of each, if that is better still: line and sample are
+    often independent.
+
+    Parameters
+    ----------
+    problem : Problem
+    genes : ndarray, shape (1, size)
+        Where to start.
+    evaluation : Evaluation
+        Of the start.
+    index : int
+        Number of the first generation.
+
+    Yields
+    ------
+    Generation
+        One per step, the selection reached; the start first.
+    """
+    better = True
+    while better:
+        yield Generation(index, genes, evaluation)
+        index += 1
+        better = False
+        for around in neighbours(genes[0], problem.genome):
+            judged = problem.evaluate(around)
+            if _rank(judged.take(judged.order()[:1])) < _rank(evaluation):
+                genes, evaluation = _combined(problem, genes, evaluation, around, judged)
+                better = True
+                break
+
+
+def climb(problem: Problem, genes: Genes, evaluation: Evaluation,
+          rng: np.random.Generator, index: int = 0) -> Iterator[list[Generation]]:
+    """Descend from a selection, then repeatedly from others.
+
+    Every second descent starts from a random selection, the others from the best with a random
+    share of its genes changed, at most half. If segments of its end improve the best, they are
+    copied to it, and a descent from there follows. termsel's own formulation: the first kind
+    finds the optimum of small problems, the second improves large ones.
+
+    Parameters
+    ----------
+    problem : Problem
+    genes : ndarray, shape (1, size)
+        Where to start.
+    evaluation : Evaluation
+        Of the start.
+    rng : numpy.random.Generator
+    index : int
+        Number of the first generation.
+
+    Yields
+    ------
+    list of Generation
+        The steps of one start, without end; the last is the best so far.
+    """
+    genome = problem.genome
+    climbed = list(descend(problem, genes, evaluation, index))
+    for start in itertools.count():
+        best = climbed[-1]
+        yield climbed
+        if start % 2:
+            elsewhere = genome.repair(_shaken(best.genes, genome, rng), rng)
+        else:
+            elsewhere = genome.random(rng, 1)
+        climbed = list(descend(problem, elsewhere, problem.evaluate(elsewhere), best.index + 1))
+        reached = climbed[-1]
+        parts = np.repeat(best.genes, len(genome.segments) + 1, axis=0)
+        for i, where in enumerate(genome.slices().values()):
+            parts[i, where] = reached.genes[0, where]
+        parts[-1] = reached.genes[0]
+        combined, judged = _combined(problem, best.genes, best.evaluation, parts,
+                                     problem.evaluate(parts))
+        climbed += descend(problem, combined, judged, reached.index + 1)
+
+
+def _shaken(genes: Genes, genome: Genome, rng: np.random.Generator) -> Genes:
+    """Return genes, a random share of which is changed, at most half."""
+    if genome.dtype == np.bool_:
+        return genes ^ (rng.uniform(size=(1, genome.size)) < rng.uniform(0.0, 0.5))
+    return mutation(genes, genome, rng.uniform(0.0, 0.5), rng)
+
+
+def _combined(problem: Problem, genes: Genes, evaluation: Evaluation, around: Genes,
+              judged: Evaluation) -> tuple[Genes, Evaluation]:
+    """Return the best of a selection, its neighbours, and the best change of each segment."""
+    order = judged.order()
+    best = _better(genes, evaluation, around[order[:1]], judged.take(order[:1]))
+    together, changes = genes.copy(), 0
+    for where in problem.genome.slices().values():
+        changed = order[(around[order, where] != genes[0, where]).any(axis=1)][:1]
+        if len(changed) and _rank(judged.take(changed)) < _rank(evaluation):
+            together[0, where] = around[changed[0], where]
+            changes += 1
+    return _better(*best, together, problem.evaluate(together)) if changes > 1 else best
+
+
+def _better(genes: Genes, evaluation: Evaluation, others: Genes,
+            judged: Evaluation) -> tuple[Genes, Evaluation]:
+    return (others, judged) if _rank(judged) < _rank(evaluation) else (genes, evaluation)
+
+
+def _rank(one: Evaluation) -> tuple[float, float]:
+    return float(one.violation[0]), float(one.objectives[0, 0])
+
+
+class Swap(Solver):
+    """Add, drop and swap genes as long as that helps, from many starts.
+
+    termsel's own formulation; see `climb`. The same local refinement follows heuristics.
+    """
+
+    name = "swap"
+    segments = SEGMENTS
+
+    def generations(self, problem: Problem, rng: np.random.Generator) -> Iterator[Generation]:
+        """Yield one generation per step of each descent, without end (see `Solver.generations`)."""
+        genes = problem.genome.random(rng, 1)
+        climbing = climb(problem, genes, problem.evaluate(genes), rng)
+        for climbed in climbing:
+            yield from climbed

@@ -1,0 +1,202 @@
+"""The proven optimum: every selection decided."""
+
+from __future__ import annotations
+
+import logging
+import os
+from collections.abc import Iterator
+from typing import Any, ClassVar
+
+import numpy as np
+
+from termsel.enumeration import subsets
+from termsel.errors import TermselError, amount
+from termsel.measurements.features import BoolArray
+from termsel.options import COUNT, Option
+from termsel.problems.base import EnumerablePart, Evaluation, Problem
+from termsel.problems.segments import AnySegment, Bits, Subset
+from termsel.solvers.base import Generation, Solver
+from termsel.solvers.heuristics.swap import neighbours
+from termsel.solvers.proofs.exact_features import duration, proof_generations, quick_optimum
+from termsel.solvers.proofs.proof import TIE, Proof, count, limits_of, prove, space_of
+
+log = logging.getLogger(__name__)
+
+QUICK = 1 << 22
+"""Subsets that are enumerated for a heuristic's gap: less than a second."""
+
+_REPORT_SHARE = 1 / 200
+"""Share of the subsets between two reports. Each costs an evaluation, so no clock decides: the
+same search has the same number of evaluations on any machine."""
+
+_REPORT_STATES = 4
+"""States between two reports at most: a budget of time ends at a report."""
+
+
+def gap(problem: Problem, found: float) -> dict[str, Any] | None:
+    """Return the gap between a solution and the proven optimum, if that is known quickly.
+
+    Parameters
+    ----------
+    problem : Problem
+    found : float
+        First objective of the solution.
+
+    Returns
+    -------
+    dict or None
+        A certificate with the optimum and the gap, relative to the optimum. None if the space
+        cannot be enumerated, has more than QUICK subsets, or has nothing feasible.
+    """
+    try:
+        proven = _quick_optimum(problem)
+    except TermselError:
+        return None
+    if proven is None:
+        return None
+    optimum, decided, space = proven
+    if found < optimum - TIE * abs(optimum):  # what was enumerated is not this criterion
+        return None
+    return {"optimal": found <= optimum + TIE * abs(optimum), "subsets": decided, "of": decided,
+            "space": space, **gap_of(found, optimum)}
+
+
+def _quick_optimum(problem: Problem) -> tuple[float, int, str] | None:
+    """Return the proven optimum, the number of subsets and their space, if known quickly."""
+    systems = problem.row_systems()
+    if systems is not None:
+        return quick_optimum(problem, systems)
+    if count(problem) > QUICK:
+        return None
+    *_, proof = prove(problem)
+    front = proof.front()
+    if not front:
+        return None
+    evaluation = problem.evaluate(front[-1][None])
+    if evaluation.violation[0] > 0:  # enumeration and evaluation differ at a tolerance
+        return None
+    return (float(evaluation.objectives[0, 0]), proof.decided,
+            space_of(problem, proof.parts, None))
+
+
+def gap_of(found: float, optimum: float) -> dict[str, float | None]:
+    """Return the optimum, and the relative gap of a solution."""
+    return {"optimum": optimum, "gap": max(0.0, found / optimum - 1) if optimum > 0 else None}
+
+
+class Exact(Solver):
+    """Every selection decided: the optimum, the best of every size, and the proof.
+
+    Branch and bound over all term selections, line and sample separately where they are
+    independent; or a walk over all selections of control features. It begins with a descent from
+    several starts. At any time it has the best selection, a lower bound of all, and the gap.
+    termsel's own formulation; see the modules subsets, subset_bounds, subset_residuals and
+    row_subsets.
+    """
+
+    name = "exact"
+    segments: ClassVar[tuple[type[AnySegment], ...]] = (Bits, Subset)
+    uses_chance = False
+    ends_by_itself = True
+    declared_options = (
+        Option("max_terms", None, "Most terms of an axis; by default as many as the problem "
+                                  "allows. The proof is of selections up to this size.", int,
+               1, COUNT),
+        Option("workers", None, "Threads; by default all cores. The result does not depend on "
+               "it.", int, 1, 256),
+    )
+
+    def generations(self, problem: Problem, rng: np.random.Generator) -> Iterator[Generation]:
+        """Yield the best so far until all is decided (see `Solver.generations`)."""
+        most = self.options["max_terms"]
+        workers = self.options["workers"] or os.cpu_count() or 1
+        systems = problem.row_systems()
+        if systems is not None:
+            yield from proof_generations(problem, systems, workers, most)
+            return
+        parts = problem.parts()
+        space = space_of(problem, parts, most)
+        log.info("exact: deciding %s (%s, %s)%s", amount(count(problem, most), "subset"), space,
+                 amount(len(parts), "part"), _estimate(problem, parts, most, workers))
+        index, reported, decided = 0, 0.0, 0
+        proof: Proof | None = None
+        for state, proof in enumerate(prove(problem, most, workers)):
+            share = proof.decided / proof.total
+            descends, decided = proof.decided == decided, proof.decided  # a step takes a while
+            if (index and not descends and not proof.complete and state % _REPORT_STATES
+                    and share - reported < _REPORT_SHARE):
+                continue
+            generation = self._report(problem, proof, index, space, most)
+            if generation is not None:
+                yield generation
+                index += 1
+            reported = share
+
+    def _report(self, problem: Problem, proof: Proof, index: int, space: str,
+                most: int | None) -> Generation | None:
+        front = proof.front()
+        if not front and not proof.complete:
+            return None
+        genes = (np.array(front) if proof.complete else np.array(front[-1:])) if front \
+            else np.zeros((1, problem.genome.size), dtype=bool)
+        evaluation = problem.evaluate(genes)
+        if proof.complete and front:
+            _require_unbeaten(problem, proof, front[-1], evaluation, most)
+        bound = _bound(proof, evaluation)
+        proven = bool(front) and evaluation.violation[-1] == 0 and (
+            proof.complete or bound.get("gap", 1.0) <= TIE)
+        details: dict[str, Any] = {
+            "share": proof.decided / proof.total,
+            "front": genes if front and proof.complete else (), "proof": proof,
+            "certificate": {"optimal": bool(proven), "subsets": proof.decided,
+                            "bounded": proof.pruned, "of": proof.total, "space": space,
+                            **bound, **({} if front else {"feasible": False})}}
+        return Generation(index, genes, evaluation, details)
+
+
+def _require_unbeaten(problem: Problem, proof: Proof, optimum: BoolArray,
+                      front: Evaluation, most: int | None) -> None:
+    """Refuse a proof that an evaluation contradicts.
+
+    The enumeration decides by the criterion's `subset_score` and `subset_cost`, and a plugin's may
+    not agree with its `score`. The best selection of every size and all neighbours of the optimum
+    are evaluated as any solver's are.
+    """
+    best, violation = front.objectives[-1, 0], front.violation[-1]
+    if violation > 0:  # enumeration and evaluation differ at a tolerance: nothing is proven
+        return
+    values = [front.objectives[front.violation == 0, 0]]
+    for genes in neighbours(optimum, problem.genome):
+        if most is not None:
+            sizes = [genes[:, part.genes].sum(axis=1) for part in proof.parts]
+            genes = genes[np.all(np.array(sizes) <= most, axis=0)]
+        found = problem.evaluate(genes)
+        values.append(found.objectives[found.violation == 0, 0])
+    least = float(np.concatenate(values).min())
+    if least < best - TIE * abs(best):
+        raise TermselError(
+            f"the enumeration ends at {best:.6g}, but a selection it passed over has {least:.6g}: "
+            "the criterion's subset_score does not agree with its score",
+            hint="Tell the author of the criterion, or choose another solver, such as "
+                 "--solver ga.")
+
+
+def _bound(proof: Proof, front: Evaluation) -> dict[str, float]:
+    """Return the lower bound of all selections and the gap, as far as they are known."""
+    best = float(front.objectives[-1, 0])
+    bound = proof.bound(best) if front.violation[-1] == 0 else None
+    if bound is None:
+        return {}
+    return {"bound": bound} | ({"gap": max(0.0, best / bound - 1)} if bound > 0 else {})
+
+
+def _estimate(problem: Problem, parts: tuple[EnumerablePart, ...], most: int | None,
+              workers: int) -> str:
+    """Return how long it takes, where no bound makes that unknown."""
+    if any(subsets.is_bounded(part.system, part.score, part.folds) for part in parts):
+        return ""
+    seconds = sum(
+        subsets.estimate_seconds(part.system, part.score, folds=part.folds, workers=workers,
+                                 max_terms=limits_of(problem, part, most)[1])
+        for part in parts)
+    return f"; about {duration(seconds)}"

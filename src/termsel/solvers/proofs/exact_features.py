@@ -1,0 +1,318 @@
+"""The proven optimum of a selection of control features."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections import deque
+from collections.abc import Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from termsel.enumeration.features.walk import Branch, Selections
+from termsel.errors import TermselError, amount
+from termsel.measurements.features import BoolArray, FloatArray
+from termsel.problems.segments import Bits, Genes, Subset
+from termsel.solvers.base import Generation
+from termsel.solvers.heuristics.swap import descend
+from termsel.solvers.proofs.proof import SizeProof, each_of
+
+if TYPE_CHECKING:
+    from termsel.enumeration.features.walk import RowSystem
+    from termsel.problems.base import Evaluation, Problem
+    from termsel.problems.genome import Genome
+
+log = logging.getLogger(__name__)
+
+QUICK = 1 << 20
+"""Selections that are walked for a heuristic's gap: less than a second."""
+
+_STARTS = 4  # descents before anything is decided
+_AHEAD = 16  # branches in progress at once, whatever the number of workers
+_BATCH = 64  # selections evaluated at first; more where these are not feasible
+_LARGEST = 4096
+_REPORTS = 4  # so many reports, then as many with a further branch between them, and so on
+_TIMED = 1 << 16  # selections of which the time of all is estimated
+
+
+@dataclass(frozen=True, eq=False)
+class FeatureProof:
+    """State of a proof.
+
+    Parameters
+    ----------
+    best : ndarray, shape (n + 1,)
+        Least objective of the selections of 0 to n features so far; infinite where none is
+        feasible.
+    genes : dict of int to ndarray
+        The selection itself, by its size.
+    decided, total : int
+        Selections decided, and to be decided.
+    floor : float
+        A lower bound of the objective of all selections; 0 if none is known.
+    """
+
+    best: FloatArray
+    genes: dict[int, Genes]
+    decided: int
+    total: int
+    floor: float
+
+    @property
+    def complete(self) -> bool:
+        """True if every selection is decided."""
+        return self.decided == self.total
+
+    def front(self) -> list[Genes]:
+        """Return the best selection of every size that beats all smaller ones."""
+        least, front = np.inf, []
+        for size in sorted(self.genes):
+            if self.best[size] < least:
+                least = self.best[size]
+                front.append(self.genes[size])
+        return front
+
+    def by_size(self, problem: Problem) -> list[SizeProof]:
+        """Return the best selection of every size and its proof (see `Proof.by_size`)."""
+        sizes = sorted(self.genes)
+        if not sizes:
+            return []
+        values, _ = each_of(problem, np.array([self.genes[size] for size in sizes]))
+        better = values < np.minimum.accumulate(np.append(np.inf, values))[:-1]
+        bounds = values if self.complete else np.minimum(values, self.floor)
+        return [SizeProof(self.genes[size], *of_size) for size, *of_size in zip(
+            sizes, values.tolist(), bounds.tolist(), (values <= bounds).tolist(), better.tolist(),
+            strict=True)]
+
+
+def selections_of(problem: Problem, systems: tuple[RowSystem, ...]) -> Selections:
+    """Return all selections of a problem that selects features alone.
+
+    Raises
+    ------
+    TermselError
+        If they are too many features to be enumerated.
+    """
+    genome = problem.genome
+    segment, = genome.segments
+    assert isinstance(segment, Bits | Subset)  # of features
+    n = len(segment.labels)
+    return Selections(n, segment.minimum, segment.most, genome.on, genome.off, systems)
+
+
+def space_of(selections: Selections) -> str:
+    """Return in words what is decided."""
+    n, least, most = selections.n, selections.least, selections.most
+    if least == most:
+        return f"all selections of {most} of {n} features"
+    if least > 1:
+        return f"all selections of {least} to {most} of {n} features"
+    return "all selections" + (f" of up to {most} of {n} features" if most < n else "")
+
+
+def estimate_seconds(selections: Selections, workers: int) -> float:
+    """Return the estimated time of a proof without what is evaluated [s]."""
+    branch, wanted = selections.root, False
+    # Every second feature is in use, as in the selections of which there are most.
+    while selections.count(branch) > _TIMED:
+        halves = [half for half in selections.halves(branch) if selections.count(half)]
+        branch, wanted = halves[-1 if wanted else 0], not wanted
+    seconds = []
+    for _ in range(2):  # the first may have to compile
+        start = time.perf_counter()
+        selections.walk(branch, np.zeros(selections.n + 1))
+        seconds.append(time.perf_counter() - start)
+    return min(seconds) / selections.count(branch) * selections.count(selections.root) / workers
+
+
+def prove_features(problem: Problem, selections: Selections,
+                   workers: int = 1) -> Iterator[FeatureProof]:
+    """Decide every selection of features, yielding intermediate states.
+
+    Scores of the walk only rule selections out; what remains is evaluated as any solver's genes
+    are, so that all conditions of the problem hold and the optimum is one of the evaluation.
+
+    Parameters
+    ----------
+    problem : Problem
+    selections : Selections
+        Of this problem.
+    workers : int
+        Threads. The result does not depend on it.
+
+    Yields
+    ------
+    FeatureProof
+        The last one is complete.
+    """
+    records = _Records(problem, selections)
+    total, decided = selections.count(selections.root), 0
+    starts = problem.genome.random(np.random.default_rng(0), _STARTS)
+    evaluation = problem.evaluate(starts)
+    records.take(starts, evaluation)
+    yield records.state(0, total)
+    if selections.systems and total > _LARGEST:
+        for i in range(_STARTS):
+            for step in descend(problem, starts[i:i + 1], evaluation.take(np.array([i]))):
+                records.take(step.genes, step.evaluation)
+        yield records.state(0, total)
+    todo = [selections.root]
+    waiting: deque[tuple[Branch, Future[tuple[BoolArray, FloatArray]]]] = deque()
+    pool = ThreadPoolExecutor(workers)
+    try:
+        while todo or waiting:
+            # Results are taken in order and at fixed points of it, so that the same selections
+            # are evaluated with any number of workers.
+            if todo and len(waiting) < _AHEAD:
+                branch = todo.pop()
+                size = selections.count(branch)
+                if size > selections.largest:
+                    todo += selections.halves(branch)
+                elif size:
+                    waiting.append((branch, pool.submit(selections.walk, branch,
+                                                        records.limits())))
+            else:
+                branch, future = waiting.popleft()
+                records.decide(*future.result())
+                decided += selections.count(branch)
+                yield records.state(decided, total)
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+def proof_generations(problem: Problem, systems: tuple[RowSystem, ...], workers: int,
+                      max_terms: int | None) -> Iterator[Generation]:
+    """Yield the best so far until every selection of features is decided.
+
+    Parameters
+    ----------
+    problem : Problem
+    systems : tuple of RowSystem
+        Of `Problem.row_systems`.
+    workers : int
+    max_terms : int, optional
+        Refused, as it limits nothing here.
+
+    Yields
+    ------
+    Generation
+        With a certificate.
+
+    Raises
+    ------
+    TermselError
+        If there are too many features to be enumerated, or for `max_terms`.
+    """
+    if max_terms is not None:
+        raise TermselError("max_terms limits terms, and this problem selects features",
+                           hint="Limit these with --set max_features=N.")
+    selections = selections_of(problem, systems)
+    space, total = space_of(selections), selections.count(selections.root)
+    if selections.needs_compilation:
+        log.info("Compiling: the first proof on this machine takes some 6 s longer.")
+    how = (f"; about {duration(estimate_seconds(selections, workers))}" if systems
+           else "; each is evaluated, as the criterion or the model allows no other way")
+    log.info("exact: deciding %s (%s)%s", amount(total, "subset"), space, how)
+    index, last = 0, 0
+    for state, proof in enumerate(prove_features(problem, selections, workers)):
+        front = proof.front()
+        if index and not proof.complete and (not front or state - last <= index // _REPORTS):
+            continue
+        genes = np.array(front if proof.complete else front[-1:]) if front \
+            else problem.genome.random(np.random.default_rng(0), 1)
+        evaluation = problem.evaluate(genes)
+        certificate = {"optimal": proof.complete and bool(front), "subsets": proof.decided,
+                       "bounded": 0, "of": total, "space": space}
+        if front and (proof.complete or proof.floor > 0):
+            best = float(evaluation.objectives[-1, 0])
+            bound = best if proof.complete else min(best, proof.floor)
+            certificate |= {"bound": bound} | ({"gap": best / bound - 1} if bound > 0 else {})
+        if proof.complete and not front:
+            certificate["feasible"] = False
+        yield Generation(index, genes, evaluation, {
+            "share": proof.decided / total, "certificate": certificate,
+            "front": genes if front and proof.complete else (), "proof": proof})
+        index, last = index + 1, state
+
+
+def quick_optimum(problem: Problem,
+                  systems: tuple[RowSystem, ...]) -> tuple[float, int, str] | None:
+    """Return the proven optimum, the number of selections and their space, if known quickly.
+
+    Raises
+    ------
+    TermselError
+        If there are too many features to be enumerated.
+    """
+    selections = selections_of(problem, systems)
+    total = selections.count(selections.root)
+    if not systems or total > QUICK:
+        return None
+    *_, proof = prove_features(problem, selections)
+    least = float(proof.best.min())
+    return (least, total, space_of(selections)) if np.isfinite(least) else None
+
+
+def duration(seconds: float) -> str:
+    """Return a time in words."""
+    years = seconds / 31_557_600
+    if years > 1:
+        return f"{years:,.0f} years" if years < 1e6 else "more than a million years"
+    if seconds > 5400:
+        return f"{seconds / 3600:,.0f} h"
+    return f"{seconds / 60:.0f} min" if seconds > 90 else f"{max(seconds, 0.1):.1f} s"
+
+
+class _Records:
+    """The best selection of every size."""
+
+    def __init__(self, problem: Problem, selections: Selections) -> None:
+        self.problem, self.selections = problem, selections
+        self.best = np.full(selections.n + 1, np.inf)
+        self.genes: dict[int, Genes] = {}
+        # The squared errors of a system are of one axis, or of both: a point has two.
+        self.points = sum(len(one.check_target) for one in selections.systems) / 2
+        self.floor = float(np.sqrt(selections.floor / self.points)) if selections.systems else 0.0
+
+    def state(self, decided: int, total: int) -> FeatureProof:
+        """Return the state, of which nothing will change."""
+        return FeatureProof(self.best.copy(), dict(self.genes), decided, total, self.floor)
+
+    def limits(self) -> FloatArray:
+        """Return squared errors above which no selection of each size is better."""
+        if not self.selections.systems:
+            return np.full(len(self.best), np.inf)
+        return np.asarray(self.best**2 * self.points)
+
+    def decide(self, chosen: BoolArray, scores: FloatArray) -> None:
+        """Evaluate all selections that may be better than the best of their size."""
+        sizes = chosen.sum(axis=1)
+        for size in np.unique(sizes):
+            here = np.flatnonzero(sizes == size)
+            here = here[np.argsort(scores[here], kind="stable")]
+            start, batch = 0, _BATCH
+            while start < len(here):
+                some = here[start:start + batch]
+                start, batch = start + len(some), min(2 * batch, _LARGEST)
+                genes = _genes(self.problem.genome, chosen[some])
+                self.take(genes, self.problem.evaluate(genes))
+                # They are in the order of their scores: those beyond the limit are no better.
+                limit = self.selections.reach(self.limits()[size])
+                here = here[:max(start, int(np.searchsorted(scores[here], limit, "right")))]
+
+    def take(self, genes: Genes, evaluation: Evaluation) -> None:
+        """Remember what is feasible and better than what is known of its size."""
+        sizes = self.problem.genome.chosen(genes).sum(axis=1)
+        good = np.flatnonzero(evaluation.violation == 0)
+        for row in good[np.argsort(evaluation.objectives[good, 0], kind="stable")]:
+            size, value = int(sizes[row]), float(evaluation.objectives[row, 0])
+            if value < self.best[size]:
+                self.best[size], self.genes[size] = value, genes[row].copy()
+
+
+def _genes(genome: Genome, chosen: BoolArray) -> Genes:
+    segment, = genome.segments
+    return segment.members(chosen) if isinstance(segment, Subset) else chosen

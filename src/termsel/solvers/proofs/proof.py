@@ -1,0 +1,314 @@
+"""The state of a proof: what is known of all selections, and of those of each size."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from termsel.enumeration import subsets
+from termsel.enumeration.subsets import SubsetResult
+from termsel.measurements.features import BoolArray, FloatArray, IntArray
+from termsel.problems.base import EnumerablePart, Problem
+from termsel.problems.segments import Bits, Genes
+
+ALL = "all selections"
+"""Space of a certificate that leaves no selection out."""
+
+TIE = 1e-9
+"""Objectives that differ relatively by less than this are equal: rounding differs."""
+
+
+@dataclass(frozen=True, eq=False)
+class SizeProof:
+    """The best selection of one number of genes, and what is proven of it.
+
+    Parameters
+    ----------
+    genes : ndarray, shape (size,)
+    objective : float
+        Its first objective.
+    bound : float or None
+        No selection with as many genes has a smaller one; None if nothing is known.
+    optimal : bool
+        Whether it is proven that none is better.
+    better : bool
+        Whether it is better than all selections with fewer genes.
+    """
+
+    genes: Genes
+    objective: float
+    bound: float | None
+    optimal: bool
+    better: bool
+
+    @property
+    def gap(self) -> float | None:
+        """How far it is above the best of its size at most, as a share of that."""
+        if self.optimal:
+            return 0.0
+        return self.objective / self.bound - 1 if self.bound and self.bound > 0 else None
+
+
+@dataclass(frozen=True, eq=False)
+class Proof:
+    """State of an enumeration of all parts.
+
+    Parameters
+    ----------
+    parts : tuple of EnumerablePart
+    results : tuple of SubsetResult
+        One per part.
+    minimum : tuple of int
+        Fewest genes of each part.
+    size : int
+        Number of genes of the problem.
+    """
+
+    parts: tuple[EnumerablePart, ...]
+    results: tuple[SubsetResult, ...]
+    minimum: tuple[int, ...]
+    size: int
+
+    @property
+    def decided(self) -> int:
+        """Subsets decided."""
+        return sum(result.subsets for result in self.results)
+
+    @property
+    def total(self) -> int:
+        """Subsets to be decided."""
+        return sum(result.total for result in self.results)
+
+    @property
+    def pruned(self) -> int:
+        """Those among them that a bound ruled out."""
+        return sum(result.pruned for result in self.results)
+
+    @property
+    def complete(self) -> bool:
+        """True if the optimum is proven."""
+        return all(result.complete for result in self.results)
+
+    def _costs(self, floor: bool = False) -> list[FloatArray]:
+        """Return the cost of the best subset of each size, or the least that it may have."""
+        return [_cost(result.floor if floor else result.best, part, least)
+                for part, result, least in zip(self.parts, self.results, self.minimum, strict=True)]
+
+    def _objective(self, best: float) -> Callable[[float], float] | None:
+        """Return what turns a sum of costs into the objective, given the best selection's.
+
+        None if it is neither the sum itself nor an RMSE [px].
+        """
+        part = self.parts[0]
+        rows = (sum(map(len, part.folds)) if part.score == "kfold" else
+                len(part.system.design if part.system.check_target is None
+                    or part.score != "check" else part.system.check_target))
+
+        def rmse(cost: float) -> float:
+            return float(part.pixels * np.sqrt(max(cost, 0.0) / rows))
+
+        found = sum(float(cost.min()) for cost in self._costs())
+        for objective in (float, rmse):
+            if abs(objective(found) - best) <= 1e-6 * abs(best):
+                return objective
+        return None
+
+    def bound(self, best: float) -> float | None:
+        """Return a lower bound of the objective of all selections.
+
+        Parameters
+        ----------
+        best : float
+            Objective of the best selection so far.
+
+        Returns
+        -------
+        float or None
+            None if the objective is neither the sum of the parts' costs nor their RMSE [px].
+        """
+        if self.complete:
+            return best
+        objective = self._objective(best)
+        if objective is None:
+            return None
+        return min(best, objective(sum(float(cost.min()) for cost in self._costs(floor=True))))
+
+    def front(self) -> list[BoolArray]:
+        """Return the best selection of every total size that beats all smaller ones.
+
+        Returns
+        -------
+        list of ndarray of bool, shape (size,)
+            By number of genes; the last is the best of all. Empty where nothing is feasible.
+        """
+        total, sizes = _joint(self._costs())
+        return [self._genes(sizes[i].tolist()) for i in np.flatnonzero(_better(total))]
+
+    def by_size(self, problem: Problem) -> list[SizeProof]:
+        """Return the best selection of every total size, each with its own proof.
+
+        Where the parts are line and sample, the best of n genes are the best i of one and n - i
+        of the other for some i. Its bound is the least sum of the bounds over all such i.
+
+        Parameters
+        ----------
+        problem : Problem
+            It evaluates the selections.
+
+        Returns
+        -------
+        list of SizeProof
+            By number of genes; none for sizes of which no feasible selection is known.
+        """
+        total, sizes = _joint(self._costs())
+        known = np.flatnonzero(np.isfinite(total))
+        if not len(known):
+            return []
+        genes = np.array([self._genes(sizes[i].tolist()) for i in known])
+        values, feasible = each_of(problem, genes)
+        objective = self._objective(float(values[total[known].argmin()]))
+        floor, better = _joint(self._costs(floor=True))[0], _better(total)
+        proofs = []
+        # Enumeration and evaluation may differ at a tolerance: what is infeasible is left out.
+        for i, one, value in zip(known[feasible], genes[feasible], values[feasible].tolist(),
+                                 strict=True):
+            bound = None
+            if self.complete and floor[i] == total[i]:
+                bound = value
+            elif objective is not None and floor[i] > -np.inf:
+                bound = min(value, objective(float(floor[i])))
+            optimal = bound is not None and value - bound <= TIE * abs(value)
+            proofs.append(SizeProof(one, value, bound, optimal, bool(better[i])))
+        return proofs
+
+    def _genes(self, sizes: list[int]) -> BoolArray:
+        genes = np.zeros(self.size, dtype=bool)
+        for part, result, size in zip(self.parts, self.results, sizes, strict=True):
+            genes[part.genes] = result.columns(size)
+        return genes
+
+
+def each_of(problem: Problem, genes: Genes) -> tuple[FloatArray, BoolArray]:
+    """Return the first objectives of individuals, and whether they are feasible.
+
+    One by one, as sums over a population round otherwise, and a bound is to equal what it proves.
+    """
+    found = [problem.evaluate(one[None]) for one in genes]
+    return (np.array([one.objectives[0, 0] for one in found]),
+            np.array([one.violation[0] == 0 for one in found]))
+
+
+def _cost(scores: FloatArray, part: EnumerablePart, least: int) -> FloatArray:
+    """Return the cost of a score of each size; infinite for less than so many genes."""
+    cost = np.where(np.isfinite(scores), part.cost(scores), np.inf)
+    cost[:least] = np.inf
+    return cost
+
+
+def _joint(costs: Sequence[FloatArray]) -> tuple[FloatArray, IntArray]:
+    """Return the least sum of costs of every total size, and how it splits into the parts' sizes.
+
+    A convolution of minima and sums, part by part.
+    """
+    total, sizes = np.zeros(1), np.zeros((1, 0), dtype=np.intp)
+    for cost in costs:
+        joint = np.full(len(total) + len(cost) - 1, np.inf)
+        split = np.zeros((len(joint), sizes.shape[1] + 1), dtype=np.intp)
+        for here in np.flatnonzero(cost < np.inf):
+            reached = total + cost[here]
+            better = np.flatnonzero(reached < joint[here:here + len(total)])
+            joint[here + better] = reached[better]
+            split[here + better] = np.column_stack([sizes[better], np.full(len(better), here)])
+        total, sizes = joint, split
+    return total, sizes
+
+
+def _better(total: FloatArray) -> BoolArray:
+    """Return which sizes have a lower cost than all smaller ones."""
+    return total < np.minimum.accumulate(np.append(np.inf, total))[:-1]
+
+
+def prove(problem: Problem, max_terms: int | None = None,
+          workers: int | None = None) -> Iterator[Proof]:
+    """Decide every selection of a problem, yielding intermediate states.
+
+    Parameters
+    ----------
+    problem : Problem
+    max_terms : int, optional
+        Most genes of each part.
+    workers : int, optional
+        Threads; by default all cores. The result does not depend on it.
+
+    Yields
+    ------
+    Proof
+        The last one is complete.
+
+    Raises
+    ------
+    TermselError
+        If the problem's space cannot be enumerated.
+    """
+    parts = problem.parts()
+    limits = [limits_of(problem, part, max_terms) for part in parts]
+    walks = [subsets.search(part.system, part.score, folds=part.folds, max_terms=most,
+                            workers=workers or os.cpu_count() or 1,
+                            cost=partial(_cost, part=part, least=least))
+             for part, (least, most) in zip(parts, limits, strict=True)]
+    minimum = tuple(least for least, _ in limits)
+    # Every part makes its first steps before any is finished, so that there is a result for each
+    # whenever the user stops.
+    results = [next(walk) for walk in walks]
+    yield Proof(parts, tuple(results), minimum, problem.genome.size)
+    while any(result.subsets == 0 for result in results):  # what comes before the proof of all
+        for i, walk in enumerate(walks):
+            if results[i].subsets == 0:
+                results[i] = next(walk)
+                yield Proof(parts, tuple(results), minimum, problem.genome.size)
+    for i, walk in enumerate(walks):
+        for results[i] in walk:
+            yield Proof(parts, tuple(results), minimum, problem.genome.size)
+
+
+def limits_of(problem: Problem, part: EnumerablePart, max_terms: int | None) -> tuple[int, int]:
+    """Return the fewest and the most genes of a part that leave a degree of freedom."""
+    slices = problem.genome.slices()
+    segment = next(s for s in problem.genome.segments
+                   if slices[s.name].start <= part.genes[0] < slices[s.name].stop)
+    assert isinstance(segment, Bits)  # what the solver declares
+    most = [n for n in (segment.maximum, max_terms, len(part.genes),
+                        len(part.system.design) - 1) if n is not None]
+    return segment.minimum, min(most)
+
+
+def count(problem: Problem, max_terms: int | None = None) -> int:
+    """Return the number of subsets of all parts together.
+
+    Raises
+    ------
+    TermselError
+        If the problem's space cannot be enumerated.
+    """
+    return sum(
+        subsets.count_subsets(int(problem.genome.free[part.genes].sum()),
+                              limits_of(problem, part, max_terms)[1])
+        for part in problem.parts())
+
+
+def space_of(problem: Problem, parts: tuple[EnumerablePart, ...], most: int | None) -> str:
+    """Return the space of a proof in words."""
+    limits = {limits_of(problem, part, most)[1] for part in parts}
+    if all(limit >= problem.genome.free[part.genes].sum() for part in parts for limit in limits):
+        return ALL
+    sizes = " and ".join(map(str, sorted(limits))) + (" term" if limits == {1} else " terms")
+    whole = all(limits_of(problem, part, most) == limits_of(problem, part, None)
+                for part in parts)
+    return (f"{ALL if whole else 'selections'} of up to {sizes}"
+            + " an axis" * (len(parts) > 1))
+
+

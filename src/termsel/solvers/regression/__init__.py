@@ -1,0 +1,1 @@
+"""Selection by regression: stepwise, nested, ridge, lasso."""

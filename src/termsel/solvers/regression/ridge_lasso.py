@@ -1,0 +1,309 @@
+"""Baselines that shrink coefficients: the lasso also drops terms, ridge keeps them all."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import linalg
+
+from termsel.adjustment.ridge import Spectrum, choose_penalty
+from termsel.adjustment.solve import TOLERANCE
+from termsel.measurements.features import BoolArray, FloatArray, IntArray
+from termsel.options import COUNT, Option
+from termsel.problems.base import Problem
+from termsel.solvers.base import Generation, Solver
+from termsel.solvers.regression.stepwise import (
+    EXPLAINED,
+    Regression,
+    TermRegression,
+    generation_of,
+    regressions,
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Standard:
+    """A regression without the columns that are not penalised, the others at unit length.
+
+    Parameters
+    ----------
+    columns : ndarray, shape (m, j)
+        Orthogonal to the unpenalised ones; 0 for columns that depend on those.
+    target : ndarray, shape (m, r)
+        Orthogonal to the unpenalised ones as well.
+    lengths : ndarray, shape (j,)
+        Lengths of the columns before they were brought to unit length.
+    """
+
+    columns: FloatArray
+    target: FloatArray
+    lengths: FloatArray
+
+
+def standardise(columns: FloatArray, target: FloatArray, unpenalised: FloatArray) -> Standard:
+    """Return columns and target orthogonal to the unpenalised columns.
+
+    Parameters
+    ----------
+    columns : ndarray, shape (m, j)
+    target : ndarray, shape (m, r)
+    unpenalised : ndarray, shape (m, u)
+        Independent columns, such as the constant.
+    """
+    q = np.linalg.qr(unpenalised)[0]
+    rest = columns - q @ (q.T @ columns)
+    lengths = np.linalg.norm(rest, axis=0)
+    live = lengths > TOLERANCE * np.linalg.norm(columns, axis=0)
+    lengths = np.where(live, lengths, np.inf)
+    return Standard(rest / lengths, target - q @ (q.T @ target), lengths)
+
+
+@dataclass(frozen=True, eq=False)
+class Piece:
+    """A piece of the path on which the same columns are in use.
+
+    Parameters
+    ----------
+    above, below : float
+        Penalties at its ends.
+    active : ndarray of int
+        The columns in use.
+    start, end : ndarray, shape (k, r)
+        Coefficients at its ends; between them they are linear in the penalty.
+    """
+
+    above: float
+    below: float
+    active: IntArray
+    start: FloatArray
+    end: FloatArray
+
+
+def lasso_path(columns: FloatArray, target: FloatArray, most: int) -> list[Piece]:
+    """Return the path of the lasso from the largest penalty downwards.
+
+    Minimises ||y - X b||^2 / 2 + penalty sum |b| for every penalty: least angle regression in
+    which a column leaves as its coefficient passes 0 (Efron, Hastie, Johnstone, Tibshirani
+    2004, section 3.1). With several targets it is multiresponse least angle regression
+    (Similä, Tikka 2005), in which no column leaves. Columns that depend on those in use do
+    not enter.
+
+    Parameters
+    ----------
+    columns : ndarray, shape (m, k)
+    target : ndarray, shape (m, r)
+    most : int
+        Columns in use at which the path ends.
+    """
+    k, r = columns.shape[1], target.shape[1]
+    x = np.zeros((k, r))
+    least = TOLERANCE * np.linalg.norm(columns, axis=0)
+    lengths = np.linalg.norm(columns.T @ target, axis=1)
+    top = penalty = float(lengths.max(initial=0.0))
+    pieces: list[Piece] = []
+    if most < 1 or top == 0.0:
+        return pieces
+    active = [int(lengths.argmax())]
+    gone = -1
+    # Many more pieces than columns would be steps of rounding size.
+    while active and penalty > EXPLAINED * top and len(pieces) < 20 * k:
+        rest = target - columns @ x
+        q, triangle = np.linalg.qr(columns[:, active])
+        step = linalg.solve_triangular(triangle, q.T @ rest)
+        enters = _shares_to_enter(columns.T @ rest, columns.T @ (q @ (q.T @ rest)), penalty)
+        depends = np.linalg.norm(columns - q @ (q.T @ columns), axis=0) <= least
+        enters[depends] = np.inf
+        if gone >= 0:
+            enters[gone] = np.inf
+        leaves = np.full(len(active), np.inf)
+        if r == 1:
+            turns = x[active, 0] * step[:, 0] < 0.0
+            leaves[turns] = -x[active, 0][turns] / step[turns, 0]
+        share = min(1.0, float(enters.min()), float(leaves.min()))
+        here, start, above = np.array(active), x.copy(), penalty
+        x[active] += share * step
+        penalty *= 1.0 - share
+        gone = -1
+        if share == leaves.min():
+            gone = active.pop(int(leaves.argmin()))
+            x[gone] = 0.0
+        pieces.append(Piece(above, penalty, here, start, x.copy()))
+        if gone < 0 and share < 1.0:
+            if len(active) == most:
+                break
+            active.append(int(enters.argmin()))
+    return pieces
+
+
+def _shares_to_enter(c: FloatArray, a: FloatArray, penalty: float) -> FloatArray:
+    """Return the share of the step at which each column correlates as much as those in use.
+
+    The first root of |c - share a| = (1 - share) penalty, which lies between 0 and 1.
+    """
+    p = penalty**2 - (a**2).sum(axis=1)
+    q = penalty**2 - (c * a).sum(axis=1)
+    s = np.maximum(penalty**2 - (c**2).sum(axis=1), 0.0)
+    root = np.sqrt(np.maximum(q**2 - p * s, 0.0))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        shares = np.where(q > 0.0, s / (q + root), (q - root) / p)
+    return np.asarray(np.where(np.isfinite(shares), shares, np.inf))
+
+
+class Lasso(TermRegression):
+    """Lasso: terms that survive an L1 penalty, then adjusted by plain least squares.
+
+    Tibshirani 1996; for the RFM Long, Jiao, He 2015, "RPC estimation via L1-norm-regularized
+    least squares (L1LS)", IEEE TGRS 53(8), p. 4554, after the title and the authors' published
+    code, which takes the penalty 1e-6 for normalised coordinates and keeps the shrunken
+    coefficients. Here the lasso only selects (the LARS-OLS hybrid of Efron et al. 2004,
+    section 1), since a selection is judged by its least-squares adjustment.
+
+    The penalty is chosen by cross-validation over the control rows: for each fold the path is
+    computed and every selection on it adjusted without the fold; the penalty with the least
+    sum of squares over all folds is used. Every folds-th row is one fold, so that nothing is
+    random. termsel's own choices: columns have unit length, the constant is not penalised, errors
+    are those of the linearised equations, and a redundancy of at least 1 is left. With one
+    mask for line and sample the path is that of multiresponse least angle regression.
+
+    The path is exact, and termsel's own. Coordinate descent would converge too slowly: the
+    columns of an RFM are nearly dependent and the signal is thousands of times the noise, so
+    that small penalties matter.
+    """
+
+    name = "lasso"
+    declared_options = (
+        Option("folds", 10, "Folds of the cross-validation; at most as many as control rows.",
+               int, 2, COUNT),
+    )
+
+    def choose(self, part: Regression) -> BoolArray:
+        """Return the chosen columns."""
+        pieces = _path(part, np.ones(len(part.target), dtype=bool))
+        if not pieces:
+            return part.kept
+        penalties = np.array([np.sqrt(max(piece.above * piece.below, 0.0)) for piece in pieces])
+        square = np.zeros(len(pieces))
+        fold = np.arange(len(part.target)) % min(self.options["folds"], len(part.target))
+        for out in range(fold.max() + 1):
+            square += _squares_left_out(part, fold != out, penalties)
+        return _selection(part, pieces[int(square.argmin())])
+
+
+def _path(part: Regression, rows: BoolArray) -> list[Piece]:
+    """Return the path of the free columns over some of the rows."""
+    unit = part.unit[rows]
+    standard = standardise(unit[:, part.free], part.target[rows], unit[:, part.kept])
+    room = min(part.most, int(rows.sum()) - 1) - int(part.kept.sum())
+    return lasso_path(standard.columns, standard.target, room)
+
+
+def _selection(part: Regression, piece: Piece) -> BoolArray:
+    """Return the columns in use on a piece, with the kept ones."""
+    chosen = part.kept.copy()
+    chosen[np.flatnonzero(part.free)[piece.active]] = True
+    return chosen
+
+
+def _squares_left_out(part: Regression, rows: BoolArray, penalties: FloatArray) -> FloatArray:
+    """Return the squares of the errors at the other rows, for each penalty.
+
+    Parameters
+    ----------
+    part : Regression
+    rows : ndarray of bool, shape (m,)
+        Rows in use.
+    penalties : ndarray, shape (p,)
+        For all rows; with unit columns they scale with the root of the number of rows.
+    """
+    unit = part.unit
+    path = _path(part, rows)
+    choices = [part.kept, *(_selection(part, piece) for piece in path)]
+    squares = []
+    for chosen in choices:
+        x = np.linalg.lstsq(unit[np.ix_(rows, chosen)], part.target[rows], rcond=TOLERANCE)[0]
+        squares.append(((part.target[~rows] - unit[np.ix_(~rows, chosen)] @ x) ** 2).sum())
+    # Before the first piece nothing free is in use; below the last the path is not known.
+    above = np.array([piece.above for piece in path])
+    number = (above[None] >= penalties[:, None] * np.sqrt(rows.mean())).sum(axis=1)
+    return np.asarray(np.array(squares)[number])
+
+
+class Ridge(Solver):
+    """Ridge regression: all terms stay, their coefficients are shrunk.
+
+    Hoerl, Kennard 1970; for RPCs Tao, Hu 2001, PE&RS 67(12), p. 1347, with the L-curve Zhou
+    et al. 2018, ISPRS Archives XLII-3. Minimises |y - A x|^2 + penalty^2 |x|^2 for line and
+    sample each with its own penalty, chosen on the control rows alone: the least generalised
+    cross-validation (Golub, Heath, Wahba 1979), or the corner of the L-curve, its point of
+    largest curvature (Hansen, O'Leary 1993). termsel's own choices: columns have unit length
+    once the constant is taken out, and the constant is not penalised; the equations are the
+    linearised ones, not reweighted.
+
+    Genes do not express how much a coefficient is shrunk, so the details of the generation hold
+    the coefficients, in the order of the model's terms and for scaled coordinates. The
+    generation's evaluation is that of all terms without a penalty. With fewer equations than
+    terms GCV tends to no penalty at all, and the L-curve has no true corner, since nothing
+    bounds the residuals from below.
+    """
+
+    name = "ridge"
+    uses_chance = False
+    ends_by_itself = True
+    uses_all = True
+    declared_options = (
+        Option("choice", "gcv", "Choice of the penalty: generalised cross-validation, or the "
+                                "corner of the L-curve.", choices=("gcv", "l-curve")),
+    )
+
+    def generations(self, problem: Problem, rng: np.random.Generator) -> Iterator[Generation]:
+        """Yield all terms, with their coefficients (see `Solver.generations`)."""
+        parts = regressions(problem)
+        generation = generation_of(problem, parts, [part.free | part.kept for part in parts], rng)
+        coefficients = np.zeros((parts[0].target.shape[1], problem.genome.size))
+        penalties = []
+        for part in parts:
+            on = generation.genes[0, part.genes]
+            coefficients[:, part.genes], penalty = shrink(part, on, self.options["choice"])
+            penalties.append(penalty)
+        # With one mask for both axes, the line's coefficients come before the sample's.
+        yield replace(generation, details={"coefficients": coefficients.ravel(),
+                                           "penalties": tuple(penalties)})
+
+
+def shrink(part: Regression, on: BoolArray, choice: str) -> tuple[FloatArray, float]:
+    """Return ridge coefficients and their penalty.
+
+    Parameters
+    ----------
+    part : Regression
+    on : ndarray of bool, shape (k,)
+        Columns in use.
+    choice : {"gcv", "l-curve"}
+
+    Returns
+    -------
+    coefficients : ndarray, shape (r, k)
+    penalty : float
+        For columns of unit length.
+    """
+    penalised, constant = on & ~part.constant, on & part.constant
+    lead = part.columns[:, constant]
+    standard = standardise(part.columns[:, penalised], part.target, lead)
+    u, s, vt = np.linalg.svd(standard.columns, full_matrices=False)
+    live = s > TOLERANCE * s.max(initial=0.0)
+    u, s, vt = u[:, live], s[live], vt[live]
+    inner = u.T @ standard.target
+    x = np.zeros((len(on), part.target.shape[1]))
+    penalty = 0.0
+    if len(s):
+        outside = float(((standard.target - u @ inner) ** 2).sum())
+        spectrum = Spectrum(s, np.linalg.norm(inner, axis=1),
+                            0.0 if part.explained(outside) else outside,
+                            len(standard.target) - lead.shape[1])
+        penalty = choose_penalty(spectrum, choice)
+        x[penalised] = (vt.T @ ((s / (s**2 + penalty**2))[:, None] * inner)
+                        / standard.lengths[:, None])
+    x[constant] = np.linalg.lstsq(lead, part.target - part.columns @ x)[0]
+    return x.T, penalty

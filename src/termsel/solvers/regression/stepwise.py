@@ -1,0 +1,382 @@
+"""Baselines that choose terms by tests of significance, without search or budget."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from math import ceil
+
+import numpy as np
+from scipy import special
+
+from termsel.adjustment.solve import TOLERANCE
+from termsel.enumeration.columns.system import SubsetSystem
+from termsel.errors import TermselError
+from termsel.measurements.features import BoolArray, FloatArray, IntArray
+from termsel.options import COUNT, Option
+from termsel.problems.base import EnumerablePart, Problem
+from termsel.problems.segments import Bits
+from termsel.solvers.base import Generation, Solver
+
+EXPLAINED = 1e-12
+"""A target is explained when its residual is below this fraction of its length: rounding."""
+
+
+@dataclass(frozen=True, eq=False)
+class Regression:
+    """The control rows of one part: columns to choose from, and their targets.
+
+    With one mask for line and sample there are two targets; their sums of squares and
+    degrees of freedom are pooled, as for one adjustment of both.
+
+    Parameters
+    ----------
+    genes : ndarray of int, shape (k,)
+        The genes that switch the columns.
+    columns : ndarray, shape (m, k)
+        As in the adjustment.
+    target : ndarray, shape (m, r)
+    denominator : ndarray, shape (m, k), optional
+        Linear form of the denominator without its 1: the error of the image coordinate is
+        (target - columns x) / (1 + denominator x).
+    constant : ndarray of bool, shape (k,)
+        The column of the constant, if there is one.
+    kept, free : ndarray of bool, shape (k,)
+        Columns that are always chosen, and those to choose from.
+    least, most : int
+        How many columns may be chosen; `most` leaves a redundancy of at least 1.
+    pixels : float
+        px per unit of the target.
+    """
+
+    genes: IntArray
+    columns: FloatArray
+    target: FloatArray
+    denominator: FloatArray | None
+    constant: BoolArray
+    kept: BoolArray
+    free: BoolArray
+    least: int
+    most: int
+    pixels: float
+
+    @cached_property
+    def unit(self) -> FloatArray:
+        """Columns of length 1, or 0 if they are all zeros."""
+        lengths = np.linalg.norm(self.columns, axis=0)
+        return np.asarray(self.columns / np.where(lengths > 0, lengths, 1.0))
+
+    def explained(self, square: float) -> bool:
+        """Return whether a residual sum of squares is rounding error."""
+        return bool(square <= (EXPLAINED * np.linalg.norm(self.target)) ** 2)
+
+    def freedom(self, chosen: BoolArray) -> int:
+        """Return the degrees of freedom of the adjustment with the chosen columns."""
+        m, r = self.target.shape
+        return int(r * (m - chosen.sum()))
+
+
+def regressions(problem: Problem) -> list[Regression]:
+    """Return the parts of a term selection as regressions over their control rows.
+
+    The constant is kept unless it is forbidden, like the intercept in textbooks and in Long et
+    al. 2014.
+
+    Parameters
+    ----------
+    problem : Problem
+
+    Raises
+    ------
+    TermselError
+        If the problem's space cannot be enumerated (see `Problem.parts`), or terms need parents.
+    """
+    if any(part.system.parents is not None for part in problem.parts()):
+        raise TermselError("regression adds and drops single terms and cannot keep a hierarchy",
+                           hint="Choose another solver, such as --solver ga or exact, or remove "
+                                "hierarchy=true.")
+    return [_regression(problem, part) for part in problem.parts()]
+
+
+def _regression(problem: Problem, part: EnumerablePart) -> Regression:
+    system = part.system
+    m, k = system.design.shape
+    none = np.zeros(k, dtype=bool)
+    forced = none if system.forced is None else system.forced
+    forbidden = none if system.forbidden is None else system.forbidden
+    constant = _constant(system) & ~forbidden
+    slices = problem.genome.slices()
+    segment = next(s for s in problem.genome.segments
+                   if slices[s.name].start <= part.genes[0] < slices[s.name].stop)
+    assert isinstance(segment, Bits)  # what the solver declares
+    kept = forced | constant
+    most = min(k if segment.maximum is None else segment.maximum, m - 1)
+    return Regression(part.genes, system.design, system.target, system.denominator, constant,
+                      kept, ~(kept | forbidden), max(1, segment.minimum), most,
+                      part.pixels)
+
+
+def _constant(system: SubsetSystem) -> BoolArray:
+    """Return the column of the constant, the first that is the same in every row.
+
+    If standard deviations weight the control rows, only check rows reveal it, if there are any.
+    Nothing else is taken from those.
+    """
+    constant = np.zeros(system.design.shape[1], dtype=bool)
+    for rows in (system.design, system.check_design):
+        if rows is not None and not constant.any():
+            same = (np.ptp(rows, axis=0) == 0) & (rows[0] != 0)
+            constant = same & (np.cumsum(same) == 1)
+    return constant
+
+
+def generation_of(problem: Problem, parts: list[Regression], chosen: list[BoolArray],
+                  rng: np.random.Generator) -> Generation:
+    """Return the one selection of a method, evaluated.
+
+    Parameters
+    ----------
+    problem : Problem
+    parts : list of Regression
+    chosen : list of ndarray of bool
+        The chosen columns of each part.
+    rng : numpy.random.Generator
+        Draws only if a method could not keep the genome's cardinality.
+    """
+    genes = np.zeros((1, problem.genome.size), dtype=bool)
+    for part, columns in zip(parts, chosen, strict=True):
+        genes[0, part.genes] = columns
+    genes = problem.genome.repair(genes, rng)
+    return Generation(0, genes, problem.evaluate(genes))
+
+
+class TermRegression(Solver):
+    """Base of solvers that choose the columns of each part only from its control rows."""
+
+    ends_by_itself = True
+    uses_chance = False
+
+    @abstractmethod
+    def choose(self, part: Regression) -> BoolArray:
+        """Return the chosen columns, shape (k,)."""
+
+    def generations(self, problem: Problem, rng: np.random.Generator) -> Iterator[Generation]:
+        """Yield the one selection (see `Solver.generations`)."""
+        parts = regressions(problem)
+        yield generation_of(problem, parts, [self.choose(part) for part in parts], rng)
+
+
+def gains(part: Regression, chosen: BoolArray) -> tuple[FloatArray, float]:
+    """Return how much each further column lowers the residual sum of squares, and that sum.
+
+    Parameters
+    ----------
+    part : Regression
+    chosen : ndarray of bool, shape (k,)
+
+    Returns
+    -------
+    gain : ndarray, shape (k,)
+        0 for columns that depend on the chosen ones, and for the chosen ones.
+    square : float
+        The sum with the chosen columns alone.
+    """
+    unit = part.unit
+    q = np.linalg.qr(unit[:, chosen])[0]
+    rest = part.target - q @ (q.T @ part.target)
+    unit = unit - q @ (q.T @ unit)
+    lengths = np.linalg.norm(unit, axis=0)
+    ready = (lengths > TOLERANCE) & ~chosen
+    share = np.where(ready[:, None], unit.T @ rest, 0.0) / np.where(ready, lengths, 1.0)[:, None]
+    return (share**2).sum(axis=1), float((rest**2).sum())
+
+
+def losses(part: Regression, chosen: BoolArray) -> tuple[FloatArray, float]:
+    """Return how much dropping each chosen column raises the residual sum of squares.
+
+    Parameters
+    ----------
+    part : Regression
+    chosen : ndarray of bool, shape (k,)
+        Independent columns.
+
+    Returns
+    -------
+    loss : ndarray, shape (k,)
+        Infinite for columns that are not chosen.
+    square : float
+        The sum with all chosen columns.
+    """
+    # The solution through the pseudo-inverse also survives kept columns that are dependent.
+    inverse = np.linalg.pinv(part.unit[:, chosen], rcond=TOLERANCE)
+    x = inverse @ part.target
+    variance = (inverse**2).sum(axis=1)
+    loss = np.full(len(chosen), np.inf)
+    loss[chosen] = (x**2).sum(axis=1) / np.where(variance > 0.0, variance, np.inf)
+    return loss, float(((part.target - part.unit[:, chosen] @ x) ** 2).sum())
+
+
+def significance(part: Regression, change: float, square: float, chosen: BoolArray) -> float:
+    """Return the probability of a change this large if a column is not part of the target.
+
+    The partial F test of one column: F = (change / r) / (square / f) with r and f degrees of
+    freedom. With one target, r = 1, it is the t test of its coefficient, F = t^2.
+
+    Parameters
+    ----------
+    part : Regression
+    change : float
+        Change of the residual sum of squares by the column.
+    square : float
+        That sum with the column.
+    chosen : ndarray of bool, shape (k,)
+        The columns in use, this one among them.
+    """
+    r, freedom = part.target.shape[1], part.freedom(chosen)
+    if part.explained(square):
+        return 1.0 if part.explained(change) else 0.0
+    return float(special.fdtrc(r, freedom, (change / r) / (square / freedom)))
+
+
+def with_column(chosen: BoolArray, j: int, on: bool) -> BoolArray:
+    """Return the choice with column j on or off."""
+    other = chosen.copy()
+    other[j] = on
+    return other
+
+
+class Stepwise(TermRegression):
+    """Stepwise regression: add and drop terms by partial F tests.
+
+    Efroymson 1960, "Multiple regression analysis", in Ralston and Wilf, Mathematical Methods
+    for Digital Computers; for the RFM Li, Liu, Deng 2016, ISPRS Archives XLI-B3, p. 65, who
+    say that line and sample are chosen independently; their thresholds could not be
+    consulted. The column that lowers the residual sum of squares most enters if its F is
+    significant at `alpha_in`; then, as long as the least significant of those in use is not
+    significant at `alpha_out`, it leaves. Only control rows take part. The equations are the
+    linearised ones, without the gross-error detection of the paper.
+
+    termsel's own choices: the constant is always in use; columns that depend on those in use do
+    not enter, and none enters if that leaves a redundancy below 1; the steps also end when they
+    would return to an earlier selection. With one mask for line and sample their
+    sums of squares and degrees of freedom are pooled.
+    """
+
+    name = "stepwise"
+    declared_options = (
+        Option("alpha_in", 0.05, "Significance level below which a term enters; 0.05 and 0.10 are "
+               "the defaults of SPSS and of MATLAB's stepwisefit.", float, 0.0, 1.0),
+        Option("alpha_out", 0.10, "Significance level above which a term leaves; at least "
+               "alpha_in.", float, 0.0, 1.0),
+    )
+
+    def choose(self, part: Regression) -> BoolArray:
+        """Return the chosen columns.
+
+        Raises
+        ------
+        TermselError
+            If terms would leave more easily than they enter.
+        """
+        alpha_in, alpha_out = self.options["alpha_in"], self.options["alpha_out"]
+        if alpha_in > alpha_out:
+            raise TermselError(f"alpha_in is {alpha_in:g} and alpha_out {alpha_out:g}",
+                               hint="Give an alpha_out of at least alpha_in; otherwise terms enter "
+                                    "and leave forever.")
+        chosen = part.kept.copy()
+        seen = {chosen.tobytes()}
+        while True:
+            grown = self._grow(part, chosen, alpha_in)
+            if grown is None:
+                return chosen
+            grown = _drop(part, grown, alpha_out)
+            if grown.tobytes() in seen:
+                return chosen
+            seen.add(grown.tobytes())
+            chosen = grown
+
+    def _grow(self, part: Regression, chosen: BoolArray, alpha: float) -> BoolArray | None:
+        """Return the choice with the best further column, or None if none enters."""
+        count = int(chosen.sum())
+        gain, square = gains(part, chosen)
+        gain[~part.free] = 0.0
+        best = int(gain.argmax())
+        if count >= part.most or gain[best] == 0.0:
+            return None
+        grown = with_column(chosen, best, True)
+        needed = count < part.least
+        if not needed and (part.explained(square) or
+                           significance(part, gain[best], max(square - gain[best], 0.0), grown)
+                           >= alpha):
+            return None
+        return grown
+
+
+def _drop(part: Regression, chosen: BoolArray, alpha: float) -> BoolArray:
+    """Return the choice after dropping insignificant columns, one at a time."""
+    while chosen.sum() > part.least:
+        loss, square = losses(part, chosen)
+        loss[~part.free] = np.inf
+        weakest = int(loss.argmin())
+        if (not np.isfinite(loss[weakest])
+                or significance(part, loss[weakest], square, chosen) <= alpha):
+            break
+        chosen = with_column(chosen, weakest, False)
+    return chosen
+
+
+def independent(part: Regression, most: int) -> BoolArray:
+    """Return the kept columns and the first others that do not depend on earlier ones.
+
+    Parameters
+    ----------
+    part : Regression
+    most : int
+        Most columns to return.
+    """
+    chosen = part.kept.copy()
+    q = np.linalg.qr(part.unit[:, chosen])[0]
+    for j in np.flatnonzero(part.free):
+        if chosen.sum() >= most:
+            break
+        rest = part.unit[:, j] - q @ (q.T @ part.unit[:, j])
+        rest -= q @ (q.T @ rest)  # twice is enough against rounding
+        length = np.linalg.norm(rest)
+        if length > TOLERANCE:
+            chosen[j] = True
+            q = np.column_stack([q, rest / length])
+    return chosen
+
+
+class TTest(TermRegression):
+    """Backward elimination: fit as many terms as possible, then drop the insignificant ones.
+
+    After the significance test of Moghaddam et al. 2017, ISPRS Archives XLII-4/W4, p. 23 (seen
+    in abstract only), which drops RPCs that a t test finds insignificant. termsel's own choices:
+    one term leaves at a time, that of the smallest |t|, and all are tested again; the constant
+    stays. Only control rows take part. With one mask for line and sample the test of a term is
+    the F test of both of its coefficients.
+
+    Elimination must begin with a determined adjustment that has redundancy for the tests: the
+    first columns, in the model's own order, that do not depend on earlier ones. In the order
+    of an RFM these are low powers before high ones and numerators before denominators. QR with
+    column pivoting, which takes the most independent columns whatever they mean, was tried; it
+    drops columns such as X and Y. On the embedded scenes its RFM misses independent points by
+    up to hundreds of px, while this start misses them by 1 to 3 px.
+    """
+
+    name = "t-test"
+    declared_options = (
+        Option("alpha", 0.05, "Significance level of the two-sided test.",
+               float, 0.0, 1.0),
+        Option("redundancy", None, "Fewest degrees of freedom of an axis at the start; by default "
+                                   "a quarter of its equations.", int, 1, COUNT),
+    )
+
+    def choose(self, part: Regression) -> BoolArray:
+        """Return the chosen columns."""
+        m = len(part.target)
+        most = min(part.most, m - (self.options["redundancy"] or ceil(m / 4)))
+        return _drop(part, independent(part, most), self.options["alpha"])

@@ -1,0 +1,300 @@
+"""The cells of a study: one run each, identified by all that it depends on."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+from termsel.errors import TermselError
+from termsel.options import Configurable, Option
+from termsel.plugins.registry import registry
+from termsel.runs.auto.strategy import LEAST, wanted
+from termsel.runs.run import problem_for
+from termsel.runs.task.task import DATA_OPTIONS, Request, ask, build, observe, scale
+from termsel.solvers.base import Solver
+from termsel.solvers.budget import SEARCH_OPTIONS
+from termsel.studies.plan.data import Data, of_dataset
+from termsel.studies.plan.spec import Part, Spec
+
+LABELS = ("problem", "data", "split", "strategy", "model", "criterion", "solver", "seed")
+"""What tells the cells of a study apart, in the order in which they vary."""
+
+
+@dataclass(frozen=True, eq=False)
+class Cell:
+    """One run of a study.
+
+    Parameters
+    ----------
+    key : str
+        Checksum of all that its result depends on.
+    labels : mapping
+        What tables call its problem, data, split, strategy, model, criterion, solver and seed.
+    call : mapping
+        Arguments of the run, names and options; the features are not among them.
+    data : Data
+        Not carried to workers with every cell; see `Work`.
+    things : mapping
+        Classes, instances and recipes in place of names, where Python gave them.
+    """
+
+    key: str
+    labels: Mapping[str, Any]
+    call: Mapping[str, Any]
+    data: Data
+    things: Mapping[str, Any] = field(default_factory=dict)
+
+
+def kind_of(labels: Mapping[str, Any]) -> tuple[str, ...]:
+    """Return all labels but data, split and seed: cells of a kind take about the same time.
+
+    Parameters
+    ----------
+    labels : mapping
+        Of a cell.
+    """
+    return tuple(labels[name] for name in LABELS if name not in ("data", "split", "seed"))
+
+
+def cells_of(spec: Spec, data: list[Data]) -> list[Cell]:
+    """Return all cells of a study, in the order of its tables.
+
+    Parameters
+    ----------
+    spec : Spec
+    data : list of Data
+        Empty for each problem's own data set.
+
+    Raises
+    ------
+    TermselError
+        With line and column where a study file is at fault: for names and options that are not
+        known, a solver that cannot handle the objectives, or a kind of cell that none of the data
+        allows.
+    """
+    kinds = _Kinds(spec)
+    cells = []
+    for problem in spec.problems or (None,):
+        own = list(data) or [_own_data(spec, problem)]
+        for one in own:
+            name = problem.name if problem else None if one.features is None \
+                else problem_for(one.features)
+            for split in spec.splits:
+                cells += list(_of_data(spec, kinds, problem, name, one, own, split))
+    if cells and all(cell.data.features is None for cell in cells):
+        raise TermselError(cells[0].data.reason, hint=None if len(cells) == 1 else
+                           f"None of the {len(cells)} cells can run; this is the first.")
+    kinds.require_used()
+    if len(spec.splits) > 1 and len({cell.labels["split"] for cell in cells}) == 1:
+        raise spec.places.error(("splits",), "every point has a role, so all splits are the same",
+                                'Add roles = "random" to [options], or leave splits out.')
+    if len({cell.key for cell in cells}) < len(cells):
+        raise TermselError("two cells of the study are the same",
+                           hint="Remove the problem, model or solver that is named twice.")
+    return cells
+
+
+def _own_data(spec: Spec, problem: Part | None) -> Data:
+    if problem is None:
+        raise spec.places.error(("data",), "the study names neither data nor a problem",
+                                "Write [[data]] and points = \"*.csv\", or problems = [\"...\"].")
+    try:
+        recipe = registry().taken("problems", problem.thing or problem.name)
+    except TermselError as error:
+        raise spec.places.error(problem.path, error.what, error.hint) from error
+    return of_dataset(recipe.dataset)
+
+
+def _of_data(spec: Spec, kinds: _Kinds, problem: Part | None, name: str | None, data: Data,
+             others: list[Data], split: int) -> Iterator[Cell]:
+    asked: Part | None = problem or (Part(name, name) if name else None)
+    for strategy in spec.strategies:
+        methods = [(None, None, None)] if strategy == "auto" else [
+            (model, criterion, solver) for model in spec.models or (None,)
+            for criterion in spec.criteria or (None,) for solver in spec.solvers or (None,)]
+        for model, criterion, solver in methods:
+            parts = {"problem": asked, "model": model, "criterion": criterion, "solver": solver}
+            kind = kinds.kind(strategy, parts, data, others)
+            if kind.unfit is not None:
+                if problem is not None:
+                    raise kind.unfit
+                # The files said what the problem is: these cannot be, others can.
+                data = replace(data, features=None, reason=kind.reason)
+            if split != spec.splits[0] and not _drawn(kind.options, data):
+                continue
+            seeds = spec.seeds if kind.chance else spec.seeds[:1]
+            for seed in seeds:
+                yield _cell(spec, strategy, parts, kind, data, split, seed)
+
+
+def _drawn(options: Mapping[str, Any], data: Data) -> bool:
+    """Return whether a split assigns any roles; without that all splits are one instance."""
+    how = next((value for key, value in options.items()
+                if key.rpartition(".")[2] == "roles"), "file")
+    return how != "file" or (data.features is not None and "" in data.features.points.roles)
+
+
+@dataclass(frozen=True)
+class _Kind:
+    """What cells of one kind have in common: options, names by default, and chance.
+
+    Where none of the data allow it: the error with the place in the study file, and without.
+    """
+
+    options: Mapping[str, Any]
+    names: Mapping[str, str]
+    chance: bool
+    unfit: TermselError | None = None
+    reason: str = ""
+
+
+class _Kinds:
+    """The kinds of cells met so far, each checked once."""
+
+    def __init__(self, spec: Spec) -> None:
+        self._spec = spec
+        self._known: dict[Any, _Kind] = {}
+        self._used: set[str] = set()
+
+    def kind(self, strategy: str, parts: Mapping[str, Part | None], data: Data,
+             others: list[Data]) -> _Kind:
+        """Return a kind, checked on these data or, where they do not serve, on others."""
+        key = (strategy, *(part and part.label for part in parts.values()))
+        if key not in self._known:
+            if parts["problem"] is None:  # the data cannot be read, so nothing is known
+                return _Kind({}, {}, chance=False)
+            self._known[key] = self._checked(strategy, parts, [data, *others])
+        return self._known[key]
+
+    def require_used(self) -> None:
+        """Refuse an option for every cell that no cell has."""
+        for key in self._spec.options:
+            if key not in self._used and self._known:
+                raise self._spec.places.error(
+                    ("options", key), f"no cell of the study has the option {key!r}",
+                    "`termsel describe NAME` lists the options of a problem, model or solver.")
+
+    def _checked(self, strategy: str, parts: Mapping[str, Part | None],
+                 data: list[Data]) -> _Kind:
+        spec, first = self._spec, None
+        for one in data:
+            if one.features is None:
+                continue
+            plain = self._asked(strategy, parts, one, {})
+            options = self._options(strategy, parts, plain)
+            request = self._asked(strategy, parts, one, options)
+            try:
+                observations = observe(request, LEAST if strategy == "auto" else 3)
+                if strategy != "auto":
+                    build(request, observations, *scale(request, observations))
+            except TermselError as error:
+                first = first or error
+                continue
+            chosen: Solver = request.solver
+            return _Kind(options, {"model": request.model.name, "solver": chosen.name,
+                                   "criterion": request.criterion.name},
+                         chance=strategy != "auto" and (
+                             chosen.uses_chance or bool(request.options["search"]["polish"])))
+        assert first is not None  # some data can be read, or there would be no study
+        named = next((part for word in ("solver", "model", "criterion", "problem")
+                      if (part := parts[word]) and part.path), None)
+        return _Kind({}, {}, chance=False, reason=str(first), unfit=spec.places.error(
+            named.path if named else (), first.what, first.hint))
+
+    def _asked(self, strategy: str, parts: Mapping[str, Part | None], data: Data,
+               options: Mapping[str, Any]) -> Request:
+        problem = parts["problem"]
+        assert problem is not None
+        names: dict[str, Any] = {word: part.thing or part.name for word, part in parts.items()
+                                 if part}
+        method: dict[str, Any] = {}
+        try:
+            if strategy == "auto":
+                recipe = registry().taken("problems", problem.thing or problem.name)
+                wanted("auto", recipe, {f"the option {key}": True for key in problem.options})
+                method = {"criterion": "press", "solver": "all-terms"}
+            return ask(**{**names, **method}, features=data.features, source=data.source,
+                       options=options)
+        except TermselError as error:
+            raise self._at_fault(parts, error) from error
+
+    def _at_fault(self, parts: Mapping[str, Part | None], error: TermselError) -> TermselError:
+        """Return the error with the place of the part, or the option, that it is about."""
+        said = error.what.split("'")[1] if "'" in error.what else ""
+        for word, part in parts.items():
+            key = said.removeprefix(f"{word}.")
+            if part is not None and (said == part.name or key in part.options):
+                path = (*part.path, key) if key in part.options else part.path
+                return self._spec.places.error(path, error.what, error.hint)
+        if said in self._spec.options:
+            return self._spec.places.error(("options", said), error.what, error.hint)
+        problem = parts["problem"]
+        return self._spec.places.error(problem.path if problem else (), error.what, error.hint)
+
+    def _options(self, strategy: str, parts: Mapping[str, Part | None],
+                 request: Request) -> dict[str, Any]:
+        """Return the options of each part, and those for every cell that some part has."""
+        declared: dict[str, tuple[Option, ...]] = {"data": DATA_OPTIONS}
+        if strategy != "auto":
+            declared |= {"problem": tuple(request.recipe.options),
+                         "model": request.model.declared_options,
+                         "criterion": request.criterion.declared_options,
+                         "solver": request.solver.declared_options, "search": SEARCH_OPTIONS}
+        # What stands next to a part and is no option of its own is for everything in its cells, as
+        # with --set: next to a solver its local refinement, next to a problem a model's degree.
+        chosen = {f"{word}.{key}" if any(option.name == key for option in declared.get(word, ()))
+                  else key: value for word, part in parts.items() if part and word != "problem"
+                  for key, value in part.options.items()}
+        problem = parts["problem"]
+        for key, value in (problem.options if problem else {}).items():
+            if not any(name.rpartition(".")[2] == key for name in chosen):
+                chosen[key] = value
+        for key, value in self._spec.options.items():
+            asked, _, bare = key.rpartition(".")
+            having = [word for word, options in declared.items() if asked in ("", word)
+                      and any(option.name == bare for option in options)]
+            if having:
+                self._used.add(key)
+            for word in having:
+                # An instance has its options already.
+                part = parts.get(word)
+                if bare not in chosen and not (part and isinstance(part.thing, Configurable)):
+                    chosen.setdefault(f"{word}.{bare}", value)
+        # Every cell has one thread, so that cells at the same time do not wait for each other.
+        if any(option.name == "workers" for option in declared.get("solver", ())):
+            chosen.setdefault("solver.workers", 1)
+        return chosen
+
+
+def _cell(spec: Spec, strategy: str, parts: Mapping[str, Part | None], kind: _Kind, data: Data,
+          split: int, seed: int) -> Cell:
+    problem = parts["problem"]
+    labels = {
+        "problem": problem.label if problem else "", "data": data.label, "split": split,
+        "strategy": strategy, **{
+            word: part.label if (part := parts[word]) else kind.names.get(word, "")
+            for word in ("model", "criterion", "solver")}, "seed": seed}
+    if strategy == "auto":
+        labels |= {"model": "", "criterion": "press", "solver": "auto"}
+    options = {**kind.options}
+    if spec.splits != (0,):
+        options["data.split"] = split
+    call = {**{word: part and part.name for word, part in parts.items()}, "strategy": strategy,
+            "options": options, "seed": seed, **spec.budget}
+    if strategy == "auto":
+        call["exports"] = list(spec.exports)
+    things = {word: part.thing for word, part in parts.items() if part and part.thing}
+    identity = {**call, "labels": labels, "data": data.key, **(
+        {"things": {word: _told(thing) for word, thing in things.items()}} if things else {})}
+    text = json.dumps(identity, sort_keys=True, separators=(",", ":"))
+    return Cell(hashlib.sha256(text.encode()).hexdigest()[:24], labels, call, data, things)
+
+
+def _told(thing: Any) -> str:
+    """Return what identifies an object: its class, and the options of an instance."""
+    kind = thing if isinstance(thing, type) else type(thing)
+    options = sorted(thing.options.items()) if isinstance(thing, Configurable) else []
+    return f"{kind.__module__}.{kind.__qualname__} {options}"

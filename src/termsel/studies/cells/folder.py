@@ -1,0 +1,177 @@
+"""What a study's folder says of it: what was asked for, and which cells that makes."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from termsel.errors import TermselError
+from termsel.files.atomic import write_text
+from termsel.formats.base import located, parse_json, read_text
+from termsel.studies.cells.cell import LABELS, Cell
+from termsel.studies.cells.journal import read_journal
+from termsel.studies.cells.lock import holder
+from termsel.studies.execution.progress import Progress, Tally, tally_of
+from termsel.studies.plan.spec import FILES, PARTS, Part, Source, Spec, spec_of
+from termsel.studies.study import Study
+
+PLAN = "plan.json"
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Content of plan.json.
+
+    Parameters
+    ----------
+    spec : Spec
+        What was asked for. Objects that Python gave are there by their names, features not at all.
+    data : mapping
+        Checksum of each data's content, by label.
+    workers : int
+        Processes at a time.
+    cells : mapping
+        Labels of all cells in the order of the tables, by key.
+    """
+
+    spec: Spec
+    data: Mapping[str, str]
+    workers: int
+    cells: Mapping[str, Mapping[str, Any]]
+
+    def tally(self, records: Mapping[str, Mapping[str, Any]]) -> Tally:
+        """Return how far the study is.
+
+        Parameters
+        ----------
+        records : mapping
+            Of the finished cells, and perhaps others, by key.
+        """
+        return tally_of(self.cells, self.workers, records)
+
+
+def plan_of(spec: Spec, cells: Sequence[Cell], workers: int) -> Plan:
+    """Return the plan of a study.
+
+    Parameters
+    ----------
+    spec : Spec
+    cells : sequence of Cell
+    workers : int
+    """
+    return Plan(spec, {cell.data.label: cell.data.key for cell in cells}, workers,
+                {cell.key: cell.labels for cell in cells})
+
+
+def write_plan(plan: Plan, folder: Path) -> None:
+    """Write a plan into the folder of its study.
+
+    Parameters
+    ----------
+    plan : Plan
+    folder : pathlib.Path
+    """
+    write_text(folder / PLAN, json.dumps(
+        {"study": table_of(plan.spec), "data": plan.data, "workers": plan.workers,
+         "cells": plan.cells}, indent=1) + "\n")
+
+
+def read_plan(folder: Path) -> Plan:
+    """Return the plan of a study.
+
+    Parameters
+    ----------
+    folder : pathlib.Path
+
+    Raises
+    ------
+    TermselError
+        If there is no study, or its plan was damaged.
+    """
+    file, repeat = folder / PLAN, "Repeat the command that began the study."
+    if not file.is_file():
+        raise TermselError("there is no study in this folder", file=folder,
+                           hint="Give the folder of --out.")
+    try:
+        table = parse_json(read_text(file), repeat)
+    except TermselError as error:
+        raise located(error, file) from error
+    try:
+        cells = {key: {name: labels[name] for name in LABELS}
+                 for key, labels in table["cells"].items()}
+        return Plan(spec_of(table["study"]), dict(table["data"]), int(table["workers"]), cells)
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError,
+            TermselError) as error:
+        raise TermselError("this is not the plan of a study", file=file, hint=repeat) from error
+
+
+def read_study(folder: Path | str) -> Study:
+    """Return the study of a folder, finished or not; nothing is run.
+
+    Parameters
+    ----------
+    folder : path
+        The one of `out`, or of ``--out``.
+
+    Returns
+    -------
+    Study
+        Cells that are not finished are waiting. Its `spec` names the objects that Python gave.
+
+    Raises
+    ------
+    TermselError
+        If there is no study, or its files were damaged.
+    """
+    plan = read_plan(Path(folder))
+    records = read_journal(Path(folder)).records
+    return Study(plan.spec, plan.cells, {key: records[key] for key in plan.cells if key in records},
+                 Path(folder))
+
+
+def status(folder: Path) -> tuple[Progress, str | None]:
+    """Return how far the study of a folder is, and who is at work on it.
+
+    Parameters
+    ----------
+    folder : pathlib.Path
+
+    Raises
+    ------
+    TermselError
+        If there is no study.
+    """
+    return read_plan(folder).tally(read_journal(folder).records).progress(), holder(folder)
+
+
+def table_of(spec: Spec) -> dict[str, Any]:
+    """Return what a study asks for as its file would say it; `spec_of` is the inverse.
+
+    Parameters
+    ----------
+    spec : Spec
+    """
+    table = {
+        "title": spec.title, **{kind: list(map(_named, getattr(spec, kind))) for kind in PARTS},
+        "strategies": spec.strategies,
+        "data": [_written(source) for source in spec.data if not source.features],
+        "seeds": spec.seeds, "splits": spec.splits, "budget": spec.budget, "options": spec.options,
+        "exports": spec.exports, "measure": spec.measure}
+    return {key: value for key, value in table.items() if value}
+
+
+def _named(part: Part) -> dict[str, Any]:
+    return {"name": part.name, "label": part.label, **part.options}
+
+
+def _written(source: Source) -> dict[str, Any]:
+    if source.dataset is not None:
+        return {"dataset": source.dataset}
+    own = ("crs", "format", "dem")
+    options = {key: value for key, value in source.reading.items() if key not in own}
+    return {**{kind: source.files[kind] for kind in FILES if kind in source.files},
+            **{key: source.reading[key] for key in own if key in source.reading},
+            **({"options": options} if options else {})}

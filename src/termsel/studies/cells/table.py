@@ -1,0 +1,85 @@
+"""The tidy table of a study: one row a cell."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from termsel.studies.cells.cell import LABELS
+
+WAITING = "waiting"
+"""State of a cell that is not finished."""
+
+_SEARCH = ("objective", "fitness", "optimum", "proven", "refinement_evaluations", "generations")
+_AUTO = ("chosen", "predicted", "predicted_low", "predicted_high", "excluded", "blunders")
+_BOTH = ("control", "n_control", "check", "n_check", "independent", "n_independent", "n_terms",
+         "n_features", "evaluations")
+_LAST = ("notes", "cell", "seconds", "cpu_seconds")
+
+TIMES = ("seconds", "cpu_seconds")
+"""Columns that differ from run to run."""
+
+Row = dict[str, Any]
+
+
+def columns_of(strategies: Sequence[str]) -> tuple[str, ...]:
+    """Return the columns of a study's table.
+
+    Parameters
+    ----------
+    strategies : sequence of str
+    """
+    return (*LABELS, "state", "reason", *(_AUTO if "auto" in strategies else ()),
+            *(_SEARCH if "as-asked" in strategies else ()), *_BOTH, *_LAST)
+
+
+def rows_of(cells: Mapping[str, Mapping[str, Any]], records: Mapping[str, Mapping[str, Any]],
+            strategies: Sequence[str]) -> list[Row]:
+    """Return one row a cell, in the order of the cells; of the strategy auto alone worst first.
+
+    Parameters
+    ----------
+    cells : mapping
+        Labels by key of the cell.
+    records : mapping
+        Likewise; a cell without one is waiting.
+    strategies : sequence of str
+    """
+    columns = columns_of(strategies)
+    rows = []
+    for key, labels in cells.items():
+        record = records.get(key, {"state": WAITING, "reason": "", "figures": {}})
+        values = {**labels, **record["figures"], "cell": key, "state": record["state"],
+                  "reason": record["reason"]}
+        rows.append({name: values.get(name) for name in columns})
+    return sorted(rows, key=_badness) if tuple(strategies) == ("auto",) else rows
+
+
+def _badness(row: Row) -> tuple[int, float]:
+    """Return what sorts images worst first: those that failed, then by predicted RMSE."""
+    figure = row["predicted"] if row["predicted"] is not None else row["independent"]
+    return (0, 0.0) if figure is None else (1, -figure)
+
+
+def csv_of(rows: Sequence[Row], columns: Sequence[str]) -> str:
+    """Return rows as CSV; lists have semicolons, and what is not known is blank.
+
+    Parameters
+    ----------
+    rows : sequence of dict
+    columns : sequence of str
+    """
+    page = io.StringIO()
+    writer = csv.writer(page, lineterminator="\n")
+    writer.writerow(columns)
+    writer.writerows([_cell(row[name]) for name in columns] for row in rows)
+    return page.getvalue()
+
+
+def _cell(value: Any) -> Any:
+    if value is None or (isinstance(value, float) and not math.isfinite(value)):
+        return ""
+    return "; ".join(map(str, value)) if isinstance(value, list) else value

@@ -1,0 +1,210 @@
+"""Cells run by the workers of a dask scheduler."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections import deque
+from collections.abc import Iterator, Mapping, Sequence
+from functools import cache
+from queue import Empty, Queue
+from typing import TYPE_CHECKING, Any
+from urllib.parse import urlsplit
+
+from termsel.errors import TermselError
+from termsel.measurements.features import FeatureSet
+from termsel.plugins.registry import registry
+from termsel.runs.task.provenance import versions
+from termsel.studies.execution.executors import AHEAD, DIED, Stop
+from termsel.studies.execution.work import Outcome, Work, do, failed
+
+if TYPE_CHECKING:
+    from distributed import Client, Future
+
+log = logging.getLogger(__name__)
+
+PATIENCE = 60.0
+"""Seconds to wait for a scheduler or for workers, at the beginning and when they are lost."""
+
+_LOOK = 1.0
+"""Seconds between looks at whether Ctrl-C was pressed and whether the scheduler is there."""
+
+_MOST_LOSSES = 5
+"""Times in a row that a scheduler may be lost before any further cell is finished."""
+
+
+def on_cluster(works: Sequence[Work], features: Mapping[str, FeatureSet], stop: Stop,
+               address: str, plugins: Mapping[str, str]) -> Iterator[Outcome]:
+    """Yield the outcomes of cells, run by the workers of a scheduler, as they end.
+
+    The features are tasks of their own with their checksum as the key: they travel once to each
+    worker that needs them, and come again from the scheduler where a worker with them is lost.
+    When the scheduler is started again, the cells it knew are given to it again.
+
+    Parameters
+    ----------
+    works : sequence of Work
+    features : mapping
+        By key.
+    stop : callable
+    address : str
+        Of the scheduler, such as "tcp://host:8786".
+    plugins : mapping
+        Versions of the distributions that every worker needs next to termsel.
+
+    Raises
+    ------
+    TermselError
+        If the scheduler does not answer or has no workers; or a worker has other versions, or
+        lacks a plugin.
+    """
+    needed = {**versions(), **plugins}
+    waiting, fruitless = deque(works), 0
+    while waiting and not stop():
+        before = len(waiting)
+        client = _connected(address)
+        running: dict[Future, Work] = {}
+        try:
+            _require_alike(client, needed)
+            yield from _submitted(client, waiting, running, features, stop, needed)
+        except OSError as error:
+            log.warning("The scheduler %s was lost: %s", address, error)
+        finally:
+            client.close(timeout=5)
+        waiting.extendleft(running.values())
+        fruitless = fruitless + 1 if len(waiting) == before else 0
+        if fruitless == _MOST_LOSSES:
+            raise TermselError(f"the scheduler {address} was lost {fruitless} times in a row",
+                               hint="Look at its log. The finished cells are kept.")
+
+
+def _connected(address: str) -> Client:
+    try:
+        from distributed import Client
+    except ImportError as error:
+        raise TermselError("dask.distributed is not installed", hint="Run: pip install "
+                           '"termsel[distributed]".') from error
+    wrong = TermselError(f"{address!r} is no address of a scheduler",
+                         hint="Write --scheduler tcp://host:8786.")
+    if not _has_port(address):  # a client of dask would wait, then fail in its own words
+        raise wrong
+    until = time.monotonic() + PATIENCE
+    told = False
+    while True:
+        try:
+            client = Client(address, timeout=5, set_as_default=False)
+            client.wait_for_workers(1, timeout=max(until - time.monotonic(), 1))
+        except ValueError as error:
+            raise wrong from error
+        except (OSError, TimeoutError) as error:
+            if time.monotonic() > until:
+                raise TermselError(
+                    f"the scheduler {address} does not answer or has no workers",
+                    hint="Start it with `dask scheduler` and `dask worker ADDRESS`. The finished "
+                         "cells are kept.") from error
+            if not told:
+                log.warning("Waiting for the scheduler %s and its workers.", address)
+                told = True
+            time.sleep(_LOOK)
+        else:
+            return client
+
+
+def _has_port(address: str) -> bool:
+    try:
+        return urlsplit("//" + address.rpartition("://")[2]).port is not None
+    except ValueError:
+        return False
+
+
+def _require_alike(client: Client, needed: Mapping[str, str]) -> None:
+    """Refuse workers that would compute something else, or cannot."""
+    for worker, found in sorted(client.run(versions_here, tuple(needed)).items()):
+        require_alike(needed, found, worker)
+
+
+def require_alike(needed: Mapping[str, str], found: Mapping[str, str | None], worker: str) -> None:
+    """Refuse a worker whose versions are not those of this process.
+
+    Parameters
+    ----------
+    needed : mapping
+        Version by name of the package.
+    found : mapping
+        On the worker; None for what it has not.
+    worker : str
+        Its address.
+
+    Raises
+    ------
+    TermselError
+    """
+    for name, version in needed.items():
+        if found.get(name) is None:
+            raise TermselError(f"the worker {worker} lacks {name}, which the study needs",
+                               hint=f"Install {name} {version} there, then repeat the command.")
+        if found[name] != version:
+            raise TermselError(
+                f"the worker {worker} has {name} {found[name]}, this machine {version}",
+                hint="Install the same version on both: results may differ between versions.")
+
+
+@cache
+def versions_here(names: tuple[str, ...]) -> dict[str, str | None]:
+    """Return the versions of packages and plugins in this process.
+
+    Parameters
+    ----------
+    names : tuple of str
+    """
+    own: dict[str, Any] = versions()
+    plugins = {plugin.distribution: plugin.version for plugin in registry().plugins}
+    return {name: own.get(name, plugins.get(name)) for name in names}
+
+
+def _submitted(client: Client, waiting: deque[Work], running: dict[Future, Work],
+               features: Mapping[str, FeatureSet], stop: Stop, needed: Mapping[str, str]
+               ) -> Iterator[Outcome]:
+    """Yield outcomes until all are done or the scheduler is lost; then some are still running."""
+    from distributed.scheduler import KilledWorker
+
+    data = {key: client.submit(_held, one, key=f"termsel-features-{key}", pure=True)
+            for key, one in features.items()}
+    ended: Queue[Future] = Queue()
+    while running or (waiting and not stop()):
+        ahead = AHEAD * max(sum(client.nthreads().values()), 1)
+        while waiting and len(running) < ahead and not stop():
+            work = waiting.popleft()
+            future = client.submit(_on_worker, work, data[work.data], dict(needed), pure=False,
+                                   key=f"termsel-cell-{work.key}-{time.monotonic_ns()}")
+            running[future] = work
+            future.add_done_callback(ended.put)
+        try:
+            future = ended.get(timeout=_LOOK)
+        except Empty:
+            continue
+        if future.status in ("cancelled", "lost"):  # so are all others, and the data
+            return
+        work = running.pop(future)
+        error = future.exception() if future.status == "error" else None
+        if error is None:
+            yield future.result()
+        elif isinstance(error, KilledWorker):  # it was tried on several workers
+            yield failed(work.key, DIED)
+        elif isinstance(error, TermselError):
+            raise error
+        else:
+            yield failed(work.key, f"{type(error).__name__}: {error}")
+
+
+def _held(features: FeatureSet) -> FeatureSet:
+    """Return the features: a task that has them as its result."""
+    return features
+
+
+def _on_worker(work: Work, features: FeatureSet, needed: Mapping[str, str]) -> Outcome:
+    """Run a cell on a worker, which may have come after the study began."""
+    from distributed import get_worker
+
+    require_alike(needed, versions_here(tuple(needed)), get_worker().address)
+    return do(work, features)

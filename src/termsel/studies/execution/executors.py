@@ -1,0 +1,118 @@
+"""Cells run one after the other, or in processes of this machine."""
+
+from __future__ import annotations
+
+import os
+import threading
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from multiprocessing import get_context, parent_process
+
+from termsel.measurements.features import FeatureSet
+from termsel.studies.execution.work import Outcome, Work, do, failed
+
+Stop = Callable[[], bool]
+"""Whether no further cell is to begin."""
+
+AHEAD = 2
+"""Cells given to each worker at a time, so that none waits for the next one."""
+
+DIED = "the process that ran this cell ended: out of memory, killed, or a fault of compiled code"
+
+
+def serial(works: Sequence[Work], features: Mapping[str, FeatureSet], stop: Stop
+           ) -> Iterator[Outcome]:
+    """Yield the outcomes of cells, run one after the other in this process.
+
+    Parameters
+    ----------
+    works : sequence of Work
+    features : mapping
+        By key.
+    stop : callable
+    """
+    for work in works:
+        if stop():
+            return
+        yield do(work, features[work.data])
+
+
+def processes(works: Sequence[Work], features: Mapping[str, FeatureSet], stop: Stop, workers: int
+              ) -> Iterator[Outcome]:
+    """Yield the outcomes of cells, run in processes of this machine, as they end.
+
+    A process that dies takes all others of its pool with it. The cells that were under way are
+    then repeated one by one, so that the one at fault is known by name and fails alone.
+
+    Parameters
+    ----------
+    works, features, stop
+        As for `serial`.
+    workers : int
+    """
+    waiting = deque(works)
+    while waiting and not stop():
+        suspects: list[Work] = []
+        yield from _in_pool(waiting, features, stop, workers, suspects)
+        for work in suspects:
+            if stop():
+                return
+            alone: list[Work] = []
+            yield from _in_pool(deque([work]), features, stop, 1, alone)
+            if alone:
+                yield failed(work.key, DIED)
+
+
+def _in_pool(waiting: deque[Work], features: Mapping[str, FeatureSet], stop: Stop, workers: int,
+             suspects: list[Work]) -> Iterator[Outcome]:
+    """Yield outcomes until all are done or a process dies; say which cells were under way then."""
+    running: dict[Future[Outcome], Work] = {}
+    # No fork: threads of numba and BLAS do not survive it.
+    with ProcessPoolExecutor(workers, get_context("spawn"), initializer=begin_worker,
+                             initargs=(dict(features),)) as pool:
+        try:
+            while running or (waiting and not stop()):
+                while waiting and len(running) < workers * AHEAD and not stop():
+                    work = waiting.popleft()
+                    running[pool.submit(_in_worker, work)] = work
+                for future in wait(running, return_when=FIRST_COMPLETED).done:
+                    outcome = future.result()
+                    del running[future]
+                    yield outcome
+        except BrokenProcessPool:
+            suspects += running.values()
+
+
+_features: Mapping[str, FeatureSet] = {}
+
+
+def begin_worker(features: Mapping[str, FeatureSet]) -> None:
+    """Make a new process ready: the features of the study, and no answer to Ctrl-C of its own.
+
+    The features are sent once to each process, not with every cell.
+
+    Parameters
+    ----------
+    features : mapping
+        By key.
+    """
+    import signal
+
+    global _features
+    _features = features
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the study decides when cells end
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    """End this process when the study is gone: a killed one cannot tell its workers."""
+    parent = parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
+
+
+def _in_worker(work: Work) -> Outcome:
+    return do(work, _features[work.data])

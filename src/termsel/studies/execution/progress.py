@@ -1,0 +1,143 @@
+"""How far a study is, and how long the rest takes."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from termsel.studies.cells.cell import LABELS, kind_of
+from termsel.studies.cells.table import WAITING
+from termsel.studies.execution.work import STATES
+
+
+@dataclass(frozen=True)
+class Progress:
+    """State of a study.
+
+    Parameters
+    ----------
+    total : int
+        Cells.
+    states : mapping
+        Number of cells by state; "waiting" are those not finished.
+    seconds_left : float or None
+        None before any cell is finished.
+    worst : str
+        The worst result so far; empty where there is none.
+    """
+
+    total: int
+    states: Mapping[str, int]
+    seconds_left: float | None = None
+    worst: str = ""
+
+    @property
+    def finished(self) -> int:
+        """Cells that are finished, in whatever state."""
+        return self.total - self.states.get(WAITING, 0)
+
+    def time_left(self) -> str:
+        """Return the time left in words."""
+        if self.finished == self.total:
+            return "finished"
+        if self.seconds_left is None:
+            return "time left unknown"
+        return f"about {duration(self.seconds_left)} left"
+
+    def text(self) -> str:
+        """Return the states in words."""
+        return ", ".join(f"{self.states[state]} {state}" for state in (*STATES, WAITING)
+                         if self.states.get(state))
+
+
+def duration(seconds: float) -> str:
+    """Return a time in words, to the nearest second, minute or tenth of an hour.
+
+    Parameters
+    ----------
+    seconds : float
+    """
+    if seconds < 90:
+        return f"{max(seconds, 1):.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
+
+
+@dataclass
+class Tally:
+    """Counts cells as they end.
+
+    Parameters
+    ----------
+    kinds : mapping
+        Kind of every cell of the study, by its key.
+    workers : int
+    names : mapping
+        What the worst result is called, by key.
+    """
+
+    kinds: Mapping[str, Any]
+    workers: int
+    names: Mapping[str, str]
+    _states: Counter[str] = field(default_factory=Counter)
+    _left: Counter[Any] = field(default_factory=Counter)
+    _times: dict[Any, tuple[int, float]] = field(default_factory=dict)
+    _worst: tuple[float, str] = (0.0, "")
+
+    def __post_init__(self) -> None:
+        self._left = Counter(self.kinds.values())
+
+    def count(self, record: Mapping[str, Any]) -> None:
+        """Count the record of a cell of the study."""
+        kind, figures = self.kinds[record["cell"]], record["figures"]
+        self._states[record["state"]] += 1
+        self._left[kind] -= 1
+        if "seconds" in figures:
+            count, total = self._times.get(kind, (0, 0.0))
+            self._times[kind] = (count + 1, total + figures["seconds"])
+        value = next((figures[name] for name in ("predicted", "independent", "check")
+                      if figures.get(name) is not None), None)
+        if value is not None and value > self._worst[0]:
+            self._worst = (value, f"{self.names[record['cell']]}: {value:.3g} px")
+
+    def progress(self) -> Progress:
+        """Return the state of the study."""
+        total, waiting = len(self.kinds), sum(self._left.values())
+        return Progress(total, {**self._states, WAITING: waiting}, self._seconds_left(),
+                        self._worst[1])
+
+    def _seconds_left(self) -> float | None:
+        """Return the time of what is left: of each kind by its own mean, or by that of all."""
+        means = {kind: total / count for kind, (count, total) in self._times.items()}
+        if not means:
+            return None
+        usual = sum(means.values()) / len(means)
+        return sum(number * means.get(kind, usual) for kind, number in self._left.items()
+                   ) / self.workers
+
+
+def tally_of(cells: Mapping[str, Mapping[str, Any]], workers: int,
+             records: Mapping[str, Mapping[str, Any]]) -> Tally:
+    """Return the tally of a study from its cells and its journal.
+
+    Parameters
+    ----------
+    cells : mapping
+        Labels by key.
+    workers : int
+    records : mapping
+        By key of the cell.
+    """
+    # A cell is called by what tells it from the others.
+    telling = [name for name in LABELS if len({labels[name] for labels in cells.values()}) > 1] \
+        or ["data"]
+    tally = Tally(
+        {key: kind_of(labels) for key, labels in cells.items()}, workers,
+        {key: ", ".join(f"{name} {labels[name]}" if name in ("split", "seed")
+                        else str(labels[name]) for name in telling)
+         for key, labels in cells.items()})
+    for key in cells:
+        if key in records:
+            tally.count(records[key])
+    return tally

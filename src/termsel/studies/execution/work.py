@@ -1,0 +1,303 @@
+"""One cell done: a run, its figures, and how it went, as plain data."""
+
+from __future__ import annotations
+
+import logging
+import math
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any
+
+from termsel.errors import TermselError
+from termsel.files.atomic import private_folder
+from termsel.fits.figures import finite_or_none
+from termsel.fits.rmse import Rmse
+from termsel.io.export import export, writer_of
+from termsel.measurements.features import BoolArray, FeatureSet
+from termsel.plugins.loading import attempt
+from termsel.results.result import Result
+from termsel.runs.judgement.assess import estimated, is_feasible
+from termsel.runs.run import run
+from termsel.runs.search.blunders_out import search_without_blunders
+from termsel.runs.task.task import Task, prepare
+from termsel.solvers.budget import SEARCH_OPTIONS
+from termsel.solvers.ledger import Progress
+from termsel.solvers.proofs.exact import gap
+from termsel.solvers.proofs.proof import TIE, count
+from termsel.solvers.search import Search
+from termsel.threads import one_blas_thread
+
+DONE, INFEASIBLE, FAILED = "done", "infeasible", "failed"
+STATES = (DONE, INFEASIBLE, FAILED)
+
+_OF_SEARCH = {option.name for option in SEARCH_OPTIONS}
+_MOST = 256
+_optima: dict[str, float | None] = {}
+"""Proven optima by problem, up to `_MOST`: the same for all seeds and most solvers."""
+
+
+@dataclass(frozen=True)
+class Work:
+    """What a worker is given of a cell; the features come once, by their key.
+
+    Parameters
+    ----------
+    key : str
+        Of the cell.
+    call, things : mapping
+        As in `Cell`.
+    data, source : str
+        Key of the features, and where they come from.
+    """
+
+    key: str
+    call: Mapping[str, Any]
+    data: str
+    source: str
+    things: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What came of a cell.
+
+    Parameters
+    ----------
+    record : mapping
+        For the journal: key, state, reason, figures, trace and front.
+    files : mapping
+        Content of the files of a result by name; of the strategy auto.
+    """
+
+    record: Mapping[str, Any]
+    files: Mapping[str, bytes] = field(default_factory=dict)
+
+
+class _OutOfTime(TermselError):
+    """The cell took longer than the study allows."""
+
+
+def failed(key: str, reason: str) -> Outcome:
+    """Return the outcome of a cell that has no result.
+
+    Parameters
+    ----------
+    key, reason : str
+    """
+    return Outcome({"cell": key, "state": FAILED, "reason": reason, "figures": {}, "trace": [],
+                    "front": []})
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Keep the plans that solvers announce from the messages: a study has thousands of runs."""
+    logger = logging.getLogger("termsel.solvers")
+    before = logger.level
+    logger.setLevel(logging.WARNING)
+    try:
+        yield
+    finally:
+        logger.setLevel(before)
+
+
+@one_blas_thread
+@_quiet()
+def do(work: Work, features: FeatureSet) -> Outcome:
+    """Run a cell.
+
+    Parameters
+    ----------
+    work : Work
+    features : FeatureSet
+
+    Returns
+    -------
+    Outcome
+        Also where the run fails: with the reason.
+    """
+    outcome, reason = attempt(partial(_done, work, features))
+    return outcome if outcome is not None else failed(work.key, str(reason))
+
+
+def _done(work: Work, features: FeatureSet) -> Outcome:
+    trace = _Trace(work.call.get("timeout"))
+    try:
+        state, figures, front, files = (_auto if work.call["strategy"] == "auto" else _as_asked)(
+            work, features, trace)
+    except TermselError as error:
+        return failed(work.key, str(error))
+    reason = "no selection satisfies all conditions" if state == INFEASIBLE else ""
+    return Outcome({"cell": work.key, "state": state, "reason": reason, "figures": figures,
+                    "trace": trace.points, "front": front}, files)
+
+
+class _Trace:
+    """Observes a search: evaluations, best objective and CPU seconds at each improvement.
+
+    Parameters
+    ----------
+    timeout : float or None
+        Seconds after which it ends the run.
+
+    Attributes
+    ----------
+    points : list
+    """
+
+    def __init__(self, timeout: float | None) -> None:
+        self.points: list[list[float]] = []
+        self._timeout = timeout
+        self._start, self._cpu = time.perf_counter(), time.process_time()
+        self._before, self._last = 0, 0
+
+    def times(self) -> dict[str, float]:
+        """Return the seconds since the cell began. Of all threads: `exact` has its own."""
+        return {"seconds": time.perf_counter() - self._start,
+                "cpu_seconds": time.process_time() - self._cpu}
+
+    def end(self, evaluations: int, best: float | None) -> None:
+        """Add what was found last: a budget may end a generation that no observer sees."""
+        self._last = max(self._last, evaluations - self._before)
+        if best is not None:
+            self._add(best)
+
+    def __call__(self, progress: Progress) -> None:
+        if self._timeout is not None and time.perf_counter() - self._start > self._timeout:
+            raise _OutOfTime(f"out of time: more than {self._timeout:g} s")
+        if progress.evaluations < self._last:
+            # The search begins again, without blunders: what was found before does not count.
+            self._before += self._last
+            self.points.clear()
+        self._last = progress.evaluations
+        if progress.violation == 0 and math.isfinite(progress.best):
+            self._add(progress.best)
+
+    def _add(self, best: float) -> None:
+        """Add the best value after the last evaluation that is known of, if it is better."""
+        if not self.points or best < self.points[-1][1]:
+            self.points.append([self._before + self._last, best, time.process_time() - self._cpu])
+
+
+def _as_asked(work: Work, features: FeatureSet, trace: _Trace) -> tuple[
+        str, dict[str, Any], list[list[float]], dict[str, bytes]]:
+    """Return state, figures and front of a search.
+
+    Only the figures of a table are computed. A run also compares its selection with all plain
+    models, which takes longer than most searches and is the same for all seeds.
+    """
+    call = work.call
+    names = {word: work.things.get(word, call[word])
+             for word in ("problem", "model", "criterion", "solver") if call[word] is not None}
+    task = prepare(**names, features=features, source=work.source, options=call["options"])
+    found = search_without_blunders(
+        task, seed=call["seed"], observers=[trace],
+        **{name: call.get(name) for name in ("generations", "evaluations", "seconds",
+                                               "patience")})
+    if found.interrupted:
+        raise KeyboardInterrupt  # half a search is no result of a study
+    selection = task.problem.decode(found.genes)
+    chosen = estimated(task, selection, found)
+    feasible = is_feasible(task, found, chosen)
+    # The objectives of least squares are not those of other coefficients.
+    judged = feasible and chosen.estimator.least_squares
+    fitness = float(found.objectives[0]) if judged else None
+    trace.end(found.evaluations, fitness)
+    times = trace.times()  # what follows tells about the study, and takes no part in the run
+    figures: dict[str, Any] = {
+        "objective": task.problem.objectives[0],
+        "proven": _proven(task, found),
+        "fitness": fitness,
+        "optimum": _optimum(work, task, found) if judged else None,
+        **_rmse({"control": chosen.control_rmse(),
+                 "check": chosen.rmse(task.observations.check),
+                 "independent": chosen.rmse(task.observations.independent)}),
+        "n_terms": len(selection.terms), "n_features": len(selection.features),
+        "evaluations": found.evaluations,
+        "refinement_evaluations": found.polish.evaluations if found.polish else 0,
+        "generations": found.generations, "notes": list(found.notes), **times}
+    front = [_member(task, genes) for genes in found.front]
+    return DONE if feasible else INFEASIBLE, figures, front, {}
+
+
+def _member(task: Task, genes: BoolArray) -> list[float]:
+    """Return the objectives of a member of a front; the second is its size where none is named."""
+    objectives: list[float] = task.problem.evaluate(genes[None]).objectives[0].tolist()
+    if len(objectives) > 1:
+        return objectives
+    selection = task.problem.decode(genes)
+    return [*objectives, float(len(selection.features if task.recipe.second == "n_features"
+                                   else selection.terms))]
+
+
+def _rmse(by_role: Mapping[str, Rmse | None]) -> dict[str, float | int | None]:
+    """Return RMSE [px] by role, and the number of points of each."""
+    return {**{role: None if one is None else finite_or_none(one.total)
+               for role, one in by_role.items()},
+            **{f"n_{role}": 0 if one is None else one.n for role, one in by_role.items()}}
+
+
+def _proven(task: Task, found: Search) -> bool:
+    """Return whether a search proved the optimum of all selections, not of the smaller ones."""
+    said = found.certificate or {}
+    if not said.get("optimal"):
+        return False
+    try:
+        return bool(said["of"] == count(task.problem))
+    except TermselError:  # features, or what a plugin proves, are enumerated otherwise
+        return True
+
+
+def _optimum(work: Work, task: Task, found: Search) -> float | None:
+    """Return the proven optimum of the problem, if that is known quickly."""
+    value = float(found.objectives[0])
+    if _proven(task, found):
+        return value
+    if len(task.problem.objectives) > 1:
+        return None
+    of_problem = {name: value for name, value in work.call["options"].items()
+                  if not name.startswith(("solver.", "search.")) and name not in _OF_SEARCH}
+    key = repr((work.data, work.call["problem"], work.call["model"], work.call["criterion"],
+                sorted(of_problem.items()), sorted(task.options["problem"].items(), key=str)))
+    if key not in _optima:
+        if len(_optima) >= _MOST:
+            _optima.clear()
+        proof = gap(task.problem, math.inf)
+        _optima[key] = None if proof is None else proof["optimum"]
+    optimum = _optima[key]
+    # What is below it shows that the enumeration is not of this criterion.
+    return None if optimum is None or value < optimum - TIE * abs(optimum) else optimum
+
+
+def _auto(work: Work, features: FeatureSet, trace: _Trace) -> tuple[
+        str, dict[str, Any], list[list[float]], dict[str, bytes]]:
+    """Return state and figures of a choice by the strategy auto, and the files of its result."""
+    with private_folder() as folder:
+        out = folder / "result"
+        result = run(work.things.get("problem", work.call["problem"]), features=features,
+                     source=work.source, strategy="auto", options=work.call["options"],
+                     seed=work.call["seed"], observers=[trace], out=out)
+        if result.interrupted:
+            raise KeyboardInterrupt
+        for to in work.call["exports"]:
+            suffix = writer_of(to).suffix or f".{to}"
+            export(result, to, out / f"result{suffix}")
+        files = {path.relative_to(out).as_posix(): path.read_bytes()
+                 for path in sorted(out.rglob("*")) if path.is_file()}
+    return DONE, {**_figures_of(result), **trace.times()}, [], files
+
+
+def _figures_of(result: Result) -> dict[str, Any]:
+    predicted, selection = result.predicted, result.selection
+    excluded = sum(one.excluded for one in result.outliers)
+    return {
+        "chosen": (result.strategy or {}).get("chosen"), **_rmse(result.rmse),
+        "predicted": predicted and finite_or_none(predicted.rmse),
+        "predicted_low": predicted and finite_or_none(predicted.low),
+        "predicted_high": predicted and finite_or_none(predicted.high),
+        "n_terms": len(selection.terms), "n_features": len(selection.features),
+        "evaluations": result.evaluations, "excluded": excluded,
+        "blunders": [one.id for one in result.outliers], "notes": list(result.notes)}
+

@@ -1,0 +1,156 @@
+"""The data of a study: read once, named, and identified by their content."""
+
+from __future__ import annotations
+
+import glob
+import os
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from termsel.errors import TermselError
+from termsel.io.read import read
+from termsel.measurements.datasets import DatasetSpec
+from termsel.measurements.features import FeatureSet
+from termsel.plugins.registry import registry
+from termsel.results.checksums import of_attributes, of_features
+from termsel.studies.plan.places import Path as Keys
+from termsel.studies.plan.spec import Source, Spec
+
+_WILD = "*?["
+
+
+@dataclass(frozen=True, eq=False)
+class Data:
+    """Features that cells of a study share.
+
+    Parameters
+    ----------
+    label : str
+        What tables call them: the file as the study names it, or the data set.
+    key : str
+        Checksum of their content.
+    source : str
+        Where they come from, for the record.
+    features : FeatureSet or None
+        None where they cannot be read.
+    reason : str
+        Why they cannot be read.
+    path : tuple
+        Where the study file names them.
+    """
+
+    label: str
+    key: str
+    source: str
+    features: FeatureSet | None
+    reason: str = ""
+    path: Keys = ()
+
+
+def data_of(spec: Spec, folder: Path) -> list[Data]:
+    """Return all data that a study names.
+
+    Parameters
+    ----------
+    spec : Spec
+    folder : pathlib.Path
+        File names are relative to it.
+
+    Raises
+    ------
+    TermselError
+        If a pattern matches no file, two data have one label, or nothing at all can be read.
+    """
+    found = [data for source in spec.data for data in _of_source(spec, source, folder)]
+    labels: set[str] = set()
+    for data in found:
+        if data.label in labels:
+            raise spec.places.error(data.path, f"the data {data.label} are named twice",
+                                    "Name them once.")
+        labels.add(data.label)
+    if found and all(data.features is None for data in found):
+        raise TermselError(found[0].reason, hint=None if len(found) == 1 else
+                           f"None of the {len(found)} data can be read; this is the first.")
+    return found
+
+
+def of_dataset(name: str, path: Keys = ()) -> Data:
+    """Return a data set that is known by name.
+
+    Parameters
+    ----------
+    name : str
+    path : tuple
+        Where the study names it.
+    """
+    known: DatasetSpec = registry().get("datasets", name)
+    features = known.load()
+    source = f"{known.name} (simulated)" if known.simulated else known.name
+    return Data(name, _key(features), source, features, path=path)
+
+
+def _of_source(spec: Spec, source: Source, folder: Path) -> Iterator[Data]:
+    for label, features in source.features.items():
+        yield Data(label, _key(features), label, features, path=source.path)
+    if source.dataset is not None:
+        try:
+            yield of_dataset(source.dataset, source.path)
+        except TermselError as error:
+            raise spec.places.error((*source.path, "dataset"), error.what, error.hint) from error
+    if source.files:
+        matched = {kind: _matched(spec, source, kind, patterns, folder)
+                   for kind, patterns in source.files.items()}
+        for files in _together(spec, source, matched):
+            yield _read(source, files, folder)
+
+
+def _matched(spec: Spec, source: Source, kind: str, patterns: tuple[str, ...],
+             folder: Path) -> list[str]:
+    """Return the files of patterns, in the order of the patterns and then of their names."""
+    found: list[str] = []
+    for pattern in patterns:
+        wild = any(sign in pattern for sign in _WILD)
+        names = sorted(glob.glob(pattern, root_dir=folder, recursive=True)) if wild else [pattern]
+        if not names or (not wild and not os.path.exists(folder / pattern)):
+            raise spec.places.error((*source.path, kind), f"no file matches {pattern!r} in "
+                                    f"{folder.resolve()}", "Check the name and the folder.")
+        found += [Path(name).as_posix() for name in names]
+    return list(dict.fromkeys(found))
+
+
+def _together(spec: Spec, source: Source,
+              matched: Mapping[str, list[str]]) -> Iterator[dict[str, str]]:
+    """Yield the files of each image: those of one name, where there are several of a kind."""
+    kinds = list(matched)
+    if all(len(names) == 1 for names in matched.values()):
+        yield {kind: names[0] for kind, names in matched.items()}
+        return
+    by_stem = {kind: {Path(name).stem: name for name in names} for kind, names in matched.items()}
+    first = by_stem[kinds[0]]
+    for kind in kinds:
+        if len(kinds) > 1 and (len(by_stem[kind]) < len(matched[kind])
+                               or set(by_stem[kind]) != set(first)):
+            raise spec.places.error(
+                (*source.path, kind), f"the files of {kind} do not pair with those of {kinds[0]}",
+                "Several files of two kinds are paired by their names without the suffix.")
+    if len(kinds) == 1:
+        yield from ({kinds[0]: name} for name in matched[kinds[0]])
+        return
+    for stem in first:
+        yield {kind: by_stem[kind][stem] for kind in kinds}
+
+
+def _read(source: Source, files: Mapping[str, str], folder: Path) -> Data:
+    label = " + ".join(dict.fromkeys(files.values()))
+    of_files: dict[str, Any] = {kind: folder / name for kind, name in files.items()}
+    try:
+        features = read(**of_files, **source.reading)
+    except TermselError as error:
+        return Data(label, "unreadable", label, None, str(error), source.path)
+    return Data(label, _key(features), label, features, path=source.path)
+
+
+def _key(features: FeatureSet) -> str:
+    return of_features(features) + (of_attributes(features) or "")

@@ -1,0 +1,221 @@
+"""Charts of a study: running times, convergence, ranks and performance profiles."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from termsel.report.page import Figure
+from termsel.report.theme import FAINT, INK, WIDTH, data, require_altair
+from termsel.studies.statistics.groups import Groups, group
+from termsel.studies.statistics.significance import (
+    Comparison,
+    compare_methods,
+    medians_of,
+    performance_profile,
+)
+from termsel.studies.statistics.summaries import bands, ecdf, hit, length, optimum_of, targets_of
+from termsel.studies.study import Study
+
+_COLOURS = ("#0072b2", "#e08a00", "#1b1f24", "#009e73", "#c8003c", "#56b4e9", "#7b4ea3", "#8c6d31")
+_DASHES = ([1, 0], [6, 3], [2, 2])
+
+_MOST_PANELS = 12
+"""Instances whose convergence is drawn: more are too small to be read."""
+
+_STEPS = 60
+"""Budgets at which convergence is drawn."""
+
+
+def figures_of(study: Study) -> list[Figure]:
+    """Return the charts of a study, those that its runs allow.
+
+    Parameters
+    ----------
+    study : Study
+
+    Raises
+    ------
+    TermselError
+        If altair is not installed.
+    """
+    groups = group(study.rows, study.records, study.spec.measure)
+    found = []
+    if any(record["trace"] for by_method in groups.instances.values()
+           for runs in by_method.values() for record in runs.records):
+        found += [running_times(groups, 0), running_times(groups, 2), convergence(groups)]
+    values = medians_of(groups)
+    # Ratios to the best one require that it has a result, and that nothing is below zero.
+    if len(values) > 1 and len(groups.methods) > 1 and np.isfinite(values).any(axis=1).all() \
+            and (values >= 0).all():
+        found.append(profile(groups))
+    comparison = compare_methods(groups.methods, values)
+    if comparison is not None and comparison.difference is not None:
+        found.append(critical_differences(comparison))
+    return found
+
+
+def running_times(groups: Groups, column: int) -> Figure:
+    """Return the ECDF of running times over all targets and instances, a line a method.
+
+    Parameters
+    ----------
+    groups : Groups
+    column : {0, 2}
+        Evaluations, or CPU seconds.
+    """
+    alt = require_altair()
+    rows, last = [], 0.0
+    for method in groups.methods:
+        hits = [hit(record["trace"], target, column)
+                for by_method in groups.instances.values() if method in by_method
+                for target in targets_of(optimum_of(by_method.values(), groups.measure),
+                                         by_method.values())
+                for record in by_method[method].records]
+        budgets, shares = ecdf(hits)
+        rows += [{"method": method, "budget": max(budget, 1e-4), "share": share}
+                 for budget, share in zip(budgets, shares, strict=True)]
+        last = max([last, *budgets])
+    ends = {row["method"]: row["share"] for row in rows}
+    rows += [{"method": method, "budget": last, "share": share} for method, share in ends.items()]
+    unit = "CPU seconds" if column else "evaluations, with local refinement"
+    drawn = alt.Chart(data(rows)).mark_line(interpolate="step-after", strokeWidth=2).encode(
+        x=alt.X("budget:Q", title=f"{unit}, logarithmic", scale=alt.Scale(type="log", nice=False)),
+        y=alt.Y("share:Q", title="share of runs and targets reached",
+                scale=alt.Scale(domain=[0, 1]), axis=alt.Axis(format="%")),
+        **_by_method(groups.methods)).properties(width=WIDTH, height=0.55 * WIDTH)
+    return Figure(
+        "ecdf-cpu-seconds" if column else "ecdf-evaluations",
+        f"Running times in {'CPU seconds' if column else 'evaluations'}",
+        "Higher and further to the left is better. Targets lie 100 % to 0.01 % above the optimum, "
+        "or the best value found.", drawn)
+
+
+def convergence(groups: Groups) -> Figure:
+    """Return the best value by evaluations, median and quartiles, a panel an instance.
+
+    Parameters
+    ----------
+    groups : Groups
+    """
+    alt = require_altair()
+    rows = []
+    for instance in list(groups.instances)[:_MOST_PANELS]:
+        runs_of = groups.instances[instance]
+        most = max(length(record["figures"]) for runs in runs_of.values()
+                   for record in runs.records)
+        for method, runs in runs_of.items():
+            traces = [record["trace"] for record in runs.records]
+            first = min((trace[0][0] for trace in traces if trace), default=most)
+            budgets = np.unique(np.geomspace(max(first, 1), max(most, first, 1), _STEPS).round())
+            rows += [{"instance": instance, "method": method, "evaluations": budget, "low": low,
+                      "median": median, "high": high}
+                     for budget, low, median, high in bands(traces, budgets.tolist())
+                     if math.isfinite(high)]
+    by_method = _by_method(groups.methods)
+    base = alt.Chart(data(rows)).encode(color=by_method["color"], x=alt.X(
+        "evaluations:Q", title="evaluations, logarithmic",
+        scale=alt.Scale(type="log", nice=False)))
+    band = base.mark_area(opacity=0.18, interpolate="step-after").encode(
+        y=alt.Y("low:Q", title="best objective", scale=alt.Scale(zero=False)), y2="high:Q")
+    line = base.mark_line(strokeWidth=2, interpolate="step-after").encode(
+        y="median:Q", strokeDash=by_method["strokeDash"])
+    drawn = alt.layer(band, line).properties(width=WIDTH / 2, height=0.3 * WIDTH).facet(
+        facet=alt.Facet("instance:N", title=None), columns=2).resolve_scale(
+            x="independent", y="independent")
+    return Figure("convergence", "Convergence", "Medians as lines, quartiles as bands. Lines that "
+                  "still fall at their end were given too few evaluations.", drawn)
+
+
+def profile(groups: Groups) -> Figure:
+    """Return the performance profile of the methods over the instances.
+
+    Parameters
+    ----------
+    groups : Groups
+    """
+    alt = require_altair()
+    values = medians_of(groups)
+    ratios = np.geomspace(1, 10, 100)
+    shares = performance_profile(values, ratios.tolist())
+    rows = [{"method": method, "ratio": float(ratio), "share": float(shares[i, j])}
+            for i, ratio in enumerate(ratios) for j, method in enumerate(groups.methods)]
+    drawn = alt.Chart(data(rows)).mark_line(interpolate="step-after", strokeWidth=2).encode(
+        x=alt.X("ratio:Q", title="ratio to the best median of the instance, logarithmic",
+                scale=alt.Scale(type="log", nice=False)),
+        y=alt.Y("share:Q", title="share of instances", scale=alt.Scale(domain=[0, 1]),
+                axis=alt.Axis(format="%")),
+        **_by_method(groups.methods)).properties(width=WIDTH, height=0.55 * WIDTH)
+    return Figure("performance-profile", "Performance profile", "At the left end: how often a "
+                  "method is the best. Further right: how often it is within that ratio of the "
+                  "best.", drawn)
+
+
+def critical_differences(found: Comparison) -> Figure:
+    """Return the mean ranks, with bars over methods that cannot be told apart.
+
+    Parameters
+    ----------
+    found : Comparison
+        With a critical difference.
+
+    References
+    ----------
+    Demšar 2006, J. Mach. Learn. Res. 7, figure 1.
+    """
+    alt = require_altair()
+    assert found.difference is not None
+    order = np.argsort(found.ranks, kind="stable")
+    names = [found.methods[i] for i in order]
+    ranks = [found.ranks[i] for i in order]
+    ends = alike(ranks, found.difference)
+    axis = alt.X("rank:Q", title="mean rank; 1 is best", scale=alt.Scale(
+        domain=[1, len(names)], nice=False))
+    row = alt.Y("row:O", axis=None, sort=None)
+    points = [{"row": i, "rank": rank, "name": f"{name} ({rank:.2f})"}
+              for i, (name, rank) in enumerate(zip(names, ranks, strict=True))]
+    bars = [{"row": f"bar {i}", "rank": low, "to": high} for i, (low, high) in enumerate(ends)]
+    base = alt.Chart(data(points)).encode(x=axis, y=row)
+    layers = [
+        base.mark_rule(color=FAINT, strokeDash=[2, 2]).encode(x2=alt.datum(1)),
+        base.mark_point(filled=True, size=90, color=INK, opacity=1),
+        base.mark_text(align="left", dx=9, color=INK, fontSize=11.5).encode(text="name:N")]
+    if bars:
+        layers.append(alt.Chart(data(bars)).mark_rule(strokeWidth=5, color=_COLOURS[0]).encode(
+            x=axis, x2="to:Q", y=row))
+    drawn = alt.layer(*layers).properties(width=WIDTH, height=24 * (len(points) + len(bars) + 1))
+    return Figure("critical-difference", f"Mean ranks over {found.instances} instances",
+                  "Blue bars join methods that Nemenyi's test cannot tell apart: their ranks "
+                  f"differ by less than {found.difference:.2f}.", drawn)
+
+
+def alike(ranks: list[float], difference: float) -> list[tuple[float, float]]:
+    """Return the longest runs of sorted ranks that differ by less than a critical difference.
+
+    Parameters
+    ----------
+    ranks : list of float
+        In order.
+    difference : float
+    """
+    found: list[tuple[float, float]] = []
+    for i, low in enumerate(ranks):
+        high = max(rank for rank in ranks[i:] if rank - low < difference)
+        if ranks.index(high) > i and not (found and high <= found[-1][1]):
+            found.append((low, high))
+    return found
+
+
+def _by_method(methods: tuple[str, ...]) -> dict[str, Any]:
+    """Return colours and dashes of methods: with both, three times as many can be told apart."""
+    alt = require_altair()
+    number = len(_COLOURS)
+    legend = alt.Legend(columns=4, symbolType="stroke", symbolOpacity=1)  # one for both
+    return {
+        "color": alt.Color("method:N", legend=legend, scale=alt.Scale(
+            domain=list(methods), range=[_COLOURS[i % number] for i in range(len(methods))])),
+        "strokeDash": alt.StrokeDash("method:N", legend=legend, scale=alt.Scale(
+            domain=list(methods), range=[_DASHES[i // number % len(_DASHES)]
+                                         for i in range(len(methods))]))}

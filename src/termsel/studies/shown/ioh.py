@@ -1,0 +1,93 @@
+"""Runs in the format of IOHprofiler, which IOHanalyzer and iohinspector read."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from collections.abc import Iterable, Iterator, Mapping
+from itertools import chain, count
+from typing import Any
+
+from termsel.studies.statistics.groups import Groups
+from termsel.studies.statistics.summaries import length
+from termsel.version import __version__
+
+FORMAT = "0.3.5"
+"""Version of the format, as IOHexperimenter numbers it."""
+
+
+def ioh_files(groups: Groups) -> Iterator[tuple[str, str]]:
+    """Yield the files of a study for IOHprofiler: a folder a method, two files an instance.
+
+    Parameters
+    ----------
+    groups : Groups
+
+    Yields
+    ------
+    name, content : str
+
+    References
+    ----------
+    De Nobel, Ye, Vermetten, Wang, Doerr and Bäck 2024, IOHexperimenter, Evol. Comput. 32(3); a
+    run begins with the row of its first evaluation.
+    """
+    folders = _folders(groups.methods)
+    for number, (instance, by_method) in enumerate(groups.instances.items(), 1):
+        # Readers compare methods of the same dimension alone, so an instance has one.
+        dimension = max([1, *(row.get("n_terms") or 0 for runs in by_method.values()
+                              for row in runs.rows)])
+        for method, runs in by_method.items():
+            kept = [record for record in runs.records if record["trace"]]
+            if not kept:
+                continue
+            folder, stem = folders[method], f"IOHprofiler_f{number}_{_word(instance)}"
+            data = f"data_f{number}_{_word(instance)}/{stem}.dat"
+            yield f"{folder}/{data}", _data(kept)
+            yield f"{folder}/{stem}.json", json.dumps(
+                _description(number, instance, method, dimension, kept, data), indent=1) + "\n"
+
+
+def _data(records: list[Mapping[str, Any]]) -> str:
+    """Return the improvements of all runs, each run from evaluation 1 to its last one."""
+    lines = ["evaluations raw_y"]
+    for record in records:
+        trace, last = record["trace"], length(record["figures"])
+        # Before the end of the first generation nothing is known of the best value.
+        points = {1: math.inf, **{int(point[0]): point[1] for point in trace}}
+        points.setdefault(int(max(last, *points)), trace[-1][1])
+        lines += [f"{evaluations} {value:.17g}" for evaluations, value in points.items()]
+    return "\n".join(lines) + "\n"
+
+
+def _description(number: int, instance: str, method: str, dimension: int,
+                 kept: list[Mapping[str, Any]], data: str) -> dict[str, Any]:
+    return {
+        "version": FORMAT, "suite": "termsel", "function_id": number, "function_name": instance,
+        "maximization": False,
+        "algorithm": {"name": method, "info": f"termsel {__version__}"},
+        "attributes": ["evaluations", "raw_y"],
+        "scenarios": [{
+            "dimension": dimension, "path": data,
+            "runs": [{"instance": 1, "evals": int(max(length(record["figures"]), 1)),
+                      "best": {"evals": int(record["trace"][-1][0]), "y": record["trace"][-1][1],
+                               "x": []}} for record in kept if math.isfinite(
+                                   record["trace"][-1][1])]}]}
+
+
+def _folders(methods: Iterable[str]) -> dict[str, str]:
+    """Return a folder of its own for each method, capitals ignored as some file systems do."""
+    found: dict[str, str] = {}
+    taken: set[str] = set()
+    for method in methods:
+        word = _word(method)
+        names = chain([word], (f"{word}-{n}" for n in count(2)))
+        found[method] = next(name for name in names if name.lower() not in taken)
+        taken.add(found[method].lower())
+    return found
+
+
+def _word(text: str) -> str:
+    """Return a text as part of a file name."""
+    return re.sub(r"[^\w.+-]+", "_", text).strip("._") or "all"

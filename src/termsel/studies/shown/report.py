@@ -1,0 +1,97 @@
+"""The page of a study: what may be claimed, tables, charts, and each image's residuals."""
+
+from __future__ import annotations
+
+from html import escape
+from typing import Any
+
+from termsel.errors import TermselError, counted
+from termsel.io.result_folder import read_result
+from termsel.report import page
+from termsel.report.page import Figure, Section
+from termsel.report.small import small_map
+from termsel.report.theme import require_altair
+from termsel.studies.cells.images import IMAGES, folders_of
+from termsel.studies.shown.figures import figures_of
+from termsel.studies.shown.pages import Table, tables_of
+from termsel.studies.study import Study
+
+_SMALL = ("Arrows are the residuals of all features: blue of control, orange of check, black of "
+          "independent points. Red rings are probable blunders. Each drawing has its own scale.")
+
+
+def charts_of(study: Study) -> list[Figure]:
+    """Return the charts of a study: none of the strategy auto alone, which searches nothing.
+
+    Parameters
+    ----------
+    study : Study
+
+    Raises
+    ------
+    TermselError
+        If altair is not installed.
+    """
+    return figures_of(study) if study.spec.strategies != ("auto",) else []
+
+
+def report(study: Study, charts: list[Figure] | None = None) -> str:
+    """Return a page with the tables and charts of a study, and what may be claimed.
+
+    Parameters
+    ----------
+    study : Study
+        Finished or not.
+    charts : list of Figure, optional
+        As `charts_of` returns them.
+
+    Raises
+    ------
+    TermselError
+        If the extra `report` is not installed.
+    """
+    require_altair()
+    charts = charts_of(study) if charts is None else charts
+    tables, said = tables_of(study)
+    pictures = thumbnails(study)
+    images = [_table(one, pictures) for one in tables if one.cells]
+    sections = (
+        Section("What may be claimed", tuple(said)),
+        Section("Images", (*[_SMALL] * any(one.pictures for one in images), *images)),
+        Section("Tables", tuple(_table(one, {}) for one in tables if not one.cells)),
+        Section("Charts", tuple(charts)))
+    alike = study.spec.strategies == ("auto",)
+    done, number = len(study.records), counted(len(study.cells), "image" if alike else "cell")
+    return page.page(study.spec.title or "Study",
+                     number if study.complete else f"{done} of {number} finished",
+                     [section for section in sections if section.blocks])
+
+
+def thumbnails(study: Study) -> dict[str, str]:
+    """Return the residuals of each image that has a result as a small drawing.
+
+    Parameters
+    ----------
+    study : Study
+
+    Returns
+    -------
+    dict
+        SVG, or why there is none, as HTML; by the key of the cell.
+    """
+    if study.folder is None:
+        return {}
+    found = {}
+    for key, name in folders_of(study.cells).items():
+        if study.records.get(key, {}).get("state") != "done":
+            continue
+        try:
+            found[key] = small_map(read_result(study.folder / IMAGES / name).view)
+        except TermselError as error:
+            found[key] = escape(error.what)
+    return found
+
+
+def _table(table: Table, pictures: dict[str, Any]) -> page.Table:
+    drawn = [pictures.get(key, "") for key in table.cells] if pictures else []
+    return page.Table(table.title, table.header, table.rows, pictures=drawn)

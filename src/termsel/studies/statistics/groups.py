@@ -1,0 +1,103 @@
+"""Which cells of a study are compared with which: methods on instances."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from termsel.studies.cells.table import WAITING, Row
+
+METHOD = ("strategy", "model", "criterion", "solver")
+INSTANCE = ("problem", "data", "split")
+
+
+@dataclass(frozen=True)
+class Runs:
+    """The runs of one method on one instance.
+
+    Parameters
+    ----------
+    rows : list of dict
+    values : list of float
+        What they are compared by, lower is better; infinite for a run without a result.
+    records : list of mapping
+        With trace and front.
+    """
+
+    rows: list[Row] = field(default_factory=list)
+    values: list[float] = field(default_factory=list)
+    records: list[Mapping[str, Any]] = field(default_factory=list)
+
+
+@dataclass(frozen=True)
+class Groups:
+    """All runs by instance, then by method.
+
+    Parameters
+    ----------
+    measure : {"fitness", "check", "independent"}
+    instances : mapping
+        By label of the instance, all runs by label of the method.
+    methods : tuple of str
+    """
+
+    measure: str
+    instances: Mapping[str, Mapping[str, Runs]]
+    methods: tuple[str, ...]
+
+    @property
+    def common(self) -> list[str]:
+        """Instances that every method was run on."""
+        return [name for name, by_method in self.instances.items()
+                if set(by_method) == set(self.methods)]
+
+
+def group(rows: Sequence[Row], records: Mapping[str, Mapping[str, Any]],
+          measure: str | None = None) -> Groups:
+    """Return the runs of a study by what they are compared on.
+
+    By fitness, solvers are compared on the same problem, data, model and criterion. By an RMSE,
+    methods are compared: model, criterion and solver together.
+
+    Parameters
+    ----------
+    rows : sequence of dict
+    records : mapping
+        By key of the cell.
+    measure : str, optional
+        By default the fitness where the methods differ in the solver alone.
+    """
+    rows = [row for row in rows if row["state"] != WAITING]
+    measure = measure or _measure(rows)
+    method: tuple[str, ...] = ("solver",) if measure == "fitness" else METHOD
+    instance = (*INSTANCE, *(("model", "criterion") if measure == "fitness" else ()))
+    of_method, of_instance = _varying(rows, method), _varying(rows, instance)
+    instances: dict[str, dict[str, Runs]] = {}
+    for row in rows:
+        name = ", ".join(_shown(row, label) for label in of_instance)
+        runs = instances.setdefault(name, {}).setdefault(
+            ", ".join(_shown(row, label) for label in of_method), Runs())
+        value = row.get(measure)
+        runs.rows.append(row)
+        runs.values.append(math.inf if value is None else value)
+        runs.records.append(records[row["cell"]])
+    methods = dict.fromkeys(name for by_method in instances.values() for name in by_method)
+    return Groups(measure, instances, tuple(methods))
+
+
+def _measure(rows: Sequence[Row]) -> str:
+    alike = len({(row["strategy"], row["model"], row["criterion"]) for row in rows}) <= 1
+    return "fitness" if alike and all(row["strategy"] == "as-asked" for row in rows) \
+        else "independent"
+
+
+def _varying(rows: Sequence[Row], labels: Sequence[str]) -> list[str]:
+    """Return the labels that tell the rows apart; the first or last one where none does."""
+    found = [label for label in labels if len({row[label] for row in rows}) > 1]
+    return found or [labels[-1] if labels[-1] == "solver" else labels[0]]
+
+
+def _shown(row: Row, label: str) -> str:
+    return f"split {row[label]}" if label == "split" else str(row[label])

@@ -1,0 +1,233 @@
+"""Tests over many problems, and effect sizes: what of a comparison is more than chance."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+
+from termsel.measurements.features import FloatArray
+from termsel.studies.statistics.groups import Groups
+from termsel.studies.statistics.summaries import quantiles
+
+LEVEL = 0.05
+"""Significance level of all tests."""
+
+FEWEST = 5
+"""Instances below which no test over instances is made: Wilcoxon's test of 5 pairs ends at 0.06."""
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Two methods compared over all instances.
+
+    Parameters
+    ----------
+    one, other : str
+    p : float
+        Of Wilcoxon's signed-rank test, two-sided.
+    corrected : float
+        By Holm, for all pairs.
+    wins, losses : int
+        Instances on which the one has the lower, or the higher, median.
+    lower : bool
+        Whether the one is lower by the ranks that the test sums: it may still lose on more
+        instances, by less.
+    """
+
+    one: str
+    other: str
+    p: float
+    corrected: float
+    wins: int
+    losses: int
+    lower: bool
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Tests of methods over instances.
+
+    Parameters
+    ----------
+    methods : tuple of str
+    instances : int
+        Instances that all methods were run on.
+    ranks : tuple of float
+        Mean rank of each method; 1 is best.
+    statistic, p : float or None
+        Of Friedman's test, for three methods or more.
+    difference : float or None
+        Nemenyi's critical difference of mean ranks, for three methods or more.
+    pairs : tuple of Pair
+    """
+
+    methods: tuple[str, ...]
+    instances: int
+    ranks: tuple[float, ...]
+    statistic: float | None
+    p: float | None
+    difference: float | None
+    pairs: tuple[Pair, ...]
+
+
+def medians_of(groups: Groups) -> FloatArray:
+    """Return the median of every method on every instance that all methods were run on.
+
+    Parameters
+    ----------
+    groups : Groups
+
+    Returns
+    -------
+    ndarray, shape (instances, methods)
+    """
+    return np.array([[quantiles(groups.instances[name][method].values, (0.5,))[0]
+                      for method in groups.methods] for name in groups.common]
+                    ).reshape(len(groups.common), len(groups.methods))
+
+
+def compare_methods(methods: Sequence[str], values: FloatArray) -> Comparison | None:
+    """Return Friedman's test, Wilcoxon's with Holm's correction, and the critical difference.
+
+    Parameters
+    ----------
+    methods : sequence of str
+    values : ndarray, shape (instances, methods)
+        Lower is better; infinite for a method without a result.
+
+    Returns
+    -------
+    Comparison or None
+        None for a single method, or fewer than `FEWEST` instances.
+
+    References
+    ----------
+    Demšar 2006, J. Mach. Learn. Res. 7, sections 3.1.3 and 3.2.
+    """
+    from scipy.stats import friedmanchisquare, rankdata
+
+    instances, number = values.shape
+    if number < 2 or instances < FEWEST:
+        return None
+    ranks = rankdata(values, axis=1).mean(axis=0)
+    statistic = p = difference = None
+    if number > 2:
+        # All alike on every instance: there is nothing to tell apart, and the test divides by zero.
+        alike = bool((values == values[:, :1]).all())
+        statistic, p = (0.0, 1.0) if alike else map(float, friedmanchisquare(
+            *rankdata(values, axis=1).T))
+        difference = critical_difference(number, instances)
+    tested = [(i, j, *signed_rank(values[:, i], values[:, j]))
+              for i, j in combinations(range(number), 2)]
+    corrected = holm([p_value for _, _, p_value, _ in tested])
+    pairs = tuple(
+        Pair(methods[i], methods[j], p_value, after, int((values[:, i] < values[:, j]).sum()),
+             int((values[:, i] > values[:, j]).sum()), lower)
+        for (i, j, p_value, lower), after in zip(tested, corrected, strict=True))
+    return Comparison(tuple(methods), instances, tuple(map(float, ranks)), statistic, p,
+                      difference, pairs)
+
+
+def signed_rank(one: FloatArray, other: FloatArray) -> tuple[float, bool]:
+    """Return the p-value of Wilcoxon's signed-rank test, two-sided, and whether the one is lower.
+
+    Differences of a method without a result count as larger than all others; two of them as none.
+
+    Parameters
+    ----------
+    one, other : ndarray, shape (n,)
+    """
+    from scipy.stats import rankdata, wilcoxon
+
+    with np.errstate(invalid="ignore"):
+        difference = np.where(one == other, 0.0, one - other)
+    finite = np.abs(difference[np.isfinite(difference)])
+    beyond = 2 * (finite.max() if len(finite) else 0.0) + 1.0
+    difference = np.clip(difference, -beyond, beyond)
+    if not difference.any():
+        return 1.0, False
+    told = difference[difference != 0]
+    lower = bool((rankdata(np.abs(told)) * np.sign(told)).sum() < 0)
+    return float(wilcoxon(difference).pvalue), lower
+
+
+def holm(p_values: Sequence[float]) -> list[float]:
+    """Return p-values corrected for their number.
+
+    Parameters
+    ----------
+    p_values : sequence of float
+
+    References
+    ----------
+    Holm 1979, Scand. J. Stat. 6(2).
+    """
+    order = np.argsort(p_values, kind="stable")
+    scaled = np.asarray(p_values)[order] * np.arange(len(p_values), 0, -1)
+    corrected = np.empty(len(p_values))
+    corrected[order] = np.minimum(np.maximum.accumulate(scaled), 1.0) if len(scaled) else scaled
+    return [float(value) for value in corrected]
+
+
+def critical_difference(methods: int, instances: int, level: float = LEVEL) -> float:
+    """Return by how much mean ranks must differ, by Nemenyi's test.
+
+    Parameters
+    ----------
+    methods, instances : int
+    level : float
+
+    References
+    ----------
+    Demšar 2006, J. Mach. Learn. Res. 7, section 3.2.2.
+    """
+    from scipy.stats import studentized_range
+
+    quantile = float(studentized_range.ppf(1 - level, methods, np.inf)) / math.sqrt(2)
+    return quantile * math.sqrt(methods * (methods + 1) / (6 * instances))
+
+
+def effect_size(one: Sequence[float], other: Sequence[float]) -> float:
+    """Return how probably a run of one method is lower than one of the other; ties count half.
+
+    Parameters
+    ----------
+    one, other : sequence of float
+
+    References
+    ----------
+    Vargha and Delaney 2000, J. Educ. Behav. Stat. 25(2), equation 2, for values of which lower
+    ones are better. 0.5 is no difference; they call 0.56, 0.64 and 0.71 small, medium and large.
+    """
+    a, b = np.asarray(one)[:, None], np.asarray(other)[None]
+    return float((a < b).mean() + (a == b).mean() / 2)
+
+
+def performance_profile(values: FloatArray, ratios: Sequence[float]) -> FloatArray:
+    """Return on which share of instances each method is within a ratio of the best one.
+
+    Parameters
+    ----------
+    values : ndarray, shape (instances, methods)
+        Positive; lower is better.
+    ratios : sequence of float
+        From 1 on.
+
+    Returns
+    -------
+    ndarray, shape (ratios, methods)
+
+    References
+    ----------
+    Dolan and Moré 2002, Math. Program. 91, section 2.
+    """
+    least = values.min(axis=1, keepdims=True)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        relative = np.where(np.isfinite(values), values / least, np.inf)
+    relative[(values == least) & np.isfinite(values)] = 1.0  # also where the best is 0
+    return np.asarray((relative[None] <= np.asarray(ratios)[:, None, None] * (1 + 1e-12)
+                       ).mean(axis=1))

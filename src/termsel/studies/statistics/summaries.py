@@ -1,0 +1,262 @@
+"""What the runs of one method on one instance come to: quartiles, success, expected time."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from termsel.solvers.proofs.proof import TIE
+from termsel.studies.statistics.groups import Groups, Runs
+
+_HUGE = 1e300
+"""Stands for infinity where quantiles are interpolated."""
+
+
+@dataclass(frozen=True)
+class Summary:
+    """Figures of one method on one instance.
+
+    Parameters
+    ----------
+    instance, method : str
+    runs, finished : int
+        All runs, and those with a result.
+    best, lower, median, upper, worst : float
+        Least value, quartiles and greatest value of the measure; infinite where runs had none.
+    optimum : float or None
+        The proven optimum, where it is known and the measure is the fitness.
+    reached : int or None
+        Runs that reached it.
+    low, high : float or None
+        95 % interval of Wilson for the share of runs that reach it.
+    expected : float or None
+        Expected number of evaluations to reach it (`expected_running_time`); infinite if no run
+        did.
+    independent : float or None
+        Median RMSE on independent points [px].
+    evaluations, cpu_seconds : float or None
+        Medians.
+    """
+
+    instance: str
+    method: str
+    runs: int
+    finished: int
+    best: float
+    lower: float
+    median: float
+    upper: float
+    worst: float
+    optimum: float | None
+    reached: int | None
+    low: float | None
+    high: float | None
+    expected: float | None
+    independent: float | None
+    evaluations: float | None
+    cpu_seconds: float | None
+
+
+def summaries(groups: Groups) -> list[Summary]:
+    """Return the figures of every method on every instance.
+
+    Parameters
+    ----------
+    groups : Groups
+    """
+    return [_summary(instance, method, runs, optimum_of(by_method.values(), groups.measure))
+            for instance, by_method in groups.instances.items()
+            for method, runs in by_method.items()]
+
+
+def optimum_of(runs: Any, measure: str) -> float | None:
+    """Return the proven optimum of an instance, if one of its runs knows it.
+
+    Parameters
+    ----------
+    runs : iterable of Runs
+    measure : str
+    """
+    known = [row["optimum"] for one in runs for row in one.rows if row.get("optimum") is not None]
+    return min(known) if known and measure == "fitness" else None
+
+
+def _summary(instance: str, method: str, runs: Runs, optimum: float | None) -> Summary:
+    best, lower, median, upper, worst = quantiles(runs.values, (0, 0.25, 0.5, 0.75, 1))
+    reached = expected = low = high = None
+    if optimum is not None:
+        target = reachable(optimum)
+        reached = sum(value <= target for value in runs.values)
+        low, high = wilson(reached, len(runs.values))
+        hits = [hit(one["trace"], target) if value <= target else math.inf
+                for one, value in zip(runs.records, runs.values, strict=True)]
+        expected = expected_running_time(hits, [length(one["figures"]) for one in runs.records])
+    return Summary(
+        instance, method, len(runs.values), sum(row["state"] == "done" for row in runs.rows),
+        best, lower, median, upper, worst, optimum, reached, low, high, expected,
+        *(_median(runs.rows, name) for name in ("independent", "evaluations", "cpu_seconds")))
+
+
+def reachable(optimum: float) -> float:
+    """Return the value from which on down an optimum counts as reached: rounding differs."""
+    return optimum + TIE * abs(optimum)
+
+
+def _median(rows: Sequence[Mapping[str, Any]], name: str) -> float | None:
+    known = [row[name] for row in rows if row.get(name) is not None]
+    return float(np.median(known)) if known else None
+
+
+def quantiles(values: Sequence[float], shares: Sequence[float]) -> list[float]:
+    """Return quantiles of values among which some may be infinite.
+
+    Parameters
+    ----------
+    values : sequence of float
+    shares : sequence of float
+        From 0 to 1.
+    """
+    finite = np.minimum(np.asarray(values, dtype=float), _HUGE)
+    return [math.inf if value > _HUGE * 1e-6 else float(value)
+            for value in np.quantile(finite, shares)]
+
+
+def wilson(successes: int, runs: int, level: float = 0.95) -> tuple[float, float]:
+    """Return the interval of a share of successes.
+
+    Parameters
+    ----------
+    successes, runs : int
+    level : float
+
+    References
+    ----------
+    Wilson 1927, J. Am. Stat. Assoc. 22(158); as scipy computes it, without correction for
+    continuity.
+    """
+    from scipy.stats import binomtest
+
+    found = binomtest(successes, runs).proportion_ci(level, method="wilson")
+    return float(found.low), float(found.high)
+
+
+def hit(trace: Sequence[Sequence[float]], target: float, column: int = 0) -> float:
+    """Return when a run reached a target; infinite if it never did.
+
+    Parameters
+    ----------
+    trace : sequence
+        Evaluations, best value and CPU seconds at every improvement.
+    target : float
+    column : {0, 2}
+        Whether in evaluations or in CPU seconds.
+    """
+    return next((float(point[column]) for point in trace if point[1] <= target), math.inf)
+
+
+def length(figures: Mapping[str, Any]) -> float:
+    """Return the evaluations of a run, those of the local refinement included.
+
+    Parameters
+    ----------
+    figures : mapping
+        Of its record; empty for a run that failed.
+    """
+    return float(figures.get("evaluations") or 0)
+
+
+def expected_running_time(hits: Sequence[float], lengths: Sequence[float]) -> float:
+    """Return how long it takes to reach a target, with restarts of runs that do not.
+
+    It is the time spent in all runs up to the target, or to their end, per run that reached it.
+
+    Parameters
+    ----------
+    hits : sequence of float
+        When each run reached the target; infinite if it did not.
+    lengths : sequence of float
+        Of all runs, in the same unit.
+
+    Returns
+    -------
+    float
+        Infinite if no run reached it.
+
+    References
+    ----------
+    Hansen, Auger, Finck and Ros 2009, Real-parameter black-box optimization benchmarking:
+    experimental setup, "expected running time".
+    """
+    successes = sum(map(math.isfinite, hits))
+    spent = sum(at if math.isfinite(at) else whole
+                for at, whole in zip(hits, lengths, strict=True))
+    return spent / successes if successes else math.inf
+
+
+def ecdf(hits: Sequence[float]) -> tuple[list[float], list[float]]:
+    """Return which share of runs and targets is reached within which budget.
+
+    Parameters
+    ----------
+    hits : sequence of float
+        When each run reached each target, as `hit` returns it.
+
+    Returns
+    -------
+    budgets, shares : list of float
+        The share is that up to and including the budget; a step at each.
+    """
+    steps = {moment: (i + 1) / len(hits)
+             for i, moment in enumerate(sorted(filter(math.isfinite, hits)))}
+    return list(steps), list(steps.values())
+
+
+def targets_of(optimum: float | None, runs: Iterable[Runs], number: int = 21) -> list[float]:
+    """Return targets for an ECDF: above the optimum by 100 % to 0.01 %, evenly in the logarithm.
+
+    Parameters
+    ----------
+    optimum : float or None
+        Where it is not known, the best value of all runs stands for it.
+    runs : iterable of Runs
+    number : int
+
+    References
+    ----------
+    Hansen, Auger, Ros, Mersmann, Tušar and Brockhoff 2021, COCO, Optim. Methods Softw. 36(1),
+    section 5, on runtimes over many targets; these targets are termsel's own.
+    """
+    found = [value for one in runs for value in one.values if math.isfinite(value)]
+    if optimum is None and not found:
+        return []
+    least = min(found) if optimum is None else optimum
+    return [least + float(gap) * abs(least) for gap in np.logspace(0, -4, number)]
+
+
+def bands(traces: Sequence[Sequence[Sequence[float]]], budgets: Sequence[float]
+          ) -> list[tuple[float, float, float, float]]:
+    """Return the quartiles of the best value found within budgets.
+
+    Parameters
+    ----------
+    traces : sequence
+        One a run.
+    budgets : sequence of float
+        Evaluations.
+
+    Returns
+    -------
+    list of tuple
+        Budget, lower quartile, median, upper quartile; infinite where runs have found nothing.
+    """
+    rows = []
+    for budget in budgets:
+        values = [min((point[1] for point in trace if point[0] <= budget), default=math.inf)
+                  for trace in traces]
+        lower, median, upper = quantiles(values, (0.25, 0.5, 0.75))
+        rows.append((float(budget), lower, median, upper))
+    return rows
