@@ -63,9 +63,9 @@ class Mutant:
         return text.replace(self.old, self.new)
 
 
-def listed() -> list[Mutant]:
+def listed(root: Path = ROOT) -> list[Mutant]:
     """Return the mutants of tests/mutants.toml."""
-    table = tomllib.loads((ROOT / "tests/mutants.toml").read_text())
+    table = tomllib.loads((root / "tests/mutants.toml").read_text())
     return [Mutant(one["file"], one["old"], one["new"], tuple(one["tests"]))
             for one in table["mutant"]]
 

@@ -1,7 +1,7 @@
 """The order of the rooms: which part of termsel may import which.
 
 `ROOMS` is the one place that states it. A room imports from those below it and never from one
-above; the tests read every import and hold it against this list.
+above; `python -m tests.lint` holds every import against this list.
 """
 
 from __future__ import annotations

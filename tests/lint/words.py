@@ -1,0 +1,131 @@
+"""The words of the project: left-out words stay out, and sentences for users stay short."""
+
+from __future__ import annotations
+
+import ast
+import io
+import re
+import tokenize
+from collections.abc import Iterator
+from pathlib import Path
+
+from tests.lint.violations import Violation, code_files, line_at, pages
+
+LONGEST = 25
+"""Words of a sentence for users."""
+
+_START, _END = r"(?<![a-z])", r"(?![a-z])"
+# Underscores do not end a word in identifiers, so the ends are letters, not \b.
+WORDS = {
+    r"mend(s|ed|ing|able)?": "correct, fix",
+    r"besides?": "next to, compared with",
+    r"shar(e|es|ed|ing)[\s_]out": "assign",
+    r"(bears?|borne)": "support, determine",
+    r"dr(ive|ives|iven|ove)[\s_](it[\s_])?down": "minimised",
+    r"(wrong|doubtful)[\s_](lines?|points?|features?|ones)": "blunder, outlier",
+    r"doubtful": "blunder, outlier",
+    r"anew": "again, or the verb with re-",
+    r"sp(eak|eaks|oke)[\s_]of": "requires, contains",
+    r"free[\s_]in[\s_]effect": "effective parameters",
+    r"accurac(y|ies)[\s_]that[\s_]can[\s_]be[\s_]believed": "estimate, predicted RMSE",
+}
+REFUSED = [(re.compile(f"{_START}{word}{_END}", re.IGNORECASE), instead)
+           for word, instead in WORDS.items()]
+REFUSED.append((re.compile(
+    r"\[(nano-)?pixels?\b|(?<![\w.])\d[\d,.]*[ -]pixels?\b|\}\s?pixels?\b|"
+    r"\bin pixels\b|\bpixels? per\b", re.IGNORECASE), "px"))
+# The option and field is code: the whole of a string, in backquotes, after a dot or before "=".
+PROSE_POLISH = re.compile(r"""(?<![\w.`=/-])(?!(?<=["'])polish(ed)?["'])"""
+                          r"polish(es|ed|ing)?(?![\w`=(])", re.IGNORECASE)
+PARAMETER = re.compile(r"^[\w, ]+ : .*$", re.MULTILINE)  # as numpydoc declares them
+# Public names that hold a left-out word: changing them would break callers.
+NAMES = re.compile(r"\bwrong_lines\b")
+
+
+def _blank(match: re.Match[str]) -> str:
+    """Return what hides a match and keeps the lines and columns of what follows."""
+    return re.sub(r"[^\n]", " ", match[0])
+
+
+def _prose(path: Path, text: str) -> str:
+    """Return what of a file is prose, in its lines: comments and strings, pages without code."""
+    if path.suffix == ".md":
+        # The marks stay, as a word right before or after them is code too.
+        return re.sub(r"(?<=^```).*?(?=^```$)|(?<=`)[^`\n]+(?=`)", _blank, text,
+                      flags=re.MULTILINE | re.DOTALL)
+    kinds = {tokenize.COMMENT, tokenize.STRING, getattr(tokenize, "FSTRING_MIDDLE", None)}
+    lines: list[list[str]] = [[] for _ in range(text.count("\n") + 2)]
+    for token in tokenize.generate_tokens(io.StringIO(text).readline):
+        if token.type in kinds:
+            for line, part in enumerate(token.string.split("\n"), token.start[0]):
+                lines[line - 1].append(part)
+    return "\n".join("\0".join(parts) for parts in lines)
+
+
+def left_out_words(path: Path, text: str) -> Iterator[tuple[int, str]]:
+    """Yield the line of every left-out word of a file, with the words to use instead."""
+    text = NAMES.sub(_blank, text)
+    for pattern, instead in REFUSED:
+        for match in pattern.finditer(text):
+            yield line_at(text, match.start()), f"{match[0]!r}: write {instead}"
+    if "polish" in text.lower():  # taking a module apart into tokens is slow
+        prose = PARAMETER.sub(_blank, _prose(path, text))
+        for match in PROSE_POLISH.finditer(prose):
+            yield line_at(prose, match.start()), f"{match[0]!r}: write local refinement"
+
+
+def _expected(path: Path, text: str) -> str:
+    """Return the part of a file that keeps to the words: no history of changes before 0.2.0."""
+    known = re.search(r"^## \[?0\.2\.0.*?(?=^## |\Z)", text, re.MULTILINE | re.DOTALL)
+    return text[:known.end()] if known and path.stem.lower() == "changelog" else text
+
+
+def _shown(node: ast.expr) -> str:
+    """Return the text of a string expression, each embedded value as one word."""
+    if isinstance(node, ast.Constant):
+        return node.value if isinstance(node.value, str) else "value"
+    if isinstance(node, ast.JoinedStr):
+        return "".join(_shown(part) if isinstance(part, ast.Constant) else "value"
+                       for part in node.values)
+    if isinstance(node, ast.BinOp):
+        return _shown(node.left) + _shown(node.right)
+    if isinstance(node, ast.IfExp):
+        return max(_shown(node.body), _shown(node.orelse), key=len)
+    return "value"
+
+
+def _for_users(tree: ast.Module) -> Iterator[ast.expr]:
+    """Yield messages, hints, docs of options and help texts of a module."""
+    for node in ast.walk(tree):
+        if not isinstance(node, ast.Call):
+            continue
+        name = ast.unparse(node.func).rpartition(".")[2]
+        keywords = {keyword.arg: keyword.value for keyword in node.keywords}
+        yield from (keywords[key] for key in ("hint", "help", "epilog", "what", "doc")
+                    if key in keywords)
+        if name in ("TermselError", "CornerError", "echo"):
+            yield from node.args[:1]
+        if name == "CornerError":
+            yield from node.args[3:4]
+        if name == "Option":
+            yield from node.args[2:3]
+
+
+def sentences_for_users(text: str) -> Iterator[tuple[int, str]]:
+    """Yield the sentences that a module shows to users, and the line where each text begins."""
+    for node in _for_users(ast.parse(text)):
+        for sentence in re.split(r"(?<=[.:;?!])\s+|\n\s*\n|\n\s*[-|]", _shown(node)):
+            yield node.lineno, sentence
+
+
+def violations(root: Path) -> Iterator[Violation]:
+    """Yield every left-out word and every long sentence below a root."""
+    for path in (*code_files(root), *pages(root)):
+        text = path.read_text(encoding="utf-8")
+        for line, message in left_out_words(path, _expected(path, text)):
+            yield Violation(path, line, message)
+        if path.suffix == ".py":
+            for line, sentence in sentences_for_users(text):
+                if (count := len(sentence.split())) > LONGEST:
+                    yield Violation(path, line, f"a sentence of {count} words for users, more "
+                                    f"than {LONGEST}: {sentence!r}")
