@@ -23,7 +23,7 @@ from termsel.measurements.areas import Area, boundary, centroid, centroids
 from termsel.measurements.features import FloatArray, Points
 from termsel.measurements.joined import join_points
 from termsel.simulate import scene_truth, simulate_scene
-from termsel.testing import check_reader
+from termsel.testing import check
 
 HEADER = "id,corner,line,sample,x,y,z\n"
 SQUARE = "a,1,0,0,5,44,10\na,2,0,4,9,44,10\na,3,3,4,9,47,40\na,4,3,0,5,47,40\n"
@@ -156,7 +156,7 @@ def test_table_of_corners(tmp_path: Path) -> None:
     assert lines.ids == ("a",) * 4
     np.testing.assert_array_equal(lines.image[:, 0], [[0, 0], [0, 4], [3, 4], [3, 0]])
     np.testing.assert_array_equal(lines.ground[1], [[9, 45, 10], [9, 47, 40]])
-    check_reader(AreasCsv(), text.encode(), AreasCsv().read(path), filename="areas.csv")
+    check(AreasCsv(), content=text.encode(), expected=AreasCsv().read(path), filename="areas.csv")
 
 
 def test_centroids_of_a_table(tmp_path: Path) -> None:

@@ -41,14 +41,7 @@ from termsel.solvers.proofs.exact import Exact
 from termsel.solvers.regression.nested_regression import NestedRegression
 from termsel.solvers.regression.ridge_lasso import Lasso, Ridge
 from termsel.solvers.regression.stepwise import Stepwise, TTest
-from termsel.testing import (
-    Check,
-    check_criterion,
-    check_model,
-    criterion_checks,
-    model_checks,
-    solver_checks,
-)
+from termsel.testing import Check, check, checks
 
 # What is built in
 
@@ -76,46 +69,46 @@ ORDERS = [{"order": order, "denominators": kind, **({"ridge": 0.0} if kind == "s
 DISTORTED = {"control_kinds": "distortion bends lines", "axis": "distortion couples the axes",
              "translation": "the centre of distortion stays", "fit": "drawn distortions fold"}
 SUITES: dict[str, tuple[Check, ...]] = {
-    "rfm": model_checks(RationalFunctions, options=ORDERS),
-    "poly2d": model_checks(Polynomial2D, options=[{"degree": d} for d in (1, 4, 5, 8)]),
-    "poly3d": model_checks(Polynomial3D, options=[{"degree": d} for d in (1, 2, 3, 5)]),
-    "affine": model_checks(Affine),
-    "projective2d": model_checks(Projective2D),
-    "dlt2d": model_checks(DLT2D),
-    "dlt3d": model_checks(DLT3D),
-    "helmert2d": model_checks(Helmert2D),
-    "poly2d-by-axis": model_checks(Polynomial2DByAxis, options=[{}, {"line_x": 0}]),
-    "poly3d-by-axis": model_checks(Polynomial3DByAxis, options=[{}, {"sample_z": 3}]),
-    "radial2d": model_checks(Radial2D, expected_failures=DISTORTED),
-    "radial3d": model_checks(Radial3D, expected_failures=DISTORTED),
-    "tps": model_checks(ThinPlate, options=[{}, {"smoothing": 0.0}, {"chosen_by": "gcv"}]),
-    "field": model_checks(Field),
-    "field3d": model_checks(Field3D),
-    "ga": solver_checks(GeneticAlgorithm, options=[{}, {"population": 21, "elite": 1}]),
-    "ga-correlation": solver_checks(
+    "rfm": checks(RationalFunctions, options=ORDERS),
+    "poly2d": checks(Polynomial2D, options=[{"degree": d} for d in (1, 4, 5, 8)]),
+    "poly3d": checks(Polynomial3D, options=[{"degree": d} for d in (1, 2, 3, 5)]),
+    "affine": checks(Affine),
+    "projective2d": checks(Projective2D),
+    "dlt2d": checks(DLT2D),
+    "dlt3d": checks(DLT3D),
+    "helmert2d": checks(Helmert2D),
+    "poly2d-by-axis": checks(Polynomial2DByAxis, options=[{}, {"line_x": 0}]),
+    "poly3d-by-axis": checks(Polynomial3DByAxis, options=[{}, {"sample_z": 3}]),
+    "radial2d": checks(Radial2D, expected_failures=DISTORTED),
+    "radial3d": checks(Radial3D, expected_failures=DISTORTED),
+    "tps": checks(ThinPlate, options=[{}, {"smoothing": 0.0}, {"chosen_by": "gcv"}]),
+    "field": checks(Field),
+    "field3d": checks(Field3D),
+    "ga": checks(GeneticAlgorithm, options=[{}, {"population": 21, "elite": 1}]),
+    "ga-correlation": checks(
         CorrelationSeededGA, options=[{}, {"population": 21, "preset": "case-1"}],
         expected_failures={"any_problem": "it needs a design matrix"}),
-    "ga-steady": solver_checks(
+    "ga-steady": checks(
         SteadyStateGA, options=[{}, {"population": 21, "overlap": 1.0}], problem=six_of_twelve,
         expected_failures={"any_problem": "it needs features alone"}),
-    "ga-transgenic": solver_checks(TransgenicGA, options=[{}, {"population": 21}]),
-    "ica": solver_checks(ImperialistCompetition, options=[{}, {"population": 60}]),
-    "pso": solver_checks(BinarySwarm, options=[{}, {"population": 21, "neighbours": 0}]),
-    "aco": solver_checks(AntColony, options=[{}, {"population": 21, "restart": 0.0}]),
-    "swap": solver_checks(Swap),
-    "exact": solver_checks(Exact, expected_failures={"any_problem": "it needs parts to walk"}),
-    **{solver.name: solver_checks(solver) for solver in (Nsga2, AgeMoea2, SmsEmoa, Spea2)},
-    **{solver.name: solver_checks(solver, expected_failures=NEEDS_COLUMNS)
+    "ga-transgenic": checks(TransgenicGA, options=[{}, {"population": 21}]),
+    "ica": checks(ImperialistCompetition, options=[{}, {"population": 60}]),
+    "pso": checks(BinarySwarm, options=[{}, {"population": 21, "neighbours": 0}]),
+    "aco": checks(AntColony, options=[{}, {"population": 21, "restart": 0.0}]),
+    "swap": checks(Swap),
+    "exact": checks(Exact, expected_failures={"any_problem": "it needs parts to walk"}),
+    **{solver.name: checks(solver) for solver in (Nsga2, AgeMoea2, SmsEmoa, Spea2)},
+    **{solver.name: checks(solver, expected_failures=NEEDS_COLUMNS)
        for solver in (Stepwise, TTest, NestedRegression, Lasso, Ridge)},
-    "random": solver_checks(RandomSearch, expected_failures=NO_SEARCH),
-    "all-terms": solver_checks(AllTerms, expected_failures=NO_SEARCH),
-    "check-rmse": criterion_checks(CheckRmse),
-    "median": criterion_checks(Median),
-    "huber": criterion_checks(Huber),
-    "ebic": criterion_checks(Ebic),
-    **{f"press, {loss}": criterion_checks(Press(loss=loss)) for loss in LOSS.choices},
-    **{f"kfold, {loss}": criterion_checks(KFold(loss=loss)) for loss in LOSS.choices},
-    "kfold, random": criterion_checks(KFold(how="random", repeats=2))}
+    "random": checks(RandomSearch, expected_failures=NO_SEARCH),
+    "all-terms": checks(AllTerms, expected_failures=NO_SEARCH),
+    "check-rmse": checks(CheckRmse),
+    "median": checks(Median),
+    "huber": checks(Huber),
+    "ebic": checks(Ebic),
+    **{f"press, {loss}": checks(Press(loss=loss)) for loss in LOSS.choices},
+    **{f"kfold, {loss}": checks(KFold(loss=loss)) for loss in LOSS.choices},
+    "kfold, random": checks(KFold(how="random", repeats=2))}
 
 
 @pytest.mark.parametrize("check", [
@@ -139,18 +132,18 @@ class Dlt(RationalModel):
 
 
 def test_all_at_once() -> None:
-    check_model(Dlt)
-    check_criterion(CheckRmse())
+    check(Dlt)
+    check(CheckRmse())
 
 
 def test_expected_failure_that_passes() -> None:
     with pytest.raises(AssertionError, match=r"axis: .* passes .*\(a reason\)"):
-        check_model(Affine, expected_failures={"axis": "a reason"})
+        check(Affine, expected_failures={"axis": "a reason"})
 
 
 def test_expected_failure_of_no_check() -> None:
     with pytest.raises(TermselError, match=r"unknown check 'axes'.*Did you mean 'axis'"):
-        model_checks(Affine, expected_failures={"axes": "a reason"})
+        checks(Affine, expected_failures={"axes": "a reason"})
 
 
 def test_pytest_is_not_imported() -> None:

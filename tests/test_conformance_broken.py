@@ -25,14 +25,7 @@ from termsel.solvers.base import Generation, Solver
 from termsel.solvers.genetic.ga import GeneticAlgorithm
 from termsel.solvers.heuristics.yardsticks import RandomSearch
 from termsel.solvers.ledger import Ledger
-from termsel.testing import (
-    Check,
-    check_model,
-    check_solver,
-    criterion_checks,
-    model_checks,
-    solver_checks,
-)
+from termsel.testing import Check, check, checks
 from termsel.testing.problems import bound
 
 
@@ -629,16 +622,16 @@ def assert_found(checks: tuple[Check, ...], name: str, message: str) -> None:
 
 @pytest.mark.parametrize(("broken", "name", "message"), BROKEN_MODELS)
 def test_broken_model(broken: Any, name: str, message: str) -> None:
-    assert_found(model_checks(broken, options=[{}]), name, message)
+    assert_found(checks(broken, options=[{}]), name, message)
 
 
 def test_template_of_broken_solvers() -> None:
     no_search = dict.fromkeys(("feasible_first", "optimum_found"), "it does not search")
-    check_solver(Drawn, expected_failures=no_search)
+    check(Drawn, expected_failures=no_search)
 
 
 def test_other_checks_of_a_solver_that_refuses_problems() -> None:
-    check_solver(Choosy, expected_failures=dict.fromkeys(
+    check(Choosy, expected_failures=dict.fromkeys(
         ("any_problem", "feasible_first", "optimum_found"), "two segments, and no search"))
 
 
@@ -652,35 +645,35 @@ def test_problem_a_solver_is_made_for() -> None:
                 raise TermselError("forced genes are needed")
             yield from super().generations(problem, rng)
 
-    check_solver(Forced, problem=bound, expected_failures={"any_problem": "needs forced genes"})
+    check(Forced, problem=bound, expected_failures={"any_problem": "needs forced genes"})
 
 
 @pytest.mark.parametrize(("broken", "name", "message"), BROKEN_SOLVERS)
 def test_broken_solver(broken: type[Solver], name: str, message: str) -> None:
-    assert_found(solver_checks(broken), name, message)
+    assert_found(checks(broken), name, message)
 
 
 @pytest.mark.parametrize(("broken", "name", "message"), BROKEN_CRITERIA)
 def test_broken_criterion(broken: type[Criterion], name: str, message: str) -> None:
-    assert_found(criterion_checks(broken()), name, message)
+    assert_found(checks(broken()), name, message)
 
 
 @pytest.mark.parametrize(("checks", "broken"), [
-    (model_checks(Affine), BROKEN_MODELS), (solver_checks(Drawn), BROKEN_SOLVERS),
-    (criterion_checks(CheckRmse()), BROKEN_CRITERIA)])
+    (checks(Affine), BROKEN_MODELS), (checks(Drawn), BROKEN_SOLVERS),
+    (checks(CheckRmse()), BROKEN_CRITERIA)])
 def test_every_check_can_fail(checks: tuple[Check, ...], broken: list[Any]) -> None:
     assert {check.name for check in checks} == {name for _, name, _ in broken}
 
 
 def test_all_failures_are_reported() -> None:
     with pytest.raises(AssertionError) as caught:
-        check_model(WrongProjection)
+        check(WrongProjection)
     failed = [line.split(":")[0] for line in str(caught.value).splitlines()]
     assert {"axis", "exact_recovery", "recovery_from_lines"} <= set(failed)
 
 
 def test_options_are_named() -> None:
-    assert_found(model_checks(WrongLines, options=[{"denominators": "shared"}]),
+    assert_found(checks(WrongLines, options=[{"denominators": "shared"}]),
                  "recovery_from_lines", "rfm with denominators=shared: ")
 
 
@@ -692,8 +685,8 @@ def test_every_choice_is_checked() -> None:
             image = super().project(coefficients, ground)
             return -image if self.options["denominators"] == "shared" else image
 
-    assert_found(model_checks(WrongWhenShared), "exact_recovery", "rfm with denominators=shared: ")
+    assert_found(checks(WrongWhenShared), "exact_recovery", "rfm with denominators=shared: ")
 
 
 def test_other_checks_of_a_model_without_lines() -> None:
-    check_model(NoLines, expected_failures={"control_kinds": "made for points"})
+    check(NoLines, expected_failures={"control_kinds": "made for points"})

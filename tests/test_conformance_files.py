@@ -22,7 +22,7 @@ from termsel.formats.readers.csv_tables import (
 )
 from termsel.measurements.features import FeatureSet, Lines, Points
 from termsel.results.result import Result
-from termsel.testing import Check, check_reader, check_writer, reader_checks, writer_checks
+from termsel.testing import Check, check, checks
 
 with TemporaryDirectory() as folder:
     _path, _rng = Path(folder) / "example.csv", np.random.default_rng(3)
@@ -62,9 +62,10 @@ def verify_json(result: Result, path: Path) -> None:
 
 
 SUITES = {
-    "points-csv": reader_checks(PointsCsv, POINTS_FILE, POINTS_READ, filename="points.csv"),
-    "lines-csv": reader_checks(LinesCsv(), LINES_FILE, LINES_READ, filename="lines.csv"),
-    "demo-json": writer_checks(DemoJson, filename="model.json", verify=verify_json)}
+    "points-csv": checks(PointsCsv, content=POINTS_FILE, expected=POINTS_READ,
+                         filename="points.csv"),
+    "lines-csv": checks(LinesCsv(), content=LINES_FILE, expected=LINES_READ, filename="lines.csv"),
+    "demo-json": checks(DemoJson, filename="model.json", verify=verify_json)}
 
 
 @pytest.mark.parametrize("check", [
@@ -274,17 +275,17 @@ def assert_found(checks: tuple[Check, ...], name: str, message: str) -> None:
 
 @pytest.mark.parametrize(("broken", "name", "message"), BROKEN_READERS)
 def test_broken_reader(broken: type[Reader], name: str, message: str) -> None:
-    assert_found(reader_checks(broken(), POINTS_FILE, POINTS_READ), name, message)
+    assert_found(checks(broken(), content=POINTS_FILE, expected=POINTS_READ), name, message)
 
 
 @pytest.mark.parametrize(("broken", "name", "message"), BROKEN_WRITERS)
 def test_broken_writer(broken: type[Writer], name: str, message: str) -> None:
-    assert_found(writer_checks(broken(), filename="model.json"), name, message)
+    assert_found(checks(broken(), filename="model.json"), name, message)
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no limit on the size of files")
 def test_half_written_file() -> None:
-    assert_found(writer_checks(HalfWritten(), filename="model.json"), "whole_or_nothing",
+    assert_found(checks(HalfWritten(), filename="model.json"), "whole_or_nothing",
                  "after a full disk the file that was there")
 
 
@@ -298,6 +299,6 @@ def test_every_check_can_fail(checks: tuple[Check, ...], broken: list[Any],
 
 def test_all_at_once() -> None:
     with pytest.raises(AssertionError, match="reads_example: "):
-        check_reader(Turned(), POINTS_FILE, POINTS_READ)
+        check(Turned(), content=POINTS_FILE, expected=POINTS_READ)
     with pytest.raises(AssertionError, match="writes_file: "):
-        check_writer(Elsewhere(), filename="model.json")
+        check(Elsewhere(), filename="model.json")

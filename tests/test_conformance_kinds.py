@@ -1,4 +1,4 @@
-"""The suites for problems, data sets, commands and whole plugins, on sound and broken ones."""
+"""Suites for problems, data sets, objectives, commands and plugins, on sound and broken ones."""
 
 from __future__ import annotations
 
@@ -15,24 +15,20 @@ import pytest
 
 from termsel.cli.list import list_
 from termsel.criteria import CheckRmse
+from termsel.errors import TermselError
+from termsel.formats.readers.csv_tables import PointsCsv
 from termsel.measurements.datasets import DatasetSpec
 from termsel.measurements.features import FeatureSet, Points
+from termsel.models.polynomial import Affine
 from termsel.problems.base import Evaluation, Problem, Selection
 from termsel.problems.genome import Genome
+from termsel.problems.objectives import OBJECTIVES, Objective, PopulationSelection, n_terms
 from termsel.problems.recipes import RECIPES, Recipe
 from termsel.problems.segments import Bits
 from termsel.simulate.maps import MAP
 from termsel.simulate.scenes import DATASETS
-from termsel.testing import (
-    Check,
-    check_problem,
-    checks,
-    command_checks,
-    criterion_checks,
-    dataset_checks,
-    plugin_checks,
-    problem_checks,
-)
+from termsel.solvers.heuristics.yardsticks import RandomSearch
+from termsel.testing import Check, cases, check, checks
 
 SOME = [recipe for recipe in RECIPES if recipe.name in ("poly-terms", "owdis-points")]
 
@@ -40,12 +36,12 @@ SOME = [recipe for recipe in RECIPES if recipe.name in ("poly-terms", "owdis-poi
 @pytest.mark.slow
 @pytest.mark.parametrize("recipe", SOME, ids=lambda recipe: recipe.name)
 def test_built_in_problems(recipe: Recipe) -> None:
-    check_problem(recipe)
+    check(recipe)
 
 
-@pytest.mark.parametrize("check", [*dataset_checks(DATASETS[0]), *dataset_checks(MAP),
-                                   *command_checks(list_, ["models"]),
-                                   *command_checks(list_, ["nothing"])],
+@pytest.mark.parametrize("check", [*checks(DATASETS[0]), *checks(MAP),
+                                   *checks(list_, words=["models"]),
+                                   *checks(list_, words=["nothing"])],
                          ids=lambda check: check.name)
 def test_built_in_data_sets_and_commands(check: Check) -> None:
     check.run()
@@ -131,8 +127,8 @@ class Closed(Sound):
     (Impossible, "searched", "no individual of 300 random ones is feasible"),
     (Closed, "deterministic", "cannot be sent to another process")])
 def test_broken_problem(broken: Callable[[], Problem], name: str, message: str) -> None:
-    _require_found(problem_checks(broken), name, message)
-    (sound,) = [check for check in problem_checks(Sound) if check.name == name]
+    _require_found(checks(broken), name, message)
+    (sound,) = [check for check in checks(Sound) if check.name == name]
     sound.run()
 
 
@@ -156,8 +152,8 @@ def _five(crs: str = "local", ids: str = "abcde", seed: int | None = 1) -> Featu
     (lambda: _five(ids="abc"), "enough_of_them", "it has 3 features"),
     (lambda: 1 / 0, "loads_features", "ZeroDivisionError was raised")])
 def test_broken_data_set(load: Callable[[], Any], name: str, message: str) -> None:
-    _require_found(dataset_checks(DatasetSpec("d", "A data set.", load)), name, message)
-    (sound,) = [check for check in dataset_checks(DatasetSpec("d", "A data set.", _five))
+    _require_found(checks(DatasetSpec("d", "A data set.", load)), name, message)
+    (sound,) = [check for check in checks(DatasetSpec("d", "A data set.", _five))
                 if check.name == name]
     sound.run()
 
@@ -171,7 +167,6 @@ def _raise(error: BaseException) -> None:
 
 
 @pytest.mark.parametrize(("command", "name", "message"), [
-    (print, "declaration", "must be a click.Command"),
     (click.Command(None), "declaration", "no name"),
     (click.Command("c"), "declaration", "says nothing of itself"),
     (_command(params=[click.Option(["--x"])]), "help_page", "the option --x has no help"),
@@ -180,7 +175,86 @@ def _raise(error: BaseException) -> None:
     (_command(callback=lambda: 1 / 0), "runs", "raises ZeroDivisionError"),
     (_command(callback=lambda: _raise(SystemExit(7))), "runs", "exit code 7, not 0 or 2")])
 def test_broken_command(command: Any, name: str, message: str) -> None:
-    _require_found(command_checks(command), name, message)
+    _require_found(checks(command), name, message)
+
+
+@pytest.mark.parametrize("objective", OBJECTIVES, ids=lambda objective: objective.name)
+def test_built_in_objectives(objective: Objective) -> None:
+    check(objective)
+
+
+def _column(selected: PopulationSelection) -> np.ndarray:
+    return n_terms(selected)[:, None]
+
+
+def _infinite_for_nothing(selected: PopulationSelection) -> np.ndarray:
+    with np.errstate(divide="ignore"):
+        return np.asarray(1.0 / n_terms(selected))
+
+
+def _random(selected: PopulationSelection) -> np.ndarray:
+    return n_terms(selected) + np.random.default_rng().random()
+
+
+def _ranks(selected: PopulationSelection) -> np.ndarray:
+    return np.argsort(np.argsort(selected.features.sum(axis=1))).astype(float)
+
+
+def _clears(selected: PopulationSelection) -> np.ndarray:
+    found = n_terms(selected)
+    selected.terms[:] = False
+    return found
+
+
+@pytest.mark.parametrize(("objective", "name", "message"), [
+    (Objective("many words", "Terms.", n_terms), "declaration", "with the name 'many words'"),
+    (Objective("n", " ", n_terms), "declaration", "it says nothing of itself"),
+    (Objective("n", "N.", _column), "figure_each", r"an array of shape \(8, 1\); expected"),
+    (Objective("n", "N.", _infinite_for_nothing), "figure_each", "numbers that are not finite"),
+    (Objective("n", "N.", _random), "deterministic", "differs from one call or process"),
+    (Objective("n", "N.", lambda s: n_terms(s)), "deterministic", "cannot be sent to another"),
+    (Objective("n", "N.", _ranks), "one_by_one", "among others an individual gets"),
+    (Objective("n", "N.", _clears), "inputs_unchanged", "changes selected.terms; work on a copy")])
+def test_broken_objective(objective: Objective, name: str, message: str) -> None:
+    _require_found(checks(objective), name, message)
+    (sound,) = [one for one in checks(OBJECTIVES[0]) if one.name == name]
+    sound.run()
+
+
+@pytest.mark.parametrize(("thing", "name"), [
+    (Affine, "recovery_from_lines"), (Affine(), "recovery_from_lines"),
+    (RandomSearch, "interruptible"), (RandomSearch(), "interruptible"),
+    (CheckRmse, "smaller_is_better"), (CheckRmse(), "smaller_is_better"),
+    (RECIPES[0], "decodes"), (Sound, "decodes"), (Sound(), "decodes"),
+    (DATASETS[0], "ground_in_crs"), (OBJECTIVES[0], "figure_each"), (list_, "unknown_option"),
+    ("termsel-demo", "modest_import")])
+def test_the_suite_of_a_thing_is_recognised(thing: Any, name: str) -> None:
+    assert name in [one.name for one in checks(thing)]
+
+
+def test_what_checks_cannot_take() -> None:
+    with pytest.raises(TermselError, match="there are no checks of 3"):
+        checks(3)
+    with pytest.raises(TermselError, match=r"the checks of models: .*'content'"):
+        checks(Affine, content=b"")
+    with pytest.raises(TermselError, match=r"the checks of readers: missing .*'content'"):
+        checks(PointsCsv)
+
+
+def test_names_of_0_2_still_work() -> None:
+    with pytest.warns(DeprecationWarning, match=r"check_criterion .* check now.*0\.4") as seen:
+        from termsel.testing import check_criterion
+    assert seen[0].filename == __file__
+    check_criterion(CheckRmse)
+    with pytest.warns(DeprecationWarning, match="command_checks is called checks now"):
+        from termsel.testing import command_checks
+    assert len(command_checks(list_, ["models"])) == 4
+    with pytest.warns(DeprecationWarning, match="check_reader is called check now"):
+        from termsel.testing import check_reader
+    with pytest.raises(AssertionError, match="reads_example"):
+        check_reader(PointsCsv, b"id", FeatureSet())
+    with pytest.raises(ImportError, match="check_nothing"):
+        from termsel.testing import check_nothing  # noqa: F401
 
 
 def test_a_check_has_a_limit_of_time(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -191,9 +265,9 @@ def test_a_check_has_a_limit_of_time(monkeypatch: pytest.MonkeyPatch) -> None:
             time.sleep(60)
             return super().score(fits)
 
-    monkeypatch.setattr(checks, "LIMIT", 0.3)
+    monkeypatch.setattr(cases, "LIMIT", 0.3)
     start = time.perf_counter()
-    _require_found(criterion_checks(Slow), "score_shape", "score_shape: slow: it takes more than 0")
+    _require_found(checks(Slow), "score_shape", "score_shape: slow: it takes more than 0")
     assert time.perf_counter() - start < 20
 
 
@@ -235,13 +309,12 @@ def termsel_models(): return [Mine]
     (f"import warnings; warnings.simplefilter('error'){SOUND}", "modest_import", "of warnings")])
 def test_broken_plugin(package: Callable[[str], None], code: str, name: str, message: str) -> None:
     package(code)
-    _require_found(plugin_checks("checked"), name, message)
+    _require_found(checks("checked"), name, message)
 
 
 def test_sound_plugin_and_one_that_is_not_there(package: Callable[[str], None]) -> None:
     package(SOUND)
-    for check in plugin_checks("checked"):
-        check.run()
-    _require_found(plugin_checks("no-such"), "installed", "no-such is not installed")
-    _require_found(plugin_checks("numpy"), "installed", "no entry point in the group 'termsel'")
+    check("checked")
+    _require_found(checks("no-such"), "installed", "no-such is not installed")
+    _require_found(checks("numpy"), "installed", "no entry point in the group 'termsel'")
 

@@ -39,10 +39,8 @@ from termsel.solvers.bridges.deap_algorithms import Deap
 from termsel.solvers.bridges.pymoo_algorithms import ALGORITHMS, SINGLE, UNFIT, Pymoo
 from termsel.solvers.genetic.ga import GeneticAlgorithm
 from termsel.solvers.ledger import Ledger
-from termsel.testing import problems
-from termsel.testing.checks import Check
+from termsel.testing import Check, checks, problems
 from termsel.testing.problems import Watched
-from termsel.testing.solvers import solver_checks
 from termsel.testing.trial import Counted, global_states
 
 
@@ -248,7 +246,7 @@ def test_generators_that_pymoo_makes_without_a_seed_have_one(algorithm: str) -> 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("check", [
-    check for algorithm in ALGORITHMS for check in solver_checks(
+    check for algorithm in ALGORITHMS for check in checks(
         Pymoo, options=[{"algorithm": algorithm}], expected_failures={
             "feasible_first": "C-TAEA weighs the violation against the objectives"}
         if algorithm == "ctaea" else {})], ids=lambda check: check.name)

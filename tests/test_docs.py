@@ -107,7 +107,7 @@ def test_plugin_of_the_readme_is_a_plugin(tmp_path: Path) -> None:
 
 def test_plugin_of_the_readme_passes_the_conformance_checks(tmp_path: Path) -> None:
     _plugin_of_the_readme(tmp_path)
-    code = "from termsel.testing import check_model; from termsel_dlt import DLT; check_model(DLT)"
+    code = "from termsel.testing import check; from termsel_dlt import DLT; check(DLT)"
     done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True,
                           text=True, check=False)
     assert done.returncode == 0, done.stderr

@@ -22,7 +22,7 @@ from termsel.solvers.proofs import exact
 from termsel.solvers.proofs import proof as proof_module
 from termsel.solvers.proofs.exact import Exact, gap
 from termsel.solvers.proofs.proof import count, prove
-from termsel.testing import check_criterion
+from termsel.testing import check
 
 
 def brute_force(problem: termsel.Problem) -> tuple[np.ndarray, np.ndarray]:
@@ -283,7 +283,7 @@ def test_a_proof_that_an_evaluation_beats_is_refused() -> None:
     with pytest.raises(TermselError, match=r"subset_score does not agree with its score"):
         termsel.search(task.problem.judged_by(Median()), task.solver)
     with pytest.raises(AssertionError, match="subset_score_agrees"):
-        check_criterion(Median)
+        check(Median)
 
 
 def test_no_gap_to_an_optimum_that_the_find_beats() -> None:

@@ -30,7 +30,7 @@ from termsel.formats.readers.qgis_points import QgisPoints
 from termsel.io.read import read_file
 from termsel.measurements.features import FeatureSet, Lines, Points
 from termsel.plugins.registry import registry
-from termsel.testing import Check, check_reader, reader_checks
+from termsel.testing import Check, check, checks
 
 UTM = ('PROJCRS["WGS 84 / UTM zone 31N",BASEGEOGCRS["WGS 84",DATUM["World Geodetic System 1984",'
        'ELLIPSOID["WGS 84",6378137,298.257223563,LENGTHUNIT["metre",1]]],PRIMEM["Greenwich",0,'
@@ -106,13 +106,14 @@ VRT_READ = FeatureSet(Points(("west", "east"), [[20, 10], [139.75, 99]],
                       crs="EPSG:32631", image_size=(200, 300))
 
 SUITES = {
-    "qgis-points": reader_checks(QgisPoints, QGIS.encode(), QGIS_READ, filename="i.points"),
-    "envi-pts": reader_checks(EnviPoints, ENVI.encode(), ENVI_READ, filename="i.pts"),
-    "asp-gcp": reader_checks(AspGcp(image_name="image1.tif"), ASP.encode(), ASP_READ,
+    "qgis-points": checks(QgisPoints, content=QGIS.encode(), expected=QGIS_READ,
+                          filename="i.points"),
+    "envi-pts": checks(EnviPoints, content=ENVI.encode(), expected=ENVI_READ, filename="i.pts"),
+    "asp-gcp": checks(AspGcp(image_name="image1.tif"), content=ASP.encode(), expected=ASP_READ,
                              filename="i.gcp"),
-    "geojson-points": reader_checks(GeoJsonPoints, ORTHORITY.encode(), ORTHORITY_READ,
+    "geojson-points": checks(GeoJsonPoints, content=ORTHORITY.encode(), expected=ORTHORITY_READ,
                                     filename="i.geojson"),
-    "geojson-lines": reader_checks(GeoJsonLines, ROADS.encode(), ROADS_READ,
+    "geojson-lines": checks(GeoJsonLines, content=ROADS.encode(), expected=ROADS_READ,
                                    filename="roads.geojson")}
 CONTENT = {"qgis-points": QGIS, "envi-pts": ENVI, "asp-gcp": ASP, "geojson-points": ORTHORITY,
            "geojson-lines": ROADS, "gdal-gcps": VRT}
@@ -125,7 +126,7 @@ def test_readers(check: Check) -> None:
     check.run()
 
 
-@pytest.mark.parametrize("check", reader_checks(GdalGcps, VRT.encode(), VRT_READ,
+@pytest.mark.parametrize("check", checks(GdalGcps, content=VRT.encode(), expected=VRT_READ,
                                                 filename="i.vrt"), ids=lambda c: str(c.name))
 def test_reader_of_rasters(check: Check) -> None:
     pytest.importorskip("rasterio")
@@ -147,7 +148,7 @@ def test_reader_of_geotiffs(tmp_path: Path) -> None:
         Points(tuple("12345"), np.column_stack([20.0 + i, 10.0 + 2 * i]),
                np.column_stack([5.0 + i, 44.0 - i, 1.5 * i])), crs="EPSG:4326",
         image_size=(40, 60))
-    check_reader(GdalGcps(), path.read_bytes(), expected, filename="image.tif")
+    check(GdalGcps(), content=path.read_bytes(), expected=expected, filename="image.tif")
 
 
 def readers() -> list[type[termsel.Reader]]:

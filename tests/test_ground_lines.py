@@ -17,7 +17,7 @@ from termsel.errors import TermselError
 from termsel.formats.readers.csv_tables import write_points_csv
 from termsel.formats.readers.ground_lines import VectorLines
 from termsel.simulate import simulate_scene
-from termsel.testing import Check, reader_checks
+from termsel.testing import Check, checks
 
 HEADER = "id,line1,sample1,line2,sample2\n"
 
@@ -185,7 +185,8 @@ def _vector_checks() -> list[Check]:
             content, expected = path.read_bytes(), VectorLines(join="nr").read(path)
     except pytest.skip.Exception:
         return []
-    return list(reader_checks(VectorLines(join="nr"), content, expected, filename="roads.gpkg"))
+    return list(checks(VectorLines(join="nr"), content=content, expected=expected,
+                       filename="roads.gpkg"))
 
 
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")  # GDAL's words on files that are cut off

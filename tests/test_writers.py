@@ -40,7 +40,7 @@ from termsel.formats.writers.selections import (
 from termsel.measurements.features import FeatureSet, Points
 from termsel.models.rpc_fit import rpc_of
 from termsel.results.result import Result
-from termsel.testing import Check, example_results, writer_checks
+from termsel.testing import Check, checks, example_results
 
 pytestmark = pytest.mark.filterwarnings("ignore:Dataset has no geotransform")
 rasterio = pytest.importorskip("rasterio")
@@ -78,7 +78,7 @@ def of_lines() -> Result:
 # that grids are made of a fitted scene.
 
 SUITES: dict[str, tuple[Check, ...]] = {
-    writer.name: writer_checks(writer, filename=f"scene{writer.suffix}")
+    writer.name: checks(writer, filename=f"scene{writer.suffix}")
     for writer in (QgisPoints(), OrthorityGeojson(), GcpVrt(), PointsTable(),
                    ResidualsGeopackage())}
 
@@ -97,7 +97,7 @@ def test_conformance_on_fitted_scenes(writer: termsel.Writer, geographic: Result
     local = replace(geographic, fit=replace(geographic.fit, control=replace(
         geographic.fit.control, crs="local")))
     results = [geographic, of_lines] + ([local] if "rpc" in writer.name else [])
-    for check in writer_checks(writer, filename=f"scene{writer.suffix}", results=results):
+    for check in checks(writer, filename=f"scene{writer.suffix}", results=results):
         check.run()
 
 

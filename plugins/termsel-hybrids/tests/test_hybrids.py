@@ -19,7 +19,7 @@ from termsel.fits.least_squares import fit
 from termsel.models.projective import DLT2D
 from termsel.models.rpc_fit import rpc_of
 from termsel.plugins.registry import registry
-from termsel.testing import Check, model_checks
+from termsel.testing import Check, checks
 from termsel_hybrids import Hybrid1, Hybrid3, Multiquadric, Pointwise
 
 MODELS = ("multiquadric", "pointwise", "hybrid-1", "hybrid-3")
@@ -50,10 +50,10 @@ def predicted(model: SensorModel, control: Points, ground: NDArray[np.float64],
 
 
 CHECKS = {
-    "multiquadric": model_checks(Multiquadric),
-    "hybrid-3": model_checks(Hybrid3),
-    "hybrid-1": model_checks(Hybrid1, options=[{"degree": d} for d in (1, 3)]),
-    "pointwise": model_checks(Pointwise) + model_checks(
+    "multiquadric": checks(Multiquadric),
+    "hybrid-3": checks(Hybrid3),
+    "hybrid-1": checks(Hybrid1, options=[{"degree": d} for d in (1, 3)]),
+    "pointwise": checks(Pointwise) + checks(
         Pointwise, options=[{"local_degree": 3, "count": 12}, {"local_degree": 0}]),
 }
 

@@ -20,14 +20,14 @@ from pyogrio.raw import write
 
 import termsel
 from termsel import FeatureSet, Lines, TermselError
-from termsel.testing import command_checks, criterion_checks
+from termsel.testing import checks
 from termsel_match.chain import georeference, model_for, reasons
 from termsel_match.commands import NOT_GOOD_ENOUGH, auto_georeference
 from termsel_match.criteria import Agreement
 from termsel_match.selection import AGREEING, select_points, with_lines
 
-CHECKS = (*criterion_checks(Agreement()), *command_checks(
-    auto_georeference, ["none.tif", "--reference", "none.tif", "-o", "none.tif"]))
+CHECKS = (*checks(Agreement()), *checks(
+    auto_georeference, words=["none.tif", "--reference", "none.tif", "-o", "none.tif"]))
 
 
 @pytest.mark.parametrize("check", CHECKS, ids=lambda check: check.name)

@@ -19,7 +19,7 @@ from rasterio.transform import from_origin
 
 import termsel
 from termsel import FeatureSet, Lines, TermselError
-from termsel.testing import command_checks, problem_checks
+from termsel.testing import checks
 from termsel_match.certainty import fitted_to, most_decisive, undetermined
 from termsel_match.commands import match_lines
 from termsel_match.lines import LineCandidates
@@ -28,8 +28,8 @@ from termsel_match.problem import RECIPE
 from termsel_match.rounds import iterate_lines
 from termsel_match.starts import Start, start_of, turned
 
-CHECKS = (*command_checks(match_lines, ["none.tif", "--vectors", "none.gpkg"]),
-          *problem_checks(RECIPE))
+CHECKS = (*checks(match_lines, words=["none.tif", "--vectors", "none.gpkg"]),
+          *checks(RECIPE))
 
 
 @pytest.mark.parametrize("check", CHECKS, ids=lambda check: check.name)

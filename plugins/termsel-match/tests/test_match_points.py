@@ -17,13 +17,13 @@ from rasterio.transform import from_origin
 
 import termsel
 from termsel import TermselError
-from termsel.testing import command_checks
+from termsel.testing import checks
 from termsel_match.commands import match_example, match_points
 from termsel_match.points import Candidates
 from termsel_match.points import match_points as match
 
-CHECKS = (*command_checks(match_points, ["none.tif", "--reference", "none.tif"]),
-          *command_checks(match_example, ["/dev/null"]))
+CHECKS = (*checks(match_points, words=["none.tif", "--reference", "none.tif"]),
+          *checks(match_example, words=["/dev/null"]))
 
 
 @pytest.mark.parametrize("check", CHECKS, ids=lambda check: check.name)

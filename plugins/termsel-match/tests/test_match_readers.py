@@ -12,7 +12,7 @@ pytest.importorskip("termsel_match", reason="termsel-match is not installed: "
                     "pip install -e plugins/termsel-match")
 
 from termsel import FeatureSet, Points, TermselError, read
-from termsel.testing import check_reader, reader_checks
+from termsel.testing import check, checks
 from termsel_match.readers import ArosicsTable, AspMatches, MatchesCsv
 
 # As GeoPandas saves the table: with an index, the geometry as text, and all columns.
@@ -38,7 +38,7 @@ b,30,40,9,7,0.3
 """
 
 
-CHECKS = reader_checks(ArosicsTable, AROSICS.encode(), FeatureSet(Points(
+CHECKS = checks(ArosicsTable, content=AROSICS.encode(), expected=FeatureSet(Points(
     ("A7", "A9"), np.array([[199.5, 99.5], [399.5, 299.5]]),
     np.array([[439003, 5227998, np.nan], [439419, 5227598, np.nan]]), None, ("", "off")),
     crs=""), filename="tie_points.csv")
@@ -57,8 +57,8 @@ def test_conforms_with_its_reference(place: Any, reader: Any, text: str) -> None
                     np.array([[west + 5.5, north - 6.5, np.nan],
                               [west + 7.5, north - 9.5, np.nan]]),
                     np.array([[0.2, 0.2], [0.3, 0.3]]) if reader is MatchesCsv else None)
-    check_reader(reader(reference=str(place / "ortho.tif")), text.encode(),
-                 FeatureSet(points, crs="EPSG:32633"))
+    check(reader(reference=str(place / "ortho.tif")), content=text.encode(),
+                 expected=FeatureSet(points, crs="EPSG:32633"))
 
 
 @pytest.fixture

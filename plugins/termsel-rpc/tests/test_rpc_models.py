@@ -22,7 +22,7 @@ from termsel.measurements.scaling import scaling_of
 from termsel.models.rpc_fit import rpc_of
 from termsel.plugins.registry import registry
 from termsel.simulate import read_geometry, scene_truth, write_geometry
-from termsel.testing import Check, criterion_checks, model_checks
+from termsel.testing import Check, checks
 from termsel_rpc import Ce90, PushbroomRefine, RpcAffine, RpcDrift, RpcShift
 from termsel_rpc.simulated import (
     CANDIDATES,
@@ -61,21 +61,21 @@ def data_folder() -> Path:
     return folder
 
 
-def checks() -> dict[str, tuple[Check, ...]]:
+def suites() -> dict[str, tuple[Check, ...]]:
     of = {"rpc": CANDIDATES}
-    found = {model.name: model_checks(model, options=[of], place=AROUND_RPC)
+    found = {model.name: checks(model, options=[of], place=AROUND_RPC)
              for model in (RpcShift, RpcDrift, RpcAffine)}
-    found["rpc-affine in UTM"] = model_checks(RpcAffine, options=[of], place=IN_UTM)
-    found["pushbroom-refine"] = model_checks(
+    found["rpc-affine in UTM"] = checks(RpcAffine, options=[of], place=IN_UTM)
+    found["pushbroom-refine"] = checks(
         PushbroomRefine, options=[{"geometry": CANDIDATES, "biases": biases}
                                   for biases in ("attitude", "position")],
         place=AROUND_RPC, expected_failures=TURNS)
-    found["ce90"] = criterion_checks(Ce90())
+    found["ce90"] = checks(Ce90())
     return found
 
 
 @pytest.mark.parametrize("check", [pytest.param(check, id=f"{name}-{check.name}")
-                                   for name, listed in checks().items() for check in listed])
+                                   for name, listed in suites().items() for check in listed])
 def test_conforms(check: Check) -> None:
     check.run()
 

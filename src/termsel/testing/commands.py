@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from termsel.errors import TermselError
-from termsel.testing.checks import Case, Check, assemble, require, run_all
+from termsel.testing.cases import Case, Suite, require
 
 if TYPE_CHECKING:
     import click
@@ -35,11 +35,7 @@ class Typed:
 
 
 def declaration(typed: Typed) -> None:
-    """It is a click command with a name and a line on what it does."""
-    import click
-
-    require(isinstance(typed.command, click.Command),
-            f"it must be a click.Command, not {type(typed.command).__name__}")
+    """It has a name and a line on what it does."""
     require(typed.command.name, "it has no name")
     require(typed.command.get_short_help_str(), "it says nothing of itself; give it a docstring, "
                                                 "whose first line `termsel plugins` shows")
@@ -73,47 +69,10 @@ def runs(typed: Typed) -> None:
             f"{' '.join(typed.words)!r} ends with exit code {done.exit_code}, not 0 or 2")
 
 
-COMMAND_CHECKS = (declaration, help_page, unknown_option, runs)
-
-
-def command_checks(command: click.Command, words: Sequence[str] = (), *,
-                   expected_failures: Mapping[str, str] | None = None) -> tuple[Check, ...]:
-    """Return the checks of a command, for ``pytest.mark.parametrize``.
-
-    Parameters
-    ----------
-    command : click.Command
-    words : sequence of str
-        What a user types after its name.
-    expected_failures : mapping, optional
-        Checks it is known to fail, by name, with the reason.
-
-    Returns
-    -------
-    tuple of Check
-
-    Raises
-    ------
-    TermselError
-        For an expected failure of a check that does not exist.
-    """
+def cases(command: click.Command, *, words: Sequence[str] = ()) -> list[Case]:
+    """Return a command with what is typed after its name."""
     typed = Typed(command, tuple(words))
-    return assemble(COMMAND_CHECKS, [Case(str(getattr(command, "name", command)), lambda: typed)],
-                    expected_failures)
+    return [Case(str(getattr(command, "name", command)), lambda: typed)]
 
 
-def check_command(command: click.Command, words: Sequence[str] = (), *,
-                  expected_failures: Mapping[str, str] | None = None) -> None:
-    """Run all checks of a command.
-
-    Parameters
-    ----------
-    command, words, expected_failures
-        As `command_checks`.
-
-    Raises
-    ------
-    AssertionError
-        Naming every check that fails, and what is wrong.
-    """
-    run_all(command_checks(command, words, expected_failures=expected_failures))
+SUITE = Suite((declaration, help_page, unknown_option, runs), cases)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from itertools import product
 
 import numpy as np
@@ -14,17 +13,7 @@ from termsel.models.terms import Term
 from termsel.problems.base import Inputs
 from termsel.problems.selection import SelectionProblem
 from termsel.solvers.proofs.proof import prove
-from termsel.testing.checks import (
-    Case,
-    Check,
-    assemble,
-    check_declaration,
-    instance,
-    label,
-    pickled,
-    require,
-    run_all,
-)
+from termsel.testing.cases import Case, Suite, check_declaration, instance, label, pickled, require
 from termsel.testing.scenes import imaged, seeded
 
 PIXELS = 1000.0
@@ -128,61 +117,14 @@ def subset_score_agrees(criterion: Criterion) -> None:
                 f"has the score {found.objectives[0, 0]:.9g}; another one has {least:.9g}")
 
 
-CRITERION_CHECKS = (declaration, score_shape, score_finite, smaller_is_better, deterministic,
-                    one_by_one, inputs_unchanged, subset_score_agrees)
-
-
-def criterion_checks(
-    criterion: type[Criterion] | Criterion,
-    *,
-    expected_failures: Mapping[str, str] | None = None,
-) -> tuple[Check, ...]:
-    """Return the checks of a criterion, for ``pytest.mark.parametrize``.
-
-    Parameters
-    ----------
-    criterion : type or Criterion
-        The class; or an object, with the options to check it with.
-    expected_failures : mapping, optional
-        Checks it is known to fail, by name, with the reason.
-
-    Returns
-    -------
-    tuple of Check
-
-    Raises
-    ------
-    TermselError
-        For an expected failure of a check that does not exist.
-    """
+def cases(criterion: type[Criterion] | Criterion) -> list[Case]:
+    """Return a criterion, with its default options if it is a class."""
     made = instance(criterion)
-    case = Case(label(made, made.options), lambda: made)
-    return assemble(CRITERION_CHECKS, [case], expected_failures)
+    return [Case(label(made, made.options), lambda: made)]
 
 
-def check_criterion(
-    criterion: type[Criterion] | Criterion,
-    *,
-    expected_failures: Mapping[str, str] | None = None,
-) -> None:
-    """Run all checks of a criterion.
-
-    Parameters
-    ----------
-    criterion, expected_failures
-        As `criterion_checks`.
-
-    Raises
-    ------
-    AssertionError
-        Naming every check that fails, and what is wrong.
-
-    Examples
-    --------
-    >>> from termsel.criteria import CheckRmse
-    >>> check_criterion(CheckRmse)
-    """
-    run_all(criterion_checks(criterion, expected_failures=expected_failures))
+SUITE = Suite((declaration, score_shape, score_finite, smaller_is_better, deterministic,
+               one_by_one, inputs_unchanged, subset_score_agrees), cases)
 
 
 def _model() -> Polynomial3D:

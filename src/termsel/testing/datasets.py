@@ -2,23 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import numpy as np
 
 from termsel.measurements.coordinates.crs import normalise
 from termsel.measurements.coordinates.plausible import check_ground
 from termsel.measurements.datasets import DatasetSpec
 from termsel.measurements.features import FeatureSet
-from termsel.testing.checks import (
-    Case,
-    Check,
-    assemble,
-    check_declaration,
-    pickled,
-    require,
-    run_all,
-)
+from termsel.testing.cases import Case, Suite, check_declaration, pickled, require
 
 
 def declaration(spec: DatasetSpec) -> None:
@@ -58,47 +48,12 @@ def enough_of_them(spec: DatasetSpec) -> None:
     require(count >= 5, f"it has {count} features; no problem can be run on fewer than 5")
 
 
-DATASET_CHECKS = (declaration, loads_features, ground_in_crs, alike_each_time, enough_of_them)
+def cases(spec: DatasetSpec) -> list[Case]:
+    """Return a data set."""
+    return [Case(spec.name, lambda: spec)]
 
 
-def dataset_checks(spec: DatasetSpec, *, expected_failures: Mapping[str, str] | None = None,
-                   ) -> tuple[Check, ...]:
-    """Return the checks of a data set, for ``pytest.mark.parametrize``.
-
-    Parameters
-    ----------
-    spec : DatasetSpec
-    expected_failures : mapping, optional
-        Checks it is known to fail, by name, with the reason.
-
-    Returns
-    -------
-    tuple of Check
-
-    Raises
-    ------
-    TermselError
-        For an expected failure of a check that does not exist.
-    """
-    return assemble(DATASET_CHECKS, [Case(str(getattr(spec, "name", spec)), lambda: spec)],
-                    expected_failures)
-
-
-def check_dataset(spec: DatasetSpec, *, expected_failures: Mapping[str, str] | None = None,
-                  ) -> None:
-    """Run all checks of a data set.
-
-    Parameters
-    ----------
-    spec, expected_failures
-        As `dataset_checks`.
-
-    Raises
-    ------
-    AssertionError
-        Naming every check that fails, and what is wrong.
-    """
-    run_all(dataset_checks(spec, expected_failures=expected_failures))
+SUITE = Suite((declaration, loads_features, ground_in_crs, alike_each_time, enough_of_them), cases)
 
 
 def _loaded(spec: DatasetSpec) -> FeatureSet:

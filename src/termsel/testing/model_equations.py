@@ -11,7 +11,7 @@ from termsel.errors import TermselError
 from termsel.measurements.features import FeatureSet, FloatArray, Points
 from termsel.models.base import SensorModel
 from termsel.models.quotient import RationalModel
-from termsel.testing.checks import require
+from termsel.testing.cases import require
 from termsel.testing.scenes import MIXES, accepted_scenes, experiment, fitted, seeded
 
 EXACT = 1e-6

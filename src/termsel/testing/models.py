@@ -16,16 +16,7 @@ from termsel.measurements.scaling import Scaling
 from termsel.models.base import SensorModel
 from termsel.problems.base import Inputs
 from termsel.problems.selection import SelectionProblem
-from termsel.testing.checks import (
-    Case,
-    Check,
-    assemble,
-    check_declaration,
-    label,
-    pickled,
-    require,
-    run_all,
-)
+from termsel.testing.cases import Case, Suite, check_declaration, label, pickled, require
 from termsel.testing.model_equations import (
     control_kinds,
     equations,
@@ -217,80 +208,19 @@ def residual_weights(model: SensorModel) -> None:
             require(np.isfinite(weights).all(), "residual_weights() must be finite")
 
 
-MODEL_CHECKS = (
+def cases(model: type[SensorModel] | SensorModel, *,
+          options: Iterable[Mapping[str, Any]] | None = None,
+          place: tuple[Scaling, str] = PLACE) -> list[Case]:
+    """Return a model with each of its options, prepared for a place."""
+    cls, given = (model, None) if isinstance(model, type) else (type(model), [model.options])
+    chosen = next((o for o in (options, given) if o is not None), _choices(cls))
+    return [Case(label(cls, o), partial(_made, cls, o, place)) for o in chosen]
+
+
+SUITE = Suite((
     declaration, term_names, axis, control_kinds, equations, inputs_unchanged, exact_recovery,
     recovery_from_lines, fit, translation, project_shapes, batch_project, deterministic, prepared,
-    picklable, masks_stay_finite, height, residual_weights)
-
-
-def model_checks(
-    model: type[SensorModel],
-    *,
-    options: Iterable[Mapping[str, Any]] | None = None,
-    expected_failures: Mapping[str, str] | None = None,
-    place: tuple[Scaling, str] = PLACE,
-) -> tuple[Check, ...]:
-    """Return the checks of a sensor model, for ``pytest.mark.parametrize``.
-
-    Parameters
-    ----------
-    model : type
-        A subclass of SensorModel.
-    options : iterable of mapping, optional
-        The options to check it with. By default its defaults, and every other choice of
-        each option that has choices.
-    expected_failures : mapping, optional
-        Checks it is known to fail, by name, with the reason.
-    place : tuple of Scaling and str, optional
-        Scaling and CRS to prepare it for, if it depends on the place. With small coefficients
-        it must then map scaled ground within [-1, 1] to image positions within [-1, 1].
-
-    Returns
-    -------
-    tuple of Check
-
-    Raises
-    ------
-    TermselError
-        For an expected failure of a check that does not exist.
-
-    Examples
-    --------
-    >>> from termsel.models.polynomial import Affine
-    >>> model_checks(Affine)[0].name
-    'declaration'
-    """
-    chosen = _choices(model) if options is None else options
-    return assemble(MODEL_CHECKS, [Case(label(model, o), partial(_made, model, o, place))
-                                   for o in chosen], expected_failures)
-
-
-def check_model(
-    model: type[SensorModel],
-    *,
-    options: Iterable[Mapping[str, Any]] | None = None,
-    expected_failures: Mapping[str, str] | None = None,
-    place: tuple[Scaling, str] = PLACE,
-) -> None:
-    """Run all checks of a sensor model.
-
-    Parameters
-    ----------
-    model, options, expected_failures, place
-        As `model_checks`.
-
-    Raises
-    ------
-    AssertionError
-        Naming every check that fails, and what is wrong.
-
-    Examples
-    --------
-    >>> from termsel.models.polynomial import Affine
-    >>> check_model(Affine)
-    """
-    run_all(model_checks(model, options=options, expected_failures=expected_failures,
-                         place=place))
+    picklable, masks_stay_finite, height, residual_weights), cases)
 
 
 def _made(model: type[SensorModel], options: Mapping[str, Any],

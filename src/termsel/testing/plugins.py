@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from importlib.metadata import distributions
@@ -13,7 +12,7 @@ from termsel.plugins.hookspecs import PROJECT
 from termsel.plugins.kinds import KINDS
 from termsel.plugins.loading import canonical
 from termsel.plugins.registry import Registry
-from termsel.testing.checks import Case, Check, assemble, check_declaration, require, run_all
+from termsel.testing.cases import Case, Suite, check_declaration, require
 
 SLOW = 3.0
 """Seconds that an import may take."""
@@ -92,45 +91,9 @@ def modest_import(plugin: Installed) -> None:
                                        "import slow modules inside functions")
 
 
-PLUGIN_CHECKS = (installed, loads, provides, modest_import)
+def cases(distribution: str) -> list[Case]:
+    """Return an installed distribution by its name."""
+    return [Case(distribution, lambda: Installed(distribution))]
 
 
-def plugin_checks(distribution: str, *, expected_failures: Mapping[str, str] | None = None,
-                  ) -> tuple[Check, ...]:
-    """Return the checks of an installed plugin, for ``pytest.mark.parametrize``.
-
-    Parameters
-    ----------
-    distribution : str
-        Name of the package, such as "termsel-demo".
-    expected_failures : mapping, optional
-        Checks it is known to fail, by name, with the reason.
-
-    Returns
-    -------
-    tuple of Check
-
-    Raises
-    ------
-    TermselError
-        For an expected failure of a check that does not exist.
-    """
-    return assemble(PLUGIN_CHECKS, [Case(distribution, lambda: Installed(distribution))],
-                    expected_failures)
-
-
-def check_plugin(distribution: str, *, expected_failures: Mapping[str, str] | None = None,
-                 ) -> None:
-    """Run all checks of an installed plugin.
-
-    Parameters
-    ----------
-    distribution, expected_failures
-        As `plugin_checks`.
-
-    Raises
-    ------
-    AssertionError
-        Naming every check that fails, and what is wrong.
-    """
-    run_all(plugin_checks(distribution, expected_failures=expected_failures))
+SUITE = Suite((installed, loads, provides, modest_import), cases)

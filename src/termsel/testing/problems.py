@@ -22,7 +22,7 @@ from termsel.problems.segments import (
     Subset,
 )
 from termsel.problems.selection import SelectionProblem
-from termsel.testing.checks import require
+from termsel.testing.cases import require
 from termsel.testing.scenes import imaged
 
 SIZE = 12

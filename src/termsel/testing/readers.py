@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -12,15 +11,7 @@ import numpy as np
 from termsel.errors import TermselError
 from termsel.formats.base import Reader
 from termsel.measurements.features import FeatureSet
-from termsel.testing.checks import (
-    Case,
-    Check,
-    assemble,
-    check_declaration,
-    instance,
-    require,
-    run_all,
-)
+from termsel.testing.cases import Case, Suite, check_declaration, instance, label, require
 
 HEAD = 65536
 """Bytes of a file that are shown to `sniff`."""
@@ -154,71 +145,15 @@ def line_ends(example: Example) -> None:
             _require_same(found, example.expected, f"the example with {what}")
 
 
-READER_CHECKS: tuple[Callable[[Example], None], ...] = (
-    declaration, reads_example, sniffs_example, sniffs_anything, truncated, empty_file,
-    binary_file, missing_file, wrong_encoding, line_ends)
+def cases(reader: type[Reader] | Reader, *, content: bytes, expected: FeatureSet,
+          filename: str = "example.txt") -> list[Case]:
+    """Return a reader with an example of its files."""
+    example = Example(instance(reader), content, expected, filename)
+    return [Case(label(reader, {}), lambda: example)]
 
 
-def reader_checks(
-    reader: type[Reader] | Reader,
-    content: bytes,
-    expected: FeatureSet,
-    *,
-    filename: str = "example.txt",
-    expected_failures: Mapping[str, str] | None = None,
-) -> tuple[Check, ...]:
-    """Return the checks of a reader, for ``pytest.mark.parametrize``.
-
-    Parameters
-    ----------
-    reader : type or Reader
-        The class; or an object, with the options to check it with.
-    content : bytes
-        A file of its format with several features; checks of text are made if it is UTF-8.
-    expected : FeatureSet
-        Its features.
-    filename : str
-        A typical name of such files.
-    expected_failures : mapping, optional
-        Checks it is known to fail, by name, with the reason.
-
-    Returns
-    -------
-    tuple of Check
-
-    Raises
-    ------
-    TermselError
-        For an expected failure of a check that does not exist.
-    """
-    made = instance(reader)
-    example = Example(made, content, expected, filename)
-    name = str(getattr(made, "name", type(made).__name__))
-    return assemble(READER_CHECKS, [Case(name, lambda: example)], expected_failures)
-
-
-def check_reader(
-    reader: type[Reader] | Reader,
-    content: bytes,
-    expected: FeatureSet,
-    *,
-    filename: str = "example.txt",
-    expected_failures: Mapping[str, str] | None = None,
-) -> None:
-    """Run all checks of a reader.
-
-    Parameters
-    ----------
-    reader, content, expected, filename, expected_failures
-        As `reader_checks`.
-
-    Raises
-    ------
-    AssertionError
-        Naming every check that fails, and what is wrong.
-    """
-    run_all(reader_checks(reader, content, expected, filename=filename,
-                          expected_failures=expected_failures))
+SUITE = Suite((declaration, reads_example, sniffs_example, sniffs_anything, truncated, empty_file,
+               binary_file, missing_file, wrong_encoding, line_ends), cases)
 
 
 def _put(example: Example, folder: str, content: bytes) -> Path:

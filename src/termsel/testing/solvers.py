@@ -16,7 +16,7 @@ from termsel.problems.base import Evaluation, Problem
 from termsel.solvers.base import Generation, Solver
 from termsel.solvers.ledger import Progress
 from termsel.testing import problems
-from termsel.testing.checks import Case, Check, assemble, check_declaration, label, require, run_all
+from termsel.testing.cases import Case, Suite, check_declaration, label, require
 from termsel.testing.problems import Watched, require_genes
 from termsel.testing.trial import Trial, global_states, global_states_kept
 
@@ -301,79 +301,19 @@ def objectives_respected(trial: Trial) -> None:
             "with two objectives that conflict, the last generation has only one compromise")
 
 
-SOLVER_CHECKS = (
+def cases(solver: type[Solver] | Solver, *, options: Iterable[Mapping[str, Any]] | None = None,
+          problem: Callable[[], Problem] = problems.twelve_terms) -> list[Case]:
+    """Return a solver with each of its options, and the problem of most checks."""
+    cls, given = (solver, {}) if isinstance(solver, type) else (type(solver), solver.options)
+    return [Case(label(cls, o), partial(Trial, cls(**o), problem))
+            for o in ([given] if options is None else options)]
+
+
+SUITE = Suite((
     declaration, generations_hold, chance_from_rng_alone, any_problem, genome_kept,
     typed_genomes, narrow_genomes, evaluation_budget, generation_budget, errors_pass, closes,
     interruptible, best_never_worse, feasible_first, hopeless_survived, optimum_found,
-    objectives_respected)
-
-
-def solver_checks(
-    solver: type[Solver],
-    *,
-    options: Iterable[Mapping[str, Any]] = ({},),
-    problem: Callable[[], Problem] = problems.twelve_terms,
-    expected_failures: Mapping[str, str] | None = None,
-) -> tuple[Check, ...]:
-    """Return the checks of a solver, for ``pytest.mark.parametrize``.
-
-    Parameters
-    ----------
-    solver : type
-        A subclass of Solver.
-    options : iterable of mapping
-        The options to check it with; its defaults by default.
-    problem : callable
-        Makes the problem of most checks: by default a selection among 12 terms. Give one with
-        about as many genes for a solver that is made for other problems.
-    expected_failures : mapping, optional
-        Checks it is known to fail, by name, with the reason.
-
-    Returns
-    -------
-    tuple of Check
-
-    Raises
-    ------
-    TermselError
-        For an expected failure of a check that does not exist.
-
-    Examples
-    --------
-    >>> from termsel.solvers.heuristics.yardsticks import AllTerms
-    >>> solver_checks(AllTerms)[1].name
-    'generations_hold'
-    """
-    cases = [Case(label(solver, o), partial(Trial, solver(**o), problem)) for o in options]
-    return assemble(SOLVER_CHECKS, cases, expected_failures)
-
-
-def check_solver(
-    solver: type[Solver],
-    *,
-    options: Iterable[Mapping[str, Any]] = ({},),
-    problem: Callable[[], Problem] = problems.twelve_terms,
-    expected_failures: Mapping[str, str] | None = None,
-) -> None:
-    """Run all checks of a solver.
-
-    Parameters
-    ----------
-    solver, options, problem, expected_failures
-        As `solver_checks`.
-
-    Raises
-    ------
-    AssertionError
-        Naming every check that fails, and what is wrong.
-
-    Examples
-    --------
-    >>> from termsel.solvers.genetic.ga import GeneticAlgorithm
-    >>> check_solver(GeneticAlgorithm)
-    """
-    run_all(solver_checks(solver, options=options, problem=problem,
-                          expected_failures=expected_failures))
+    objectives_respected), cases)
 
 
 def _note_index(seen: list[int], budget: int, progress: Progress) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
@@ -18,15 +18,7 @@ from termsel.results.result import Result
 from termsel.runs.judgement.assess import assessed
 from termsel.runs.task.task import prepare
 from termsel.solvers.search import search
-from termsel.testing.checks import (
-    Case,
-    Check,
-    assemble,
-    check_declaration,
-    instance,
-    require,
-    run_all,
-)
+from termsel.testing.cases import Case, Suite, check_declaration, instance, label, require
 from termsel.testing.scenes import imaged, random_coefficients, seeded
 
 OLD = b"what was there before"
@@ -145,9 +137,17 @@ def whole_or_nothing(export: Export) -> None:
             _require_old(path, "a full disk")
 
 
-WRITER_CHECKS: tuple[Callable[[Export], None], ...] = (
-    declaration, accepts_answers, writes_file, result_unchanged, unwritable_path, refuses_others,
-    whole_or_nothing)
+def cases(writer: type[Writer] | Writer, *, filename: str,
+          results: Iterable[Result] | None = None, verify: Verify | None = None) -> list[Case]:
+    """Return a writer with results to write."""
+    made = instance(writer)
+    to_write = None if results is None else tuple(results)
+    return [Case(label(made, {}), lambda: Export(
+        made, example_results() if to_write is None else to_write, filename, verify))]
+
+
+SUITE = Suite((declaration, accepts_answers, writes_file, result_unchanged, unwritable_path,
+               refuses_others, whole_or_nothing), cases)
 
 
 @cache
@@ -175,73 +175,6 @@ def example_results() -> tuple[Result, ...]:
         task = prepare(problem, features=features, solver="random", options={"population": 50})
         results.append(assessed(task, search(task.problem, task.solver, generations=1)))
     return tuple(results)
-
-
-def writer_checks(
-    writer: type[Writer] | Writer,
-    *,
-    filename: str,
-    results: Iterable[Result] | None = None,
-    verify: Verify | None = None,
-    expected_failures: Mapping[str, str] | None = None,
-) -> tuple[Check, ...]:
-    """Return the checks of a writer, for ``pytest.mark.parametrize``.
-
-    Parameters
-    ----------
-    writer : type or Writer
-        The class; or an object, with the options to check it with.
-    filename : str
-        A typical name of such files.
-    results : iterable of Result, optional
-        Results to write; by default those of `example_results`.
-    verify : callable, optional
-        Takes a result and the path it was written to; reads the file back and raises
-        AssertionError if it does not agree with the result.
-    expected_failures : mapping, optional
-        Checks it is known to fail, by name, with the reason.
-
-    Returns
-    -------
-    tuple of Check
-
-    Raises
-    ------
-    TermselError
-        For an expected failure of a check that does not exist.
-    """
-    made = instance(writer)
-    given = None if results is None else tuple(results)
-
-    def export() -> Export:
-        return Export(made, example_results() if given is None else given, filename, verify)
-
-    name = str(getattr(made, "name", type(made).__name__))
-    return assemble(WRITER_CHECKS, [Case(name, export)], expected_failures)
-
-
-def check_writer(
-    writer: type[Writer] | Writer,
-    *,
-    filename: str,
-    results: Iterable[Result] | None = None,
-    verify: Verify | None = None,
-    expected_failures: Mapping[str, str] | None = None,
-) -> None:
-    """Run all checks of a writer.
-
-    Parameters
-    ----------
-    writer, filename, results, verify, expected_failures
-        As `writer_checks`.
-
-    Raises
-    ------
-    AssertionError
-        Naming every check that fails, and what is wrong.
-    """
-    run_all(writer_checks(writer, filename=filename, results=results, verify=verify,
-                          expected_failures=expected_failures))
 
 
 def _refused(export: Export, result: Result, path: Path, what: str) -> None:

@@ -55,6 +55,22 @@ class Case:
     make: Callable[[], Any]
 
 
+@dataclass(frozen=True)
+class Suite:
+    """The checks of one kind of thing.
+
+    Parameters
+    ----------
+    functions : tuple of callable
+        Each takes the object of a case, and raises AssertionError; its name is that of the check.
+    cases : callable
+        Takes a thing and, by keyword, what else its checks need; returns its cases.
+    """
+
+    functions: tuple[Callable[[Any], None], ...]
+    cases: Callable[..., list[Case]]
+
+
 def require(condition: object, message: str) -> None:
     """Raise AssertionError with `message` unless `condition` holds.
 

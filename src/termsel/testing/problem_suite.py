@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from functools import partial
 
 import numpy as np
@@ -12,15 +12,7 @@ from termsel.problems.recipes import Recipe
 from termsel.runs.task.task import prepare
 from termsel.solvers.heuristics.yardsticks import RandomSearch
 from termsel.solvers.search import search
-from termsel.testing.checks import (
-    Case,
-    Check,
-    assemble,
-    check_declaration,
-    pickled,
-    require,
-    run_all,
-)
+from termsel.testing.cases import Case, Suite, check_declaration, pickled, require
 
 Make = Callable[[], Problem]
 
@@ -102,52 +94,17 @@ def searched(problem: Problem) -> None:
     problem.decode(found.genes)
 
 
-PROBLEM_CHECKS = (declaration, evaluation_holds, deterministic, one_by_one, inputs_unchanged,
-                  decodes, searched)
-
-
-def problem_checks(problem: Recipe | Make, *, expected_failures: Mapping[str, str] | None = None,
-                   ) -> tuple[Check, ...]:
-    """Return the checks of a problem, for ``pytest.mark.parametrize``.
-
-    Parameters
-    ----------
-    problem : Recipe or callable
-        As a hook returns it, which is run on its own data set; or what makes a `Problem`.
-    expected_failures : mapping, optional
-        Checks it is known to fail, by name, with the reason.
-
-    Returns
-    -------
-    tuple of Check
-
-    Raises
-    ------
-    TermselError
-        For an expected failure of a check that does not exist.
-    """
+def cases(problem: Recipe | Problem | Make) -> list[Case]:
+    """Return the problem of a recipe with its own data set, a problem, or what makes one."""
     if isinstance(problem, Recipe):
-        case = Case(problem.name, partial(_of_recipe, problem))
-    else:
-        case = Case(getattr(problem, "__name__", "problem"), problem)
-    return assemble(PROBLEM_CHECKS, [case], expected_failures)
+        return [Case(problem.name, partial(_of_recipe, problem))]
+    if isinstance(problem, Problem):
+        return [Case(type(problem).__name__, lambda: problem)]
+    return [Case(getattr(problem, "__name__", "problem"), problem)]
 
 
-def check_problem(problem: Recipe | Make, *, expected_failures: Mapping[str, str] | None = None,
-                  ) -> None:
-    """Run all checks of a problem.
-
-    Parameters
-    ----------
-    problem, expected_failures
-        As `problem_checks`.
-
-    Raises
-    ------
-    AssertionError
-        Naming every check that fails, and what is wrong.
-    """
-    run_all(problem_checks(problem, expected_failures=expected_failures))
+SUITE = Suite((declaration, evaluation_holds, deterministic, one_by_one, inputs_unchanged,
+               decodes, searched), cases)
 
 
 def _of_recipe(recipe: Recipe) -> Problem:

@@ -1,0 +1,104 @@
+"""What every objective must do."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from termsel.criteria import CheckRmse
+from termsel.guard.arrays import of_shape
+from termsel.measurements.features import FloatArray, Points
+from termsel.models.polynomial import Affine
+from termsel.problems.base import Inputs
+from termsel.problems.objectives import Objective, PopulationSelection
+from termsel.problems.selection import SelectionProblem
+from termsel.testing.cases import Case, Suite, check_declaration, pickled, require
+from termsel.testing.scenes import imaged, random_coefficients, seeded
+
+ALONE = (slice(0, 1), slice(3, 4), slice(-1, None))
+"""Individuals that are judged without the others."""
+
+
+class _Recorder:
+    """Records the selections that a problem shows to its objectives."""
+
+    def __init__(self) -> None:
+        self.seen: list[PopulationSelection] = []
+
+    def score(self, selected: PopulationSelection) -> FloatArray:
+        self.seen.append(selected)
+        return np.zeros(len(selected.terms))
+
+
+def declaration(objective: Objective) -> None:
+    """It has a name and a summary."""
+    check_declaration("objectives", objective)
+
+
+def figure_each(objective: Objective) -> None:
+    """It gives one finite figure for each individual, also where none or all is selected."""
+    for selected in _selections():
+        what = of_shape(objective.score(selected), (len(selected.terms),))
+        require(what is None, f"score() of {len(selected.terms)} individuals {what}")
+
+
+def deterministic(objective: Objective) -> None:
+    """The same selections get the same figures, here and in another process."""
+    for selected in _selections():
+        first = objective.score(selected)
+        for other in (objective, pickled(objective)):
+            require(np.array_equal(other.score(selected), first),
+                    "score() of the same selections differs from one call or process to the next")
+
+
+def one_by_one(objective: Objective) -> None:
+    """An individual's figure does not depend on the individuals judged with it."""
+    for selected in _selections():
+        together = objective.score(selected)
+        for some in ALONE:
+            alone = objective.score(replace(selected, terms=selected.terms[some],
+                                            features=selected.features[some]))
+            require(np.allclose(together[some], alone),
+                    f"among others an individual gets {together[some]}, alone {alone}; a search "
+                    "keeps figures and compares them later")
+
+
+def inputs_unchanged(objective: Objective) -> None:
+    """It does not change the selections it is given."""
+    for selected in _selections():
+        arrays = {"terms": selected.terms, "features": selected.features,
+                  "equations": selected.equations.A}
+        before = {name: array.copy() for name, array in arrays.items()}
+        objective.score(selected)
+        for name, array in arrays.items():
+            require(np.array_equal(array, before[name]),
+                    f"score() changes selected.{name}; work on a copy")
+
+
+def cases(objective: Objective) -> list[Case]:
+    """Return an objective."""
+    return [Case(objective.name, lambda: objective)]
+
+
+SUITE = Suite((declaration, figure_each, deterministic, one_by_one, inputs_unchanged), cases)
+
+
+def _selections() -> list[PopulationSelection]:
+    """Return what problems of terms, and of features, show to an objective.
+
+    The individuals select nothing, all, and something between.
+    """
+    model, rng = Affine(), seeded()
+    truth = random_coefficients(model, rng)
+    control = imaged(model, truth, rng, points=10, lines=4)
+    check: Points = imaged(model, truth, rng, points=10).points
+    recorder = _Recorder()
+    inputs = Inputs(model, control, check, 1000.0, CheckRmse(), {},
+                    (Objective("recorder", "Records.", recorder.score),))
+    for terms in (True, False):
+        problem = SelectionProblem(inputs, terms=terms, features=not terms)
+        size = problem.genome.size
+        problem.evaluate(np.concatenate([np.zeros((1, size)), np.ones((1, size)),
+                                         rng.random((6, size))]) > 0.5)
+    return recorder.seen
