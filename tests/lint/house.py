@@ -108,5 +108,5 @@ def _sizes(package: Path, modules: dict[str, Path]) -> Iterator[Violation]:
     if len(top) > TOP:
         yield Violation(package, 1, f"{len(top)} modules at the top, more than {TOP}")
     for path in package.iterdir():
-        if path.suffix not in ("", ".py", ".typed"):
+        if path.suffix not in ("", ".py", ".pyi", ".typed"):
             yield Violation(path, 1, "no module stands here")
