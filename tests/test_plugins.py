@@ -1,6 +1,5 @@
 """The registry: built-ins through hooks, third parties in isolation."""
 
-import ast
 import inspect
 import json
 import os
@@ -659,14 +658,9 @@ def test_commands_replace_no_built_in_ones(install, registry):
     assert [f.what.partition(":")[0] for f in names.failures()] == ["termsel_commands"] * 2
 
 
-def test_public_names_can_be_imported_and_are_typed():
+def test_public_names_can_be_imported():
+    assert {"run", "Points", "__version__"} <= set(termsel.__all__) == set(dir(termsel))
     for name in termsel.__all__:
         assert getattr(termsel, name) is not None
-    assert set(termsel.__all__) <= set(dir(termsel))
-    assert len(set(termsel.__all__)) == len(termsel.__all__)
-    with pytest.raises(AttributeError, match="no attribute 'nonsense'"):
+    with pytest.raises(AttributeError, match="attribute nonsense"):
         termsel.nonsense  # noqa: B018
-    source = Path(termsel.__file__).read_text()
-    typed = {alias.name for node in ast.parse(source).body if isinstance(node, ast.If)
-             for statement in node.body for alias in statement.names}
-    assert typed - {"Any"} == set(termsel.__all__) - {"__version__"}
