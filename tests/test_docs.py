@@ -291,7 +291,8 @@ def test_no_page_names_a_path_that_does_not_exist() -> None:
                *ROOT.glob("plugins/*/src/**/*.py")]
     named = re.compile(r"(?<![\w./-])(?:docs|src|tests|benchmarks|plugins)/[\w./-]*\w")
     for source in sources:
-        if source.is_dir() or "_build" in source.parts:
+        # The files of test_lint.py are examples, made where it runs.
+        if source.is_dir() or "_build" in source.parts or source.name == "test_lint.py":
             continue
         for path in named.findall(source.read_text(encoding="utf-8")):
             # Where the documentation is built to is not there before.

@@ -14,6 +14,7 @@ import click
 
 from termsel.cli.messages import echo, say_written
 from termsel.errors import TermselError
+from termsel.version import plugin_bound
 
 KINDS = ("model", "solver", "problem", "criterion", "objective", "dataset", "reader", "writer",
          "command")
@@ -92,7 +93,8 @@ def package(name: str, kind: str) -> dict[str, str]:
     words = {
         "DISTRIBUTION": name, "MODULE": module, "NAME": thing,
         "CLASS": "".join(part.capitalize() for part in thing.split("-")),
-        "TITLE": f"The {_word(kind)} {thing}", "USE": _USE[kind].format(name=thing)}
+        "TITLE": f"The {_word(kind)} {thing}", "USE": _USE[kind].format(name=thing),
+        "BOUND": plugin_bound()}
     test = f"test_{module}.py"
     sources = {
         "pyproject.toml": "pyproject.toml", "build_wheel.py": "build_wheel.py",

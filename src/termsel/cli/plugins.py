@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import re
 from typing import TYPE_CHECKING
 
 import click
 
 from termsel.cli.messages import echo
 from termsel.cli.tables import print_json, print_table
+from termsel.version import PLUGIN_API, plugin_bound
 
 if TYPE_CHECKING:
     from termsel.plugins.loading import Plugin, Remark
@@ -46,14 +48,19 @@ def plugins(as_json: bool, timed: bool) -> None:
     if as_json:
         print_json([{
             "name": plugin.name, "distribution": plugin.distribution, "version": plugin.version,
-            "hooks": list(plugin.hooks), "status": _status(plugin, failures),
+            "api": PLUGIN_API, "requires": _required(plugin), "hooks": list(plugin.hooks),
+            "status": _status(plugin, failures),
             "reasons": _about(plugin, failures), "notes": _about(plugin, notes),
             **({"seconds": round(seconds.get(plugin, 0.0), 4)} if timed else {})}
             for plugin in names.plugins])
         return
+    echo(f"Plugin API {PLUGIN_API}: packages that provide plugins state "
+         f"termsel{plugin_bound()}\n")
     print_table(
-        ("name", "distribution", "version", "status", *(["seconds"] if timed else []), "hooks"),
-        [(plugin.name, plugin.distribution, plugin.version, _status(plugin, failures),
+        ("name", "distribution", "version", "requires termsel", "status",
+         *(["seconds"] if timed else []), "hooks"),
+        [(plugin.name, plugin.distribution, plugin.version, _required(plugin),
+          _status(plugin, failures),
           *([f"{seconds.get(plugin, 0.0):.3f}"] if timed else []),
           " ".join(hook.removeprefix("termsel_") for hook in plugin.hooks))
          for plugin in names.plugins])
@@ -68,6 +75,21 @@ def plugins(as_json: bool, timed: bool) -> None:
         echo(f"Broken: {failure}")
     for note in notes:
         echo(f"Note: {note}")
+
+
+def _required(plugin: Plugin) -> str:
+    """Return the versions of termsel that a plugin's package states to need; "" where it does not.
+    """
+    from importlib.metadata import PackageNotFoundError, requires
+
+    try:
+        requirements = requires(plugin.distribution) or []
+    except PackageNotFoundError:  # named in TERMSEL_PLUGINS, or a module without metadata
+        return ""
+    # Extras may follow the name, and a condition the versions: "termsel[gis]>=0.3 ; ...".
+    stated = (re.match(r"termsel\s*(?:\[[^]]*])?\s*\(?([<>=!~][^;)]*)", requirement, re.IGNORECASE)
+              for requirement in requirements)
+    return next((match[1].replace(" ", "") for match in stated if match), "")
 
 
 def _about(plugin: Plugin, remarks: list[Remark]) -> list[str]:

@@ -1,0 +1,131 @@
+"""What strangers rely on: one version everywhere, and the same checks wherever they run."""
+
+from __future__ import annotations
+
+import json
+import re
+import tomllib
+from importlib.metadata import distributions
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from termsel import version
+from termsel.cli.new_plugin import package
+from termsel.plugins import registry as manager
+from termsel.plugins.registry import Registry
+
+ROOT = Path(__file__).parents[1]
+PACKAGES = sorted(ROOT.glob("plugins/*/pyproject.toml"))
+RELEASED = re.compile(r"^## \[(\d+\.\d+\.\d+)\] - (\d{4}-\d\d-\d\d)$", re.MULTILINE)
+
+
+def _text(name: str) -> str:
+    return (ROOT / name).read_text(encoding="utf-8")
+
+
+def _project(path: Path) -> dict[str, Any]:
+    return tomllib.loads(path.read_text(encoding="utf-8"))["project"]
+
+
+def _workflow() -> dict[str, Any]:
+    return yaml.safe_load(_text(".github/workflows/ci.yml"))
+
+
+@pytest.mark.parametrize("path", PACKAGES, ids=lambda path: path.parent.name)
+def test_packages_of_the_repository_have_one_version_and_its_bounds(path: Path) -> None:
+    project = _project(path)
+    assert project["version"] == version.__version__
+    own = [need for need in project["dependencies"] if need.startswith("termsel")]
+    assert own[0] == f"termsel{version.plugin_bound()}"
+    assert all(need.endswith(version.plugin_bound()) for need in own)
+
+
+@pytest.mark.parametrize(("named", "api", "bound"), [
+    ("0.3.0.dev0", "0.3", ">=0.3.0.dev0,<0.4"), ("0.3.0", "0.3", ">=0.3,<0.4"),
+    ("0.3.7", "0.3", ">=0.3,<0.4"), ("0.9.1", "0.9", ">=0.9,<0.10"),
+    ("0.10.0.dev0", "0.10", ">=0.10.0.dev0,<0.11")])
+def test_bound_of_a_plugin_follows_from_the_version(named: str, api: str, bound: str) -> None:
+    scope: dict[str, Any] = {}
+    source = Path(version.__file__).read_text(encoding="utf-8")
+    exec(source.replace(f'"{version.__version__}"', f'"{named}"'), scope)
+    assert scope["PLUGIN_API"] == api
+    assert scope["plugin_bound"]() == bound
+
+
+def test_new_packages_and_that_of_the_readme_state_the_bound() -> None:
+    needed = f'dependencies = ["termsel{version.plugin_bound()}"]'
+    assert needed in package("termsel-demo", "model")["pyproject.toml"].splitlines()
+    assert needed in _text("README.md").splitlines()
+
+
+def test_citation_names_the_last_release() -> None:
+    released, date = RELEASED.findall(_text("CHANGELOG.md"))[0]
+    citation = yaml.safe_load(_text("CITATION.cff"))
+    assert (citation["version"], str(citation["date-released"])) == (released, date)
+    # Between releases main is called after the next one.
+    if released != version.__version__:
+        assert "## [Unreleased]" in _text("CHANGELOG.md")
+        assert ".dev" in version.__version__
+
+
+def test_hosted_tests_run_every_python_that_the_package_names() -> None:
+    classifiers = "\n".join(_project(ROOT / "pyproject.toml")["classifiers"])
+    stated = set(re.findall(r":: (3\.\d+)$", classifiers, re.MULTILINE))
+    matrix = _workflow()["jobs"]["tests"]["strategy"]["matrix"]
+    assert set(matrix["python"]) == stated
+    assert {system.partition("-")[0] for system in matrix["system"]} == {
+        "ubuntu", "macos", "windows"}
+
+
+def test_hosted_checks_run_what_the_script_runs() -> None:
+    script = re.sub(r"\\\n\s*", "", _text(".ci/run"))
+    tools = r"ruff|mypy|check-jsonschema|sphinx-build|twine|python -m (?:build|tests)"
+    commands = set(re.findall(rf"^\s*((?:{tools}).*)", script, re.MULTILINE))
+    assert len(commands) >= 7
+    steps = [step["run"] for job in _workflow()["jobs"].values() for step in job["steps"]
+             if "run" in step]
+    hooks = yaml.safe_load(_text(".pre-commit-config.yaml"))["repos"][0]["hooks"]
+    assert any("pre-commit run --all-files" in step for step in steps)
+    run = "\n".join([*steps, *(hook["entry"] for hook in hooks)]).replace(" --quiet", "")
+    for command in commands:  # up to the files, which differ
+        assert re.split(r' (?:"\$|\.)', command.replace(" --quiet", ""))[0] in run
+    tests = re.search(r"^\$ (.+)$", _text("README.md")[_text("README.md").index("<!-- tests -->"):],
+                      re.MULTILINE)
+    assert tests is not None
+    assert all(part in run for part in tests[1].split(" && "))
+
+
+def test_commit_checks_download_nothing() -> None:
+    repos = yaml.safe_load(_text(".pre-commit-config.yaml"))["repos"]
+    assert [repo["repo"] for repo in repos] == ["local"]
+    assert {hook["language"] for hook in repos[0]["hooks"]} == {"system"}
+    extra = " ".join(_project(ROOT / "pyproject.toml")["optional-dependencies"]["dev"])
+    programs = {hook["entry"].split()[0] for hook in repos[0]["hooks"]} - {"python"}
+    assert programs == {program for program in programs if program in extra}
+
+
+@pytest.mark.parametrize(("metadata", "shown"), [
+    ("Requires-Dist: numpy>=2\nRequires-Dist: termsel<0.4,>=0.3\n", "<0.4,>=0.3"),
+    ("Requires-Dist: termsel[gis] (>=0.3, <0.4) ; python_version > '3'\n", ">=0.3,<0.4"),
+    ("Requires-Dist: termsel\n", ""), ("Requires-Dist: termsel-rpc>=0.3\n", ""), ("", "")])
+def test_plugins_are_listed_with_the_termsel_that_they_state(
+        metadata: str, shown: str, tmp_path: Path, call: Any,
+        monkeypatch: pytest.MonkeyPatch) -> None:
+    info = tmp_path / "polite-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: polite\nVersion: 1.0\n{metadata}")
+    (info / "entry_points.txt").write_text("[termsel]\npolite = json\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    names = Registry([point for found in distributions(path=[str(tmp_path)])
+                      for point in found.entry_points])
+    monkeypatch.setattr(manager, "registry", lambda: names)
+    ours, polite = json.loads(call("plugins", "--json").stdout)
+    assert ours["api"] == polite["api"] == version.PLUGIN_API
+    assert (ours["requires"], polite["requires"]) == ("", shown)
+    text = call("plugins").stdout
+    assert text.startswith(f"Plugin API {version.PLUGIN_API}: ")
+    assert f"termsel{version.plugin_bound()}\n" in text
+    assert re.search(rf"^polite +polite +1\.0 +{re.escape(shown)} *broken", text, re.MULTILINE)
