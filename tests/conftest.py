@@ -3,11 +3,20 @@
 from __future__ import annotations
 
 import os
+import time
+from itertools import count
 from pathlib import Path
 
 import pytest
 
 HERE = Path(__file__).resolve()
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let time pass by a millisecond whenever termsel looks, however busy the machine is."""
+    looks = count()
+    monkeypatch.setattr(time, "perf_counter", lambda: next(looks) / 1000)
 
 
 @pytest.fixture(scope="session")

@@ -258,17 +258,19 @@ def test_names_of_0_2_still_work() -> None:
 
 
 def test_a_check_has_a_limit_of_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    went_on = []
+
     class Slow(CheckRmse):
         name = "slow"
 
         def score(self, fits: Any) -> np.ndarray:
             time.sleep(60)
+            went_on.append(True)
             return super().score(fits)
 
     monkeypatch.setattr(cases, "LIMIT", 0.3)
-    start = time.perf_counter()
     _require_found(checks(Slow), "score_shape", "score_shape: slow: it takes more than 0")
-    assert time.perf_counter() - start < 20
+    assert not went_on
 
 
 @pytest.fixture

@@ -32,11 +32,11 @@ watch()
 with suppress(KeyboardInterrupt):
     os.kill(os.getpid(), signal.SIGINT)
     time.sleep(5)
-start = time.monotonic()
 try:
     time.sleep(10)
+    print("slept")
 except KeyboardInterrupt:
-    print("again", time.monotonic() - start < 5, answered(), answered())
+    print("again", answered(), answered())
 time.sleep(1.5)
 print("quiet")
 """
@@ -109,7 +109,7 @@ def python(code: str, *words: str) -> subprocess.CompletedProcess[str]:
 
 def test_an_interrupt_that_is_swallowed_comes_again_until_it_is_answered() -> None:
     done = python(SWALLOWS)
-    assert done.stdout == "again True True False\nquiet\n", done.stderr
+    assert done.stdout == "again True False\nquiet\n", done.stderr
 
 
 def test_an_error_that_a_library_makes_of_an_interrupt_is_an_interrupt() -> None:

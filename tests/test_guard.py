@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import os
 import random
+import re
 import sys
 import threading
 import time
@@ -246,21 +247,22 @@ def test_a_silent_solver_ends_with_its_time(
         def generations(self, problem: Problem, rng: np.random.Generator) -> Iterator[Generation]:
             yield from super().generations(problem, rng)
             wait()
+            seen.append("went on")
 
     def run() -> Search:
         return search(Ones(), Stuck(), seconds=0.5,
                       observers=[lambda progress: seen.append(progress.what)])
 
-    start = time.perf_counter()
     with caplog.at_level(logging.INFO, "termsel"):
         if in_thread:
             with ThreadPoolExecutor(1) as pool:
                 found = pool.submit(run).result()
         else:
             found = run()
-    assert time.perf_counter() - start < 10
+    assert "went on" not in seen
     assert found.evaluations == 4
-    assert "solver 'stuck' of the module tests has yielded nothing for 0 s" in seen
+    assert any(re.match(r"solver 'stuck' of the module tests has yielded nothing for \d+ s$", what)
+               for what in seen)
     assert "yielded nothing until its time was spent" in caplog.text
 
 

@@ -11,7 +11,9 @@ import termsel
 from termsel.errors import TermselError
 from termsel.formats.readers.envi_points import EnviPoints
 
-LIMIT = 2.0  # s; the patterns before took 20 s to minutes
+LIMIT = 10.0
+"""Seconds of the processor, which other processes do not lengthen. Each file here takes a few
+hundredths; patterns that try every length at every place took 20 s to minutes."""
 
 ROW = "id,line,sample,x,y,z\nP1,1,2,3,4,5\n"
 
@@ -20,9 +22,9 @@ ROW = "id,line,sample,x,y,z\nP1,1,2,3,4,5\n"
     ";\n" * 24_000, ";" * 48_000 + "\n", "; ENVI" * 8_000 + "\n", "; ENVI Point" * 8_000 + "\n",
     ";" + "Image " * 8_000 + "\n", "; Image" + " " * 48_000 + "\n", " \n" * 24_000 + ";"])
 def test_the_sniffer_of_envi(text: str) -> None:
-    start = time.perf_counter()
+    start = time.process_time()
     assert not EnviPoints().sniff(Path("x"), text.encode())
-    assert time.perf_counter() - start < LIMIT
+    assert time.process_time() - start < LIMIT
 
 
 @pytest.mark.parametrize("text", [
@@ -31,10 +33,10 @@ def test_the_sniffer_of_envi(text: str) -> None:
 def test_rpcs(text: str, tmp_path: Path) -> None:
     path = tmp_path / "scene.RPB"
     path.write_text(text)
-    start = time.perf_counter()
+    start = time.process_time()
     with pytest.raises(TermselError):
         termsel.read_rpc(path)
-    assert time.perf_counter() - start < LIMIT
+    assert time.process_time() - start < LIMIT
 
 
 @pytest.mark.parametrize("text", [
@@ -45,9 +47,9 @@ def test_tables(text: str, tmp_path: Path) -> None:
     path = tmp_path / "points.csv"
     path.write_text(text)
     form = "envi-pts" if text.startswith(";") else "points-csv"
-    start = time.perf_counter()
+    start = time.process_time()
     assert len(termsel.read(path, crs="local", format=form).points) == 1
-    assert time.perf_counter() - start < LIMIT
+    assert time.process_time() - start < LIMIT
 
 
 def test_a_crs_with_blanks_around_it_is_declared(tmp_path: Path) -> None:

@@ -181,10 +181,11 @@ def test_without_independent_points_the_accuracy_is_said_to_be_unknown() -> None
     assert "accuracy of this selection is not known" in result.judgement
 
 
+@pytest.mark.usefixtures("clock")
 def test_budgets_are_honoured() -> None:
     assert termsel.run("poly-terms", evaluations=333).evaluations == 333
     assert termsel.run("poly-terms", generations=3).generations == 3
-    assert termsel.run("owdis-lines", seconds=0.2, options={"polish": False}).seconds < 2
+    assert 0.2 <= termsel.run("owdis-lines", seconds=0.2, options={"polish": False}).seconds < 0.3
 
 
 def test_out_holds_the_result_the_residuals_and_the_summary(tmp_path) -> None:

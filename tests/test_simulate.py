@@ -2,7 +2,6 @@
 
 import subprocess
 import sys
-import time
 
 import numpy as np
 import pytest
@@ -15,6 +14,7 @@ from termsel.simulate import (
     Pushbroom,
     pushbroom_at,
     scene_truth,
+    scenes,
     simulate_scene,
 )
 
@@ -309,14 +309,18 @@ def test_datasets_are_declared_simulated():
         assert len(spec.load().points) == sum(SCENES[spec.name].roles)
 
 
-def test_loading_is_quick_and_needs_numpy_alone():
+def test_sensor_and_terrain_of_a_scene_are_computed_once():
     for name in NAMES:
-        taken = []
-        for _ in range(4):  # the first also computes sensor and terrain, the rest reuse them
-            start = time.perf_counter()
-            simulate_scene(name)
-            taken.append(time.perf_counter() - start)
-        assert min(taken) < 0.2
+        simulate_scene(name)
+    before = scenes._geometry.cache_info()
+    for name in NAMES:
+        simulate_scene(name, seed=1)
+    after = scenes._geometry.cache_info()
+    assert after.misses == before.misses
+    assert after.hits >= before.hits + len(NAMES)
+
+
+def test_loading_needs_numpy_alone():
     code = ("import sys, termsel.simulate; "
             "assert not {'numba', 'scipy', 'deap', 'pymoo'} & set(sys.modules)")
     subprocess.run([sys.executable, "-c", code], check=True)

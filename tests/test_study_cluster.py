@@ -9,7 +9,6 @@ import signal
 import socket
 import subprocess
 import sys
-import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -171,10 +170,8 @@ def test_a_scheduler_that_does_not_answer_is_told(monkeypatch: pytest.MonkeyPatc
 
     monkeypatch.setattr(cluster, "PATIENCE", 1.0)
     asked = {**ASKED, "budget": {"evaluations": 50}}
-    start = time.monotonic()
     with pytest.raises(TermselError, match="does not answer or has no workers"):
         termsel.compare(**asked, scheduler=f"tcp://127.0.0.1:{_free_port()}")
-    assert time.monotonic() - start < 30
     with pytest.raises(TermselError, match="no address of a scheduler"):
         termsel.compare(**asked, scheduler="nonsense://x")
 

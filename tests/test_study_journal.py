@@ -197,11 +197,9 @@ def test_cells_of_an_earlier_form_are_kept_aside(study: Path, call: Call, tmp_pa
     assert len(termsel.read_study(out).records) == 4
     assert len(table_of(out)) == 4
     study.write_text(SHORT)
-    start = time.perf_counter()
     assert call("compare", study, "--out", out).exit_code == 0
     assert table_of(out) == table
-    assert len(read_journal(out).records) == 10
-    assert time.perf_counter() - start < 30
+    assert len(read_journal(out).records) == 10  # none was run a second time
 
 
 def test_other_versions_are_refused(study: Path, call: Call, tmp_path: Path,

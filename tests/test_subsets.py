@@ -304,12 +304,16 @@ def test_interrupted_search_leaves_the_best_so_far(monkeypatch: pytest.MonkeyPat
             score_of(system, "check", states[-1].columns(size), ()), states[-1].best[size])
 
 
+@pytest.mark.usefixtures("clock")
 def test_counts_and_estimate() -> None:
     assert count_subsets(21) == 2**21
     assert count_subsets(5, 2) == 1 + 5 + 10
     assert count_subsets(3, 7) == 8
     system = polynomial(np.random.default_rng(12), k=14, m=20)
-    assert 0 < estimate_seconds(system, "check", workers=2) < 60
+    # Either piece, of all 2^14 subsets, takes a millisecond by this clock.
+    assert estimate_seconds(system, "check", workers=2) == pytest.approx(0.001 / 2)
+    large = polynomial(np.random.default_rng(12), k=18, m=20)
+    assert estimate_seconds(large, "check") == pytest.approx(0.001 * 2**18 / 2**16)
 
 
 def test_what_the_user_can_correct() -> None:
