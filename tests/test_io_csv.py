@@ -381,7 +381,7 @@ def test_many_points_are_not_read_cell_by_cell(tmp_path: Path) -> None:
     finally:
         sys.setprofile(None)
     assert len(points) == n
-    assert calls["call"] < 2 * n, "calls of functions of readers"
+    assert calls["call"] < 3 * n, "calls of functions of readers"
 
 
 # Feature sets from two files
