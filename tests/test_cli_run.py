@@ -178,7 +178,7 @@ BAD_FILES = {
     "binary file": (lambda f, t: written(t, bytes(range(256)) * 20),
                     "bad.csv: this binary file is in no format that termsel knows. Give a "),
     "wrong encoding": (
-        lambda f, t: written(t, "id,line,sample,x,y,z\nStraße,1,2,3,4,5\n".encode("latin-1")),
+        lambda f, t: written(t, "id,line,sample,x,y,z\nStra\x81e,1,2,3,4,5\n".encode("latin-1")),
         "line 2: the text of this file is not UTF-8. Save it with the encoding UTF-8."),
     "lon and lat swapped": (
         lambda f, t: written(t, b"id,line,sample,x,y,z\n" + b"".join(

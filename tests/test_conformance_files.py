@@ -147,6 +147,7 @@ class Lenient(PointsCsv):
 
     def read(self, path: Path) -> FeatureSet:
         try:
+            read_text(path)  # of UTF-8 alone
             return super().read(path)
         except TermselError:
             return FeatureSet()

@@ -175,6 +175,9 @@ def test_wrong_encodings_are_named(tmp_path: Path, name: str, encoding: str) -> 
         pytest.importorskip("rasterio")
         if encoding == "latin-1":
             return  # it is GDAL that reads this
+    if name == "qgis-points":  # a table, which may be in other encodings
+        assert len(read_file(path, readers()).points) == 3
+        return
     named = "is not UTF-8" if encoding == "latin-1" else "is UTF-16, expected UTF-8"
     with pytest.raises(TermselError, match=f"the text of this file {named}") as caught:
         read_file(path, readers(), name if encoding == "latin-1" else None)

@@ -159,12 +159,14 @@ def test_columns_are_declared(tmp_path: Path) -> None:
     features = read_file(path, READERS, options={"columns": columns})
     np.testing.assert_array_equal(features.points.ground, [[5.25, 44.5, 300]])
     np.testing.assert_array_equal(features.points.image, [[1.5, 2.5]])
-    for wrong, words in [("line=Zeile", "'line=Zeile' does not declare a column"),
-                         ("lines:Zeile", "Did you mean 'line'")]:
+    for wrong, words in [("Zeile", "'zeile' does not declare a column"),
+                         ("line=Zeile,line=4", "the column of line is declared twice"),
+                         ("line=Reihe", "there is no column 'Reihe' for line"),
+                         ("lines:Zeile", "Did you mean 'line")]:
         with pytest.raises(TermselError, match=words):
             read_file(path, READERS, "points-csv", {"columns": wrong})
-    error = refusal(tmp_path, path.read_bytes(), "points-csv")
-    assert (error.line, error.column) == (1, "id")
+    error = refusal(tmp_path, b"who,where,up\na,1,2\n", "points-csv")
+    assert (error.line, error.column) == (1, "line")
 
 
 def test_rows_of_one_id_are_pieces_of_one_line(tmp_path: Path) -> None:
@@ -215,15 +217,16 @@ def test_declarations(tmp_path: Path) -> None:
     ("id,line,sample,x,y,z,sigma_px\na,1,2,3,4,5,1\nb,1,2,3,5,5,0\n", 3, None, "not positive"),
     ("id,line,sample,x,y,z,enabled\na,1,2,3,4,5,perhaps\n", 2, "enabled", "Write 1 or 0"),
     (POINTS + A + A.replace("a", "b", 1), 3, None, "same ground coordinates"),
-    ("id;line;sample;x;y;z\na;1,5;2;3;4;5\nb;1;2.5;3;5;5\n", 3, "sample", "decimal point"),
-    ("id;line;sample;x;y;z\na;1;2;1.234,5;4;5\n", 2, "x", "decimal point"),
-    ("id;line;sample;lon;lat;z\na;1;2;5;44°30';5\n", 2, "lat", "not a number"),
+    ("id;line;sample;x;y;z\na;1,5;2;3;4;5\nb;1.5;2;3;5;5\n", 3, "line", "decimal point"),
+    ("id;line;sample;x;y;z\na;1.234;2,345;3;4;5\n", 2, "sample", "may be above one thousand"),
+    ("id;line;sample;x;y;z\na;1;2;1.2345,5;4;5\n", 2, "x", "not a number"),
+    ("id;line;sample;lon;lat;z\na;1;2;5;44°30'E;5\n", 2, "lat", "is a longitude"),
     (POINTS + 'a,,1,2,3,4,5\n"b,,1,2,3,4,5\nc,,1,2,3,4,5\n', 3, None, "quotation mark"),
     ("# crs: WGS84\n" + POINTS + A, 1, None, "unknown CRS 'WGS84'"),
     ("# crs: EPSG:4979\n# crs: EPSG:4326\n" + POINTS + A, 2, None,
      "but EPSG:4979 in an earlier comment"),
     ("#\n# units: feet\n" + POINTS + A, 2, None, "Convert the ground coordinates"),
-    ((POINTS + "é").encode("latin-1") + A[1:].encode(), 2, None, "UTF-8"),
+    ((POINTS + "é").encode("latin-1") + b"\x81" + A[1:].encode(), 2, None, "UTF-8"),
     (LINES + "l,1,2,3,4,5,44,10,5.1,north,20\n", 2, "y2", "not a number"),
     (LINES + L + "m,1,2,1,2,5,44,10,5.1,44.2,20\n", 3, None, "zero length in the image"),
     (LINES + L + "m,1,2,3,5,5,44,10,5,44,20\n", 3, None, "zero length on the ground"),
@@ -243,7 +246,7 @@ def test_bad_tables(tmp_path: Path, text: str | bytes, line: int | None, column:
     (b"", "is empty"),
     (b"\r\n  \n", "is empty"),
     (b"\x89PNG\0\0\0", "binary"),
-    ((POINTS + A).encode("utf-16"), "UTF-16"),
+    ((POINTS + A).encode("utf-16")[:-1], "UTF-16"),
     (b"1,2,3,4,5\n", "headed id,role,line,sample,x,y,z"),
     (b"# only a comment\n", "in no format that termsel knows"),
     (b'{"type": "FeatureCollection"}', "in no format that termsel knows"),
@@ -253,7 +256,7 @@ def test_not_a_table(tmp_path: Path, content: bytes, words: str) -> None:
 
 
 @pytest.mark.parametrize("content", [
-    b"\x89PNG\0\0\0", (POINTS + A).encode("utf-16"), b"1,2,3\n", b"# only a comment\n",
+    b"\x89PNG\0\0\0", (POINTS + A).encode("utf-16")[:-1], b"1,2,3\n", b"# only a comment\n",
     b"x" * 300_000, b'"' + b"x" * 300_000])
 def test_forced_format_is_read_or_refused(tmp_path: Path, content: bytes) -> None:
     refusal(tmp_path, content, "points-csv")

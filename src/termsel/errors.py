@@ -30,7 +30,14 @@ class TermselError(Exception):
         named columns, its number.
     ids : iterable of str, optional
         The features concerned, from which a reader finds the line of its file.
+
+    Attributes
+    ----------
+    columns : str
+        What ``--columns`` could say of a table that was not understood, "" for other errors.
     """
+
+    columns = ""
 
     def __init__(
         self,

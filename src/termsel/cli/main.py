@@ -10,6 +10,7 @@ import errno
 import io
 import os
 import re
+import shlex
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -129,6 +130,10 @@ class Commands(click.Group):
             value = super().main(args, prog_name, complete_var, False, **extra)
         except TermselError as error:
             echo(f"Error: {error}", err=True)
+            if error.columns:
+                typed = shlex.join([*(sys.argv[1:] if args is None else args), "--columns"])
+                verb = "Complete and run" if "?" in error.columns else "Ready to run"
+                echo(f"{verb}: termsel {typed} {shlex.quote(error.columns)}", err=True)
             sys.exit(CORRECTABLE)
         except click.ClickException as error:
             page = io.StringIO()

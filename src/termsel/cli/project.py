@@ -9,6 +9,7 @@ import click
 from termsel.cli.messages import echo, echo_table, say_written, show_messages
 from termsel.cli.options.final import final_option
 from termsel.cli.options.remote import allow_remote
+from termsel.cli.options.run_options import COLUMNS_OPTION
 
 
 @click.command()
@@ -16,6 +17,7 @@ from termsel.cli.options.remote import allow_remote
 @click.option("--points", metavar="FILE", required=True, type=click.Path(path_type=Path),
               help="Table id,x,y,z of ground points in the CRS of the control; with --inverse "
                    "id,line,sample of image points.")
+@COLUMNS_OPTION
 @click.option("--inverse", is_flag=True, help="From the image to the ground.")
 @click.option("--dem", metavar="FILE", type=click.Path(path_type=Path),
               help="With --inverse: raster of heights of the ground.")
@@ -25,8 +27,8 @@ from termsel.cli.options.remote import allow_remote
 @final_option
 @click.option("--overwrite", is_flag=True, help="Replace an existing file.")
 @allow_remote
-def project(folder: Path, points: Path, inverse: bool, dem: Path | None, height: float | None,
-            output: Path | None, final: bool | None, overwrite: bool) -> None:
+def project(folder: Path, points: Path, columns: str | None, inverse: bool, dem: Path | None,
+            height: float | None, output: Path | None, final: bool | None, overwrite: bool) -> None:
     """Compute image positions of ground points, or ground positions of image points.
 
     DIR is the folder that a run wrote with --out. The output has the columns
@@ -52,7 +54,8 @@ def project(folder: Path, points: Path, inverse: bool, dem: Path | None, height:
     if output is not None:
         require_replaceable([output], reads=[folder, points, dem], overwrite=overwrite)
     text, warnings = project_table(as_exported(read_result(folder), final), points,
-                                   inverse=inverse, dem=dem, height=height)
+                                   inverse=inverse, dem=dem, height=height,
+                                   columns=columns or "")
     if output is None:
         echo_table(text)
     else:

@@ -6,6 +6,7 @@ import json
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from copy import copy
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -160,19 +161,20 @@ class Writer(Configurable, ABC):
         """
 
 
-def located(error: TermselError, file: Path, line: int | None = None,
+def located(error: TermselError, file: Path | None, line: int | None = None,
             column: str | None = None) -> TermselError:
     """Return `error` with the place where it was found.
 
     Parameters
     ----------
     error : TermselError
-    file : pathlib.Path
+    file : pathlib.Path, optional
     line, column : optional
         Kept as they are in `error` where not given.
     """
-    return TermselError(error.what, hint=error.hint, file=file, line=line or error.line,
-                        column=column or error.column, ids=error.ids)
+    placed = copy(error)
+    placed.file, placed.line, placed.column = file, line or error.line, column or error.column
+    return placed
 
 
 def read_text(path: Path) -> str:
@@ -187,11 +189,7 @@ def read_text(path: Path) -> str:
     TermselError
         If the file cannot be read, is binary or is in another encoding.
     """
-    refuse_pipe(path)
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise _unreadable(path, error) from error
+    data = read_data(path)
     if is_utf16(data):
         raise utf16_error(path)
     if b"\0" in data:
@@ -202,6 +200,25 @@ def read_text(path: Path) -> str:
         line = error.object[:error.start].count(b"\n") + 1
         raise TermselError("the text of this file is not UTF-8", file=path, line=line,
                            hint="Save it with the encoding UTF-8.") from error
+
+
+def read_data(path: Path) -> bytes:
+    """Return what a file holds.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+
+    Raises
+    ------
+    TermselError
+        If the file cannot be read.
+    """
+    refuse_pipe(path)
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise _unreadable(path, error) from error
 
 
 def parse_json(text: str, hint: str) -> Any:

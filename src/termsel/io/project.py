@@ -15,7 +15,8 @@ from termsel.fits.extrapolation import FAR, outside
 from termsel.formats.base import read_once
 from termsel.formats.heights import surface_of
 from termsel.formats.readers.csv_tables import table_text
-from termsel.formats.readers.tables import Table, read_table
+from termsel.formats.readers.table import Table
+from termsel.formats.readers.tables import read_table
 from termsel.measurements.coordinates.crs import is_geographic, normalise
 from termsel.measurements.coordinates.longitudes import nearest
 from termsel.measurements.features import BoolArray, FloatArray, select
@@ -35,6 +36,7 @@ def project_table(
     inverse: bool = False,
     dem: Path | None = None,
     height: float | None = None,
+    columns: str = "",
 ) -> tuple[str, list[str]]:
     """Return a table of points with image and ground coordinates.
 
@@ -49,6 +51,8 @@ def project_table(
         With `inverse`: raster of heights.
     height : float, optional
         With `inverse`: height of the ground. Models without height need neither.
+    columns : str
+        Which column is which, as of ``--columns``.
 
     Returns
     -------
@@ -68,7 +72,7 @@ def project_table(
     """
     model, crs = result.fit.model, result.fit.control.crs
     if inverse:
-        table = _table(path, "line", "sample")
+        table = _table(path, columns, "line", "sample")
         ids, image = table.ids(), table.stack("line", "sample")
         if dem is not None and height is not None:
             raise TermselError("--dem and --height exclude each other", hint="Give one of them.")
@@ -86,7 +90,7 @@ def project_table(
         if dem is not None or height is not None:
             raise TermselError("--dem and --height require --inverse",
                                hint="Add --inverse, or remove them.")
-        ids, ground = read_ground(result, path)
+        ids, ground = read_ground(result, path, columns)
         with np.errstate(all="ignore"):
             image = result.project(ground)
         image[~np.isfinite(image)] = np.nan
@@ -132,11 +136,11 @@ def _control(result: Result) -> FloatArray:
     return made.control.take(made.used).ground_vertices()
 
 
-def read_ground(result: Result, path: Path) -> tuple[list[str], FloatArray]:
+def read_ground(result: Result, path: Path, columns: str = "") -> tuple[list[str], FloatArray]:
     """Return ids and ground positions, shape (n, 3), of a table, as `project_table` reads it."""
     model, crs = result.fit.model, result.fit.control.crs
     names = ("x", "y", "z") if model.uses_height else ("x", "y")
-    table = _table(path, *names)
+    table = _table(path, columns, *names)
     if table.crs and table.crs != normalise(crs):
         raise TermselError(f"the file declares the CRS {table.crs}, but the control is in {crs}",
                            file=path, hint="Transform the points to the CRS of the control.")
@@ -148,10 +152,10 @@ def read_ground(result: Result, path: Path) -> tuple[list[str], FloatArray]:
     return table.ids(), ground
 
 
-def _table(path: Path, *meanings: str) -> Table:
+def _table(path: Path, columns: str, *meanings: str) -> Table:
     known = _ID | {meaning: COORDINATES[meaning] for meaning in meanings}
     with read_once(path) as file:
         if not is_there(file):
             raise TermselError("this file does not exist", file=path,
                                hint="Check the name and the folder.")
-        return replace(read_table(file, known), path=path)
+        return replace(read_table(file, known, columns=columns), path=path)

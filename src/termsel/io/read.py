@@ -13,6 +13,7 @@ from typing import Any
 from termsel.errors import TermselError, counted, unknown_name
 from termsel.files.atomic import private_folder
 from termsel.formats.base import Reader, is_utf16, located, read_head, read_once, utf16_error
+from termsel.formats.readers.advice import unknown_table
 from termsel.guard.faults import PluginFault, is_own, name_of
 from termsel.measurements.coordinates.crs import EXAMPLES, normalise
 from termsel.measurements.coordinates.plausible import check_ground
@@ -38,6 +39,7 @@ def read(
     crs: str | None = None,
     format: str | Sequence[str] = (),
     dem: Path | str | None = None,
+    columns: str | Mapping[str, Any] | None = None,
     **options: Any,
 ) -> FeatureSet:
     """Return the control features in files of points, lines and areas.
@@ -53,6 +55,8 @@ def read(
     dem : path-like, optional
         Raster of heights, from which unknown ones are taken; see
         `termsel.formats.heights.with_heights`.
+    columns : str or mapping, optional
+        Which column of a table is which, by name or number: "line=Zeile,sample=4".
     **options
         Options of the readers, such as `raster` of "qgis-points".
 
@@ -66,6 +70,9 @@ def read(
         Naming file, line and column, for anything the user can correct.
     """
     of_readers = {key: value for key, value in options.items() if value is not None}
+    if columns:
+        of_readers["columns"] = columns if isinstance(columns, str) else ",".join(
+            f"{meaning}={column}" for meaning, column in columns.items())
     with ExitStack() as stack:
         image_lines = of_readers.get("image_lines")
         once = {Path(path): stack.enter_context(read_once(Path(path)))
@@ -133,12 +140,16 @@ def find_reader(path: Path, readers: Iterable[type[Reader]], format: str | None 
     found = _recognising(path, head, known)
     if found is not None:
         return found
-    if is_utf16(head):
-        raise utf16_error(path)
     if any(name in head for name in (b"LINE_NUM_COEFF", b"lineNumCoef", b"Global_RFM")):
         raise TermselError("this file holds an RPC and no control features", file=path,
                            hint="--problem rpc-gcps --set rpc=FILE refines it by points, with the "
                                 "package termsel-rpc.")
+    if is_utf16(head) and _recognising(
+            path, head.decode("utf-16", errors="ignore").encode(), known) is not None:
+        raise utf16_error(path)
+    error = unknown_table(path, expected, str((options or {}).get("columns", "")))
+    if error is not None:
+        raise error
     kind = "binary file" if b"\0" in head else "file"
     raise TermselError(f"this {kind} is in no format that termsel knows", file=path, hint=expected)
 

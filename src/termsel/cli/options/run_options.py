@@ -21,6 +21,11 @@ if TYPE_CHECKING:
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 
+COLUMNS_OPTION = click.option(
+    "--columns", metavar="PAIRS",
+    help="Which column of the table is which, by its name or number: line=Zeile,sample=4,x=2,y=3. "
+         "Meanings are id, role, line, sample, x, y, z; of lines line1, sample1 and so on.")
+
 _OPTIONS = (
     click.option("--problem", metavar="NAME", shell_complete=complete("problems"),
                  help="The problem to solve; see `termsel list problems`. By default the "
@@ -39,6 +44,7 @@ _OPTIONS = (
                  shell_complete=complete("readers"),
                  help="Read the file in this format, whatever it looks like. With several files, "
                       "give one for each, in the order points, lines, areas."),
+    COLUMNS_OPTION,
     click.option("--dem", metavar="FILE", type=click.Path(path_type=Path),
                  help="Raster of heights, for points and lines that have none."),
     click.option("--raster", metavar="FILE",
@@ -127,6 +133,7 @@ class Asked:
     dem: Path | None
     raster: str | None
     image_lines: str | None
+    columns: str | None
     crs: str | None
     fit_crs: str | None
     off: tuple[str, ...]
@@ -178,7 +185,7 @@ class Asked:
     @property
     def _of_files(self) -> dict[str, Any]:
         return {"--format": self.formats, "--dem": self.dem, "--raster": self.raster,
-                "--image-lines": self.image_lines, "--crs": self.crs}
+                "--image-lines": self.image_lines, "--columns": self.columns, "--crs": self.crs}
 
     @property
     def reads(self) -> list[object]:
@@ -253,7 +260,8 @@ class Asked:
             options.setdefault("areas_as", "centroid")
         if not self.files:
             return None, options
-        given = {"raster": self.raster, "image_lines": self.image_lines}
+        given = {"raster": self.raster, "image_lines": self.image_lines,
+                 "columns": self.columns}
         known = {option.name for entry in registry().entries("readers")
                  for option in entry.object.declared_options}
         of_readers = {key: options.pop(key) for key in list(options) if key in known}

@@ -3,47 +3,31 @@
 from __future__ import annotations
 
 from itertools import pairwise
-from pathlib import Path
 
 from termsel.errors import TermselError
-from termsel.formats.base import Reader, located
-from termsel.formats.readers.tables import (
-    COLUMNS,
-    Aliases,
-    Table,
-    declared,
-    read_table,
-    sniff_table,
-)
+from termsel.formats.readers.table import Table
+from termsel.formats.readers.tables import COLUMNS, TableReader
 from termsel.measurements.areas import FORMS, Area, CornerError, boundary, centroids
 from termsel.measurements.features import FeatureSet
 from termsel.measurements.tables.attributes import alike
-from termsel.measurements.tables.columns import COORDINATES, USE
+from termsel.measurements.tables.columns import COORDINATES, CORNER, USE
 from termsel.options import Option
 
-_AREAS = USE | COORDINATES | {"corner": ("corner", "vertex")}
 
-
-class AreasCsv(Reader):
+class AreasCsv(TableReader):
     """Areas by their corners, as the edges or the centroids of polygons."""
 
     name = "areas-csv"
     summary = "areas as a table of corners headed id,corner,line,sample,x,y,z"
     areas = True
-    declared_options = (COLUMNS, Option(
+    known = USE | COORDINATES | CORNER
+    needed = (("corner",),)
+    declared_options = (*COLUMNS, Option(
         "areas_as", "boundary", "How areas are used: their edges as lines, all those of an area "
                                 "one feature; or their centroids as points.", choices=FORMS))
 
-    def sniff(self, path: Path, head: bytes) -> bool:
-        """Return True if a header names at least three columns of points, and corners."""
-        return sniff_table(head, self._aliases(), needed=("corner",))
-
-    def _aliases(self) -> Aliases:
-        return declared(_AREAS, self.options["columns"])
-
-    def read(self, path: Path) -> FeatureSet:
+    def features(self, table: Table) -> FeatureSet:
         """Return the areas as lines or points; errors name file, line and column."""
-        table = read_table(path, self._aliases(), flat=True)
         rows = _rows_of_areas(table)
         image, ground = table.stack("line", "sample"), table.stack("x", "y", "z")
         roles = table.roles()
@@ -69,7 +53,7 @@ class AreasCsv(Reader):
             return FeatureSet(centroids(areas), crs=table.crs)
         except TermselError as error:
             first = rows[error.ids[0]][0] if error.ids else 0
-            raise located(error, path, table.lines[first]) from error
+            raise table.at(error, first) from error
 
 
 def _rows_of_areas(table: Table) -> dict[str, list[int]]:

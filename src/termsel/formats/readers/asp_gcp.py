@@ -14,7 +14,7 @@ from pathlib import Path
 from termsel.errors import TermselError
 from termsel.formats.base import Reader, read_text
 from termsel.formats.readers.formulas import is_number
-from termsel.formats.readers.tables import Table
+from termsel.formats.readers.table import Table
 from termsel.measurements.features import FeatureSet
 from termsel.options import Option
 
@@ -72,7 +72,7 @@ class AspGcp(Reader):
                                hint="Add one row per point.")
         cells_of = dict(zip(_GROUND + _IMAGE, zip(*rows, strict=True), strict=True))
         table = Table(path, "", _READ, {key: cells_of[name] for key, name in _READ.items()},
-                      lines, decimal_comma=False)
+                      lines)
         return FeatureSet(table.points(table.stack("line", "sample"), table.stack("x", "y", "z"),
                                        table.sigma("sigma_line", "sigma_sample"), ()), crs="")
 

@@ -14,87 +14,56 @@ import numpy as np
 
 from termsel.errors import TermselError
 from termsel.files.atomic import write_text
-from termsel.formats.base import Reader
 from termsel.formats.readers.formulas import guarded
-from termsel.formats.readers.tables import (
-    COLUMNS,
-    Aliases,
-    declared,
-    read_table,
-    sniff_table,
-)
+from termsel.formats.readers.table import Table, points_of
+from termsel.formats.readers.tables import TableReader
 from termsel.measurements.features import FeatureSet, FloatArray, Lines, Points
 from termsel.measurements.tables.attributes import Attributes
 from termsel.measurements.tables.columns import LINES, POINTS
 
 
-class PointsCsv(Reader):
-    """Points with line and sample, ground coordinates, and optionally role and sigma."""
+class PointsCsv(TableReader):
+    """Points with line and sample, ground coordinates, and optionally role and sigma.
+
+    Text in any usual encoding with any usual separator, or a spreadsheet.
+    """
 
     name = "points-csv"
     summary = "points as a table headed id,role,line,sample,x,y,z[,sigma_line,sigma_sample]"
-    declared_options = (COLUMNS,)
+    known = POINTS
 
-    def sniff(self, path: Path, head: bytes) -> bool:
-        """Return True if a header names at least three columns of points."""
-        return sniff_table(head, self._aliases())
-
-    def _aliases(self) -> Aliases:
-        return declared(POINTS, self.options["columns"])
-
-    def read(self, path: Path) -> FeatureSet:
+    def features(self, table: Table) -> FeatureSet:
         """Return the points of a table; errors name file, line and column."""
-        table = read_table(path, self._aliases(), flat=True)
-        image, ground = table.stack("line", "sample"), table.stack("x", "y", "z")
-        return FeatureSet(table.points(image, ground, table.sigma("sigma_line", "sigma_sample"),
-                                       table.roles()),
-                          crs=table.crs)
-
-    def placed(self, error: TermselError, path: Path) -> TermselError:
-        """Return the error with line and column."""
-        return read_table(path, self._aliases(), flat=True).placed(error)
+        return points_of(table, table.crs)
 
 
-class LinesCsv(Reader):
+class LinesCsv(TableReader):
     """Lines, each with two image points and two ground vertices that are not conjugate."""
 
     name = "lines-csv"
     summary = "lines as a table headed id,line1,sample1,line2,sample2,x1,y1,z1,x2,y2,z2[,sigma]"
-    declared_options = (COLUMNS,)
+    known = LINES
+    # Other tables have x1, y1, x2, y2 too: pixels of two images, or boxes.
+    needed = (("line1",), ("sample1",), ("line2",), ("sample2",))
 
-    def sniff(self, path: Path, head: bytes) -> bool:
-        """Return True if a header names at least three columns of lines, one of the image."""
-        # Other tables have x1, y1, x2, y2 too: pixels of two images, or boxes.
-        return any(sniff_table(head, self._aliases(), (name,))
-                   for name in ("line1", "sample1", "line2", "sample2"))
-
-    def _aliases(self) -> Aliases:
-        return declared(LINES, self.options["columns"])
-
-    def read(self, path: Path) -> FeatureSet:
+    def features(self, table: Table) -> FeatureSet:
         """Return the lines that are not off; errors name file, line and column."""
-        table = read_table(path, self._aliases(), flat=True)
         roles = table.roles()
         for row, role in enumerate(roles):
             if role in ("check", "independent"):
                 raise table.error(f"a line cannot have the role {role!r}", row, "role",
                                   "Lines are always control: use control, off or blank.")
-        ids = table.ids()
         image = table.stack("line1", "sample1", "line2", "sample2").reshape(-1, 2, 2)
         ground = table.stack("x1", "y1", "z1", "x2", "y2", "z2").reshape(-1, 2, 3)
         sigma = table.sigma("sigma")
         try:
-            lines = Lines(tuple(ids), image, ground, None if sigma is None else sigma[:, 0],
-                          table.more)
+            lines = Lines(tuple(table.ids()), image, ground,
+                          None if sigma is None else sigma[:, 0], table.more)
         except TermselError as error:
             raise table.placed(error) from error
         if "off" in roles:
             lines = lines.take([role != "off" for role in roles])
         return FeatureSet(lines=lines, crs=table.crs)
-
-    def placed(self, error: TermselError, path: Path) -> TermselError:
-        """Return the error with line and column."""
-        return read_table(path, self._aliases(), flat=True).placed(error)
 
 
 def write_points_csv(points: Points, path: Path | str, crs: str = "") -> None:

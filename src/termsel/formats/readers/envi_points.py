@@ -15,7 +15,7 @@ import numpy as np
 
 from termsel.errors import TermselError
 from termsel.formats.base import Reader, read_text
-from termsel.formats.readers.tables import Table
+from termsel.formats.readers.table import Table
 from termsel.measurements.features import FeatureSet
 from termsel.options import COUNT, Option
 
@@ -62,8 +62,7 @@ class EnviPoints(Reader):
         rows, lines, crs = _rows(path)
         width = len(rows[0])
         table = Table(path, crs, {name: name for name in _COLUMNS[width]},
-                      dict(zip(_COLUMNS[width], zip(*rows, strict=True), strict=True)), lines,
-                      decimal_comma=False)
+                      dict(zip(_COLUMNS[width], zip(*rows, strict=True), strict=True)), lines)
         if "image" in table.columns:
             table = table.take(self._of_image(table))
         image = table.stack("line", "sample") - _CORNER

@@ -1,14 +1,14 @@
-"""Ground control points as GeoJSON, the format of Orthority, with some more properties."""
+"""Ground control points as features: GeoJSON, also of Orthority, and vector files of a GIS."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from termsel.errors import TermselError
-from termsel.formats.base import Reader, located
+from termsel.formats.base import Reader
+from termsel.formats.readers.cells import of_records
 from termsel.formats.readers.geojson import (
     Feature,
     numbers_at,
@@ -16,15 +16,22 @@ from termsel.formats.readers.geojson import (
     sniff_geojson,
     vertices,
 )
-from termsel.measurements.features import ROLES, FeatureSet, Points
-from termsel.measurements.tables.attributes import columns_of
+from termsel.formats.readers.table import Table, points_of
+from termsel.formats.readers.tables import COLUMNS, table_of
+from termsel.formats.readers.vector import POINT_KINDS, has_points, is_vector, read_layer
+from termsel.measurements.features import FeatureSet
+from termsel.measurements.tables.columns import POINTS, parse_columns
 from termsel.options import Option
 
-_USED = frozenset({"id", "filename", "ji", "role", "enabled", "sigma_px", "info"})
+_GROUND = {axis: f"{axis} of the geometry" for axis in "xyz"}
+_OF_JI = {"sample": "column of ji", "line": "row of ji"}
+_OF_SIGMA = {"sigma_sample": "column of sigma_px", "sigma_line": "row of sigma_px"}
+_USED = ("filename", "ji", "sigma_px", "info")
+_IMAGE_NAME = Option("image_name", None, "Name of the image, for files with several images.")
 
 
 class GeoJsonPoints(Reader):
-    """Points with their column and row as the property `ji`, as Orthority reads and writes them.
+    """Points with image columns of any known name, or the property `ji` of Orthority.
 
     Further properties may be `id`, `filename` of the image, `role`, `enabled` and `sigma_px`, one
     standard deviation or a pair for column and row. Without a "crs" of its own the file is in
@@ -32,39 +39,71 @@ class GeoJsonPoints(Reader):
     """
 
     name = "geojson-points"
-    summary = "GeoJSON points with the property ji = [column, row], as from Orthority"
-    declared_options = (
-        Option("image_name", None, "Name of the image, for files with several images."),
-    )
+    summary = "GeoJSON points with properties line and sample, or ji = [column, row]"
+    declared_options = (_IMAGE_NAME, *COLUMNS[:2])
 
     def sniff(self, path: Path, head: bytes) -> bool:
         """Return True for a collection of points."""
-        return sniff_geojson(head, "Point")
+        return sniff_geojson(head, "(Multi)?Point")
 
     def read(self, path: Path) -> FeatureSet:
         """Return the points; errors name file, feature and property."""
-        features, crs = read_geojson(path, {"Point": 0})
-        features = self._of_image(path, features)
-        ground = np.array([next(vertices(feature))[0] for feature in features])
-        image = np.array([_ji(feature)[::-1] for feature in features], dtype=np.float64)
-        ids = [feature.text("id") or f"P{feature.number}" for feature in features]
-        roles = [_role(feature) for feature in features]
-        try:
-            points = Points(tuple(ids), image, ground, _sigma(features), tuple(roles),
-                            columns_of([one.attributes(_USED) for one in features]))
-        except TermselError as error:
-            raise located(error, path) from error
-        flat = bool(np.isnan(ground[:, 2]).all())
-        return FeatureSet(points, crs=crs or ("EPSG:4326" if flat else "EPSG:4979"))
+        features, crs = read_geojson(path, POINT_KINDS)
+        table = _table(path, features, self.options)
+        flat = "z" not in table.columns or not any(table.columns["z"])
+        return points_of(table, crs or ("EPSG:4326" if flat else "EPSG:4979"))
 
-    def _of_image(self, path: Path, features: list[Feature]) -> list[Feature]:
-        names = sorted({feature.text("filename") for feature in features})
-        wanted = self.options["image_name"] or (names[0] if len(names) == 1 else None)
-        if wanted not in names:
-            raise TermselError("the file has points of the images "
-                               + ", ".join(name or "without a name" for name in names),
-                               file=path, hint="Choose one with --set image_name=NAME.")
-        return [feature for feature in features if feature.text("filename") == wanted]
+
+class VectorPoints(Reader):
+    """Points of a GeoPackage, Shapefile or FlatGeobuf, with image columns as in GeoJSON."""
+
+    name = "vector-points"
+    summary = "GeoPackage, Shapefile or FlatGeobuf of points with columns line and sample"
+    declared_options = (_IMAGE_NAME, *COLUMNS)
+
+    def sniff(self, path: Path, head: bytes) -> bool:
+        """Return True for a vector file with a layer of points."""
+        return is_vector(head) and has_points(path)
+
+    def read(self, path: Path) -> FeatureSet:
+        """Return the points; errors name file, feature and column."""
+        features, crs = read_layer(path, self.options["layer"], POINT_KINDS)
+        return points_of(_table(path, features, self.options), crs)
+
+
+def _table(path: Path, features: list[Feature], options: Mapping[str, Any]) -> Table:
+    """Return the properties and vertices of the features of one image, by their meaning."""
+    features = _of_image(path, features, options["image_name"])
+    own = parse_columns(options["columns"])
+    has_ji, has_id = (any(name in one.properties for one in features) for name in ("ji", "id"))
+    records = []
+    for feature in features:
+        record = {name: value for name, value in feature.properties.items()
+                  if name not in _USED or name in own.values()}
+        if has_ji and not {"line", "sample"} & own.keys():
+            record |= dict(zip(_OF_JI.values(), _ji(feature), strict=True))
+        if feature.properties.get("sigma_px") is not None:
+            record |= dict(zip(_OF_SIGMA.values(), _sigma(feature), strict=True))
+        place = list(vertices(feature))
+        if sum(map(len, place)) != 1:
+            raise feature.error("it has several vertices, expected one point", "geometry")
+        record |= dict(zip(_GROUND.values(), place[0][0], strict=True))
+        if has_id:
+            record["id"] = feature.text("id") or f"P{feature.number}"
+        records.append(record)
+    numbers = [feature.number for feature in features]
+    cells = of_records(records, "feature", {**_GROUND, **_OF_JI, **_OF_SIGMA}, numbers)
+    return table_of(path, cells, POINTS, own, options["decimal"])
+
+
+def _of_image(path: Path, features: list[Feature], asked: str | None) -> list[Feature]:
+    names = sorted({feature.text("filename") for feature in features})
+    wanted = asked or (names[0] if len(names) == 1 else None)
+    if wanted not in names:
+        raise TermselError("the file has points of the images "
+                           + ", ".join(name or "without a name" for name in names),
+                           file=path, hint="Choose one with --set image_name=NAME.")
+    return [feature for feature in features if feature.text("filename") == wanted]
 
 
 def _ji(feature: Feature) -> list[float]:
@@ -75,24 +114,11 @@ def _ji(feature: Feature) -> list[float]:
     return list(ji)
 
 
-def _role(feature: Feature) -> str:
-    role = feature.text("role").lower()
-    if role and role not in ROLES:
-        raise feature.error(f"unknown role {role!r}", "role",
-                            f"Roles are {', '.join(ROLES)}, or blank.")
-    return "off" if feature.properties.get("enabled") in (False, 0) else role
-
-
-def _sigma(features: list[Feature]) -> np.ndarray | None:
-    """Return standard deviations of line and sample, None where there are none."""
-    values = [feature.pixels("sigma_px") for feature in features]
-    if all(value is None for value in values):
-        return None
-    rows = []
-    for feature, value in zip(features, values, strict=True):
-        pair = value if isinstance(value, list) else [value, value]
-        if not numbers_at(pair, 0, (2,)):
-            raise feature.error("its standard deviation is missing or not a number", "sigma_px",
-                                "Give it for every point, or for none.")
-        rows.append(pair[::-1])
-    return np.array(rows, dtype=np.float64)
+def _sigma(feature: Feature) -> list[float]:
+    """Return the standard deviations of sample and line."""
+    value = feature.pixels("sigma_px")
+    pair = value if isinstance(value, list) else [value, value]
+    if not numbers_at(pair, 0, (2,)):
+        raise feature.error("its standard deviation is missing or not a number", "sigma_px",
+                            "Give it for every point, or for none.")
+    return [float(one) for one in pair]

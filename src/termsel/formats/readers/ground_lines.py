@@ -3,17 +3,12 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
-from warnings import catch_warnings, simplefilter
 
 import numpy as np
 
 from termsel.errors import TermselError
-from termsel.files.names import utf8_name
-from termsel.files.remote import local_alone
 from termsel.formats.base import Reader, located, read_head
 from termsel.formats.readers.geojson import (
     Feature,
@@ -23,6 +18,7 @@ from termsel.formats.readers.geojson import (
     vertices,
 )
 from termsel.formats.readers.tables import read_table
+from termsel.formats.readers.vector import LAYER, is_vector, read_layer
 from termsel.measurements.features import FeatureSet, FloatArray, Lines
 from termsel.measurements.tables.attributes import alike, columns_of
 from termsel.measurements.tables.columns import LINES
@@ -64,85 +60,21 @@ class GeoJsonLines(Reader):
 
 
 class VectorLines(Reader):
-    """Ground lines of a GeoPackage or Shapefile, joined with image lines as in GeoJSON."""
+    """Ground lines of a GeoPackage, Shapefile or FlatGeobuf, joined as in GeoJSON."""
 
     name = "vector-lines"
-    summary = "GeoPackage or Shapefile of ground lines; requires --image-lines and pyogrio"
-    declared_options = (
-        *_JOIN,
-        Option("layer", None, "Layer of the ground lines; by default the first."),
-    )
+    summary = "GeoPackage, Shapefile, FlatGeobuf of ground lines; requires --image-lines, pyogrio"
+    declared_options = (*_JOIN, LAYER)
 
     def sniff(self, path: Path, head: bytes) -> bool:
-        """Return True for the first bytes of a GeoPackage or Shapefile."""
-        return (head.startswith(b"SQLite format 3\0") and head[68:70] == b"GP") or \
-            head.startswith(b"\0\0\x27\x0a")
+        """Return True for the first bytes of a GeoPackage, Shapefile or FlatGeobuf."""
+        return is_vector(head)
 
     def read(self, path: Path) -> FeatureSet:
         """Return the lines; errors name file and feature."""
-        read_head(path, "Expected a GeoPackage or Shapefile.")
         options = dict(self.options)
-        features, crs = _read_layer(path, options.pop("layer"))
+        features, crs = read_layer(path, options.pop("layer"), _GEOMETRIES)
         return _joined(path, features, crs, **options)
-
-
-@contextmanager
-def _configured(options: Mapping[str, str]) -> Iterator[None]:
-    """Set options of pyogrio's GDAL while the block runs."""
-    from pyogrio import get_gdal_config_option, set_gdal_config_options
-
-    before = {key: get_gdal_config_option(key) for key in options}
-    set_gdal_config_options(dict(options))
-    try:
-        yield
-    finally:
-        set_gdal_config_options(before)
-
-
-def _read_layer(path: Path, layer: str | None) -> tuple[list[Feature], str]:
-    """Return the features of a layer, and its CRS."""
-    try:
-        from pyogrio.errors import DataLayerError, DataSourceError
-        from pyogrio.raw import read
-        from shapely import GEOSException, from_wkb, get_coordinates, get_parts
-    except ImportError:
-        raise TermselError("this requires pyogrio and shapely, which are not installed", file=path,
-                           hint='Install them: pip install "termsel[gis]".') from None
-    try:
-        with (local_alone(path) as options, _configured(options), catch_warnings(),
-              utf8_name(path) as name):
-            simplefilter("ignore")  # what GDAL says of a file that it reads all the same
-            meta, _, geometries, columns = read(name, layer=layer)
-        shapes = None if geometries is None else from_wkb(geometries)
-    except (DataSourceError, DataLayerError, GEOSException, ValueError) as error:
-        raise TermselError(f"GDAL cannot read this file: {error}", file=path,
-                           hint="Is it complete? A Shapefile needs its .shx and .dbf next to it."
-                           ) from error
-    names = list(meta["fields"])
-    if shapes is None:
-        raise TermselError("the layer has no geometry", file=path,
-                           hint="Give a layer of lines; --set layer=NAME chooses it.")
-    if not len(shapes):
-        raise TermselError("the layer has no features", file=path)
-    features = []
-    for number, shape in enumerate(shapes, 1):
-        properties = {name: _plain(values[number - 1])
-                      for name, values in zip(names, columns, strict=True)}
-        feature = Feature(path, number, properties, [])
-        kind = "missing" if shape is None or shape.is_empty else shape.geom_type
-        if kind not in _GEOMETRIES:
-            raise feature.error(f"its geometry is {kind}, expected " + " or ".join(_GEOMETRIES))
-        parts = [get_coordinates(part, include_z=True).tolist() for part in get_parts(shape)]
-        features.append(Feature(path, number, properties, parts))
-    return features, str(meta["crs"] or "")
-
-
-def _plain(value: Any) -> Any:
-    """Return a cell as a number or text; whole numbers, as many ids are, without a point."""
-    if isinstance(value, float | np.floating):
-        number = float(value)
-        return None if np.isnan(number) else int(number) if number.is_integer() else number
-    return value
 
 
 def _joined(path: Path, features: list[Feature], crs: str, image_lines: str | None,

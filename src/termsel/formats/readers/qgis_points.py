@@ -13,8 +13,8 @@ import numpy as np
 
 from termsel.errors import TermselError
 from termsel.files.rasters import open_raster, positions
-from termsel.formats.base import Reader
-from termsel.formats.readers.tables import Table, read_table, sniff_table
+from termsel.formats.readers.table import Table
+from termsel.formats.readers.tables import TableReader
 from termsel.measurements.features import FeatureSet, FloatArray
 from termsel.options import Option
 
@@ -27,7 +27,7 @@ _SMALL = 20.0  # px; no image to be georeferenced has all its points within so f
 _FAR = 10.0  # times their extent: points of an image lie about as far from its corner as apart
 
 
-class QgisPoints(Reader):
+class QgisPoints(TableReader):
     """Points of the QGIS Georeferencer.
 
     Pixels are counted from the corner of the first one, down as negative numbers. If the
@@ -37,6 +37,8 @@ class QgisPoints(Reader):
 
     name = "qgis-points"
     summary = "QGIS .points: a header mapX,mapY,sourceX,sourceY,enable, or pixelX,pixelY"
+    known = _COLUMNS
+    flat = False
     declared_options = (
         Option("raster", None, "The image in which the points were measured, if it was already "
                                "georeferenced."),
@@ -44,23 +46,14 @@ class QgisPoints(Reader):
                choices=("off", "check", "independent")),
     )
 
-    def sniff(self, path: Path, head: bytes) -> bool:
-        """Return True if a header names mapX and mapY, and pixels or sources."""
-        return sniff_table(head, _COLUMNS)
-
-    def read(self, path: Path) -> FeatureSet:
+    def features(self, table: Table) -> FeatureSet:
         """Return the points; errors name file, line and column."""
-        table = read_table(path, _COLUMNS)
         x, y = table.stack("x", "y").T
         image, size = self._image(table)
         roles = [self.options["disabled"] if role else "" for role in table.roles()]
         ground = np.column_stack([x, y, np.full(len(x), np.nan)])
         return FeatureSet(table.points(image, ground, None, roles), crs=table.crs,
                           image_size=size)
-
-    def placed(self, error: TermselError, path: Path) -> TermselError:
-        """Return the error with line and column."""
-        return read_table(path, _COLUMNS).placed(error)
 
     def _image(self, table: Table) -> tuple[FloatArray, tuple[int, int] | None]:
         """Return line and sample, and the size of the image where it is known."""

@@ -6,251 +6,142 @@ or ``# units: metres`` the units of the ground coordinates.
 
 from __future__ import annotations
 
-import csv
-import io
 import logging
 import re
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from math import isfinite
+from abc import abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
+from typing import ClassVar
 
-import numpy as np
-
-from termsel.errors import TermselError, unknown_name
-from termsel.formats.base import located, read_text
-from termsel.formats.readers.formulas import unguarded
+from termsel.errors import TermselError
+from termsel.formats.base import Reader, located
+from termsel.formats.readers.advice import with_advice
+from termsel.formats.readers.cells import (
+    Cells,
+    found_in,
+    header_row,
+    read_cells,
+    sniffed,
+    without_header,
+)
 from termsel.formats.readers.further import as_text, further
+from termsel.formats.readers.table import Table
 from termsel.measurements.coordinates.crs import normalise
-from termsel.measurements.features import ROLES, FloatArray, Points
-from termsel.measurements.tables.attributes import Attributes, rows_at, text_array
-from termsel.measurements.tables.columns import OPTIONAL, USE
-from termsel.measurements.tables.ids import refused
+from termsel.measurements.features import FeatureSet
+from termsel.measurements.tables.attributes import text_array
+from termsel.measurements.tables.columns import (
+    OPTIONAL,
+    TAKEN,
+    USE,
+    Aliases,
+    declared,
+    matches,
+    parse_columns,
+)
+from termsel.measurements.tables.numbers import (
+    COMMA,
+    POINT,
+    BadCell,
+    decimal_signs,
+)
 from termsel.options import Option
 
 log = logging.getLogger(__name__)
 
-Aliases = Mapping[str, tuple[str, ...]]
-"""Names of the columns that hold each meaning, in lower case."""
+COLUMNS: tuple[Option, ...] = (
+    Option("columns", "", "Which column is which, as meaning=name or meaning=number, such as "
+                          "x=Rechtswert,line=4 (--columns)."),
+    Option("decimal", None, "Decimal sign, where 1,234 or 1.234 may be one thousand.",
+           choices=("comma", "point")),
+    Option("layer", None, "Layer of a GIS file, or sheet of a spreadsheet; by default the first "
+                          "that fits."),
+)
+"""The options of readers of tables."""
 
-COLUMNS = Option("columns", "", "Columns with other names, as meaning:name, such as "
-                                "x:Rechtswert,y:Hochwert.")
-"""The option of readers of tables that `declared` takes."""
-
-_ENABLED = {"": True, "1": True, "true": True, "yes": True, "on": True,
-            "0": False, "false": False, "no": False, "off": False}
 _DECLARATION = re.compile(r"#\s*(crs|units?)\s*[:=](.*)", re.IGNORECASE)
 _UNITS = re.compile(r"(deg|degrees?|m|met(re|er)s?)", re.IGNORECASE)
 
 
-@dataclass(frozen=True)
-class Table:
-    """The cells of a file, by the meaning of their columns.
+def sniff_table(path: Path, head: bytes, aliases: Aliases, columns: str = "",
+                needed: Sequence[str] = ()) -> bool:
+    """Return True if a header names at least three columns of numbers, and all `needed`.
 
-    `names` holds the header's text for each meaning, `lines` the line of the file each row
-    begins on, `more` the cells of the columns without a meaning.
+    Parameters
+    ----------
+    path : pathlib.Path
+    head : bytes
+        The first bytes of the file.
+    aliases : mapping
+        Names of the columns by meaning.
+    columns : str
+        What the user says of them.
+    needed : sequence of str
+        Meanings.
     """
-
-    path: Path
-    crs: str
-    names: Mapping[str, str]
-    columns: Mapping[str, Sequence[str]]
-    lines: Sequence[int]
-    decimal_comma: bool
-    more: Attributes = field(default_factory=dict)
-
-    def error(self, what: str, row: int, meaning: str, hint: str | None = None) -> TermselError:
-        return TermselError(what, hint=hint, file=self.path, line=self.lines[row],
-                            column=self.names[meaning])
-
-    def take(self, rows: Sequence[int]) -> Table:
-        """Return the table of some rows."""
-        return replace(self, lines=[self.lines[row] for row in rows],
-                       columns={meaning: [cells[row] for row in rows]
-                                for meaning, cells in self.columns.items()},
-                       more=rows_at(self.more, np.asarray(rows, dtype=np.intp)))
-
-    def placed(self, error: TermselError) -> TermselError:
-        """Return `error` with the line of the first feature it names, and the name of the column.
-
-        The error has the meaning of a column, if any.
-        """
-        rows = [row for row, name in enumerate(self.ids()) if name in error.ids[:1]]
-        error.column = self.names.get(str(error.column or ""))
-        return located(error, self.path, self.lines[rows[0]] if len(rows) == 1 else None)
-
-    def ids(self) -> list[str]:
-        """Return the ids, P1, P2, ... where the format has none."""
-        if "id" not in self.columns:
-            return [f"P{row + 1}" for row in range(len(self.lines))]
-        names = [unguarded(cell.strip()) for cell in self.columns["id"]]
-        for row, name in enumerate(names):
-            if wrong := refused(name):
-                raise self.error(f"the id {wrong}", row, "id", "Give every feature a short id of "
-                                                               "letters, digits and signs.")
-        return names
-
-    def points(self, image: FloatArray, ground: FloatArray, sigma: FloatArray | None,
-               roles: Sequence[str]) -> Points:
-        """Return the points; errors name the line they are on."""
-        ids = self.ids()
-        first: dict[str, int] = {}
-        for row, name in enumerate(ids):
-            if first.setdefault(name, row) != row:
-                raise self.error(f"id {name!r} is already used on line {self.lines[first[name]]}",
-                                 row, "id", "Give every point an id of its own.")
-        try:
-            return Points(tuple(ids), image, ground, sigma, tuple(roles), self.more)
-        except TermselError as error:
-            raise self.placed(error) from error
-
-    def roles(self) -> list[str]:
-        """Return the role of each row, "off" where it is not enabled."""
-        cells = self.columns.get("role", [""] * len(self.lines))
-        known = {cell: cell.strip().lower() for cell in set(cells)}  # few, whatever the rows
-        for cell, role in known.items():
-            if role not in ("", *ROLES):
-                raise self.error(f"unknown role {cell.strip()!r}", cells.index(cell), "role",
-                                 f"Roles are {', '.join(ROLES)}, or blank.")
-        flags = self.columns.get("enabled", ())
-        enabled = {cell: _ENABLED.get(cell.strip().lower()) for cell in set(flags)}
-        for cell, on in enabled.items():
-            if on is None:
-                raise self.error(f"{cell.strip()!r} is neither true nor false",
-                                 flags.index(cell), "enabled", "Write 1 or 0.")
-        roles = [known[cell] for cell in cells]
-        for row, cell in enumerate(flags):
-            if not enabled[cell]:
-                roles[row] = "off"
-        return roles
-
-    def sigma(self, *meanings: str) -> FloatArray | None:
-        """Return columns of standard deviations, None if there are none."""
-        if meanings[0] not in self.columns:
-            return None
-        sigma = self.stack(*meanings, may_be_blank=True)
-        blank = np.isnan(sigma)
-        if blank.all():
-            return None
-        if blank.any():
-            row, axis = (int(i) for i in np.argwhere(blank)[0])
-            raise self.error("the standard deviation is blank here but not in all rows", row,
-                             meanings[axis],
-                             "Fill it in for every row, or remove the columns.")
-        return sigma
-
-    def stack(self, *meanings: str, may_be_blank: bool = False) -> FloatArray:
-        """Return columns of numbers side by side; heights may always be blank."""
-        return np.column_stack([self._numbers(meaning, may_be_blank or meaning[0] == "z")
-                                for meaning in meanings])
-
-    def _numbers(self, meaning: str, may_be_blank: bool) -> FloatArray:
-        if meaning not in self.columns and meaning[0] == "z":
-            return np.full(len(self.lines), np.nan)
-        # Whole columns at C speed; single cells are checked only to find the bad one.
-        cells = self.columns[meaning]
-        joined = "".join(cells)
-        texts = [cell.replace(",", ".") for cell in cells] if self.decimal_comma else cells
-        blank = np.zeros(len(cells), dtype=bool)
-        if may_be_blank:
-            blank = np.array([not cell or cell.isspace() for cell in cells])
-            texts = ["nan" if gone else text for text, gone in zip(texts, blank, strict=True)]
-        try:
-            values = np.fromiter(map(float, texts), np.float64, len(texts))
-        except ValueError:
-            raise self._bad_number(meaning, may_be_blank) from None
-        # float() reads 1_000, inf and nan; a decimal comma makes a point a thousands separator.
-        if ("_" in joined or (self.decimal_comma and "." in joined)
-                or not np.isfinite(values[~blank]).all()):
-            raise self._bad_number(meaning, may_be_blank)
-        return values
-
-    def _bad_number(self, meaning: str, may_be_blank: bool) -> TermselError:
-        for row, cell in enumerate(self.columns[meaning]):
-            text = cell.strip()
-            if not text and may_be_blank:
-                continue
-            if not text:
-                return self.error("the cell is blank, expected a number", row, meaning,
-                                  "Fill it in or remove the row.")
-            if self.decimal_comma and "." in text:
-                return self.error(f"{text!r} has a decimal point, other cells a decimal comma",
-                                  row, meaning, "Use one of them, without thousands separators.")
-            try:
-                value = float(cell.replace(",", ".") if self.decimal_comma else cell)
-            except ValueError:
-                return self.error(f"{text!r} is not a number", row, meaning,
-                                  "Write a plain number such as 12.5.")
-            if not isfinite(value):
-                return self.error(f"{text!r} is not a finite number", row, meaning,
-                                  "Leave the cell blank if the value is unknown."
-                                  if may_be_blank else "Correct it or remove the row.")
-            if "_" in text:
-                return self.error(f"{text!r} is not a plain number", row, meaning,
-                                  "Write it without underscores.")
-        raise AssertionError(f"no bad number in column {meaning!r}")
-
-
-def _header(text: str) -> tuple[str, str]:
-    """Return the first line that is neither blank nor a comment, and the delimiter."""
-    lines = io.StringIO(text, newline="")
-    line = next((line for line in lines if line.strip() and line[0] != "#"), "")
-    return line, max(",;\t", key=line.count)
-
-
-def _matches(header: Sequence[str],
-             aliases: Aliases) -> dict[str, list[int]]:
-    """Return the columns that could hold each meaning."""
-    folded = [cell.strip().casefold() for cell in header]
-    return {meaning: [i for i, cell in enumerate(folded) if cell in names]
-            for meaning, names in aliases.items()}
-
-
-def sniff_table(head: bytes, aliases: Aliases, needed: Sequence[str] = ()) -> bool:
-    """Return True if a header names at least three columns of numbers, and all `needed`."""
-    # Another encoding is recognised too, so that read() can say what is wrong with it.
-    text = head.decode("utf-8-sig", errors="replace")
-    if "\0" in text:
+    own = parse_columns(columns)
+    rows = sniffed(path, head, aliases, own)
+    if not rows:
         return False
-    line, delimiter = _header(text)
-    matches = _matches(next(csv.reader([line], delimiter=delimiter), []), aliases)
-    return all(matches[meaning] for meaning in needed) and sum(
-        bool(columns) for meaning, columns in matches.items() if meaning not in USE) >= 3
+    header = rows[header_row(rows, aliases, own)]
+    there = declared(header, own)
+    return (found_in(header, aliases, own) >= 3
+            and all(meaning in there or matches(header, {meaning: aliases[meaning]})[meaning]
+                    for meaning in needed))
 
 
-def _columns(path: Path, line: int, header: Sequence[str],
-             aliases: Aliases, *, flat: bool) -> dict[str, int]:
+def _columns(path: Path | None, line: int | None, header: Sequence[str], rows: list[list[str]],
+             aliases: Aliases, chosen: Mapping[str, int], *, flat: bool) -> dict[str, int]:
     """Return the one column of each meaning, refusing missing and ambiguous ones.
 
     If `flat`, all columns of heights may be missing together.
     """
     here = f"The columns here are: {', '.join(cell.strip() for cell in header)}."
     found: dict[str, int] = {}
-    matches = _matches(header, aliases)
-    sigma = bool(matches.get("sigma_line") or matches.get("sigma_sample"))
+    by_name = matches(header, aliases)
+    sigma = any(by_name.get(meaning) or meaning in chosen for meaning in ("sigma_line",
+                                                                          "sigma_sample"))
     heights = [meaning for meaning in aliases if meaning[0] == "z"]
-    if flat and not any(matches[meaning] for meaning in heights):
+    if flat and not any(by_name[meaning] or meaning in chosen for meaning in heights):
         log.info("Note: %s has no column for %s, so its heights are unknown. Accepted names: %s.",
-                 path, " and ".join(heights), ", ".join(aliases[heights[0]]))
-        matches = {meaning: columns for meaning, columns in matches.items()
-                   if meaning not in heights}
-    for meaning, columns in matches.items():
-        if len(columns) > 1:
-            named = " and ".join(repr(header[i].strip()) for i in columns)
-            raise TermselError(f"columns {named} both mean {meaning}", file=path, line=line,
-                               column=header[columns[1]].strip(),
-                               hint="Rename or remove all but one of them.")
-        if columns:
-            found[meaning] = columns[0]
-        elif meaning not in OPTIONAL or (sigma and meaning.startswith("sigma")):
+                 path or "the table", " and ".join(heights), ", ".join(aliases[heights[0]]))
+    for meaning in aliases:
+        places = [i for i in by_name[meaning] if i not in chosen.values()]
+        if meaning in chosen:
+            found[meaning] = chosen[meaning]
+        elif len(places) > 1 and meaning != "id" and not _complement(rows, places):
+            named = " and ".join(repr(header[i].strip()) for i in places)
+            raise with_advice(
+                TermselError(f"columns {named} both mean {meaning}", file=path, line=line,
+                             column=header[places[1]].strip(),
+                             hint="Rename or remove all but one of them."),
+                header, rows, {**found, meaning: places[0]}, aliases)
+        elif places:
+            found[meaning] = places[0]
+        elif not ((meaning in OPTIONAL and not (sigma and meaning.startswith("sigma")))
+                  or (meaning[0] == "z" and flat and not any(by_name[one] for one in heights))):
             blank = " Its cells may be blank." if meaning[0] == "z" else ""
-            raise TermselError(f"there is no column for {meaning}", file=path, line=line,
-                               column=meaning, hint=f"{here} Accepted names: "
-                                                    f"{', '.join(aliases[meaning])}.{blank}")
+            names = [name for name in aliases[meaning] if name in TAKEN] or aliases[meaning]
+            raise with_advice(
+                TermselError(f"there is no column for {meaning}", file=path, line=line,
+                             column=meaning, hint=f"{here} Accepted names: {', '.join(names)}, "
+                                                  f"and others.{blank}"),
+                header, rows, {**{one: columns[0] for one, columns in by_name.items() if columns},
+                               **chosen}, aliases)
     return found
 
 
-def _declared_crs(path: Path, comments: Mapping[int, str]) -> str:
+def _complement(rows: list[list[str]], places: Sequence[int]) -> bool:
+    """Put cells of several columns into the first of them, if no row has two; say whether."""
+    if not rows or min(map(len, rows)) <= max(places) or any(
+            sum(bool(row[i].strip()) for i in places) > 1 for row in rows):
+        return False
+    for row in rows:
+        row[places[0]] = "".join(row[i] for i in places)
+    return True
+
+
+def _declared_crs(path: Path | None, comments: Mapping[int, str]) -> str:
     """Return the CRS the comments declare, "" for none, and check the units."""
     crs = ""
     for line, comment in comments.items():
@@ -273,72 +164,17 @@ def _declared_crs(path: Path, comments: Mapping[int, str]) -> str:
     return crs
 
 
-def _rows(path: Path, text: str, delimiter: str,
-          ) -> tuple[list[list[str]], list[int], dict[int, str]]:
-    """Return the rows that are not blank, the line each begins on, and the comments by line."""
-    rows: list[list[str]] = []
-    lines: list[int] = []
-    comments: dict[int, str] = {}
-    end = 0
-
-    def without_comments() -> Iterator[str]:
-        # The reader asks for the next line of a row before it gives the row, so that a line
-        # within quotation marks is not the one after the end of the last row.
-        for number, line in enumerate(io.StringIO(text, newline=""), 1):
-            if line[0] == "#" and number == end + 1:
-                comments[number] = line
-                line = "\n"
-            yield line
-
-    reader = csv.reader(without_comments(), delimiter=delimiter, strict=True)
-    try:
-        for row in reader:
-            if any(map(str.strip, row)):  # spreadsheets leave empty cells after the data
-                rows.append(row)
-                lines.append(end + 1)
-            end = reader.line_num
-    except csv.Error as error:
-        raise TermselError(f"the row that begins here cannot be read: {error}", file=path,
-                           line=end + 1, hint='Look for a quotation mark (") that is not closed.'
-                           ) from error
-    return rows, lines, comments
-
-
-def declared(aliases: Aliases, columns: str) -> Aliases:
-    """Return the aliases with the columns the user names.
-
-    Parameters
-    ----------
-    aliases : mapping
-    columns : str
-        Pairs meaning:name, separated by commas; "" for none.
-
-    Raises
-    ------
-    TermselError
-        For text that is not such a pair, or an unknown meaning.
-    """
-    own = {}
-    for pair in filter(None, map(str.strip, columns.split(","))):
-        meaning, colon, name = (part.strip() for part in pair.partition(":"))
-        if not colon or not name:
-            raise TermselError(f"{pair!r} does not declare a column",
-                               hint="Write meaning:name, such as --set columns=x:Rechtswert.")
-        if meaning not in aliases:
-            raise unknown_name("meaning of a column", meaning, aliases)
-        own[meaning] = (name.casefold(),)
-    return {**aliases, **own}
-
-
-def read_table(path: Path, aliases: Aliases, *, flat: bool = False) -> Table:
+def read_table(path: Path, aliases: Aliases, *, columns: str = "", decimal: str | None = None,
+               layer: str | None = None, flat: bool = False) -> Table:
     """Return the table of a file whose header names the columns.
 
     Parameters
     ----------
     path : pathlib.Path
     aliases : mapping
-        Names of the columns by meaning. Numbers other than deviations are required,
-        and so are ids if they are among the meanings.
+        Names of the columns by meaning. Numbers other than deviations are required.
+    columns, decimal, layer : str, optional
+        As the user says; see `COLUMNS`.
     flat : bool
         Whether the heights, meanings that begin with z, may all be missing. They are then blank,
         and a note says so.
@@ -348,29 +184,142 @@ def read_table(path: Path, aliases: Aliases, *, flat: bool = False) -> Table:
     TermselError
         If the file is not such a table.
     """
-    text = read_text(path)
-    _, delimiter = _header(text)
-    rows, lines, comments = _rows(path, text, delimiter)
-    crs = _declared_crs(path, comments)
-    if not rows:
+    own = parse_columns(columns)
+    return table_of(path, read_cells(path, aliases, own, layer), aliases, own, decimal, flat=flat)
+
+
+def table_of(path: Path | None, cells: Cells, aliases: Aliases, own: Mapping[str, str],
+             decimal: str | None = None, *, flat: bool = False) -> Table:
+    """Return the table of rows of cells.
+
+    Parameters
+    ----------
+    path : pathlib.Path, optional
+        For messages.
+    cells : Cells
+    aliases, decimal, flat
+        As for `read_table`.
+    own : mapping
+        Names or numbers of columns by meaning, as the user says.
+
+    Raises
+    ------
+    TermselError
+        As `read_table`.
+    """
+    for note in cells.notes:
+        log.info("Note: %s.", note)
+    crs = _declared_crs(path, cells.comments)
+    if not cells.rows:
         raise TermselError("the file has no table", file=path,
                            hint="It must begin with a header that names the columns.")
-    header, header_line = rows.pop(0), lines.pop(0)
-    found = _columns(path, header_line, header, aliases, flat=flat)
-    if not rows:
-        raise TermselError("there are no rows below the header", file=path, line=header_line,
-                           hint="Add one row per feature.")
+    own = {meaning: name for meaning, name in own.items() if meaning in aliases}
+    cells = without_header(cells, own)
+    first = 0 if cells.part != "line" else header_row(cells.rows, aliases, own)
+    header, rows, lines = cells.rows[first], cells.rows[first + 1:], cells.lines[first + 1:]
+    line = cells.lines[first] or None
+    if first:
+        log.info("Note: the header of %s is taken from line %s, below a title.", path, line)
+    chosen = {**cells.fixed, **declared(header, own)}
+    for meaning in own.keys() - declared(header, own).keys():
+        raise TermselError(f"there is no column {own[meaning]!r} for {meaning}", file=path,
+                           line=line, hint=f"The columns here are: {', '.join(header)}.")
+    found = _columns(path, line, header, rows, aliases, chosen, flat=flat)
     width = len(header)
-    if set(map(len, rows)) != {width}:
-        i = next(i for i, row in enumerate(rows) if len(row) != width)
-        comma = " Decimal commas require semicolons between columns." if delimiter == "," else ""
-        raise TermselError(f"the row has {len(rows[i])} cells, but the header has {width}",
-                           file=path, line=lines[i],
-                           hint=f"Every row needs one cell for each column.{comma}")
-    columns = {meaning: [row[i] for row in rows] for meaning, i in found.items()}
-    decimal_comma = delimiter != "," and any(
-        "," in "".join(columns[meaning]) for meaning in columns.keys() - USE.keys())
-    return Table(path, crs, {meaning: header[i].strip() for meaning, i in found.items()},
-                  columns, lines, decimal_comma,
-                  {name: text_array([as_text(row[i], decimal_comma=decimal_comma) for row in rows])
-                   for name, i in further(header, found.values()).items()})
+    if rows and set(map(len, rows)) != {width}:
+        # Spreadsheets leave separators after the last cell.
+        rows = [row if "".join(row[width:]).strip() else row[:width] for row in rows]
+        i = next((i for i, row in enumerate(rows) if len(row) != width), None)
+        comma = " Decimal commas require semicolons between columns." \
+            if cells.delimiter == "," else ""
+        if i is not None:
+            raise TermselError(f"the row has {len(rows[i])} cells, but the header has {width}",
+                               file=path, line=lines[i],
+                               hint=f"Every row needs one cell for each column.{comma}")
+    numbers = [i for meaning, i in found.items() if meaning not in USE]
+    if rows and not any(any(map(str.isdigit, rows[0][i])) for i in numbers) \
+            and any(rows[0][i].strip() for i in numbers) and len(rows) > 1:
+        log.info("Note: line %s of %s, below the header, holds no numbers and is left out: %s.",
+                 lines[0], path or "the table", " ".join(filter(None, rows[0])))
+        rows, lines = rows[1:], lines[1:]
+    if not rows:
+        raise TermselError("there are no rows below the header", file=path, line=line,
+                           hint="Add one row per feature.")
+    table = Table(path, crs, {meaning: header[i].strip() for meaning, i in found.items()},
+                  {meaning: [row[i] for row in rows] for meaning, i in found.items()}, lines,
+                  part=cells.part)
+    signs = _signs(table, decimal, points_only=cells.delimiter == ",")
+    if "id" in aliases and "id" not in found:
+        log.info("Note: %s has no column of ids, so its rows are called P1, P2, ... in order.",
+                 path or "the table")
+    decimal_comma = COMMA in signs.values()
+    return replace(table, signs=signs, more={
+        name: text_array([as_text(row[i], decimal_comma=decimal_comma) for row in rows])
+        for name, i in further(header, {*found.values(), *cells.fixed.values()}).items()})
+
+
+def _signs(table: Table, decimal: str | None, *, points_only: bool) -> dict[str, str]:
+    """Return the decimal sign of each column of numbers, and say what was decided."""
+    columns = {meaning: cells for meaning, cells in table.columns.items() if meaning not in USE}
+    asked = {"comma": COMMA, "point": POINT}.get(decimal or "", "")
+    try:
+        signs, resolved = decimal_signs(columns, asked, points_only=points_only)
+    except BadCell as error:
+        raise table.error(error.what, error.row, error.column, error.hint) from None
+    for meaning, sign in signs.items():
+        if not sign:
+            row = next(i for i, cell in enumerate(columns[meaning])
+                       if COMMA in cell or POINT in cell)
+            raise table.error(
+                f"{columns[meaning][row].strip()!r} may be above one thousand or not, and no other "
+                "column tells", row, meaning, "Say which sign is decimal: --set decimal=comma or "
+                                              "decimal=point.")
+    if resolved:
+        word = "comma" if signs[resolved[0]] == COMMA else "point"
+        log.info("Note: the decimal sign of %s is taken to be a %s, as %s; the other sign "
+                 "separates thousands in the columns %s.", table.path or "the table", word,
+                 "you say" if asked else "in its other columns",
+                 ", ".join(table.names[meaning] for meaning in resolved))
+    return signs
+
+
+class TableReader(Reader):
+    """Base of the readers of tables, which name the columns they know.
+
+    Attributes
+    ----------
+    known : mapping
+        Names of the columns by meaning.
+    needed : tuple of tuple of str
+        Meanings of which one group must be there, if there are any.
+    flat : bool
+        Whether the heights may all be missing.
+    """
+
+    known: ClassVar[Aliases]
+    needed: ClassVar[tuple[tuple[str, ...], ...]] = ((),)
+    flat: ClassVar[bool] = True
+    declared_options: ClassVar[tuple[Option, ...]] = COLUMNS
+
+    def sniff(self, path: Path, head: bytes) -> bool:
+        """Return True if a header names at least three columns of the format."""
+        return any(sniff_table(path, head, self.known, self.options.get("columns", ""), group)
+                   for group in self.needed)
+
+    def read(self, path: Path) -> FeatureSet:
+        """Return the features of a table; errors name file, line and column."""
+        return self.features(self.table(path))
+
+    def table(self, path: Path) -> Table:
+        """Return the cells of a file by their meaning."""
+        return read_table(path, self.known, flat=self.flat, **{
+            option.name: self.options[option.name] for option in COLUMNS
+            if option.name in self.options})
+
+    @abstractmethod
+    def features(self, table: Table) -> FeatureSet:
+        """Return the features of a table."""
+
+    def placed(self, error: TermselError, path: Path) -> TermselError:
+        """Return the error with line and column."""
+        return self.table(path).placed(error)

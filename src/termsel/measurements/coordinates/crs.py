@@ -90,8 +90,11 @@ def normalise(crs: str) -> str:
         if known is None:
             own = _AUTHORITY.search(text)
             return f"EPSG:{int(own[1])}" if own else text
-        epsg = known.to_epsg(min_confidence=100)
-        return text if epsg is None else f"EPSG:{epsg}"
+        # Shapefiles call a CRS by other names than EPSG, whatever they say being the same.
+        epsg = known.to_epsg(min_confidence=25)
+        listed = None if epsg is None else _with_pyproj(f"EPSG:{epsg}")
+        return f"EPSG:{epsg}" if listed is not None and known.equals(
+            listed, ignore_axis_order=True) else text
     guess = f"Did you mean EPSG:{text}? " if text.isdecimal() else ""
     raise TermselError(f"unknown CRS {crs!r}", hint=f"{guess}Examples: {EXAMPLES}; or WKT.")
 

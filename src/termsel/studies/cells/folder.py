@@ -15,7 +15,7 @@ from termsel.studies.cells.cell import LABELS, Cell
 from termsel.studies.cells.journal import read_journal
 from termsel.studies.cells.lock import holder
 from termsel.studies.execution.progress import Progress, Tally, tally_of
-from termsel.studies.plan.spec import FILES, PARTS, Part, Source, Spec, spec_of
+from termsel.studies.plan.spec import FILES, PARTS, READING, Part, Source, Spec, spec_of
 from termsel.studies.study import Study
 
 PLAN = "plan.json"
@@ -170,8 +170,7 @@ def _named(part: Part) -> dict[str, Any]:
 def _written(source: Source) -> dict[str, Any]:
     if source.dataset is not None:
         return {"dataset": source.dataset}
-    own = ("crs", "format", "dem")
-    options = {key: value for key, value in source.reading.items() if key not in own}
+    options = {key: value for key, value in source.reading.items() if key not in READING}
     return {**{kind: source.files[kind] for kind in FILES if kind in source.files},
-            **{key: source.reading[key] for key in own if key in source.reading},
+            **{key: source.reading[key] for key in READING if key in source.reading},
             **({"options": options} if options else {})}

@@ -21,7 +21,8 @@ PARTS = ("problems", "models", "solvers", "criteria")
 KEYS = ("title", *PARTS, "strategies", "data", "seeds", "splits", "budget", "options", "exports",
         "measure")
 FILES = ("points", "lines", "areas")
-DATA_KEYS = ("dataset", *FILES, "crs", "format", "dem", "options")
+READING = ("crs", "format", "dem", "columns")
+DATA_KEYS = ("dataset", *FILES, *READING, "options")
 BUDGETS = {"evaluations": int, "generations": int, "patience": int, "seconds": float,
            "timeout": float}
 STRATEGIES = ("auto", "as-asked")
@@ -263,7 +264,7 @@ def _sources(at: Places, given: Any) -> list[Source]:
         if ("dataset" in one) == bool(files):
             raise at.error(path, "data are either a dataset or files",
                            'Write dataset = "name", or points = "*.csv".')
-        reading = {key: one[key] for key in ("crs", "format", "dem") if key in one}
+        reading = {key: one[key] for key in READING if key in one}
         for key, value in reading.items():
             if not isinstance(value, str):
                 raise at.error((*path, key), f"{key} is not text")

@@ -1,0 +1,299 @@
+"""Rows of cells of a file: text between separators in any usual encoding, or a sheet."""
+
+from __future__ import annotations
+
+import codecs
+import csv
+import io
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from termsel.errors import TermselError
+from termsel.files.names import is_there
+from termsel.formats.base import read_data
+from termsel.measurements.tables.columns import FOREIGN, USE, Aliases, declared, matches
+
+_DELIMITERS = (",", ";", "\t", "|", "")
+"""The last stands for spaces."""
+
+_SEARCHED = 20  # rows in which a header may be found, below a title
+_WIDEST = 1_000  # columns
+_SHEETS = (b"PK\x03\x04", b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1")  # zip of .xlsx and .ods; .xls
+
+
+@dataclass(frozen=True)
+class Cells:
+    """Rows of a table before their meaning is known.
+
+    Parameters
+    ----------
+    rows : list of list of str
+        Without blank ones and comments.
+    lines : list of int
+        Line of the file that each row begins on, or its number.
+    comments : mapping
+        By line.
+    delimiter : str
+        What separates cells of text; "" for spaces, and for tables without text.
+    part : str
+        What a row is called: "line", or "feature" or "row" of a table without lines.
+    fixed : mapping
+        Columns whose meaning is known whatever their names say.
+    notes : tuple of str
+        What was decided in reading.
+    """
+
+    rows: list[list[str]]
+    lines: list[int]
+    comments: Mapping[int, str] = field(default_factory=dict)
+    delimiter: str = ""
+    part: str = "line"
+    fixed: Mapping[str, int] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+
+
+def as_cell(value: Any) -> str:
+    """Return a value as the text of a cell; whole numbers, as many ids are, without a point."""
+    if value is None or value != value or str(value) in ("NaT", "<NA>"):  # of pandas
+        return ""
+    if isinstance(value, float | np.floating):
+        number = float(value)
+        return str(int(number)) if number.is_integer() and abs(number) < 1e15 else repr(number)
+    return str(value)
+
+
+def found_in(header: Sequence[str], aliases: Aliases, own: Mapping[str, str]) -> int:
+    """Return how many meanings of numbers a header names."""
+    if len(header) > _WIDEST:
+        return 0
+    found = declared(header, own).keys() | {
+        meaning for meaning, columns in matches(header, aliases).items() if columns}
+    return len((found & aliases.keys()) - USE.keys())
+
+
+def header_row(rows: Sequence[Sequence[str]], aliases: Aliases, own: Mapping[str, str]) -> int:
+    """Return the row that names most columns, among the first ones; 0 where none names three."""
+    counts = [found_in(row, aliases, own) for row in rows[:_SEARCHED]]
+    best = max(counts, default=0)
+    return counts.index(best) if best >= 3 else 0
+
+
+def read_cells(path: Path, aliases: Aliases, own: Mapping[str, str], layer: str | None = None,
+               ) -> Cells:
+    """Return the rows of a file.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+    aliases, own : mapping
+        Names of columns, by which the separator and the sheet are chosen; see `read_table`.
+    layer : str, optional
+        Name of the sheet.
+
+    Raises
+    ------
+    TermselError
+        If the file is neither text nor a spreadsheet.
+    """
+    data = read_data(path)
+    if data.startswith(_SHEETS):
+        return _sheet(path, aliases, own, layer)
+    text, encoding = decoded(data, path)
+    known = encoding.startswith("utf")
+    return replace(_of_text(path, text, _delimiter(text, aliases, own)), notes=() if known else (
+        f"the text of {path} is not UTF-8; it is read as {encoding}",))
+
+
+def sniffed(path: Path, head: bytes, aliases: Aliases, own: Mapping[str, str]) -> list[list[str]]:
+    """Return the first rows of a file, none where it is no table."""
+    if head.startswith(_SHEETS):
+        try:
+            return _sheet(path, aliases, own, None).rows if is_there(path) else []
+        except TermselError:
+            return []
+    try:
+        text, _ = decoded(head, path, final=False)
+    except TermselError:
+        return []
+    delimiter = _delimiter(text, aliases, own)
+    return [_split(line, delimiter) for line in _first_lines(text)]
+
+
+def decoded(data: bytes, path: Path, *, final: bool = True) -> tuple[str, str]:
+    """Return text, and its encoding: UTF-8, UTF-16, Windows-1252 or GB 18030.
+
+    Parameters
+    ----------
+    data : bytes
+    path : pathlib.Path
+        For the message.
+    final : bool
+        False where `data` are the first bytes of more.
+
+    Raises
+    ------
+    TermselError
+        If the bytes are no text.
+    """
+    zeros = [data[start:400:2].count(0) * 5 > len(data[:400]) // 2 for start in (0, 1)]
+    wide = data[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
+    tried = (["utf-16"] if wide else ["utf-16-be"] if zeros == [True, False] else
+             ["utf-16-le"] if zeros == [False, True] else ["utf-8-sig", "gb18030", "cp1252"])
+    bad: UnicodeDecodeError | None = None
+    for encoding in tried:
+        try:
+            text = codecs.getincrementaldecoder(encoding)().decode(data, final)
+        except UnicodeDecodeError as error:
+            bad = bad or error
+            continue
+        if "\0" in text:
+            break
+        if encoding != "gb18030" or any(name in text for name in FOREIGN):
+            return text, encoding
+    if bad is None or (b"\0" in data and not wide):
+        raise TermselError("this file is binary, expected text or a spreadsheet", file=path)
+    raise TermselError(f"the text of this file is not {'UTF-16' if wide else 'UTF-8'}", file=path,
+                       line=data[:bad.start].count(b"\n") + 1,
+                       hint="Save it with the encoding UTF-8.")
+
+
+def _first_lines(text: str) -> Iterator[str]:
+    """Yield the first lines that are neither blank nor comments, of ENVI either."""
+    lines = (line for line in io.StringIO(text, newline="")
+             if line.strip() and line[0] != "#" and not line.startswith("; "))
+    for line, _ in zip(lines, range(_SEARCHED), strict=False):
+        yield line
+
+
+def _split(line: str, delimiter: str) -> list[str]:
+    if not delimiter:
+        return line.split()
+    try:
+        return next(csv.reader([line], delimiter=delimiter), [])
+    except csv.Error:
+        return []
+
+
+def _delimiter(text: str, aliases: Aliases, own: Mapping[str, str]) -> str:
+    """Return the separator by which a line names most columns, or divides into most cells."""
+    lines = list(_first_lines(text))
+    best = max(((found_in(cells, aliases, own), -i, len(cells) * bool(delimiter), delimiter)
+                for i, line in enumerate(lines) for delimiter in _DELIMITERS
+                for cells in [_split(line, delimiter)]), default=(0, 0, 0, ","))
+    if best[0] >= 3:
+        return best[-1]
+    line = lines[0] if lines else ""
+    best_sign = max(",;\t|", key=line.count)
+    # Decimal commas stand between digits, as those of rows between spaces do.
+    return best_sign if best_sign in line else ""
+
+
+def _of_text(path: Path, text: str, delimiter: str) -> Cells:
+    rows: list[list[str]] = []
+    lines: list[int] = []
+    comments: dict[int, str] = {}
+    end = 0
+
+    def without_comments() -> Iterator[str]:
+        # The reader asks for the next line of a row before it gives the row, so that a line
+        # within quotation marks is not the one after the end of the last row.
+        for number, line in enumerate(io.StringIO(text, newline=""), 1):
+            if line[0] == "#" and number == end + 1:
+                comments[number] = line
+                line = "\n"
+            yield line if delimiter else " ".join(line.split()) + "\n"
+
+    reader = csv.reader(without_comments(), delimiter=delimiter or " ", strict=True)
+    try:
+        for row in reader:
+            if any(map(str.strip, row)):  # spreadsheets leave empty cells after the data
+                rows.append(row)
+                lines.append(end + 1)
+            end = reader.line_num
+    except csv.Error as error:
+        raise TermselError(f"the row that begins here cannot be read: {error}", file=path,
+                           line=end + 1, hint='Look for a quotation mark (") that is not closed.'
+                           ) from error
+    if rows and len(rows[0]) > _WIDEST:
+        raise TermselError(f"the first row has {len(rows[0]):,} cells, more than {_WIDEST:,}",
+                           file=path, line=lines[0], hint="Give a table with a row per point.")
+    return Cells(rows, lines, comments, delimiter)
+
+
+def _sheet(path: Path, aliases: Aliases, own: Mapping[str, str], layer: str | None) -> Cells:
+    """Return the rows of a sheet of a spreadsheet: the first visible one that names columns."""
+    try:
+        from python_calamine import CalamineError, CalamineWorkbook, SheetVisibleEnum
+    except ImportError:
+        raise TermselError("spreadsheets require python-calamine, which is not installed",
+                           file=path, hint='Install it: pip install "termsel[tables]".') from None
+    try:
+        with CalamineWorkbook.from_path(str(path)) as book:
+            names = [sheet.name for sheet in book.sheets_metadata
+                     if sheet.visible == SheetVisibleEnum.Visible or sheet.name == layer]
+            sheets = {name: _filled(book.get_sheet_by_name(name).to_python(skip_empty_area=False))
+                      for name in names if layer in (None, name)}
+    except (CalamineError, OSError, ValueError) as error:
+        raise TermselError(f"this spreadsheet cannot be read: {error}", file=path,
+                           hint="Save it again, or as CSV.") from error
+    if not sheets:
+        raise TermselError(f"the file has no sheet {layer!r}" if layer else "no sheet is visible",
+                           file=path, hint=f"It has {', '.join(names) or 'hidden sheets alone'}.")
+    good = [name for name, (rows, _) in sheets.items()
+            if max((found_in(row, aliases, own) for row in rows[:_SEARCHED]), default=0) >= 3]
+    chosen = (good or list(sheets))[0]
+    return Cells(*sheets[chosen], notes=() if len(good) < 2 else (
+        f"{path} has tables in the sheets {', '.join(good)}; {chosen} is read, and --set "
+        "layer=NAME chooses another",))
+
+
+def _filled(values: Sequence[Sequence[Any]]) -> tuple[list[list[str]], list[int]]:
+    """Return the rows of a sheet that are not empty, without empty columns at the end."""
+    rows = [list(map(as_cell, row)) for row in values]
+    lines = [number for number, row in enumerate(rows, 1) if any(map(str.strip, row))]
+    rows = [rows[number - 1] for number in lines]
+    width = max((i + 1 for row in rows for i, cell in enumerate(row) if cell.strip()), default=0)
+    return [row[:width] for row in rows], lines
+
+
+def of_records(records: Sequence[Mapping[str, Any]], part: str,
+               fixed: Mapping[str, str], numbers: Sequence[int] = ()) -> Cells:
+    """Return records, such as the properties of features, as rows below a header.
+
+    Parameters
+    ----------
+    records : sequence of mapping
+        Values by name; those that are lists or objects are left out.
+    part : str
+        What one of them is called.
+    fixed : mapping
+        Names of the columns whose meaning is known.
+    numbers : sequence of int, optional
+        What messages call each record; by default they count from 1.
+    """
+    plain = [{name: as_cell(value) for name, value in record.items()
+              if not isinstance(value, list | dict)} for record in records]
+    names = list(dict.fromkeys(name for record in plain for name in record))
+    rows = [[record.get(name, "") for name in names] for record in plain]
+    return Cells([list(map(str, names)), *rows], [0, *(numbers or range(1, len(rows) + 1))],
+                 part=part,
+                 fixed={meaning: names.index(name) for meaning, name in fixed.items()
+                        if name in names})
+
+
+def without_header(cells: Cells, own: Mapping[str, str]) -> Cells:
+    """Return the cells with numbers for a header, where columns are declared by number and the
+    first row holds numbers there."""
+    first = cells.rows[0] if cells.rows else []
+    columns = declared(first, own)
+    names = {name.strip().casefold() for name in first}
+    by_number = [i for meaning, i in columns.items()
+                 if meaning not in USE and own[meaning].casefold() not in names]
+    if not by_number or not all(any(map(str.isdigit, first[i])) for i in by_number):
+        return cells
+    header = [str(i + 1) for i in range(len(first))]
+    return replace(cells, rows=[header, *cells.rows], lines=[0, *cells.lines])

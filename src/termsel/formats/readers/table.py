@@ -1,0 +1,163 @@
+"""Cells by the meaning of their columns, with the place of every bad cell."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from termsel.errors import TermselError
+from termsel.formats.base import located
+from termsel.formats.readers.formulas import unguarded
+from termsel.measurements.features import ROLES, FeatureSet, FloatArray, Points
+from termsel.measurements.tables.attributes import Attributes, rows_at
+from termsel.measurements.tables.ids import refused
+from termsel.measurements.tables.numbers import POINT, BadCell, read_numbers
+
+_ENABLED = {"": True, "1": True, "true": True, "yes": True, "on": True,
+            "0": False, "false": False, "no": False, "off": False}
+
+
+@dataclass(frozen=True)
+class Table:
+    """The cells of a file, by the meaning of their columns.
+
+    `names` holds the header's text for each meaning, `lines` the line of the file each row
+    begins on or, where `part` is another word, its number; `more` the cells of the columns without
+    a meaning; `decimal` what the user says of the decimal sign.
+    """
+
+    path: Path | None
+    crs: str
+    names: Mapping[str, str]
+    columns: Mapping[str, Sequence[str]]
+    lines: Sequence[int]
+    more: Attributes = field(default_factory=dict)
+    part: str = "line"
+    signs: Mapping[str, str] = field(default_factory=dict)
+
+    def error(self, what: str, row: int, meaning: str, hint: str | None = None) -> TermselError:
+        """Return an error with the place of a cell."""
+        return self.at(TermselError(what, hint=hint, column=self.names[meaning]), row)
+
+    def at(self, error: TermselError, row: int | None) -> TermselError:
+        """Return an error with the place of a row."""
+        if row is not None and self.part != "line":
+            error.what = f"{self.part} {self.lines[row]}: {error.what}"
+            row = None
+        return located(error, self.path, None if row is None else self.lines[row])
+
+    def take(self, rows: Sequence[int]) -> Table:
+        """Return the table of some rows."""
+        return replace(self, lines=[self.lines[row] for row in rows],
+                       columns={meaning: [cells[row] for row in rows]
+                                for meaning, cells in self.columns.items()},
+                       more=rows_at(self.more, np.asarray(rows, dtype=np.intp)))
+
+    def placed(self, error: TermselError) -> TermselError:
+        """Return `error` with the line of the first feature it names, and the name of the column.
+
+        The error has the meaning of a column, if any.
+        """
+        rows = [row for row, name in enumerate(self.ids()) if name in error.ids[:1]]
+        error.column = self.names.get(str(error.column or ""))
+        return self.at(error, rows[0] if len(rows) == 1 else None)
+
+    def ids(self) -> list[str]:
+        """Return the ids, P1, P2, ... where the format has none."""
+        if "id" not in self.columns:
+            return [f"P{number}" for number in (
+                range(1, len(self.lines) + 1) if self.part == "line" else self.lines)]
+        names = [unguarded(cell.strip()) for cell in self.columns["id"]]
+        for row, name in enumerate(names):
+            if wrong := refused(name):
+                raise self.error(f"the id {wrong}", row, "id", "Give every feature a short id of "
+                                                               "letters, digits and signs.")
+        return names
+
+    def points(self, image: FloatArray, ground: FloatArray, sigma: FloatArray | None,
+               roles: Sequence[str]) -> Points:
+        """Return the points; errors name the line they are on."""
+        ids = self.ids()
+        first: dict[str, int] = {}
+        for row, name in enumerate(ids):
+            if first.setdefault(name, row) != row and "id" in self.names:
+                raise self.error(f"id {name!r} is already used on {self.part} "
+                                 f"{self.lines[first[name]]}", row, "id",
+                                 "Give every point an id of its own, or none (--columns id=NUMBER "
+                                 "takes another column).")
+        try:
+            return Points(tuple(ids), image, ground, sigma, tuple(roles), self.more)
+        except TermselError as error:
+            raise self.placed(error) from error
+
+    def roles(self) -> list[str]:
+        """Return the role of each row, "off" where it is not enabled."""
+        cells = self.columns.get("role", [""] * len(self.lines))
+        known = {cell: cell.strip().lower() for cell in set(cells)}  # few, whatever the rows
+        for cell, role in known.items():
+            if role not in ("", *ROLES):
+                raise self.error(f"unknown role {cell.strip()!r}", cells.index(cell), "role",
+                                 f"Roles are {', '.join(ROLES)}, or blank.")
+        flags = self.columns.get("enabled", ())
+        enabled = {cell: _ENABLED.get(cell.strip().lower()) for cell in set(flags)}
+        for cell, on in enabled.items():
+            if on is None:
+                raise self.error(f"{cell.strip()!r} is neither true nor false",
+                                 flags.index(cell), "enabled", "Write 1 or 0.")
+        roles = [known[cell] for cell in cells]
+        for row, cell in enumerate(flags):
+            if not enabled[cell]:
+                roles[row] = "off"
+        return roles
+
+    def sigma(self, *meanings: str) -> FloatArray | None:
+        """Return columns of standard deviations, None if there are none."""
+        if meanings[0] not in self.columns:
+            return None
+        sigma = self.stack(*meanings, may_be_blank=True)
+        blank = np.isnan(sigma)
+        if blank.all():
+            return None
+        if blank.any():
+            row, axis = (int(i) for i in np.argwhere(blank)[0])
+            raise self.error("the standard deviation is blank here but not in all rows", row,
+                             meanings[axis],
+                             "Fill it in for every row, or remove the columns.")
+        return sigma
+
+    def stack(self, *meanings: str, may_be_blank: bool = False) -> FloatArray:
+        """Return columns of numbers side by side; heights may always be blank."""
+        return np.column_stack([self._numbers(meaning, may_be_blank or meaning[0] == "z")
+                                for meaning in meanings])
+
+    def _numbers(self, meaning: str, may_be_blank: bool) -> FloatArray:
+        if meaning not in self.columns and meaning[0] == "z":
+            return np.full(len(self.lines), np.nan)
+        sign = self.signs.get(meaning, POINT)
+        try:
+            return read_numbers(self.columns[meaning], sign, may_be_blank=may_be_blank,
+                                angle=meaning[0] if meaning[0] in "xy" else "")
+        except BadCell as error:
+            raise self.error(error.what, error.row, meaning, error.hint) from None
+
+
+def points_of(table: Table, crs: str) -> FeatureSet:
+    """Return the points of a table.
+
+    Parameters
+    ----------
+    table : Table
+    crs : str
+        "" where it is not known.
+
+    Raises
+    ------
+    TermselError
+        Naming the place of what cannot be read.
+    """
+    image, ground = table.stack("line", "sample"), table.stack("x", "y", "z")
+    sigma = table.sigma("sigma_line", "sigma_sample")
+    return FeatureSet(table.points(image, ground, sigma, table.roles()), crs=crs)
