@@ -206,6 +206,7 @@ class SensorModel(Configurable, ABC):
         Parameters
         ----------
         coefficients : ndarray, shape (k,)
+            Of all terms; 0 of those that are not selected.
         """
         return None
 

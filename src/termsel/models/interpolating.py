@@ -32,10 +32,10 @@ class Interpolating(Polynomial):
     def predict(self, coefficients: FloatArray, control: FeatureSet,
                 ground: FloatArray) -> FloatArray:
         """Return image positions by the control points (see `SensorModel.predict`)."""
-        found = self.interpolation(control)
-        if found is None:
+        interpolation = self.interpolation(control)
+        if interpolation is None:
             return self.project(coefficients, ground)
-        image = found.predict(ground)
+        image = interpolation.predict(ground)
         return np.broadcast_to(image, (*coefficients.shape[:-1], *image.shape)).copy()
 
 

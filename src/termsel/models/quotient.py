@@ -76,6 +76,7 @@ class RationalModel(SensorModel):
         Parameters
         ----------
         ground : ndarray, shape (n, 3)
+            Scaled.
 
         Returns
         -------

@@ -93,18 +93,18 @@ class Radial(SensorModel):
         s = np.ones(squared.shape)
         with np.errstate(all="ignore"):
             for _ in range(_STEPS):
-                value = s - 1.0 + sum(one * s ** (p + 1) for one, p in zip(k, POWERS, strict=True))
-                slope = 1.0 + sum((p + 1) * one * s**p for one, p in zip(k, POWERS, strict=True))
+                value = s - 1.0 + sum(kp * s ** (p + 1) for kp, p in zip(k, POWERS, strict=True))
+                slope = 1.0 + sum((p + 1) * kp * s**p for kp, p in zip(k, POWERS, strict=True))
                 step = value / slope
                 s = s - step
                 if not (np.abs(step) > _CLOSE).any():
                     break
-            found = (np.abs(step) <= 1e-9) & (s > 0)
+            imaged = (np.abs(step) <= 1e-9) & (s > 0)
             # Only where the distortion grows with the radius up to there is there one such place.
             for share in _SHARES:
-                found &= 1.0 + sum((p + 1) * one * (share * s) ** p
-                                   for one, p in zip(k, POWERS, strict=True)) > 0
-        return np.asarray(self._centre + np.where(found, s, np.nan)[..., None] * away)
+                imaged &= 1.0 + sum((p + 1) * kp * (share * s) ** p
+                                    for kp, p in zip(k, POWERS, strict=True)) > 0
+        return np.asarray(self._centre + np.where(imaged, s, np.nan)[..., None] * away)
 
     def _polynomials(self, ground: FloatArray) -> FloatArray:
         """Return the monomials as rows of line and sample, shape (n, 2, 2 e)."""

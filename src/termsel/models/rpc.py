@@ -63,9 +63,9 @@ class Rpc:
     error_random: float | None = None
 
     def __post_init__(self) -> None:
-        for name, given in vars(self).items():
-            if isinstance(given, tuple):  # numpy's numbers have another repr, which is written
-                object.__setattr__(self, name, tuple(map(float, given)))
+        for name, value in vars(self).items():
+            if isinstance(value, tuple):  # numpy's numbers have another repr, which is written
+                object.__setattr__(self, name, tuple(map(float, value)))
         for name in ("line_numerator", "line_denominator", "sample_numerator",
                      "sample_denominator"):
             values = getattr(self, name)

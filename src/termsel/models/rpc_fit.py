@@ -59,6 +59,7 @@ def rpc_of(fitted: Fit) -> RpcFit:
     Parameters
     ----------
     fitted : Fit
+        A fit of any model, in any CRS that can be converted to WGS84.
 
     Raises
     ------
@@ -94,7 +95,7 @@ def rpc_of(fitted: Fit) -> RpcFit:
         candidates.append(RpcFit(rpc, how, *_loss(rpc, ground_between, between)))
         if candidates[-1].worst <= GOOD:
             break
-    best = min(candidates, key=lambda one: one.worst)
+    best = min(candidates, key=lambda candidate: candidate.worst)
     if not np.isfinite(best.worst):
         raise TermselError("no RPC comes near this model",
                            hint="Export it as geolocation-vrt or gcp-grid-vrt.")

@@ -23,6 +23,7 @@ def geometry_text(sensor: Pushbroom) -> str:
     Parameters
     ----------
     sensor : Pushbroom
+        With one `offset` for the whole image.
     """
     return json.dumps({"schema": SCHEMA, **asdict(sensor)}, indent=1) + "\n"
 
@@ -33,6 +34,7 @@ def geometry_from(text: str) -> Pushbroom:
     Parameters
     ----------
     text : str
+        JSON with the schema ``termsel-pushbroom-1``.
 
     Raises
     ------
@@ -59,7 +61,14 @@ def write_geometry(sensor: Pushbroom, path: Path | str) -> None:
     Parameters
     ----------
     sensor : Pushbroom
+        With one `offset` for the whole image.
     path : path-like
+        A file that is there is replaced.
+
+    Raises
+    ------
+    TermselError
+        If the file cannot be written.
     """
     write_text(Path(path), geometry_text(sensor))
 
@@ -70,6 +79,7 @@ def read_geometry(path: Path | str) -> Pushbroom:
     Parameters
     ----------
     path : path-like
+        JSON with the schema ``termsel-pushbroom-1``.
 
     Raises
     ------

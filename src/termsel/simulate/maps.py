@@ -135,13 +135,13 @@ def _field(rng: Generator, size: float, places: FloatArray) -> FloatArray:
     distribution with 5 degrees of freedom.
     """
     length = REACH * max(SIZE)
-    found = np.empty(places.shape)
+    shift = np.empty(places.shape)
     for axis in (0, 1):
         stretched = np.sqrt(5 / rng.chisquare(5, (WAVES, 1)))
         waves = stretched * rng.standard_normal((WAVES, 2)) / length
         phases = rng.uniform(0, 2 * np.pi, WAVES)
-        found[:, axis] = np.sqrt(2 / WAVES) * np.cos(places @ waves.T + phases).sum(axis=1)
-    return size * found
+        shift[:, axis] = np.sqrt(2 / WAVES) * np.cos(places @ waves.T + phases).sum(axis=1)
+    return size * shift
 
 
 def _joined(rng: Generator, sheets: tuple[int, int], size: float,

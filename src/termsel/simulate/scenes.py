@@ -129,7 +129,7 @@ def scene_truth(
     Parameters
     ----------
     name, seed, n_lines, wrong_lines
-        As given to `simulate_scene`.
+        As of `simulate_scene`.
 
     Returns
     -------

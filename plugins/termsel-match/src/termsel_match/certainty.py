@@ -95,7 +95,7 @@ def most_decisive(features: FeatureSet, model: str, options: Mapping[str, Any]) 
     names, count = np.unique(of, return_counts=True)
     if len(names) == 1:
         return Decisive(str(names[0]), float("inf"))
-    found = []
+    moves = []
     for name in names[np.argsort(-count, kind="stable")[:_ASKED]]:
         rest = lines.take(of != name)
         try:
@@ -103,8 +103,8 @@ def most_decisive(features: FeatureSet, model: str, options: Mapping[str, Any]) 
         except TermselError:
             return Decisive(str(name), float("inf"))
         moved = float(np.sqrt(((without - seen) ** 2).sum(axis=1).mean()))
-        found.append(Decisive(str(name), moved))
-    return max(found, key=lambda one: one.moved)
+        moves.append(Decisive(str(name), moved))
+    return max(moves, key=lambda decisive: decisive.moved)
 
 
 def undetermined(lines: Lines) -> str:

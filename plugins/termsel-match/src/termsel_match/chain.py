@@ -57,26 +57,26 @@ class Georeferenced:
 
     def text(self) -> str:
         """Return the report."""
-        one, points = self.selected, self.candidates.points
-        agree = one.agrees
+        chosen, points = self.selected, self.candidates.points
+        agree = chosen.agrees
         lines = [
             f"Start: {self.candidates.start}",
             f"Candidates: {len(points)} in {self.candidates.cells.get('found', 0)} of "
             f"{sum(self.candidates.cells.values())} cells of the image",
-            f"Agreeing within {one.limit:.2f} px: {int((agree & ~one.independent).sum())} of "
-            f"{int((~one.independent).sum())} candidates for control and check",
-            f"Model: {one.result.model}, fitted to the "
-            f"{one.result.features.points.roles.count('control')} for control",
-            f"Covered by them: {100 * one.covered:.0f} % of the image",
-            f"Independent candidates: {int((agree & one.independent).sum())} of "
-            f"{int(one.independent.sum())} agree, with an RMSE of {one.rmse:.2f} px",
-            f"Median error of all of them, right or wrong: {one.median:.2f} px; accepted: "
+            f"Agreeing within {chosen.limit:.2f} px: {int((agree & ~chosen.independent).sum())} of "
+            f"{int((~chosen.independent).sum())} candidates for control and check",
+            f"Model: {chosen.result.model}, fitted to the "
+            f"{chosen.result.features.points.roles.count('control')} for control",
+            f"Covered by them: {100 * chosen.covered:.0f} % of the image",
+            f"Independent candidates: {int((agree & chosen.independent).sum())} of "
+            f"{int(chosen.independent.sum())} agree, with an RMSE of {chosen.rmse:.2f} px",
+            f"Median error of all of them, right or wrong: {chosen.median:.2f} px; accepted: "
             f"{self.accept:g} px",
             AGREEING]
         if self.lines is not None:
             last = self.lines.rounds[-1]
             lines.append(f"Lines: {last.agreeing} of {last.pieces} straight pieces of vectors "
-                         f"agree, with an RMS distance of {_lines_away(one):.2f} px")
+                         f"agree, with an RMS distance of {_lines_away(chosen):.2f} px")
         if self.unused:
             lines.append(f"Lines are not used, the map is by points alone: {self.unused}")
         if self.reasons:
@@ -145,17 +145,17 @@ def georeference(
     """
     if vectors is not None:
         read_vectors(Path(vectors))  # what is wrong with them is said before the matching
-    found = match_points(image, reference, dem=dem, start=start, progress=progress, **matching)
-    features = FeatureSet(found.points, crs=found.crs, image_size=found.image_size)
+    candidates = match_points(image, reference, dem=dem, start=start, progress=progress, **matching)
+    features = FeatureSet(candidates.points, crs=candidates.crs, image_size=candidates.image_size)
     model, options = model_for(start, Path(image))
     if folder is not None:
         Path(folder).mkdir(parents=True, exist_ok=True)
-        write_points_csv(found.points, Path(folder) / CANDIDATES, found.crs)
+        write_points_csv(candidates.points, Path(folder) / CANDIDATES, candidates.crs)
     result_folder = None if folder is None else Path(folder) / RESULT
     selected = select_points(features, model, options, seed=seed, out=result_folder)
     lines, unused = None, ""
     if vectors is not None:
-        at = Start("the model of the points", found.crs, 0.0, selected.result.project,
+        at = Start("the model of the points", candidates.crs, 0.0, selected.result.project,
                    selected.result.locate)
         try:
             lines = iterate_lines(image, vectors, model, options, dem=dem, start=at,
@@ -164,7 +164,7 @@ def georeference(
                                   out=result_folder)
         except TermselError as error:  # the points suffice
             lines, unused = None, error.what
-    done = Georeferenced(found, selected, accept, reasons(selected, accept), lines, unused)
+    done = Georeferenced(candidates, selected, accept, reasons(selected, accept), lines, unused)
     if folder is not None:
         write_text(Path(folder) / REPORT, done.text())
     if not done.reasons:
@@ -176,8 +176,8 @@ def model_for(start: Path | str | None, image: Path) -> tuple[str, dict[str, Any
     """Return the model by what there is to refine, and its options."""
     path = image if start is None else Path(start)
     if path.is_dir():  # a result, which keeps its RPC as it was
-        given = read_result(path).options["model"]
-        return ("rpc-drift", {"rpc": given["rpc"]}) if "rpc" in given else ("affine", {})
+        options = read_result(path).options["model"]
+        return ("rpc-drift", {"rpc": options["rpc"]}) if "rpc" in options else ("affine", {})
     with suppress(TermselError):  # a start of another kind, which match_points has read
         if path.is_file():
             read_rpc(path)
@@ -192,19 +192,19 @@ def _lines_away(selected: Selected) -> float:
 
 def reasons(selected: Selected, accept: float) -> tuple[str, ...]:
     """Return why a result is not good enough."""
-    found = []
+    refusals = []
     there, agree = int(selected.independent.sum()), int(
         (selected.agrees & selected.independent).sum())
     if agree < _LEAST_INDEPENDENT:
-        found.append(f"Only {agree} of {there} independent candidates agree with the model; at "
-                       f"least {_LEAST_INDEPENDENT} must.")
+        refusals.append(f"Only {agree} of {there} independent candidates agree with the model; at "
+                        f"least {_LEAST_INDEPENDENT} must.")
     if selected.median > accept:
-        found.append(f"Half of the independent candidates are more than {selected.median:.2f} px "
-                       f"from the model; accepted are {accept:g} px.")
+        refusals.append("Half of the independent candidates are more than "
+                        f"{selected.median:.2f} px from the model; accepted are {accept:g} px.")
     if selected.rmse > accept:
-        found.append(f"The RMSE of those that agree is {selected.rmse:.2f} px; accepted are "
-                       f"{accept:g} px.")
+        refusals.append(f"The RMSE of those that agree is {selected.rmse:.2f} px; accepted are "
+                        f"{accept:g} px.")
     if selected.covered < _LEAST_COVERED:
-        found.append(f"The candidates that agree cover {100 * selected.covered:.0f} % of the "
-                       f"image; at least {100 * _LEAST_COVERED:.0f} % must be.")
-    return tuple(found)
+        refusals.append(f"The candidates that agree cover {100 * selected.covered:.0f} % of the "
+                        f"image; at least {100 * _LEAST_COVERED:.0f} % must be.")
+    return tuple(refusals)

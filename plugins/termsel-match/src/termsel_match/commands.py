@@ -74,12 +74,13 @@ def match_points(image: Path, reference: Path, output: Path, overwrite: bool, qu
     refuse_existing(output, overwrite)
     show_log()
     with bar("match-points", quiet) as progress:
-        found = match(image, reference, progress=progress, **options)
-    write_points_csv(found.points, output, found.crs)
-    click.echo(f"Start: {found.start}")
-    cells = sum(found.cells.values())
-    click.echo(f"{len(found.points)} candidates in {found.cells.get('found', 0)} of {cells} cells "
-               f"of the image, CRS {found.crs if len(found.crs) < 40 else 'of the reference'}")
+        candidates = match(image, reference, progress=progress, **options)
+    write_points_csv(candidates.points, output, candidates.crs)
+    click.echo(f"Start: {candidates.start}")
+    cells = sum(candidates.cells.values())
+    crs = candidates.crs if len(candidates.crs) < 40 else "of the reference"
+    click.echo(f"{len(candidates.points)} candidates in {candidates.cells.get('found', 0)} of "
+               f"{cells} cells of the image, CRS {crs}")
     click.echo(f"Written: {output}", err=True)
     click.echo(f"Next: {next_run(options['start'], image, points=output)}", err=True)
 
@@ -130,9 +131,10 @@ def match_lines(image: Path, vectors: Path, iterate: bool, folder: Path | None, 
                                  progress=progress, **options)
             lines, crs, text = done.lines, done.candidates.crs, done.text()
         else:
-            found = match(image, vectors, progress=progress, **options)
-            lines, crs = found.lines, found.crs
-            text = (f"Start: {found.start}\n{len(lines)} candidates for {found.pieces} straight "
+            candidates = match(image, vectors, progress=progress, **options)
+            lines, crs = candidates.lines, candidates.crs
+            text = (f"Start: {candidates.start}\n"
+                    f"{len(lines)} candidates for {candidates.pieces} straight "
                     "pieces of vectors\n")
     write_lines_csv(lines, output, crs)
     click.echo(text, nl=False)
@@ -248,7 +250,7 @@ def refuse_folder(folder: Path | None) -> None:
         return
     if folder.exists():
         raise TermselError("this folder exists already", file=folder, hint="Name a new one.")
-    above = next(one for one in folder.absolute().parents if one.exists())
+    above = next(parent for parent in folder.absolute().parents if parent.exists())
     if not above.is_dir() or not os.access(above, os.W_OK):
         raise TermselError(f"cannot make this folder: {above} is no folder to write to",
                            file=folder, hint="Choose another --out.")

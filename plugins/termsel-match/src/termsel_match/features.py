@@ -60,11 +60,11 @@ def described(pixels: Grey, known: Mask) -> tuple[FloatArray, Grey]:
     # Edges of the data are no texture.
     inner = cv2.erode(known.astype(np.uint8), np.ones((9, 9), dtype=np.uint8), borderValue=0)
     detector = cv2.SIFT_create(nfeatures=1 + pixels.size // _AREA, contrastThreshold=_CONTRAST)
-    found, vectors = detector.detectAndCompute(picture, inner)
-    if not found:
+    keypoints, vectors = detector.detectAndCompute(picture, inner)
+    if not keypoints:
         return np.empty((0, 2)), np.empty((0, 128), dtype=np.float32)
     vectors = np.sqrt(vectors / np.maximum(vectors.sum(axis=1, keepdims=True), 1e-9))
-    return np.array([one.pt[::-1] for one in found]), vectors
+    return np.array([keypoint.pt[::-1] for keypoint in keypoints]), vectors
 
 
 def alike(first: Grey, second: Grey, ratio: float = RATIO,

@@ -82,29 +82,29 @@ def match_lines(
     with open_picture(image, band) as picture:
         size = picture.size
         pieces = pieces_of(vectors, known, dem, size)
-        found = []
+        of_pieces = []
         for i, ends in enumerate(pieces.image):
-            found.append(bands(picture, ends, search, MOST))
+            of_pieces.append(bands(picture, ends, search, MOST))
             if progress is not None:
                 progress((i + 1) / len(pieces.image))
-    seen = sum(map(bool, found))
+    seen = sum(map(bool, of_pieces))
     if seen < LEAST:
         raise TermselError(f"not enough candidates: {seen} pieces of vectors have a band in the "
                            f"image, at least {LEAST} needed", file=image,
                            hint="Do the vectors show what can be seen? Is the start off by more "
                                 "than --search?")
-    rows = [(i, k, one) for i, several in enumerate(found) for k, one in enumerate(several)]
+    rows = [(i, k, ridge) for i, several in enumerate(of_pieces) for k, ridge in enumerate(several)]
     attributes = {
         "vector": [pieces.vector[i] for i, _, _ in rows], "piece": [str(i + 1) for i, _, _ in rows],
-        "offset": [f"{one.offset:.2f}" for _, _, one in rows],
-        "score": [f"{one.score:.2f}" for _, _, one in rows]}
+        "offset": [f"{ridge.offset:.2f}" for _, _, ridge in rows],
+        "score": [f"{ridge.score:.2f}" for _, _, ridge in rows]}
     lines = Lines(tuple(f"L{i + 1:03d}.{k + 1}" for i, k, _ in rows),
-                  np.array([one.image for _, _, one in rows]),
+                  np.array([ridge.image for _, _, ridge in rows]),
                   np.array([_shortened(pieces.ground[i], k) for i, k, _ in rows]),
-                  np.array([one.sigma for _, _, one in rows]),
+                  np.array([ridge.sigma for _, _, ridge in rows]),
                   attributes={name: np.array(cells, dtype=object)
                               for name, cells in attributes.items()})
-    return LineCandidates(lines, pieces.crs, size, len(found), known.what)
+    return LineCandidates(lines, pieces.crs, size, len(of_pieces), known.what)
 
 
 def without_start(image: Path) -> TermselError:

@@ -9,7 +9,7 @@ import numpy as np
 
 from termsel import FeatureSet, Points, TermselError
 from termsel_match.features import alike, described
-from termsel_match.rasters import FloatArray, Grey, Picture, open_picture
+from termsel_match.rasters import FloatArray, Grey, GreyRaster, open_picture
 from termsel_match.starts import Start, start_by_points
 from termsel_match.warps import crs_of
 
@@ -19,16 +19,19 @@ _LEAST, _SHARE = 12, 0.1  # pairs that agree, and their share of all
 _TOLERANCE = 12.0  # px, reduced: relief and perspective are not affine
 
 
-def start_by_overview(picture: Picture, reference: Path | str, band: int | None) -> Start:
+def start_by_overview(picture: GreyRaster, reference: Path | str, band: int | None) -> Start:
     """Return an affine start by keypoints of the whole image and the whole reference.
 
     It only says where to look. Pairs must agree with it to 12 px of the reduced image.
 
     Parameters
     ----------
-    picture : Picture
+    picture : GreyRaster
+        The image.
     reference : path-like
+        Raster with a CRS and a geotransform that shows the same ground.
     band : int, optional
+        Of the reference, as for `open_picture`.
 
     Raises
     ------
@@ -39,24 +42,24 @@ def start_by_overview(picture: Picture, reference: Path | str, band: int | None)
         crs, transform = crs_of(other), other.raster.transform
         own, own_vectors = _reduced(picture)
         seen, vectors = _reduced(other)
-    one, two = alike(own_vectors, vectors, _RATIO)
-    agree = np.zeros(len(one), dtype=bool)
-    if len(one) >= _LEAST:
+    own_number, number = alike(own_vectors, vectors, _RATIO)
+    agree = np.zeros(len(own_number), dtype=bool)
+    if len(own_number) >= _LEAST:
         # From the reference to the image, in whose pixels the tolerance is.
         _, inliers = cv2.estimateAffine2D(
-            seen[two], own[one], method=cv2.USAC_MAGSAC, maxIters=20000,
+            seen[number], own[own_number], method=cv2.USAC_MAGSAC, maxIters=20000,
             ransacReprojThreshold=_TOLERANCE * _step(picture.size))
         if inliers is not None:
             agree = np.asarray(inliers).ravel().astype(bool)
-    if agree.sum() < max(_LEAST, _SHARE * len(one)):
+    if agree.sum() < max(_LEAST, _SHARE * len(own_number)):
         raise TermselError(
             f"without a start the image is not found in the reference: {int(agree.sum())} of "
-            f"{len(one)} similar places agree", file=picture.path,
+            f"{len(own_number)} similar places agree", file=picture.path,
             hint="Give --start with an RPC, a result or some points.")
-    x, y = transform @ (seen[two[agree], 1] + 0.5, seen[two[agree], 0] + 0.5)
+    x, y = transform @ (seen[number[agree], 1] + 0.5, seen[number[agree], 0] + 0.5)
     _, unique = np.unique(np.column_stack([x, y]), axis=0, return_index=True)
     ground = np.column_stack([x, y, np.full(len(x), np.nan)])[unique]
-    points = Points(tuple(map(str, range(len(unique)))), own[one[agree]][unique], ground)
+    points = Points(tuple(map(str, range(len(unique)))), own[own_number[agree]][unique], ground)
     return start_by_points(FeatureSet(points, crs=crs),
                            f"an affine transformation by {len(points)} places that are alike")
 
@@ -65,8 +68,8 @@ def _step(size: tuple[int, int]) -> int:
     return max(1, -(-max(size) // _SIDE))
 
 
-def _reduced(picture: Picture) -> tuple[FloatArray, Grey]:
+def _reduced(picture: GreyRaster) -> tuple[FloatArray, Grey]:
     """Return keypoints of a whole picture in its own pixels, and their descriptors."""
     step = _step(picture.size)
-    found, vectors = described(*picture.read(0, 0, *picture.size, step))
-    return (found + 0.5) * step - 0.5, vectors
+    places, vectors = described(*picture.read(0, 0, *picture.size, step))
+    return (places + 0.5) * step - 0.5, vectors

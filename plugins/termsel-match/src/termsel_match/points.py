@@ -14,7 +14,7 @@ import numpy as np
 from termsel import Points, TermselError
 from termsel_match.features import Pairs, alike, described, refined
 from termsel_match.overview import start_by_overview
-from termsel_match.rasters import Picture, open_picture
+from termsel_match.rasters import GreyRaster, open_picture
 from termsel_match.starts import start_of
 from termsel_match.warps import Reference, open_reference
 
@@ -117,8 +117,8 @@ def match_points(
         if known is None:
             known = start_by_overview(picture, reference, reference_band)
         with open_reference(reference, known, dem, picture.size, reference_band) as other:
-            found, cells = _in_cells(picture, other, search, count, progress)
-            points = _points(found, other)
+            pairs, cells = _in_cells(picture, other, search, count, progress)
+            points = _points(pairs, other)
         size = picture.size
     if len(points) < LEAST:
         raise TermselError(f"not enough candidates: {len(points)} found, at least {LEAST} "
@@ -128,7 +128,7 @@ def match_points(
     return Candidates(points, other.crs, size, cells, known.what)
 
 
-def _in_cells(picture: Picture, reference: Reference, search: float, count: int,
+def _in_cells(picture: GreyRaster, reference: Reference, search: float, count: int,
               progress: Callable[[float], None] | None) -> tuple[list[Pairs], dict[str, int]]:
     """Return pairs, first in the image and second in the reference [px], and how cells ended."""
     step = reference.reduction(picture.size)
@@ -138,7 +138,7 @@ def _in_cells(picture: Picture, reference: Reference, search: float, count: int,
     across = max(2, round((count / _EACH) ** 0.5))
     blocks = min(across, -(-max(picture.size) // (_WINDOW * step)))
     inner = -(-across // blocks)  # several small cells are looked at together
-    found, ends = [], Counter[str]()
+    of_cells, ends = [], Counter[str]()
     for done, block in enumerate(product(range(blocks), range(blocks))):
         parts: list[Pairs] = []
         for window in _windows(picture.size, blocks, block, step):
@@ -146,12 +146,12 @@ def _in_cells(picture: Picture, reference: Reference, search: float, count: int,
             parts = max(parts, more, key=_count)
             if _count(parts) >= _EACH:
                 break
-        found += parts
+        of_cells += parts
         ends[FOUND] += len(parts)
         ends[end] += inner**2 - len(parts)
         if progress is not None:
             progress((done + 1) / blocks**2)
-    return found, dict(ends)
+    return of_cells, dict(ends)
 
 
 def _windows(size: tuple[int, int], across: int, block: tuple[int, int], step: int,
@@ -170,7 +170,7 @@ def _windows(size: tuple[int, int], across: int, block: tuple[int, int], step: i
     return windows
 
 
-def _in_window(picture: Picture, reference: Reference, window: tuple[int, int, int, int],
+def _in_window(picture: GreyRaster, reference: Reference, window: tuple[int, int, int, int],
                inner: int, step: int, search: float) -> tuple[list[Pairs], str]:
     """Return the best pairs of each cell of a window, in px of image and reference.
 
@@ -193,15 +193,16 @@ def _in_window(picture: Picture, reference: Reference, window: tuple[int, int, i
     if not within.any() or not len(second):
         return [], NO_TEXTURE
     first, own_vectors, cell = first[within], own_vectors[within], cell[within]
-    one, other = alike(own_vectors, vectors)
+    own_number, number = alike(own_vectors, vectors)
     moved = (reach - border) // step  # between the origins of the two
-    near = np.linalg.norm(second[other] - moved - first[one], axis=1) <= search
-    one, other = one[near], other[near]
+    apart = np.linalg.norm(second[number] - moved - first[own_number], axis=1)
+    near = apart <= search
+    own_number, number = own_number[near], number[near]
     parts = []
     for wanted in product(range(inner), repeat=2):
-        some = np.flatnonzero((cell[one] == wanted).all(axis=1))[:_TRIED]
-        pairs = _apart(refined(own, (patch.pixels, patch.known), first[one[some]],
-                               second[other[some]]))
+        some = np.flatnonzero((cell[own_number] == wanted).all(axis=1))[:_TRIED]
+        pairs = _apart(refined(own, (patch.pixels, patch.known), first[own_number[some]],
+                               second[number[some]]))
         if len(pairs.score):
             parts.append(Pairs((pairs.first + 0.5) * step - 0.5 + [top - border, left - border],
                                patch.in_reference(pairs.second), pairs.sigma * step, pairs.score))
@@ -223,12 +224,12 @@ def _apart(pairs: Pairs) -> Pairs:
     return Pairs(pairs.first[best], pairs.second[best], pairs.sigma[best], pairs.score[best])
 
 
-def _points(found: list[Pairs], reference: Reference) -> Points:
+def _points(of_cells: list[Pairs], reference: Reference) -> Points:
     """Return the pairs as points, those with a height if there is a DEM."""
     none = np.empty((0, 2))
-    image, other, sigma = (np.concatenate([none, *(getattr(one, name) for one in found)])
+    image, other, sigma = (np.concatenate([none, *(getattr(pairs, name) for pairs in of_cells)])
                            for name in ("first", "second", "sigma"))
-    score = np.concatenate([np.empty(0), *(one.score for one in found)])
+    score = np.concatenate([np.empty(0), *(pairs.score for pairs in of_cells)])
     ground = reference.ground(other)
     kept = np.isfinite(ground[:, 2]) if callable(reference.map_heights) \
         else np.ones(len(ground), dtype=bool)

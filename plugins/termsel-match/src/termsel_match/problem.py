@@ -49,6 +49,7 @@ class MatchedLines(Problem):
     Parameters
     ----------
     inputs : Inputs
+        Its control is lines alone, the candidates, with the attributes `piece` and `vector`.
 
     Raises
     ------

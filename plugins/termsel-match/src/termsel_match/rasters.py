@@ -22,7 +22,7 @@ _FEW = 16  # distinct pixels; fewer have no texture
 
 
 @dataclass(frozen=True, eq=False)
-class Picture:
+class GreyRaster:
     """The brightness of a raster: the mean of its bands, or one of them.
 
     Parameters
@@ -75,17 +75,17 @@ class Picture:
                         (last[1] - first[1]) * step, (last[0] - first[0]) * step)
         inside = slice(first[0], last[0]), slice(first[1], last[1])
         with np.errstate(all="ignore"):
-            found = self.raster.read(
+            grey = self.raster.read(
                 list(self.bands), window=window, masked=True, resampling=Resampling.average,
                 out_shape=(len(self.bands), last[0] - first[0], last[1] - first[1]))
-            values = found.astype(np.float32).mean(axis=0)
+            values = grey.astype(np.float32).mean(axis=0)
             there = ~np.ma.getmaskarray(values) & np.isfinite(values.data)
         pixels[inside], known[inside] = np.where(there, values.data, 0), there
         return pixels, known
 
 
 @contextmanager
-def open_picture(path: Path | str, band: int | None = None) -> Iterator[Picture]:
+def open_picture(path: Path | str, band: int | None = None) -> Iterator[GreyRaster]:
     """Open a raster for its brightness.
 
     Parameters
@@ -107,7 +107,7 @@ def open_picture(path: Path | str, band: int | None = None) -> Iterator[Picture]
                                hint=f"Give a band from 1 to {raster.count}.")
         visible = tuple(index for index, kind in zip(raster.indexes, raster.colorinterp,
                                                      strict=True) if kind != ColorInterp.alpha)
-        yield Picture(Path(path), raster, visible if band is None else (band,))
+        yield GreyRaster(Path(path), raster, visible if band is None else (band,))
 
 
 def stretched(pixels: Grey, known: Mask) -> NDArray[np.uint8] | None:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from termsel_match.rasters import FloatArray, Picture
+from termsel_match.rasters import FloatArray, GreyRaster
 
 _STEP = 0.5  # px across
 _WIDTHS = (4.0, 6.0, 8.0, 10.0, 13.0)  # px of a band
@@ -45,12 +45,12 @@ class Band:
     score: float
 
 
-def bands(picture: Picture, ends: FloatArray, search: float, most: int) -> list[Band]:
+def bands(picture: GreyRaster, ends: FloatArray, search: float, most: int) -> list[Band]:
     """Return the clearest bands that are parallel to a line.
 
     Parameters
     ----------
-    picture : Picture
+    picture : GreyRaster
     ends : ndarray, shape (2, 2)
         Two places of the line, line and sample [px].
     search : float
@@ -82,19 +82,19 @@ def bands(picture: Picture, ends: FloatArray, search: float, most: int) -> list[
         return []
     spread = float(np.median(best[best > 0]))
     best[np.abs(offset) > search] = 0.0
-    found: list[Band] = []
+    clearest: list[Band] = []
     for i in np.argsort(-best):
-        if len(found) == most or best[i] < _LEAST * spread:
+        if len(clearest) == most or best[i] < _LEAST * spread:
             break
-        if all(abs(offset[i] - other.offset) >= _APART for other in found):
+        if all(abs(offset[i] - other.offset) >= _APART for other in clearest):
             width = _WIDTHS[int(np.nanargmax(np.abs(responses[:, i])))]
             sign = float(np.sign(responses[_WIDTHS.index(width), i]))
             band = _placed(strip, offset, float(offset[i]), width, sign)
             if band is not None:
                 (first, last), sigma = band
-                found.append(Band(np.stack([ends[0] + first * across, ends[1] + last * across]),
+                clearest.append(Band(np.stack([ends[0] + first * across, ends[1] + last * across]),
                                   sigma, (first + last) / 2, float(best[i] / spread)))
-    return found
+    return clearest
 
 
 def _response(profiles: FloatArray, width: float) -> FloatArray:

@@ -85,9 +85,9 @@ class Matched:
     def text(self) -> str:
         """Return a table of the rounds, and what the lines leave undetermined."""
         table = ["round  search  pieces  candidates  agree    rms  moved"]
-        table += [f"{i + 1:5d} {one.search:7.0f} {one.pieces:7d} {one.candidates:11d} "
-                  f"{one.agreeing:6d} {one.rms:6.2f} {one.moved:6.2f}"
-                  for i, one in enumerate(self.rounds)]
+        table += [f"{i + 1:5d} {each.search:7.0f} {each.pieces:7d} {each.candidates:11d} "
+                  f"{each.agreeing:6d} {each.rms:6.2f} {each.moved:6.2f}"
+                  for i, each in enumerate(self.rounds)]
         if not self.settled:
             table.append("The last round still changed the model.")
         return "\n".join([*table, undetermined(self.lines), self.decisive.text()]) + "\n"
@@ -135,27 +135,29 @@ def iterate_lines(
     rounds: list[Round] = []
     first = search
     while True:
-        found = match_lines(image, vectors, dem=dem, start=at, search=search, band=band,
+        candidates = match_lines(image, vectors, dem=dem, start=at, search=search, band=band,
                             progress=progress)
-        features = FeatureSet(lines=found.lines, crs=found.crs, image_size=found.image_size)
-        chosen = found.lines.take(np.isin(found.lines.ids, searched(
+        features = FeatureSet(lines=candidates.lines, crs=candidates.crs,
+                              image_size=candidates.image_size)
+        chosen = candidates.lines.take(np.isin(candidates.lines.ids, searched(
             "matched-lines", features, model, {**options, "half_at": _HALF_AT[bool(rounds)]},
             seed=seed)))
         used, fitted = fitted_to(features.with_(lines=replace(chosen, sigma=np.ones(len(chosen)))),
                                  model, options, at, search)
-        pieces = len(set(found.lines.attributes["piece"]))
+        pieces = len(set(candidates.lines.attributes["piece"]))
         rms = rms_distance(fitted, chosen)
         there = chosen.ground.reshape(-1, 3)
         now = fitted.project(there)
-        before = at.project(np.column_stack([turned(there[:, :2], found.crs, at.crs), there[:, 2]]))
+        before = at.project(np.column_stack([turned(there[:, :2], candidates.crs, at.crs),
+                                             there[:, 2]]))
         moved = float(np.sqrt(((now - before) ** 2).sum(axis=1).mean()))
-        rounds.append(Round(search, pieces, len(found.lines), len(chosen), rms, moved))
+        rounds.append(Round(search, pieces, len(candidates.lines), len(chosen), rms, moved))
         settled = moved < _SETTLED
         if settled or len(rounds) == _MOST:
             break
         search = min(search, max(_NARROWEST, search / _NARROWER))
-        at = _start(fitted, found.crs, chosen)
-    seen = in_place(image, vectors, _start(fitted, found.crs, chosen), dem=dem,
+        at = _start(fitted, candidates.crs, chosen)
+    seen = in_place(image, vectors, _start(fitted, candidates.crs, chosen), dem=dem,
                     search=max(_PROOF, first), band=band)
     if seen.mean() < _LEAST_SHARE:
         raise TermselError(
@@ -167,7 +169,7 @@ def iterate_lines(
     mixed = {"mixed": True} if len(used.points) else {}
     result = termsel.run("owdis-lines", features=used, model=model, solver="all-terms",
                          criterion="press", options={**options, **mixed}, seed=seed, out=out)
-    return Matched(found, lines, result, tuple(rounds), settled,
+    return Matched(candidates, lines, result, tuple(rounds), settled,
                    most_decisive(used, model, options))
 
 

@@ -70,8 +70,8 @@ class Selected:
     @property
     def rmse(self) -> float:
         """RMSE [px] of the independent candidates that agree; infinite where none does."""
-        found = self.result.rmse["independent"]
-        return float("inf") if found is None else found.total
+        rmse = self.result.rmse["independent"]
+        return float("inf") if rmse is None else rmse.total
 
 
 def select_points(features: FeatureSet, model: str, options: Mapping[str, Any], *, seed: int = 1,
@@ -135,10 +135,10 @@ def searched(problem: str, features: FeatureSet, model: str, options: Mapping[st
     """Return the features that a search selects, without the comparisons that a run makes."""
     task = termsel.prepare(problem, features=features, model=model, criterion=criterion,
                            options=dict(options))
-    found = termsel.search(task.problem, task.solver, seed=seed,
+    best = termsel.search(task.problem, task.solver, seed=seed,
                            generations=task.recipe.generations, patience=task.recipe.patience,
                            **task.options["search"])
-    return task.problem.decode(found.genes).features
+    return task.problem.decode(best.genes).features
 
 
 def _require(agrees: Mask, roles: Any, least: int) -> None:
@@ -178,7 +178,7 @@ def with_lines(selected: Selected, lines: FeatureSet, model: str, options: Mappi
     control = features.points.roles == np.array("control", dtype=object)
     used = both.with_(points=replace(features.points.take(control), roles=()))
     check = features.points.take(features.points.roles == np.array("check", dtype=object))
-    alone, with_them = (_rms(one, check) for one in (
+    alone, with_them = (_rms(fitted, check) for fitted in (
         selected.result.fit, termsel.fit(used, model, **options)))
     if with_them > _WORSE * alone:
         raise TermselError(
@@ -193,10 +193,10 @@ def with_lines(selected: Selected, lines: FeatureSet, model: str, options: Mappi
 
 def _told(result: Result, out: Path | str | None) -> Result:
     """Return a result with the note on what its independent figures are of, also in its folder."""
-    told = replace(result, notes=(*result.notes, AGREEING))
+    noted = replace(result, notes=(*result.notes, AGREEING))
     if out is not None:
-        write_result(told, Path(out))
-    return told
+        write_result(noted, Path(out))
+    return noted
 
 
 def _roles(count: int, seed: int) -> Any:

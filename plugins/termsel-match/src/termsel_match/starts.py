@@ -50,12 +50,12 @@ def turned(plane: FloatArray, crs: str, to: str) -> FloatArray:
     return np.stack(turn.transform(plane[..., 0], plane[..., 1]), axis=-1)
 
 
-def start_of(given: str | Path | None, image: Path) -> Start | None:
+def start_of(named: str | Path | None, image: Path) -> Start | None:
     """Return the start that a user names; None for none.
 
     Parameters
     ----------
-    given : str or path, optional
+    named : str or path, optional
         A file with an RPC, a folder with a result, a file of three points or more, "corners" for
         what the image itself says of its position, or "none". By default the RPC of the image, or
         next to it, else its position, else none.
@@ -66,21 +66,21 @@ def start_of(given: str | Path | None, image: Path) -> Start | None:
     TermselError
         If it is none of these, or cannot be read.
     """
-    if given is None:
+    if named is None:
         try:
             return _of_rpc(image)
         except TermselError:
             return _of_position(image)
-    name = str(given)
+    name = str(named)
     if name == "none":
         return None
     if name == "corners":
-        found = _of_position(image)
-        if found is None:
+        position = _of_position(image)
+        if position is None:
             raise TermselError("this image has neither GCPs nor a geotransform with a CRS",
                                file=image, hint="Give --start FILE with an RPC or with points.")
-        return found
-    path = Path(given)
+        return position
+    path = Path(named)
     if path.is_dir():
         result = read_result(path)
         height = float(result.fit.ground_box()[0][2])
@@ -139,7 +139,7 @@ def _of_position(image: Path) -> Start | None:
             places = [(line, sample, *(raster.transform @ (sample + 0.5, line + 0.5)))
                       for line, sample in corners]
         else:
-            places = [(one.row - 0.5, one.col - 0.5, one.x, one.y) for one in gcps]
+            places = [(gcp.row - 0.5, gcp.col - 0.5, gcp.x, gcp.y) for gcp in gcps]
     if len(places) < _LEAST or crs is None:
         return None
     values = np.array(places)

@@ -100,9 +100,9 @@ def pieces_of(path: Path | str, start: Start, dem: Path | str | None, size: tupl
                     ends.append(of_ground[0] + share[:, None] * (of_ground[1] - of_ground[0]))
     if not vector:
         raise nowhere
-    found, places = np.array(image), np.array(ends)
-    kept = _spread(found, size)
-    return Pieces(tuple(vector[i] for i in kept), places[kept], found[kept], crs)
+    measured, places = np.array(image), np.array(ends)
+    kept = _spread(measured, size)
+    return Pieces(tuple(vector[i] for i in kept), places[kept], measured[kept], crs)
 
 
 def _place(start: Start, to_start: Any, size: tuple[int, int]) -> FloatArray:

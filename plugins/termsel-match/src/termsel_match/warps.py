@@ -13,7 +13,7 @@ import numpy as np
 from scipy.ndimage import map_coordinates
 
 from termsel import TermselError, open_dem
-from termsel_match.rasters import FloatArray, Grey, Mask, Picture, open_picture
+from termsel_match.rasters import FloatArray, Grey, GreyRaster, Mask, open_picture
 from termsel_match.starts import Heights, Start
 
 _MESH = 24  # px between places that are computed; those between are interpolated
@@ -49,7 +49,7 @@ class Reference:
 
     Parameters
     ----------
-    picture : Picture
+    picture : GreyRaster
     crs : str
     start : Start
     heights, map_heights : float or callable
@@ -58,7 +58,7 @@ class Reference:
         From the CRS of the start.
     """
 
-    picture: Picture
+    picture: GreyRaster
     crs: str
     start: Start
     heights: Heights
@@ -192,7 +192,7 @@ def open_reference(path: Path | str, start: Start, dem: Path | str | None, size:
         yield reference
 
 
-def crs_of(picture: Picture) -> str:
+def crs_of(picture: GreyRaster) -> str:
     """Return the CRS of a georeferenced picture, as its code where it has one.
 
     Raises

@@ -53,14 +53,14 @@ class RpcShift(Refinement):
 
     def __init__(self, **options: Any) -> None:
         super().__init__(**options)
-        given = self.options["rpc"]
-        self._rpc, self._file = None, given
-        if given == CANDIDATES:
+        named = self.options["rpc"]
+        self._rpc, self._file = None, named
+        if named == CANDIDATES:
             self._rpc = read_rpc(RPC_FILE)
-        elif given.startswith("{"):
-            self._rpc, self._file = _from_record(given)
-        elif given:
-            self._rpc, self._file = read_rpc(given), Path(given).name
+        elif named.startswith("{"):
+            self._rpc, self._file = _from_record(named)
+        elif named:
+            self._rpc, self._file = read_rpc(named), Path(named).name
             # A result must be readable without the vendor's file.
             self.options["rpc"] = json.dumps({"file": self._file, **asdict(self._rpc)})
 
@@ -71,7 +71,7 @@ class RpcShift(Refinement):
         Raises
         ------
         TermselError
-            If none was given.
+            If the option `rpc` names none.
         """
         if self._rpc is None:
             raise TermselError(f"model {self.name!r} requires the RPC to refine",

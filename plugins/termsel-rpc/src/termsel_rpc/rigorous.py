@@ -59,15 +59,15 @@ class PushbroomRefine(Refinement):
 
     def __init__(self, **options: Any) -> None:
         super().__init__(**options)
-        given = self.options["geometry"]
-        self._sensor, self._file = None, given
-        if given in EMBEDDED:
-            self._sensor = (nominal_sensor(given) if given in NOMINAL
-                            else scene_truth(given).sensor)
-        elif given.startswith("{"):
-            self._sensor, self._file = geometry_from(given), "of the result"
-        elif given:
-            self._sensor, self._file = read_geometry(given), Path(given).name
+        named = self.options["geometry"]
+        self._sensor, self._file = None, named
+        if named in EMBEDDED:
+            self._sensor = (nominal_sensor(named) if named in NOMINAL
+                            else scene_truth(named).sensor)
+        elif named.startswith("{"):
+            self._sensor, self._file = geometry_from(named), "of the result"
+        elif named:
+            self._sensor, self._file = read_geometry(named), Path(named).name
             # A result must be readable without the file.
             self.options["geometry"] = geometry_text(self._sensor)
 
@@ -78,7 +78,7 @@ class PushbroomRefine(Refinement):
         Raises
         ------
         TermselError
-            If none was given.
+            If the option `geometry` names none.
         """
         if self._sensor is None:
             raise TermselError(f"model {self.name!r} requires the geometry to refine",
