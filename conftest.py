@@ -9,38 +9,13 @@ from __future__ import annotations
 
 import logging
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from types import SimpleNamespace
-from typing import Any
 
 import pytest
 
 for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(variable, "1")
-
-
-@pytest.fixture(scope="session", autouse=True)
-def blunders_found_once() -> Iterator[None]:
-    """Look for blunders once in the same features: most runs of the tests are of one scene.
-
-    That was two thirds of the time of a short run. What tests the search for blunders calls it.
-    """
-    from termsel.candidates import blunders, compare
-    from termsel.results.checksums import of_features
-    from termsel.runs.auto import outliers
-
-    known: dict[Any, Any] = {}
-
-    def find_blunders(control: Any, heights: bool) -> Any:
-        key = of_features(control), control.image_size, heights
-        if key not in known:
-            known[key] = blunders.find_blunders(control, heights)
-        return known[key]
-
-    with pytest.MonkeyPatch.context() as patch:
-        for module in (compare, outliers):
-            patch.setattr(module, "find_blunders", find_blunders)
-        yield
 
 
 @pytest.fixture

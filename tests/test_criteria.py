@@ -221,6 +221,18 @@ def test_leaving_out_blocks_of_any_height(weight: float) -> None:
             assert solutions[f, p] == pytest.approx(x, abs=1e-9)
 
 
+@pytest.mark.parametrize(("left", "determined"), [(3e-5, False), (3e-4, True)])
+def test_a_feature_that_alone_tells_a_term_but_for_rounding_is_indispensable(
+        left: float, determined: bool) -> None:
+    # The first row has a leverage of 1 - left^2, and the bound on what is left is 1e-8.
+    A = np.ones((8, 2))
+    A[:, 1] = [1.0, *(left / np.sqrt(6) * np.resize([1.0, -1.0], 6)), 0.0]
+    A[:, 0] = [0.0, *np.ones(7)]
+    equations = Equations(A, np.arange(8.0), np.arange(8), np.zeros(2))
+    found = leave_one_out(equations, np.ones((1, 2), dtype=bool), np.ones((1, 8), dtype=bool))[1]
+    assert found.tolist() == [determined]
+
+
 def test_an_indispensable_feature_makes_a_selection_infeasible() -> None:
     rng = np.random.default_rng(3)
     ground = rng.uniform(-1, 1, (12, 3))

@@ -123,6 +123,22 @@ def test_points_that_determine_nothing(rows: list[str], words: str, call: Call,
     assert words in done.stderr
 
 
+@pytest.mark.parametrize(("width", "enough"), [(1e-7, False), (1e-5, True), (1e-3, True)])
+def test_control_close_to_one_line_is_enough_where_it_has_a_width(width: float,
+                                                                  enough: bool) -> None:
+    along = np.linspace(0, 10_000, 12)
+    across = 10_000 * width * np.resize([1.0, -1.0, 0.0], 12)
+    ground = np.column_stack([along + across, along - across, np.full(12, 5.0)])
+    features = FeatureSet(Points(tuple(f"P{i}" for i in range(12)), ground[:, :2] / 10, ground,
+                                 roles=("control",) * 12), crs="local")
+    if enough:
+        assert len(termsel.prepare("rfm-terms", features=features, model="affine",
+                                   criterion="press").observations.control) == 12
+        return
+    with pytest.raises(termsel.TermselError, match="one straight line on the ground"):
+        termsel.prepare("rfm-terms", features=features, model="affine", criterion="press")
+
+
 def coast(hills: tuple[int, ...], n: int = 24) -> FeatureSet:
     """Points at sea level but for some hills, which are displaced by their heights."""
     rng = np.random.default_rng(4)
@@ -147,6 +163,16 @@ def test_heights_that_rest_on_one_point_or_two(hills: tuple[int, ...]) -> None:
     assert result.predicted is not None
     assert result.predicted.rmse < 1.0
     assert {one.id for one in result.outliers if one.excluded} == set(names)
+
+
+def test_a_hill_far_from_all_others_carries_the_heights() -> None:
+    # The plane leans on it, so that little is left there and more at the points near by.
+    features = coast((5,))
+    ground = features.points.ground.copy()
+    ground[5] = 60_000.0, 60_000.0, 300.0
+    ground[:5, 2] = 0.4
+    rough = features.with_(points=replace(features.points, ground=ground))
+    assert carriers(rough, most=1) == ("P5",)
 
 
 def test_heights_that_rest_on_more_are_used() -> None:

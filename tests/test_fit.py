@@ -273,6 +273,13 @@ def test_what_cannot_be_fitted_is_refused(features: FeatureSet, model: str, opti
     assert refusal.value.hint
 
 
+def test_shrunken_coefficients_are_determined_by_few_points() -> None:
+    points = points_of(8)
+    shrunken = termsel.fit(points, "ridge")
+    assert not shrunken.adjustment.feasible
+    assert shrunken.determined
+
+
 def test_leave_one_out_needs_redundancy() -> None:
     fitted = termsel.fit(points_of(4), "affine")
     assert np.isnan(list(fitted.standard_deviations.values())).all()

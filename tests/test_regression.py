@@ -12,7 +12,7 @@ from scipy import stats
 
 import termsel
 from termsel.adjustment.equations import Equations
-from termsel.adjustment.ridge import Spectrum
+from termsel.adjustment.ridge import Spectrum, choose_penalty
 from termsel.adjustment.solve import solve
 from termsel.fits.least_squares import fit
 from termsel.measurements.features import FeatureSet, Points
@@ -427,6 +427,15 @@ def test_gcv_without_redundancy_is_level() -> None:
     """Nothing is left but what the penalty leaves, however small it is."""
     spectrum = Spectrum(np.array([1.0]), np.array([1.0]), 0.0, 1)
     np.testing.assert_allclose(spectrum.gcv(np.geomspace(1.0, 1e-9, 20)), 1.0)
+
+
+def test_where_gcv_is_flat_the_largest_penalty_is_chosen() -> None:
+    spectrum = Spectrum(np.array([1.0]), np.array([1.0]), 1e-3, 10)
+    penalties = spectrum.penalties(1e-8)
+    gcv = spectrum.gcv(penalties)
+    flat = penalties[gcv <= gcv.min() * (1 + 1e-6)]
+    assert flat.max() > penalties[gcv.argmin()]
+    assert choose_penalty(spectrum, "gcv") == flat.max()
 
 
 def test_gcv_of_a_circulant_system_is_leaving_one_out() -> None:

@@ -465,6 +465,16 @@ def test_where_points_alone_are_used_they_alone_predict() -> None:
     assert found.predicted.rmse == pytest.approx(alone.predicted.rmse, rel=0.05)
 
 
+def test_lines_that_are_not_used_say_nothing_of_the_prediction() -> None:
+    scene = simulate_scene("ikonos-hamedan", n_points=20, n_lines=8)
+    error = np.random.default_rng(1).normal(0.0, 12.0, scene.lines.image.shape)
+    rough = scene.with_(lines=replace(scene.lines, image=scene.lines.image + error))
+    result = termsel.run("owdis-lines", features=rough, strategy="auto")
+    assert not any(one.used for one in result.residuals if one.kind != "point")
+    assert result.predicted is not None
+    assert result.predicted.rmse < 1.3  # the lines are off by 12 px
+
+
 @pytest.fixture(scope="module")
 def few_lines() -> tuple[FeatureSet, Choice]:
     scene = simulate_scene("ikonos-hamedan", n_points=24, n_lines=24, wrong_lines=0)

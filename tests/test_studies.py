@@ -19,9 +19,11 @@ import termsel
 from benchmarks import accuracy, solver_table
 from termsel import TermselError
 from termsel.formats.readers.csv_tables import write_lines_csv, write_points_csv
+from termsel.solvers.ledger import Progress
 from termsel.studies import compare
 from termsel.studies.cells.images import IMAGES, folders_of
 from termsel.studies.cells.table import TIMES
+from termsel.studies.execution import work
 from termsel.studies.plan.places import places_of
 from termsel.studies.shown.outputs import write_outputs
 
@@ -378,6 +380,15 @@ def test_cpu_seconds_are_those_of_all_threads() -> None:
     spent = time.process_time() - before
     # The walk through all selections has a thread of its own; the rest is next to nothing.
     assert 0.5 * spent < study.rows[0]["cpu_seconds"] <= spent
+
+
+def test_a_trace_counts_the_evaluations_of_all_searches_of_a_cell() -> None:
+    trace = work._Trace(None)
+    for evaluations, best in ((10, 4.0), (20, 3.0), (5, 6.0), (9, 5.0), (2, 8.0)):
+        trace(Progress(None, evaluations, None, best, 0.0, np.zeros(0)))
+    assert [point[:2] for point in trace.points] == [[31, 8.0]]
+    trace.end(35, 7.0)
+    assert [point[:2] for point in trace.points] == [[31, 8.0], [35, 7.0]]
 
 
 def test_a_cell_out_of_time_fails() -> None:

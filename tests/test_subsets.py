@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from termsel.adjustment.equations import Equations
 from termsel.adjustment.solve import solve
 from termsel.enumeration import subsets
-from termsel.enumeration.columns.system import SCORES, Piece, SubsetSystem, count_subsets
+from termsel.enumeration.columns.system import SCORES, Piece, SubsetSystem, better, count_subsets
 from termsel.enumeration.stack import Stack, stack
 from termsel.enumeration.subsets import SubsetResult, estimate_seconds, search
 from termsel.errors import TermselError
@@ -204,6 +204,15 @@ def test_the_verdict_is_that_of_the_adjustment(numbers: list[int]) -> None:
     equations = Equations(design, system.target[:, 0], np.arange(5))
     verdicts = [solve(equations, columns).feasible for columns in masks_of(system, None)]
     assert last(system, "check").infeasible == verdicts.count(False)
+
+
+def test_the_better_subset_of_a_tie_is_the_smaller_mask() -> None:
+    one, other = np.array([1.0, 2.0, 3.0, np.inf]), np.array([1.0, 2.0, 2.5, 7.0])
+    masks, at = np.array([6, 3, 1, 0], dtype=np.uint64), np.array([5, 12, 9, 2], dtype=np.uint64)
+    for pair in ((one, masks, other, at), (other, at, one, masks)):
+        best, kept = better(*pair)
+        np.testing.assert_array_equal(best, [1.0, 2.0, 2.5, 7.0])
+        np.testing.assert_array_equal(kept, [5, 3, 9, 2])
 
 
 def test_equal_scores_keep_the_smallest_mask() -> None:

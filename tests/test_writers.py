@@ -21,6 +21,7 @@ from termsel.files.atomic import write_bytes
 from termsel.files.rasters import empty_tiff
 from termsel.formats.readers.csv_tables import LinesCsv, PointsCsv
 from termsel.formats.rpc_files import read_rpc, rpb_text
+from termsel.formats.vrt import picture_for
 from termsel.formats.writers.grids import GcpGridVrt, GeolocationVrt
 from termsel.formats.writers.residuals import ResidualsGeopackage
 from termsel.formats.writers.rpcs import (
@@ -346,6 +347,18 @@ def test_residuals_for_a_map(selected: Result, of_lines: Result, tmp_path: Path)
     assert pyogrio.read_info(path, layer="residuals")["features"] == 2 * 120 + 24 + 26
 
 
+def test_the_median_vector_has_three_percent_of_the_map(selected: Result, tmp_path: Path) -> None:
+    pyogrio = pytest.importorskip("pyogrio")
+    shapely = pytest.importorskip("shapely")
+    ResidualsGeopackage().write(selected, tmp_path / "residuals.gpkg")
+    shapes = pyogrio.raw.read(tmp_path / "residuals.gpkg", layer="vectors")[2]
+    start, end = np.array([shape.coords for shape in shapely.from_wkb(shapes)]).swapaxes(0, 1)
+    lengths = np.linalg.norm(end - start, axis=1)
+    share = np.median(lengths) / np.ptp(start, axis=0).max()
+    assert share == pytest.approx(0.03, rel=0.35)  # the exaggeration has one digit
+    assert lengths.max() > 1.5 * np.median(lengths)
+
+
 def test_a_gis_shows_residuals_by_role(of_lines: Result, tmp_path: Path) -> None:
     pytest.importorskip("pyogrio")
     path = tmp_path / "residuals.gpkg"
@@ -446,6 +459,24 @@ def test_an_image_of_another_size_is_refused(geographic: Result, tmp_path: Path)
         with pytest.raises(TermselError, match="the image has 1 lines and 1 samples, the image"):
             writer(image=str(tmp_path / "small.tif")).write(geographic, tmp_path / "x.vrt")
         assert not (tmp_path / "x.vrt").exists()
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_an_image_holds_all_features_or_is_refused(geographic: Result, tmp_path: Path,
+                                                   axis: int) -> None:
+    (tmp_path / "small.tif").write_bytes(empty_tiff())
+    unknown = replace(geographic, features=replace(geographic.features, image_size=None))
+    image = np.zeros_like(geographic.features.points.image)
+    for most, fits in ((1.0, True), (1.01, False)):  # beyond the edge of the only pixel
+        image[3, axis] = most
+        within = replace(unknown, features=replace(unknown.features, points=replace(
+            unknown.features.points, image=image)))
+        if fits:
+            assert picture_for(within, tmp_path / "small.tif").size == (1, 1)
+            continue
+        with pytest.raises(TermselError, match="lines and 1 samples, but features extend to line"):
+            picture_for(within, tmp_path / "small.tif")
+    assert picture_for(geographic, None).size == geographic.features.image_size
 
 
 def test_plane_models_need_no_heights(tmp_path: Path) -> None:
