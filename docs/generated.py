@@ -13,19 +13,17 @@ from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-import termsel
 from termsel.cli.new_plugin import package
 from termsel.options import Option
 from termsel.plugins.kinds import KINDS
 from termsel.plugins.registry import Entry, registry
+from termsel.record.schema import json_schema
 from termsel.runs.task.task import DATA_OPTIONS
 from termsel.solvers.budget import SEARCH_OPTIONS
 
 OF_EVERY_RUN = {"data": DATA_OPTIONS, "search": SEARCH_OPTIONS}
 OWN = ("termsel", "termsel-hybrids", "termsel-match", "termsel-rpc")
 """Packages of the repository: others that happen to be installed are not documented here."""
-
-SCHEMA = Path(termsel.__file__).parent / "results" / "result.schema.json"
 
 PAGES = {"datasets": "data"}
 """Pages that are not called as the kind they list."""
@@ -49,7 +47,7 @@ def part(name: str) -> str:
     if what == "package":
         return _of_package(*kind.split())
     if what == "schema":
-        rows = keys(json.loads(SCHEMA.read_text(encoding="utf-8")))
+        rows = keys(json_schema())
         return "\n".join(["| key | type | meaning |", "|---|---|---|", *rows])
     if kind in OF_EVERY_RUN:
         return "\n".join(table(OF_EVERY_RUN[kind]))

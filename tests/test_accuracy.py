@@ -13,9 +13,9 @@ from termsel.adjustment.monomials import graded_exponents, monomials
 from termsel.candidates.portfolio import choose
 from termsel.candidates.repetition import repeated
 from termsel.fits.accuracy import (
-    Distances,
     accuracy_of,
     asprs,
+    distances,
     nssda,
     predicted_by,
     predicted_rmse,
@@ -27,6 +27,7 @@ from termsel.measurements.features import FeatureSet, Points
 from termsel.measurements.scaling import scaling_of
 from termsel.models.polynomial import Polynomial3D
 from termsel.priors.posterior import SIZES, posterior
+from termsel.record.figures import InImage, OnGround
 from termsel.simulate import simulate_scene
 
 
@@ -185,10 +186,10 @@ def test_a_search_has_accuracy_and_no_prediction() -> None:
 
 def test_figures_of_known_errors() -> None:
     errors = np.array([[3.0, 4.0]] + [[0.0, 1.0]] * 9)
-    found = Distances.of(errors)
+    found = distances(InImage, errors)
     assert found.n == 10
-    assert found.first == pytest.approx(np.sqrt(0.9))
-    assert found.second == pytest.approx(np.sqrt(2.5))
+    assert found.line == pytest.approx(np.sqrt(0.9))
+    assert found.sample == pytest.approx(np.sqrt(2.5))
     assert found.total == pytest.approx(np.sqrt(3.4))
     assert found.maximum == 5.0
     assert found.ce90 == termsel.ce90(errors) == pytest.approx(1.4)
@@ -220,8 +221,8 @@ def test_metres_of_degrees_of_feet_and_of_nothing() -> None:
     assert in_metres("EPSG:4978", place, np.array([[1.0, 0.0]])) is None
 
 
-def _of(x: float, y: float) -> Distances:
-    return Distances(30, x, y, float(np.hypot(x, y)), 3 * x, 2 * x)
+def _of(x: float, y: float) -> OnGround:
+    return OnGround(30, x, y, float(np.hypot(x, y)), 3 * x, 2 * x)
 
 
 def test_standards_have_figures_only_where_their_rules_hold() -> None:

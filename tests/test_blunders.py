@@ -82,7 +82,7 @@ def test_blunders_do_not_spoil_the_accuracy_and_are_told() -> None:
     assert without == pytest.approx(plain.total, rel=0.1)
     assert spoilt.strategy is not None
     assert before.strategy is not None
-    assert spoilt.strategy["predicted"] == pytest.approx(before.strategy["predicted"], rel=0.1)
+    assert spoilt.strategy["predicted"] == pytest.approx(before.strategy.predicted, rel=0.1)
 
 
 def test_independent_points_change_nothing_but_their_own_figures() -> None:
@@ -129,7 +129,7 @@ def test_rounding_errors_are_no_blunders() -> None:
     exact = FeatureSet(Points(tuple(map(str, range(40))), image, ground), no_lines(), "local")
     found = termsel.run("rfm-terms", options={"fractions": "1:1:0"}, features=exact)
     assert found.strategy is not None
-    assert found.strategy["predicted"] < 1e-6
+    assert found.strategy.predicted < 1e-6
     assert found.outliers == ()
     assert found.notes == ()
 
@@ -171,20 +171,20 @@ def blank(n: int) -> FeatureSet:
 @pytest.mark.parametrize("n", [5, 8, 11])
 def test_few_points_without_roles_are_all_control(n: int) -> None:
     result = termsel.run("rfm-terms", features=blank(n))
-    assert result.data["counts"] == {"control": n, "check": 0, "independent": 0, "lines": 0,
+    assert result.data.counts == {"control": n, "check": 0, "independent": 0, "lines": 0,
                                      "off": 0}
     assert result.notes[0] == (
         "With fewer than 12 points and no roles, all points are control. --set fractions=2:1:1 "
         "assigns roles all the same.")
     assert result.strategy is not None
-    assert result.strategy["predicted"] is not None
+    assert result.strategy.predicted is not None
 
 
 def test_roles_are_assigned_from_twelve_points_on_and_where_shares_are_given() -> None:
     for features, options in ((blank(12), {}), (blank(11), {"fractions": "2:1:1"}),
                               (blank(11), {"roles": "random"})):
         result = termsel.run("rfm-terms", features=features, options=options)
-        assert result.data["counts"]["independent"] > 0
+        assert result.data.counts.independent > 0
         assert not any("all points are control" in note for note in result.notes)
 
 

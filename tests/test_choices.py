@@ -202,7 +202,7 @@ def test_local_refinement_spends_its_share_and_the_hits_are_counted_with_it() ->
     result = termsel.run("poly-terms", evaluations=500)
     assert result.evaluations == 500
     assert result.polish is not None
-    assert result.polish["evaluations"] == 375
+    assert result.polish.evaluations == 375
     assert result.hit_rate == result.lookups / 500
 
 

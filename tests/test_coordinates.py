@@ -69,7 +69,7 @@ def test_a_point_in_each_system(scene: FeatureSet, system: str, crs: str) -> Non
     np.testing.assert_allclose(scaling.ground(some), (found - scaling.ground_offset)
                                / scaling.ground_scale, rtol=0, atol=1e-9)
     np.testing.assert_allclose(scaling.unscaled(scaling.ground(some)), some, rtol=0, atol=1e-6)
-    assert Scaling.from_dict(json.loads(json.dumps(scaling.to_dict()))) == scaling
+    assert Scaling.from_numbers(scaling.numbers()) == scaling
 
 
 def test_geocentric_by_hand() -> None:
@@ -97,11 +97,11 @@ def test_results_stay_in_the_coordinates_given(scene: FeatureSet, choice: str,
                                                tmp_path: Path) -> None:
     result = termsel.run("rfm-terms", features=scene, model="poly3d", solver="all-terms",
                          options={"fit_crs": choice}, out=tmp_path)
-    assert result.data["crs"] == "EPSG:32639"
-    assert result.data["fit_crs"] == SYSTEMS.get(choice, choice)
-    assert result.data["heights"] == "not stated by EPSG:32639; taken as ellipsoidal"
+    assert result.data.crs == "EPSG:32639"
+    assert result.data.fit_crs == SYSTEMS.get(choice, choice)
+    assert result.data.heights == "not stated by EPSG:32639; taken as ellipsoidal"
     # The same as a fit to coordinates that were turned before, by all that a result can do.
-    crs = result.data["fit_crs"]
+    crs = result.data.fit_crs
     before = result.fit.control
     turned = FeatureSet(replace(before.points, ground=transformation(scene.crs, crs)(
         before.points.ground)), crs=crs)
@@ -169,7 +169,7 @@ def test_auto_takes_the_best_by_leave_one_out(scene: FeatureSet) -> None:
         choice = choose(FeatureSet(both, crs=few.crs, fit_crs="" if crs == few.crs else crs), True)
         assert choice is not None
         predicted[crs] = choice.chosen.predicted
-    assert result.data["fit_crs"] == min(predicted, key=lambda crs: predicted[crs])
+    assert result.data.fit_crs == min(predicted, key=lambda crs: predicted[crs])
 
 
 @pytest.mark.parametrize(("crs", "choice", "model", "words"), [

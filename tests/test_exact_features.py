@@ -15,6 +15,7 @@ import termsel
 import termsel.report.text
 from termsel.enumeration.features.walk import Branch, RowSystem, Selections
 from termsel.measurements.features import FeatureSet
+from termsel.record.base import plain
 from termsel.solvers.proofs.exact_features import duration, prove_features, selections_of
 
 
@@ -132,7 +133,7 @@ def test_m_of_n_points_are_those_of_brute_force(scene: FeatureSet) -> None:
            if role == "control"]
     assert result.selection.features == tuple(ids[i] for i in best)
     assert result.objectives["check-rmse"] == pytest.approx(each[best], rel=1e-7)
-    assert result.certificate == {
+    assert plain(result.certificate) == {
         "optimal": True, "subsets": 924, "bounded": 0, "of": 924, "gap": 0.0,
         "space": "all selections of 6 of 12 features", "bound": result.objectives["check-rmse"]}
     assert "Proven: no selection of 6 of 12 features has a better criterion (924 subsets " \
@@ -193,8 +194,8 @@ def test_what_has_no_score_is_evaluated(criterion: str, model: str, scene: Featu
     judged = task.problem.evaluate(masks)
     least = judged.objectives[judged.violation == 0, 0].min()
     assert result.objectives[criterion] == pytest.approx(least, rel=1e-11)
-    assert result.certificate["optimal"]
-    assert result.certificate["subsets"] == len(masks)
+    assert result.certificate.optimal
+    assert result.certificate.subsets == len(masks)
 
 
 def test_an_objective_of_a_plugin_is_evaluated(scene: FeatureSet) -> None:
@@ -243,8 +244,8 @@ def test_a_heuristic_is_told_how_far_from_the_optimum_it_ended(scene: FeatureSet
     given = {"features": scene, "model": "affine", "options": {"blunders": "keep"}}
     optimum = termsel.run("owdis-points", solver="exact", **given).objectives["check-rmse"]
     poor = termsel.run("owdis-points", solver="random", evaluations=3, **given)
-    assert poor.certificate["optimum"] == optimum
-    assert poor.certificate["gap"] == pytest.approx(poor.objectives["check-rmse"] / optimum - 1)
+    assert poor.certificate.optimum == optimum
+    assert poor.certificate.gap == pytest.approx(poor.objectives["check-rmse"] / optimum - 1)
     good = termsel.run("owdis-points", solver="swap", evaluations=3000, **given)
     assert good.certificate["optimal"]
 
@@ -253,7 +254,7 @@ def test_that_nothing_is_feasible_is_proven(scene: FeatureSet) -> None:
     result = termsel.run("owdis-points", features=scene, model="affine", solver="exact",
                          options={"max_uncovered": 0.0, "max_features": 5, "blunders": "keep"})
     assert not result.feasible
-    assert result.certificate == {
+    assert plain(result.certificate) == {
         "optimal": False, "feasible": False, "subsets": 1586, "bounded": 0, "of": 1586,
         "space": "all selections of up to 5 of 12 features"}
 

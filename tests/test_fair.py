@@ -88,8 +88,8 @@ def test_a_refinement_is_part_of_the_budget_of_any_solver(solver: str) -> None:
                          options={"polish": True, "degree": 3})
     assert result.polish is not None
     assert result.evaluations <= 2000
-    assert result.evaluations - result.polish["evaluations"] == 500
-    assert result.polish["polished"] <= result.polish["found"]
+    assert result.evaluations - result.polish.evaluations == 500
+    assert result.polish.polished <= result.polish.found
     assert "Local refinement: check-rmse" in result.summary()
 
 

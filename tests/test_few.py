@@ -74,7 +74,7 @@ def test_two_and_more_points_are_answered(n: int, heights: bool, call: Call,
     if n <= 3:
         assert result.fit.model.name == ("helmert2d" if n == 2 else "poly2d")
         assert result.fit.adjustment.redundancy == 0
-        assert result.strategy["predicted"] is None
+        assert result.strategy.predicted is None
         assert result.predicted is None
         assert told
     else:
@@ -82,7 +82,7 @@ def test_two_and_more_points_are_answered(n: int, heights: bool, call: Call,
         assert result.predicted is not None
         assert 0 < result.predicted.low < result.predicted.rmse < result.predicted.high
     if n < 12:
-        assert result.data["counts"]["control"] == n
+        assert result.data.counts.control == n
 
 
 @pytest.mark.parametrize(("mirrored", "chosen"), [(False, "similarity"),
@@ -90,10 +90,10 @@ def test_two_and_more_points_are_answered(n: int, heights: bool, call: Call,
 def test_a_similarity_is_chosen_where_it_predicts_best(mirrored: bool, chosen: str) -> None:
     result = termsel.run("poly-terms", features=plane(4, mirrored))
     assert result.strategy is not None
-    of = {one["name"]: one["predicted"] for one in result.strategy["candidates"]}
-    assert result.strategy["chosen"] == chosen == min(of, key=of.__getitem__)
+    of = {one["name"]: one["predicted"] for one in result.strategy.candidates}
+    assert result.strategy.chosen == chosen == min(of, key=of.__getitem__)
     assert set(of) == {"similarity", "mirrored-similarity", "affine"}
-    assert result.strategy["predicted"] == pytest.approx(of[chosen], rel=1e-6)
+    assert result.strategy.predicted == pytest.approx(of[chosen], rel=1e-6)
     assert of[chosen] < 3.0
 
 
@@ -268,5 +268,5 @@ def test_five_lines_predict_no_accuracy() -> None:
     result = termsel.run("owdis-lines", features=scene.with_(points=points), strategy="auto")
     assert result.predicted is None
     assert result.strategy is not None
-    assert result.strategy["predicted"] is None
+    assert result.strategy.predicted is None
     assert any(note.startswith("The features are too few to repeat") for note in result.notes)

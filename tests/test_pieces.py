@@ -115,7 +115,7 @@ def test_result_of_a_run_with_pieces() -> None:
         roles=("check", "independent") * 10))
     result = termsel.run("owdis-lines", features=features, model=Affine.name, generations=2,
                          options={"population": 20, "polish": False})
-    assert result.data["counts"]["lines"] == 28
+    assert result.data.counts.lines == 28
     kinds = [r.kind for r in result.residuals if r.id == "l3"]
     assert kinds == [f"vertex {i + 1}" for i in range(2 * PIECES)]
     used = {r.used for r in result.residuals if r.id == "l3"}

@@ -51,20 +51,20 @@ def test_observers_of_auto_see_every_candidate_of_every_fold(
     assert shares == sorted(shares)
     assert shares[0] > 0
     assert shares[-1] == pytest.approx(1)
-    folds = result.strategy["folds"]
+    folds = result.strategy.folds
     assert len(set(shares)) == result.evaluations == seen[-1].evaluations
     assert {one.what for one in seen} == {
         "blunders", "candidates", *(f"fold {i + 1} of {folds}" for i in range(folds))}
-    assert seen[-1].best == min(one["predicted"] for one in result.strategy["candidates"])
+    assert seen[-1].best == min(one["predicted"] for one in result.strategy.candidates)
 
 
 def test_an_interrupted_choice_is_that_among_the_candidates_so_far(tmp_path: Path) -> None:
     result = run(stop_at(3))
     assert result.interrupted
     assert result.strategy is not None
-    assert result.strategy["predicted"] is None
-    assert 1 <= len(result.strategy["candidates"]) <= 3
-    assert result.strategy["chosen"] in {one["name"] for one in result.strategy["candidates"]}
+    assert result.strategy.predicted is None
+    assert 1 <= len(result.strategy.candidates) <= 3
+    assert result.strategy.chosen in {one["name"] for one in result.strategy.candidates}
     assert result.notes[0].startswith("The run was interrupted when 3 of ")
     assert "predicts no accuracy" in result.summary()
 

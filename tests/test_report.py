@@ -22,6 +22,7 @@ import termsel
 from termsel.cli import plot
 from termsel.cli.main import cli
 from termsel.fits.accuracy import rmse_interval
+from termsel.record.base import plain
 from termsel.report.plots import KINDS
 from termsel.report.repeat import command, not_by_command
 
@@ -407,9 +408,9 @@ def test_the_command_repeats_the_run(call: Call, request: pytest.FixtureRequest,
 def test_budgets_are_in_the_record_and_the_command(tmp_path: Path) -> None:
     result = termsel.run("poly-terms", solver="random", generations=np.int64(7), seconds=95,
                          patience=30, out=tmp_path / "r")
-    assert result.budget == {"generations": 7, "seconds": 95.0, "patience": 30}
+    assert plain(result.budget) == {"generations": 7, "seconds": 95.0, "patience": 30}
     record = json.loads((tmp_path / "r" / "result.json").read_text())
-    assert record["budget"] == result.budget
+    assert record["budget"] == plain(result.budget)
     assert "--generations 7 " in command(record)
     assert command(record).replace("\\\n", " ").split()[-6:] == [
         "--generations", "7", "--seconds", "95", "--patience", "30"]

@@ -56,7 +56,7 @@ def test_a_random_field_that_auto_chose_is_read_again(tmp_path: Path) -> None:
     result = termsel.run("poly-terms", strategy="auto",
                          features=termsel.FeatureSet(replace(points, roles=roles)))
     assert result.strategy is not None
-    assert result.strategy["chosen"] == "field"
+    assert result.strategy.chosen == "field"
     again = _written(result, tmp_path)
     assert again.to_json() == result.to_json()
 
@@ -147,7 +147,9 @@ def test_notebook_shows_the_summary() -> None:
 def _damaged(folder: Path, **change: object) -> None:
     """Change the record as someone would who knows how to seal it again."""
     path = folder / "result.json"
-    record = json.loads(path.read_text()) | change
+    record = json.loads(path.read_text())
+    for key, value in change.items():
+        record[key] = record[key] | value if key == "data" and isinstance(value, dict) else value
     record["checksums"]["record"] = of_record(record)
     path.write_text(json.dumps(record))
 
@@ -162,7 +164,10 @@ def _damaged(folder: Path, **change: object) -> None:
     ({"rmse": []}, "this result is damaged"),
     ({"data": None}, "this result is damaged"),
     ({"data": {"crs": "EPSG:1"}}, r"result\.json: CRS 'EPSG:1' does not exist"),
-    ({"data": {"crs": "local", "image_size": "ab"}}, "this result is damaged")])
+    ({"data": {"image_size": "ab"}},
+     r"damaged at \$\.data\.image_size: expected `array \| null`, got `str`"),
+    ({"rmse": {"check": {"total": 1.0, "n": 3}}}, r"damaged at \$\.rmse\.check: .* `line`"),
+    ({"precision": 1.0}, r"damaged at \$: object contains unknown field `precision`")])
 def test_damaged_records_are_refused(change: dict[str, object], message: str, tmp_path: Path,
                                      ) -> None:
     write_result(example_results()[0], tmp_path)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import copy
 import json
 from collections.abc import Callable
-from importlib.resources import files
 from importlib.util import find_spec
 from typing import Any
 
@@ -13,11 +12,12 @@ import pytest
 from jsonschema import Draft202012Validator
 
 import termsel
-from termsel.results.result import SCHEMA
+from termsel.record.record import SCHEMA
+from termsel.record.schema import json_schema
 
 Record = dict[str, Any]
 
-SCHEMA_FILE = json.loads((files("termsel.results") / "result.schema.json").read_text("utf-8"))
+SCHEMA_FILE = json_schema()
 VALIDATOR = Draft202012Validator(SCHEMA_FILE)
 
 QUICK = {"population": 30, "polish": False}
@@ -64,7 +64,7 @@ def record() -> Record:
 
 def test_schema_is_a_schema() -> None:
     Draft202012Validator.check_schema(SCHEMA_FILE)
-    assert SCHEMA_FILE["properties"]["schema"]["const"] == SCHEMA_FILE["$id"] == SCHEMA
+    assert SCHEMA_FILE["properties"]["schema"]["enum"] == [SCHEMA_FILE["$id"]] == [SCHEMA]
 
 
 def test_every_key_has_a_description() -> None:

@@ -250,7 +250,7 @@ def test_lines_are_used_only_where_they_help(noise: float, used: bool) -> None:
     note = "None of the 40 lines is used: the points alone predict better."
     assert (note in result.notes) != used
     assert result.strategy is not None
-    assert "Points alone predict the points" in result.strategy["reason"]
+    assert "Points alone predict the points" in result.strategy.reason
     assert result.rmse["independent"].total < 1.1
 
 
@@ -461,7 +461,7 @@ def test_where_points_alone_are_used_they_alone_predict() -> None:
         0.0, 8.0, lines.image.shape)))
     found = termsel.run("owdis-lines", features=rough, strategy="auto")
     alone = termsel.run("rfm-terms", features=scene.with_(lines=no_lines()))
-    assert "so the lines are not used." in found.strategy["reason"]
+    assert "so the lines are not used." in found.strategy.reason
     assert found.predicted.rmse == pytest.approx(alone.predicted.rmse, rel=0.05)
 
 

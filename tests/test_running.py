@@ -43,7 +43,7 @@ def test_selected_lines_beat_all_lines_on_independent_points() -> None:
     result = termsel.run("owdis-lines", seed=1)
     everything = result.baselines[0].rmse["independent"].total
     assert result.rmse["independent"].total < 0.7 * everything
-    assert result.data["counts"] == {"control": 0, "check": 24, "independent": 26, "lines": 120,
+    assert result.data.counts == {"control": 0, "check": 24, "independent": 26, "lines": 120,
                                      "off": 24}
     assert any("control points of the file stay out" in note for note in result.notes)
 
@@ -159,7 +159,7 @@ def test_same_seed_same_selection_also_in_another_process() -> None:
 
 def test_mixed_control_uses_points_and_lines() -> None:
     result = quick("owdis-lines", options={"population": 60, "mixed": True, "polish": False})
-    assert result.data["counts"]["control"] == 24
+    assert result.data.counts.control == 24
     assert len(result.fit.control) == 144
 
 

@@ -62,17 +62,17 @@ def frame_camera(n: int, seed: int = 1) -> FeatureSet:
 
 def test_auto_is_the_default_where_only_points_are_given(result: termsel.Result) -> None:
     assert result.strategy is not None
-    assert result.strategy["name"] == "auto"
-    names = [one["name"] for one in result.strategy["candidates"]]
-    assert result.strategy["chosen"] in names
+    assert result.strategy.name == "auto"
+    names = [one["name"] for one in result.strategy.candidates]
+    assert result.strategy.chosen in names
     assert {"affine", "dlt", "quadratic", "cubic", "selected", "shrunken-quadratic",
             "shrunken-cubic"} <= set(names)
     quadratic = next(b for b in result.baselines if b.name == "quadratic")
     assert result.rmse["independent"].total < quadratic.rmse["independent"].total
     # Check points are fitted to, and yet shown by themselves.
-    assert result.strategy["fitted_to"] == ["control", "check"]
-    assert result.rmse["control"].n == result.data["counts"]["control"] == 24
-    assert result.rmse["check"].n == result.data["counts"]["check"] == 24
+    assert result.strategy.fitted_to == ["control", "check"]
+    assert result.rmse["control"].n == result.data.counts.control == 24
+    assert result.rmse["check"].n == result.data.counts.check == 24
 
 
 def example() -> FeatureSet:
@@ -114,7 +114,7 @@ def test_the_reason_states_the_figures_that_decided(
 
 def test_the_page_states_the_reason_of_the_choice(result: termsel.Result) -> None:
     assert result.strategy is not None
-    assert "<- " + result.strategy["reason"] in " ".join(result.summary().split())
+    assert "<- " + result.strategy.reason in " ".join(result.summary().split())
 
 
 def test_without_shrunken_polynomials_the_least_error_is_the_reason() -> None:
@@ -142,7 +142,7 @@ def test_options_of_the_data_leave_the_strategy() -> None:
     assert other.strategy is not None
     given = dict(zip(features.points.ids, features.points.roles, strict=True))
     assert any(given[name] != role for role in ("control", "check", "independent")
-               for name in other.data["roles"][role])
+               for name in other.data.roles[role])
 
 
 @pytest.mark.parametrize(("problem", "more", "message"), [
@@ -166,7 +166,7 @@ def test_independent_points_are_touched_once(result: termsel.Result) -> None:
     independent = np.array(features.points.roles) == "independent"
     moved = features.points.image + 7.0 * independent[:, None]
     other = termsel.run("rfm-terms", features=features.with_(
-        points=replace(features.points, image=moved)), source=result.data["source"])
+        points=replace(features.points, image=moved)), source=result.data.source)
     first, second = result.to_dict(), other.to_dict()
     assert first["rmse"].pop("independent") != second["rmse"].pop("independent")
     note, = other.notes
@@ -277,7 +277,7 @@ def test_forward_selection_finds_the_terms_and_leaves_out_honestly() -> None:
 def test_the_dlt_is_chosen_for_a_photograph() -> None:
     found = termsel.run("rfm-terms", features=frame_camera(40))
     assert found.strategy is not None
-    assert found.strategy["chosen"] == "dlt"
+    assert found.strategy.chosen == "dlt"
     assert found.model == "dlt3d"
 
 
@@ -317,7 +317,7 @@ def test_plane_points_get_plane_models() -> None:
     flat[:, 2] = np.nan
     found = termsel.run("poly-terms", features=FeatureSet(replace(points, ground=flat)))
     assert found.strategy is not None
-    assert "projective" in {one["name"] for one in found.strategy["candidates"]}
+    assert "projective" in {one["name"] for one in found.strategy.candidates}
     assert not found.fit.model.uses_height
 
 

@@ -55,7 +55,7 @@ def test_a_blank_role_is_that_of_the_twin() -> None:
     roles = ["independent"] * 8 + ["control"] * 8 + [""] * 16
     result = termsel.run("rfm-terms", features=one.with_(
         points=replace(one.points, roles=tuple(roles))))
-    assert set(result.data["roles"]["independent"]) == {
+    assert set(result.data.roles.independent) == {
         name for first in one.points.ids[:8] for name in (first, f"{first}-again")}
 
 
@@ -84,7 +84,7 @@ def test_a_blunder_is_left_out_with_its_twin() -> None:
     result = termsel.run("rfm-terms", features=one.with_(
         points=replace(one.points, image=image, roles=("control",) * 60)))
     first = one.points.ids[3]
-    assert set(result.data["roles"]["off"]) == {first, f"{first}-again"}
+    assert set(result.data.roles.off) == {first, f"{first}-again"}
     assert [outlier.id for outlier in result.outliers] == [first]
 
 

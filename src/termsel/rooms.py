@@ -30,6 +30,7 @@ ROOMS = {
     "adjustment": "equations, least squares, kernels, leave-one-out",
     "files": "files: found, opened, written whole or not at all; rasters; what is remote",
     "measurements": "features, roles, areas, coordinates, scaling, data sets",
+    "record": "the typed record of a run: what result.json holds, and its schema",
     "options": "typed, documented options",
     "guard": "calls into plugins: faults, isolation, limits of time",
     "display": "values at one glance, in a terminal and in notebooks",

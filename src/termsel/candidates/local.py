@@ -26,6 +26,8 @@ class Interpolated(Estimator):
     its probability exceeds LIKELY.
     """
 
+    name = "interpolated"
+
     def fit(self, model: Fittable, control: FeatureSet, scaling: Scaling, terms: BoolArray,
             used: BoolArray) -> Fit:
         """Fit a model (see `Estimator.fit`)."""
@@ -41,6 +43,6 @@ class Interpolated(Estimator):
         errors = found.errors * scaling.image_scale
         unknown = np.full(len(terms), np.nan)
         return replace(plain, estimator=self, trace=found.effective,
-                       held_out=HeldOut(errors, (errors**2).sum(axis=1)),
+                       held_out=HeldOut.of(errors, control.take(used)),
                        adjustment=replace(plain.adjustment, deviations=unknown,
                                           correlations=None))

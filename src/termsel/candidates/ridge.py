@@ -30,6 +30,8 @@ class RidgeByOrder(Estimator):
     own choice.
     """
 
+    name = "ridge-by-order"
+
     def fit(self, model: Fittable, control: FeatureSet, scaling: Scaling, terms: BoolArray,
             used: BoolArray) -> Fit:
         """Fit a model (see `Estimator.fit`); its adjustment is that of least squares."""

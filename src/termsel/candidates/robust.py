@@ -40,6 +40,7 @@ class Reweighted(Estimator):
     biweight : bool
     """
 
+    name = "reweighted"
     biweight: bool
 
     def fit(self, model: Fittable, control: FeatureSet, scaling: Scaling, terms: BoolArray,

@@ -46,6 +46,7 @@ class AxisTerms:
 class ForwardSelection(Estimator):
     """Least squares with the terms of a polynomial that forward selection chooses for each axis."""
 
+    name = "forward-selection"
     least_squares = True
 
     def fit(self, model: Fittable, control: FeatureSet, scaling: Scaling, terms: BoolArray,
@@ -64,7 +65,7 @@ class ForwardSelection(Estimator):
         chosen = np.concatenate([one.terms for one in sides])
         fitted = LEAST_SQUARES.fit(model, control, scaling, chosen, used)
         return replace(fitted, estimator=self,
-                       held_out=HeldOut(errors, (errors**2).sum(axis=1)))
+                       held_out=HeldOut.of(errors, control.take(used)))
 
 
 def select_forward(columns: FloatArray, target: FloatArray,

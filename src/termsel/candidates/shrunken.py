@@ -69,6 +69,8 @@ class Average:
 class Averaging(Estimator):
     """The average of a polynomial's shrunken solutions."""
 
+    name = "averaging"
+
     def fit(self, model: Fittable, control: FeatureSet, scaling: Scaling, terms: BoolArray,
             used: BoolArray) -> Fit:
         """Fit a polynomial (see `Estimator.fit`) with all its terms."""
@@ -93,9 +95,7 @@ class Averaging(Estimator):
                                 round(found.effective), len(in_use), round(found.effective),
                                 float("nan"), sigma0)
         errors = found.errors * scaling.image_scale
-        squares = np.zeros(len(mine))
-        np.add.at(squares, mine.vertex_feature, (errors**2).sum(axis=1))
-        held_out = HeldOut(errors, squares)
+        held_out = HeldOut.of(errors, mine)
         return Fit(model, scaling, control, np.ones(k, dtype=bool), used, adjustment, self,
                    found.effective, held_out)
 

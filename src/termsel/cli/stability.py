@@ -131,6 +131,7 @@ def _write(found: Stability, exported: Mapping[str, Path], page: Path | None, pr
     """Write the fit of the stable terms: its record with the frequencies, exports, its page."""
     from termsel.io.export import export
     from termsel.io.result_folder import RECORD, write_result
+    from termsel.record.search import TermFrequencies
     from termsel.runs import run as running
 
     assert asked.out is not None
@@ -138,8 +139,8 @@ def _write(found: Stability, exported: Mapping[str, Path], page: Path | None, pr
                          model=asked.model, solver=_SOLVER, criterion=_CRITERION,
                          options=options)
     said = found.to_dict()
-    result = replace(fitted, stability={
-        key: said[key] for key in ("repeats", "threshold", "frequency")})
+    result = replace(fitted, stability=TermFrequencies(
+        said["repeats"], said["threshold"], said["frequency"]))
     write_result(result, asked.out)
     say_written([asked.out / RECORD])
     for to, file in exported.items():

@@ -9,9 +9,8 @@ ASPRS Positional Accuracy Standards for Digital Geospatial Data, edition 2 (2023
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass
-from typing import Any
+from collections.abc import Callable
+from typing import TypeVar
 
 import numpy as np
 from scipy.special import chdtri, stdtrit
@@ -21,9 +20,14 @@ from termsel.fits.fit import Fit
 from termsel.fits.uncertainty import shared_variance
 from termsel.measurements.coordinates.metres import in_metres
 from termsel.measurements.features import FloatArray, Points
-
-LEVEL = 0.9
-"""Probability of an interval."""
+from termsel.record.figures import (
+    LEVEL,
+    Accuracy,
+    InImage,
+    OnGround,
+    Predicted,
+    StandardFigure,
+)
 
 NSSDA_POINTS, ASPRS_POINTS = 20, 30
 """Fewest check points of the standards."""
@@ -46,27 +50,6 @@ def ce90(errors: FloatArray) -> FloatArray:
     ndarray, shape (...)
     """
     return np.asarray(np.quantile(np.linalg.norm(errors, axis=-1), 0.9, axis=-1))
-
-
-@dataclass(frozen=True)
-class Predicted:
-    """A predicted RMSE with its interval.
-
-    Parameters
-    ----------
-    rmse, low, high : float
-        [px]
-    level : float
-        Probability that the interval holds the RMSE.
-    points : int or None
-        Number of independent points whose RMSE it is for; None for that of endlessly many.
-    """
-
-    rmse: float
-    low: float
-    high: float
-    level: float = LEVEL
-    points: int | None = None
 
 
 def predicted_rmse(errors: FloatArray, effective: float, points: int,
@@ -143,87 +126,22 @@ def rmse_interval(total: float, points: int, level: float = LEVEL) -> tuple[floa
             total * float(np.sqrt(freedom / chdtri(freedom, 1 - tail))))
 
 
-@dataclass(frozen=True)
-class Distances:
-    """Figures of errors in two coordinates.
+_Distances = TypeVar("_Distances", InImage, OnGround)
+
+
+def distances(kind: Callable[[int, float, float, float, float, float], _Distances],
+              errors: FloatArray) -> _Distances:
+    """Return the figures of errors in two coordinates.
 
     Parameters
     ----------
-    n : int
-    first, second : float
-        RMSE of line and sample [px], or of x and y [m].
-    total : float
-        RMSE of the distances.
-    maximum, ce90 : float
-        Largest distance, and that of nine in ten points.
+    kind : {InImage, OnGround}
+    errors : ndarray, shape (n, 2)
+        Of line and sample [px], or of x and y [m].
     """
-
-    n: int
-    first: float
-    second: float
-    total: float
-    maximum: float
-    ce90: float
-
-    @classmethod
-    def of(cls, errors: FloatArray) -> Distances:
-        """Return the figures of errors, shape (n, 2)."""
-        first, second = np.sqrt((errors**2).mean(axis=0)).tolist()
-        return cls(len(errors), first, second, float(np.hypot(first, second)),
-                   float(np.linalg.norm(errors, axis=1).max()), float(ce90(errors)))
-
-
-@dataclass(frozen=True)
-class Standard:
-    """A figure of a standard [m], or why there is none."""
-
-    value: float | None
-    reason: str | None = None
-
-
-@dataclass(frozen=True)
-class Accuracy:
-    """The accuracy on independent points.
-
-    Parameters
-    ----------
-    image : Distances
-        [px]
-    ground : Distances or None
-        On the ground at the height of each point [m].
-    nssda : Standard
-        Horizontal accuracy at 95 % confidence by NSSDA.
-    asprs : Standard
-        Horizontal RMSE by ASPRS 2024, without the error of the check points' survey.
-    """
-
-    image: Distances
-    ground: Distances | None
-    nssda: Standard
-    asprs: Standard
-
-
-def plain_accuracy(accuracy: Accuracy) -> dict[str, Any]:
-    """Return an accuracy as result.json holds it."""
-    def distances(one: Distances, *axes: str) -> dict[str, Any]:
-        plain = asdict(one)
-        return {"n": plain.pop("n"), **dict(zip(axes, (plain.pop("first"), plain.pop("second")),
-                                                strict=True)), **plain}
-
-    return {"image": distances(accuracy.image, "line", "sample"),
-            "ground": accuracy.ground and distances(accuracy.ground, "x", "y"),
-            "nssda": asdict(accuracy.nssda), "asprs": asdict(accuracy.asprs)}
-
-
-def accuracy_from(plain: Mapping[str, Any]) -> Accuracy:
-    """Return the accuracy that `plain_accuracy` gave this content of result.json for."""
-    def distances(one: Mapping[str, Any], *axes: str) -> Distances:
-        first, second = (one[axis] for axis in axes)
-        return Distances(one["n"], first, second, one["total"], one["maximum"], one["ce90"])
-
-    return Accuracy(distances(plain["image"], "line", "sample"),
-                    distances(plain["ground"], "x", "y") if plain["ground"] else None,
-                    Standard(**plain["nssda"]), Standard(**plain["asprs"]))
+    first, second = np.sqrt((errors**2).mean(axis=0)).tolist()
+    return kind(len(errors), first, second, float(np.hypot(first, second)),
+                float(np.linalg.norm(errors, axis=1).max()), float(ce90(errors)))
 
 
 def accuracy_of(fitted: Fit, independent: Points) -> Accuracy | None:
@@ -240,8 +158,8 @@ def accuracy_of(fitted: Fit, independent: Points) -> Accuracy | None:
     if not np.isfinite(errors).all():
         return None
     metres = _on_ground(fitted, independent)
-    ground = None if metres is None else Distances.of(metres)
-    return Accuracy(Distances.of(errors), ground, nssda(len(independent), ground),
+    ground = None if metres is None else distances(OnGround, metres)
+    return Accuracy(distances(InImage, errors), ground, nssda(len(independent), ground),
                     asprs(len(independent), ground))
 
 
@@ -254,24 +172,24 @@ def _on_ground(fitted: Fit, points: Points) -> FloatArray | None:
     return None if metres is None or not np.isfinite(metres).all() else metres
 
 
-def nssda(points: int, ground: Distances | None) -> Standard:
+def nssda(points: int, ground: OnGround | None) -> StandardFigure:
     """Return the horizontal accuracy at 95 % confidence by NSSDA (appendix 3-A)."""
     missing = _missing(points, ground, NSSDA_POINTS)
     if ground is None or missing:
-        return Standard(None, missing)
-    low, high = sorted((ground.first, ground.second))
+        return StandardFigure(None, missing)
+    low, high = sorted((ground.x, ground.y))
     if high > 0 and low < ROUND * high:
-        return Standard(None, f"the RMSE of one axis is below {ROUND:g} of the other")
-    return Standard(2.4477 * (low + high) / 2)
+        return StandardFigure(None, f"the RMSE of one axis is below {ROUND:g} of the other")
+    return StandardFigure(2.4477 * (low + high) / 2)
 
 
-def asprs(points: int, ground: Distances | None) -> Standard:
+def asprs(points: int, ground: OnGround | None) -> StandardFigure:
     """Return the horizontal RMSE by ASPRS 2024."""
     missing = _missing(points, ground, ASPRS_POINTS)
-    return Standard(None if ground is None or missing else ground.total, missing)
+    return StandardFigure(None if ground is None or missing else ground.total, missing)
 
 
-def _missing(points: int, ground: Distances | None, fewest: int) -> str | None:
+def _missing(points: int, ground: OnGround | None, fewest: int) -> str | None:
     if points < fewest:
         return f"{counted(points, 'independent point')}, at least {fewest} needed"
     if ground is None:

@@ -12,6 +12,7 @@ from termsel.adjustment.equations import line_normals
 from termsel.adjustment.lines import relative_deviations
 from termsel.fits.fit import Fit
 from termsel.measurements.features import FloatArray, Lines, select
+from termsel.record.figures import Doubts, Significance
 
 BEYOND = 3.0
 """Standard deviations beyond which a measurement is called a probable blunder."""
@@ -24,31 +25,6 @@ CORRELATED = 0.95
 
 PARALLEL = 0.05
 """Orientation spread from which on lines fix both image axes; that of lines within 13 degrees."""
-
-
-@dataclass(frozen=True)
-class Doubts:
-    """Control features against the final model.
-
-    Parameters
-    ----------
-    sigma : float
-        Standard deviation of a measured coordinate [px], from the median error of all control
-        features on offer, those in use enlarged by what the adjustment takes from them; few
-        blunders, used or not, do not move it. Where deviations are given, it is that of a
-        feature with the median one.
-    wrong : mapping
-        Probable blunders: features whose error is beyond 3 sigma, with that error [px].
-    in_use : tuple of str
-        Those of them that the selection uses all the same.
-    spare : tuple of str
-        Features left out that fit: they were not needed.
-    """
-
-    sigma: float
-    wrong: Mapping[str, float]
-    in_use: tuple[str, ...]
-    spare: tuple[str, ...]
 
 
 def doubts(fit: Fit) -> Doubts | None:
@@ -85,22 +61,6 @@ def doubts(fit: Fit) -> Doubts | None:
     ids = fit.control.ids
     return Doubts(sigma, {ids[i]: float(errors[i]) for i in np.flatnonzero(beyond)},
                   select(ids, beyond & fit.used), select(ids, ~beyond & ~fit.used))
-
-
-@dataclass(frozen=True)
-class Significance:
-    """A coefficient against zero.
-
-    Parameters
-    ----------
-    t : float
-        The coefficient over its standard deviation.
-    p : float
-        Chance of as large a t were the coefficient zero (two-sided Student test).
-    """
-
-    t: float
-    p: float
 
 
 def significance(fit: Fit) -> dict[str, Significance]:

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from dataclasses import asdict, dataclass, replace
-from typing import Any
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -12,10 +11,12 @@ from termsel.fits.fit import GIVEN, Fit
 from termsel.fits.residuals import Residuals, control_residuals, point_residuals
 from termsel.fits.rmse import Rmse
 from termsel.measurements.roles import Observations
+from termsel.record.base import Role
+from termsel.record.figures import BaselineRow, RmseByRole, RoleRmse
 
 ROLES = ("control", "check", "independent")
 
-BOTH = ("control", "check")
+BOTH: tuple[Role, ...] = ("control", "check")
 """What the fits without any search are fitted to."""
 
 LEAVE_ONE_OUT = "leave-one-out"
@@ -46,21 +47,45 @@ class Baseline:
 
     name: str
     n_terms: int
-    fitted_to: tuple[str, ...]
+    fitted_to: tuple[Role, ...]
     determined: bool
     rmse: Rmses
     predicted: float | None = None
 
+    def row(self) -> BaselineRow:
+        """Return the fit as the record of a run holds it."""
+        return BaselineRow(self.name, self.n_terms, self.fitted_to, self.determined,
+                           self.predicted, rmse_record(self.rmse))
 
-def plain_rmse(rmse: Rmses) -> dict[str, Any]:
+
+def rmse_record(rmse: Rmses) -> RmseByRole:
     """Return RMSE by role as result.json holds them; null where there are no points.
 
-    That by leave-one-out comes with them, if there is one.
+    Parameters
+    ----------
+    rmse : mapping
+        By role, that by leave-one-out with them if there is one.
     """
-    nothing = {"line": None, "sample": None, "total": None, "n": 0}
-    return {role: nothing if value is None else
-            {k: finite_or_none(v) if k != "n" else v for k, v in asdict(value).items()}
-            for role, value in ((role, rmse.get(role)) for role in dict.fromkeys((*ROLES, *rmse)))}
+    control, check, independent = (_of_role(rmse.get(role)) for role in ROLES)
+    return RmseByRole(control, check, independent,
+                      _of_role(rmse[LEAVE_ONE_OUT]) if LEAVE_ONE_OUT in rmse else None)
+
+
+def _of_role(rmse: Rmse | None) -> RoleRmse:
+    if rmse is None:
+        return RoleRmse(None, None, None, 0)
+    return RoleRmse(finite_or_none(rmse.line), finite_or_none(rmse.sample),
+                    finite_or_none(rmse.total), rmse.n)
+
+
+def rmse_from(record: RmseByRole) -> dict[str, Rmse | None]:
+    """Return the RMSE by role that `rmse_record` gave a record for."""
+    return {role: Rmse(number(one.line), number(one.sample), number(one.total), one.n)
+            if one.n else None for role, one in record.by_role.items()}
+
+
+def number(value: float | None) -> float:
+    return np.nan if value is None else value
 
 
 def finite_or_none(value: float) -> float | None:
@@ -68,7 +93,7 @@ def finite_or_none(value: float) -> float | None:
 
 
 def baseline(name: str, fitted: Fit, predicted: float | None, observations: Observations,
-             roles: tuple[str, ...] = BOTH) -> Baseline:
+             roles: tuple[Role, ...] = BOTH) -> Baseline:
     """Return the figures of a fit.
 
     Parameters

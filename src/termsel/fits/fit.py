@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, is_dataclass, replace
 from functools import cached_property
 from typing import ClassVar
 
@@ -23,6 +23,7 @@ from termsel.fits.rmse import Rmse, rmse_of
 from termsel.fits.uncertainty import Spread, spread_of
 from termsel.measurements.features import BoolArray, FeatureSet, FloatArray, Lines, Points
 from termsel.measurements.scaling import Scaling, scaling_of
+from termsel.record.base import Settings
 from termsel.threads import one_blas_thread
 
 
@@ -33,12 +34,20 @@ class Undetermined(TermselError):
 class Estimator(ABC):
     """How terms and coefficients are found from control: by least squares, by shrinkage ..."""
 
+    name: ClassVar[str]
+    """Name in the record of a run."""
+
     least_squares: ClassVar[bool] = False
     """Whether the coefficients are those of least squares, which the adjustment describes; others
     are determined whatever the adjustment says of the terms."""
 
     repeatable: ClassVar[bool] = True
     """Whether the estimator can be applied again, such as without a feature."""
+
+    @property
+    def options(self) -> Settings:
+        """What the estimator was made with, by name."""
+        return asdict(self) if is_dataclass(self) and not isinstance(self, type) else {}
 
     @abstractmethod
     def fit(self, model: Fittable, control: FeatureSet, scaling: Scaling, terms: BoolArray,
@@ -83,6 +92,7 @@ class Estimator(ABC):
 class Given(Estimator):
     """Coefficients from elsewhere: a solver's own, those of a record or of more features."""
 
+    name = "given"
     repeatable = False
 
     def fit(self, model: Fittable, control: FeatureSet, scaling: Scaling, terms: BoolArray,
@@ -105,6 +115,12 @@ class HeldOut:
 
     errors: FloatArray
     squares: FloatArray
+
+    @classmethod
+    def of(cls, errors: FloatArray, features: FeatureSet) -> HeldOut:
+        """Return the errors of features in use, with the sums of their squares."""
+        squares = np.bincount(features.vertex_feature, weights=(errors**2).sum(axis=1))
+        return cls(errors, np.asarray(squares, dtype=np.float64))
 
 
 @dataclass(frozen=True, eq=False, repr=False)

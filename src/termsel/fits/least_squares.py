@@ -28,6 +28,7 @@ class LeastSquares(Estimator):
         distances; else the fit is the one a search judges.
     """
 
+    name = "least-squares"
     least_squares = True
     iterated: bool = True
 

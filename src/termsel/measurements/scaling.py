@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -14,6 +12,7 @@ from termsel.measurements.coordinates.crs import is_geographic, transformation
 from termsel.measurements.coordinates.longitudes import TURN, continuous
 from termsel.measurements.features import FeatureSet, FloatArray, Lines, Points
 from termsel.measurements.tables.parts import unchecked
+from termsel.record.record import ScalingNumbers
 
 
 @dataclass(frozen=True)
@@ -85,24 +84,20 @@ class Scaling:
         """Return the features in scaled coordinates."""
         return _scaled(self, features)
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return the scaling as plain numbers for result.json."""
-        return {
-            "line_offset": self.image_offset[0], "line_scale": self.image_scale,
-            "sample_offset": self.image_offset[1], "sample_scale": self.image_scale,
-            **{f"{axis}_{part}": getattr(self, f"ground_{part}")[i]
-               for part in ("offset", "scale") for i, axis in enumerate("xyz")},
-            **({"crs": self.crs, "fit_crs": self.fit_crs} if self.fit_crs else {}),
-            **({"x_turn": self.x_turn} if self.x_turn else {})}
+    def numbers(self) -> ScalingNumbers:
+        """Return the scaling as the record of a run holds it."""
+        return ScalingNumbers(
+            self.image_offset[0], self.image_scale, self.image_offset[1], self.image_scale,
+            *self.ground_offset, *self.ground_scale, self.crs if self.fit_crs else "",
+            self.fit_crs, self.x_turn)
 
     @classmethod
-    def from_dict(cls, values: Mapping[str, Any]) -> Scaling:
-        """Return the scaling that `to_dict` gave these numbers for."""
-        offset, scale = (tuple(values[f"{axis}_{part}"] for axis in "xyz")
-                         for part in ("offset", "scale"))
-        return cls((offset[0], offset[1], offset[2]), (scale[0], scale[1], scale[2]),
-                   (values["line_offset"], values["sample_offset"]), values["line_scale"],
-                   values.get("crs", ""), values.get("fit_crs", ""), values.get("x_turn", 0.0))
+    def from_numbers(cls, numbers: ScalingNumbers) -> Scaling:
+        """Return the scaling that `numbers` returned these for."""
+        return cls((numbers.x_offset, numbers.y_offset, numbers.z_offset),
+                   (numbers.x_scale, numbers.y_scale, numbers.z_scale),
+                   (numbers.line_offset, numbers.sample_offset), numbers.line_scale,
+                   numbers.crs, numbers.fit_crs, numbers.x_turn)
 
 
 @lru_cache(maxsize=8)

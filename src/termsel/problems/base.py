@@ -17,6 +17,7 @@ from termsel.measurements.features import FeatureSet, FloatArray, IntArray, Poin
 from termsel.models.base import SensorModel
 from termsel.problems.genome import Genome
 from termsel.problems.segments import Genes
+from termsel.record.search import SelectionRecord
 
 if TYPE_CHECKING:
     from termsel.enumeration.columns.system import SubsetSystem
@@ -67,11 +68,10 @@ class Selection:
     features: tuple[str, ...]
     parameters: Mapping[str, Any] = field(default_factory=dict)
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return what is selected, for JSON."""
-        return {"terms": list(self.terms), "features": list(self.features),
-                "n_terms": len(self.terms), "n_features": len(self.features),
-                "parameters": dict(self.parameters)}
+    def record(self) -> SelectionRecord:
+        """Return what is selected, as the record of a run holds it."""
+        return SelectionRecord(self.terms, self.features, len(self.terms), len(self.features),
+                               self.parameters)
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
+import numpy as np
+from msgspec import UNSET, convert
 from numpy.typing import ArrayLike
 
 from termsel.display import Glance
@@ -16,57 +18,45 @@ from termsel.errors import TermselError, counted
 from termsel.files.atomic import write_text
 from termsel.files.names import is_there
 from termsel.files.thumbnail import thumbnail
-from termsel.fits.accuracy import Accuracy, Predicted, plain_accuracy
 from termsel.fits.diagnosis import Diagnosis
-from termsel.fits.figures import (
-    Baseline,
-    Rmses,
-    finite_or_none,
-    in_role,
-    plain_rmse,
-    residuals_of,
-)
+from termsel.fits.figures import Baseline, Rmses, in_role, residuals_of, rmse_record
 from termsel.fits.fit import Fit
 from termsel.fits.locate import Surface
 from termsel.fits.residuals import Residuals, point_residuals
 from termsel.measurements.features import FeatureSet, FloatArray
 from termsel.measurements.roles import by_roles
 from termsel.problems.base import Selection
+from termsel.record.base import plain
+from termsel.record.figures import Accuracy, Correlation, Outlier, Predicted
+from termsel.record.record import (
+    SCHEMA,
+    DataRecord,
+    FinalFit,
+    Offered,
+    Options,
+    PluginRecord,
+    Record,
+)
+from termsel.record.search import (
+    Certificate,
+    HistoryRow,
+    Member,
+    Polish,
+    SearchLimits,
+    SizeRow,
+    Strategy,
+    TermFrequencies,
+)
 from termsel.report.answers import report, statement
 from termsel.report.plots import Plots
 from termsel.report.text import summary
 from termsel.report.view import View
 from termsel.results.checksums import sealed
+from termsel.results.same_fit import adjustment_figures, fit_record, least_squares_of
 
 if TYPE_CHECKING:
+    from termsel.models.base import SensorModel
     from termsel.models.rpc import Rpc
-
-SCHEMA = "termsel-result-1"
-
-
-@dataclass(frozen=True)
-class Outlier:
-    """A feature that the others contradict.
-
-    Parameters
-    ----------
-    id : str
-    kind : {"point", "line"}
-    role : {"control", "check", "independent"}
-        As it was before the feature was left out.
-    error : float
-        Its error [px]: of a point the larger in line and sample, of a line the largest distance of
-        a vertex.
-    excluded : bool
-        Whether the fit does without it.
-    """
-
-    id: str
-    kind: str
-    role: str
-    error: float
-    excluded: bool
-
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Result(Glance):
@@ -78,7 +68,7 @@ class Result(Glance):
     seed : int
     options : mapping
         Options of problem, model, solver, criterion and data.
-    data : mapping
+    data : DataRecord
         Source, checksum, counts, and noise where it is known.
     selection : Selection
     feasible : bool
@@ -97,9 +87,8 @@ class Result(Glance):
         looked up, and generations of the solver.
     seconds : float
     interrupted : bool
-    polish : mapping, optional
-        First objective as the solver found it and after local refinement, and how many of the
-        evaluations are the refinement's.
+    polish : Polish, optional
+        What local refinement added.
     fit : Fit
         The fitted model.
     residuals : Residuals
@@ -112,15 +101,14 @@ class Result(Glance):
     plugins : mapping
         Of problem, model, solver and criterion those that plugins provide, with
         ``distribution:name`` and version.
-    front : tuple
+    front : tuple of Member
         Non-dominated selections of a search with several objectives; from `exact` the best by
         number of terms, as soon as all is proven.
-    certificate : mapping, optional
+    certificate : Certificate, optional
         What was proven.
-    by_size : tuple of mapping
-        From `exact`, at any time: the best selection of every number of terms or features, as
-        in `front`, with what is proven of those as large: "optimal", "bound" and "gap"; "better"
-        if it is better than all smaller ones.
+    by_size : tuple of SizeRow
+        From `exact`, at any time: the best selection of every number of terms or features, with
+        what is proven of those as large.
     outliers : tuple of Outlier
         Every probable blunder, used or not.
     predicted : Predicted, optional
@@ -130,17 +118,15 @@ class Result(Glance):
     final : Fit, optional
         Of a choice by the strategy "auto": the same structure fitted to all points, independent
         ones included, which is exported. All figures are those of `fit`.
-    strategy : mapping, optional
+    strategy : Strategy, optional
         Of a choice by the strategy "auto": what was chosen, the accuracy it predicts, and all
         candidates with theirs.
-    history : tuple of mapping
-        Of each generation of the search: evaluations so far, the best first objective so far, the
-        median and the share of feasible individuals; of the ICA also the sizes of its empires.
-    budget : mapping
-        Limits of each search: "generations", "evaluations", "seconds", "patience", those that
-        there were.
-    stability : mapping, optional
-        Of a fit of the stable terms: repeats, threshold and the frequency of each term.
+    history : tuple of HistoryRow
+        Each generation of the search.
+    budget : SearchLimits
+        Limits of each search.
+    stability : TermFrequencies, optional
+        Of a fit of the stable terms: how often each term was selected.
     """
 
     problem: str
@@ -149,7 +135,7 @@ class Result(Glance):
     criterion: str
     seed: int
     options: Mapping[str, Any]
-    data: Mapping[str, Any]
+    data: DataRecord
     selection: Selection
     feasible: bool
     rmse: Rmses
@@ -162,82 +148,77 @@ class Result(Glance):
     generations: int
     seconds: float
     interrupted: bool
-    polish: Mapping[str, float] | None
+    polish: Polish | None
     fit: Fit
     residuals: Residuals
     diagnosis: Diagnosis
     features: FeatureSet
     versions: Mapping[str, str]
-    front: tuple[Mapping[str, Any], ...] = ()
-    certificate: Mapping[str, Any] | None = None
-    strategy: Mapping[str, Any] | None = None
+    front: tuple[Member, ...] = ()
+    certificate: Certificate | None = None
+    strategy: Strategy | None = None
     outliers: tuple[Outlier, ...] = ()
     predicted: Predicted | None = None
     accuracy: Accuracy | None = None
     plugins: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
     final: Fit | None = None
-    history: tuple[Mapping[str, Any], ...] = ()
-    budget: Mapping[str, float] = field(default_factory=dict)
-    stability: Mapping[str, Any] | None = None
-    by_size: tuple[Mapping[str, Any], ...] = ()
+    history: tuple[HistoryRow, ...] = ()
+    budget: SearchLimits = field(default_factory=SearchLimits)
+    stability: TermFrequencies | None = None
+    by_size: tuple[SizeRow, ...] = ()
 
     @property
     def hit_rate(self) -> float:
         """Share of all evaluations that were looked up."""
         return self.lookups / self.evaluations
 
+    @cached_property
+    def record(self) -> Record:
+        """The content of result.json, typed, with its checksums."""
+        return convert(sealed(self.to_dict(), self.features), Record)
+
     def to_dict(self) -> dict[str, Any]:
         """Return the content of result.json."""
-        adjustment = self.fit.adjustment
+        final = self.final
         terms = self.fit.model.terms
-        chosen = [i for i, on in enumerate(self.fit.terms) if on]
-        return {
-            "schema": SCHEMA,
-            "problem": self.problem, "model": self.model, "solver": self.solver,
-            "criterion": self.criterion, "seed": self.seed, "options": dict(self.options),
-            "data": dict(self.data),
-            "selection": self.selection.to_dict(),
-            "offered": {"n_terms": len(terms), "n_features": len(self.fit.control)},
-            "feasible": self.feasible,
-            "objectives": {k: finite_or_none(v) for k, v in self.objectives.items()},
-            "rmse": plain_rmse(self.rmse),
-            "baselines": [
-                {"name": b.name, "n_terms": b.n_terms, "fitted_to": list(b.fitted_to),
-                 "determined": b.determined, "predicted": b.predicted, "rmse": plain_rmse(b.rmse)}
-                for b in self.baselines],
-            "judgement": self.judgement, "notes": list(self.notes),
-            "outliers": [asdict(one) for one in self.outliers],
-            "predicted": self.predicted and asdict(self.predicted),
-            "accuracy": self.accuracy and plain_accuracy(self.accuracy),
-            "final": None if self.final is None else {
-                "features": list(self.final.control.ids), "scaling": self.final.scaling.to_dict(),
-                "coefficients": self.final.coefficients},
-            "exported": "final" if self.final else "selection",
-            "front": list(self.front), "certificate": self.certificate, "strategy": self.strategy,
-            "evaluations": self.evaluations, "lookups": self.lookups,
-            "hit_rate": self.hit_rate,
-            "generations": self.generations, "seconds": self.seconds,
-            "history": list(self.history), "budget": dict(self.budget),
-            **({"stability": dict(self.stability)} if self.stability else {}),
-            **({"by_size": list(self.by_size)} if self.by_size else {}),
-            "interrupted": self.interrupted, "polish": self.polish,
-            "coefficients": {terms[i]: float(adjustment.coefficients[i]) for i in chosen},
-            "standard_deviations": {
-                terms[i]: finite_or_none(adjustment.deviations[i]) for i in chosen},
-            "adjustment": {
-                "equations": adjustment.n_equations, "terms": adjustment.n_terms,
-                "redundancy": adjustment.redundancy, "rank": adjustment.rank,
-                "condition": finite_or_none(adjustment.condition),
-                "sigma0": finite_or_none(adjustment.sigma0 * self.fit.scaling.image_scale),
-                "orientation_spread": self.diagnosis.orientation_spread},
-            "significance": {name: asdict(one)
-                             for name, one in self.diagnosis.significance.items()},
-            "correlations": [{"terms": [one, other], "correlation": value}
-                             for one, other, value in self.diagnosis.correlations],
-            "doubts": asdict(self.diagnosis.doubts) if self.diagnosis.doubts else None,
-            "scaling": self.fit.scaling.to_dict(),
-            "versions": dict(self.versions),
-            "plugins": {part: dict(one) for part, one in self.plugins.items()}}
+        return plain(Record(
+            schema=SCHEMA, problem=self.problem, model=self.model, solver=self.solver,
+            criterion=self.criterion, seed=self.seed, options=convert(plain(self.options), Options),
+            data=self.data, selection=self.selection.record(),
+            offered=Offered(len(terms), len(self.fit.control)), feasible=self.feasible,
+            objectives=self.objectives, rmse=rmse_record(self.rmse),
+            baselines=tuple(one.row() for one in self.baselines), judgement=self.judgement,
+            notes=self.notes, outliers=self.outliers, predicted=self.predicted,
+            accuracy=self.accuracy, final=None if final is None else FinalFit(
+                final.control.ids, final.scaling.numbers(), final.coefficients,
+                final.standard_deviations, adjustment_figures(final), fit_record(final)),
+            exported="final" if final else "selection", front=self.front,
+            certificate=self.certificate, strategy=self.strategy, evaluations=self.evaluations,
+            lookups=self.lookups, hit_rate=self.hit_rate, generations=self.generations,
+            seconds=self.seconds, history=self.history, budget=self.budget,
+            stability=self.stability, by_size=self.by_size, interrupted=self.interrupted,
+            polish=self.polish, coefficients=self.fit.coefficients,
+            standard_deviations=self.fit.standard_deviations, fit=fit_record(self.fit),
+            adjustment=adjustment_figures(self.fit, self.diagnosis.orientation_spread),
+            significance=self.diagnosis.significance,
+            correlations=tuple(Correlation((one, other), value)
+                               for one, other, value in self.diagnosis.correlations),
+            doubts=self.diagnosis.doubts, scaling=self.fit.scaling.numbers(),
+            versions=self.versions, plugins=convert(plain(self.plugins), dict[str, PluginRecord])))
+
+    def fit_of(self, member: Member | SizeRow) -> Fit:
+        """Return the fit of a member of the front, or of the best selection of a size.
+
+        Parameters
+        ----------
+        member : Member or SizeRow
+        """
+        observations, selected = by_roles(self.features), member.selection
+        model = cast("SensorModel", self.fit.model).with_parameters(selected.parameters or {})
+        iterated = None if member.iterated is UNSET else member.iterated
+        return least_squares_of(
+            model, observations.control, self.fit.scaling, np.isin(model.terms, selected.terms),
+            np.isin(observations.control.ids, selected.features), observations.check, iterated)
 
     def of_image(self, size: tuple[int, int]) -> Result:
         """Return the result with the size of its image, which files of points do not state.
@@ -323,8 +304,7 @@ class Result(Glance):
 
     def to_json(self) -> str:
         """Return result.json as text: `to_dict` and its checksums."""
-        record = sealed(self.to_dict(), self.features)
-        return json.dumps(record, indent=1, allow_nan=False) + "\n"
+        return json.dumps(plain(self.record), indent=1) + "\n"
 
     @cached_property
     def view(self) -> View:
@@ -332,7 +312,7 @@ class Result(Glance):
         points = self.features.points
         names = {one.id for one in self.outliers} - {r.id for r in self.residuals}
         out = points.take([name in names for name in points.ids])  # blunders that have no role
-        return View(sealed(self.to_dict(), self.features), self.fit, self.features, Residuals((
+        return View(plain(self.record), self.fit, self.features, Residuals((
             *self.residuals,
             *point_residuals(out, self.fit.errors(out), "left out", [False] * len(out)))))
 

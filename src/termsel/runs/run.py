@@ -9,6 +9,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from msgspec import convert
+
 from termsel.adjustment import kernels, leave_out
 from termsel.criteria import Criterion
 from termsel.errors import TermselError
@@ -19,6 +21,7 @@ from termsel.measurements.roles import together
 from termsel.models.base import SensorModel
 from termsel.plugins.registry import registry
 from termsel.problems.recipes import Recipe
+from termsel.record.search import SearchLimits
 from termsel.results.result import Result
 from termsel.runs.auto.strategy import LEAST, choose_for, wanted
 from termsel.runs.judgement.assess import assessed
@@ -130,8 +133,10 @@ def run(
               "patience": patience}
     found = search_without_blunders(task, seed=seed, **limits, observers=observers)
     # As plain numbers, for the record.
-    budget = {name: float(limit) if name == "seconds" else int(limit)
-              for name, limit in limits.items() if limit is not None and math.isfinite(limit)}
+    budget = convert({
+        name: float(limit) if name == "seconds" else int(limit)
+        for name, limit in limits.items() if limit is not None and math.isfinite(limit)},
+        SearchLimits)
     return _finished(replace(assessed(task, found), budget=budget), out)
 
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from termsel.errors import TermselError
-from termsel.fits.figures import Rmses, figures, in_role, plain_rmse
+from termsel.fits.figures import Rmses, figures, in_role, rmse_record
 from termsel.fits.least_squares import fit
 from termsel.fits.rmse import Rmse
 from termsel.interrupts import answered
@@ -19,6 +19,7 @@ from termsel.measurements.scaling import scaling_of
 from termsel.measurements.twins import twins
 from termsel.models.poles import guard_points, pole_violation
 from termsel.problems.segments import Bits
+from termsel.record.base import plain
 from termsel.runs.notebook import notebook_observer
 from termsel.runs.search.recommend import recommended
 from termsel.runs.task.task import Task, prepare
@@ -69,7 +70,7 @@ class Stability:
                 "frequency": dict(zip(self.terms, self.frequency.tolist(), strict=True)),
                 "n_terms": self.selections.sum(axis=1).tolist(),
                 "stable": list(self.stable), "determined": self.determined,
-                "rmse": plain_rmse(self.rmse) if self.determined else None}
+                "rmse": plain(rmse_record(self.rmse)) if self.determined else None}
 
 
 @one_blas_thread

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -22,6 +21,7 @@ from termsel.problems.base import (
 )
 from termsel.problems.genome import Genome
 from termsel.problems.segments import Genes
+from termsel.record.search import HistoryRow
 from termsel.solvers.base import Generation, Solver
 
 _KNOWN = 1_000_000  # individuals remembered at most, unless a front is made of them: some 300 MB
@@ -57,38 +57,6 @@ class Progress:
     violation: float
     genes: Genes
     what: str = ""
-
-
-@dataclass(frozen=True)
-class Tally:
-    """One generation in the history of a search.
-
-    Parameters
-    ----------
-    evaluations : int
-        Individuals evaluated so far.
-    best : float or None
-        Least first objective so far of a feasible individual; None if there is none.
-    median : float or None
-        Median first objective of the feasible individuals of this generation.
-    feasible : float
-        Their share of it.
-    empires : tuple of int
-        Of the ICA: the countries of each empire, in the order in which they began; 0 for one that
-        has vanished. Empty for other solvers.
-    """
-
-    evaluations: int
-    best: float | None
-    median: float | None
-    feasible: float
-    empires: tuple[int, ...] = ()
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the entry of the record; without empires where there are none."""
-        plain = asdict(self)
-        return {**plain, "empires": list(self.empires)} if self.empires else {
-            key: value for key, value in plain.items() if key != "empires"}
 
 
 class BudgetSpent(Exception):
@@ -172,13 +140,13 @@ class Ledger(Problem):
         genes = generation.genes[0] if self.best_genes is None else self.best_genes
         return Progress(generation, self.count, share, self.best[1], self.best[0], genes, what)
 
-    def tally(self, generation: Generation) -> Tally:
+    def tally(self, generation: Generation) -> HistoryRow:
         """Return the generation's entry in the history."""
         feasible = generation.evaluation.violation == 0
         scores = generation.evaluation.objectives[feasible, 0]
-        return Tally(self.count, None if self.best[0] else self.best[1],
-                     float(np.median(scores)) if len(scores) else None, float(feasible.mean()),
-                     tuple(map(int, generation.details.get("empires", ()))))
+        return HistoryRow(self.count, None if self.best[0] else self.best[1],
+                          float(np.median(scores)) if len(scores) else None, float(feasible.mean()),
+                          tuple(map(int, generation.details.get("empires", ()))))
 
     def front(self) -> list[Genes]:
         """Return the feasible non-dominated individuals, by first objective."""

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
 
 import numpy as np
 
 from termsel.errors import TermselError
 from termsel.problems.base import Evaluation
+from termsel.record.search import Polish
 from termsel.solvers.base import Generation
 from termsel.solvers.heuristics.swap import climb, neighbours
 from termsel.solvers.ledger import BudgetSpent, Ledger, Progress
@@ -22,24 +22,6 @@ DESCENT = 100_000_000
 """Most genes that the first descent of the local refinement evaluates, in all its individuals,
 where no budget of evaluations is given: of thousands of points, one look at all neighbours of a
 selection would take hours."""
-
-
-@dataclass(frozen=True)
-class Polish:
-    """What the local refinement after a solver added.
-
-    Parameters
-    ----------
-    found, polished : float
-        First objective before and after.
-    evaluations, lookups : int
-        Those of the search that are the refinement's.
-    """
-
-    found: float
-    polished: float
-    evaluations: int
-    lookups: int
 
 
 def refine(ledger: Ledger, rng: np.random.Generator, generation: Generation | None,

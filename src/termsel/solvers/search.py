@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from msgspec import structs
 
 from termsel.errors import TermselError
 from termsel.interrupts import answered
@@ -16,11 +17,12 @@ from termsel.measurements.features import FloatArray
 from termsel.problems.base import Evaluation, Problem
 from termsel.problems.genome import Genome
 from termsel.problems.segments import Genes
+from termsel.record.search import HistoryRow, Polish
 from termsel.solvers.base import Generation, Solver
 from termsel.solvers.bridges.silence import heard
 from termsel.solvers.budget import EVALUATIONS, IDLE, TOLERANCE, Budget, Patience, require_limits
-from termsel.solvers.ledger import BudgetSpent, Ledger, Progress, Tally
-from termsel.solvers.refinement import POLISH_SHARE, Polish, refine
+from termsel.solvers.ledger import BudgetSpent, Ledger, Progress
+from termsel.solvers.refinement import POLISH_SHARE, refine
 from termsel.threads import one_blas_thread
 
 if TYPE_CHECKING:
@@ -70,7 +72,7 @@ class Search:
         yields, if any.
     notes : tuple of str
         What a reader of the result must know about the search.
-    history : tuple of Tally
+    history : tuple of HistoryRow
         One for each generation.
     """
 
@@ -88,7 +90,7 @@ class Search:
     front: tuple[Genes, ...] = ()
     coefficients: FloatArray | None = None
     notes: tuple[str, ...] = ()
-    history: tuple[Tally, ...] = ()
+    history: tuple[HistoryRow, ...] = ()
     proof: Proof | FeatureProof | None = None
 
     def after(self, earlier: Search, *notes: str) -> Search:
@@ -100,7 +102,7 @@ class Search:
         *notes : str
             What there is to say of both.
         """
-        later = tuple(replace(one, evaluations=one.evaluations + earlier.evaluations)
+        later = tuple(structs.replace(one, evaluations=one.evaluations + earlier.evaluations)
                       for one in self.history)
         return replace(self, evaluations=earlier.evaluations + self.evaluations,
                        generations=earlier.generations + self.generations,
@@ -179,7 +181,7 @@ def search(
     refined, interrupted = None, False
     idle = 0
     notes: tuple[str, ...] = ()
-    history: list[Tally] = []
+    history: list[HistoryRow] = []
     rng = np.random.default_rng(seed)
 
     def tell(what: str) -> None:

@@ -12,7 +12,8 @@ from termsel.candidates.portfolio import Judged
 from termsel.measurements.features import BoolArray, FeatureSet, Points, select
 from termsel.measurements.roles import Observations, leave_out, together
 from termsel.measurements.twins import merged, with_twins
-from termsel.results.result import Outlier
+from termsel.record.base import Role
+from termsel.record.figures import Outlier
 
 FEW = 17
 """Number of points below which a note says what errors cannot be found."""
@@ -34,7 +35,7 @@ def without_blunders(observations: Observations,
     found = find_blunders(both, heights)
     if found is None:
         return observations, [], []
-    role = dict.fromkeys(observations.check.ids, "check")
+    role: dict[str, Role] = dict.fromkeys(observations.check.ids, "check")
     outliers = [Outlier(both.ids[i], "point" if i < len(both.points) else "line",
                         role.get(both.ids[i], "control"), float(found.errors[i]),
                         bool(found.blunders[i]))

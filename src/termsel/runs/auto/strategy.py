@@ -32,6 +32,7 @@ from termsel.measurements.twins import merged
 from termsel.models.base import SensorModel
 from termsel.problems.base import Evaluation, Selection
 from termsel.problems.recipes import Recipe
+from termsel.record.search import CandidateRow, Strategy
 from termsel.results.result import Result
 from termsel.runs.auto.final import final_fit
 from termsel.runs.auto.outliers import judged_independent, without_blunders
@@ -228,14 +229,11 @@ def choose_for(request: Request, observations: Observations, seed: int,
         diagnosis=replace(diagnose(fitted), doubts=None),
         features=observations.features, versions=versions(),
         plugins=plugins_of(request),
-        strategy={
-            "name": "auto", "chosen": chosen.name, "reason": choice.reason,
-            "predicted": predicted, "folds": folds,
-            "fitted_to": ["control", "check"],
-            "candidates": [
-                {"name": one.name, "model": one.fit.model.name,
-                 "n_terms": int(one.fit.terms.sum()), "effective": one.fit.effective,
-                 "predicted": finite_or_none(one.predicted)} for one in choice.judged]})
+        strategy=Strategy("auto", chosen.name, choice.reason, predicted, folds,
+                          ("control", "check"), tuple(CandidateRow(
+                              one.name, one.fit.model.name, int(one.fit.terms.sum()),
+                              one.fit.effective, finite_or_none(one.predicted))
+                              for one in choice.judged)))
 
 
 def _lines(fitted: Fit) -> list[str]:

@@ -3,26 +3,31 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from msgspec import convert
+from msgspec.structs import asdict
 
 from termsel.candidates.compare import compare_robustly
 from termsel.candidates.ridge import RidgeByOrder
 from termsel.errors import TermselError, unknown_name
 from termsel.fits.accuracy import accuracy_of
-from termsel.fits.diagnosis import Doubts, diagnose
-from termsel.fits.figures import baseline, figures, plain_rmse, residuals_of
+from termsel.fits.diagnosis import diagnose
+from termsel.fits.figures import baseline, figures, residuals_of, rmse_record
 from termsel.fits.fit import Fit
 from termsel.fits.least_squares import fit
 from termsel.guard.faults import HINT, wrong
 from termsel.measurements.features import BoolArray
 from termsel.models.base import SensorModel
-from termsel.models.poles import guard_points, pole_violation
 from termsel.problems.base import Selection
 from termsel.problems.segments import Genes
-from termsel.results.result import Outlier, Result
+from termsel.record.base import plain
+from termsel.record.figures import Doubts, Outlier
+from termsel.record.search import Certificate, Member, SizeRow
+from termsel.results.result import Result
+from termsel.results.same_fit import has_pole, least_squares_of
 from termsel.runs.judgement.judge import judge, name_conventional, notes_on
 from termsel.runs.task.data_notes import notes_on_data
 from termsel.runs.task.provenance import data_of, notes_on_sessions, plugins_of, versions
@@ -125,8 +130,7 @@ def assessed(task: Task, found: Search) -> Result:
         objectives=dict(zip(task.problem.objectives, objectives, strict=False)),
         evaluations=found.evaluations, lookups=found.lookups, generations=found.generations,
         seconds=found.seconds, interrupted=found.interrupted,
-        polish=asdict(found.polish) if found.polish else None,
-        history=tuple(one.to_dict() for one in found.history), fit=chosen,
+        polish=found.polish, history=found.history, fit=chosen,
         residuals=residuals_of(chosen, observations),
         diagnosis=diagnosis,
         outliers=tuple(_outliers(chosen, diagnosis.doubts)),
@@ -134,8 +138,8 @@ def assessed(task: Task, found: Search) -> Result:
         features=observations.features, versions=versions(),
         plugins=plugins_of(task),
         front=tuple(members[genes.tobytes()] for genes in found.front),
-        by_size=tuple({**members[one.genes.tobytes()], "better": one.better,
-                       "optimal": one.optimal, "bound": one.bound, "gap": one.gap}
+        by_size=tuple(SizeRow(**asdict(members[one.genes.tobytes()]), better=one.better,
+                              optimal=one.optimal, bound=one.bound, gap=one.gap)
                       for one in sizes),
         certificate=_certificate(task, found, chosen))
 
@@ -154,8 +158,8 @@ def _outliers(chosen: Fit, found: Doubts | None) -> Iterable[Outlier]:
     if found is None:
         return
     for name, error in found.wrong.items():
-        kind = "point" if name in chosen.control.points.ids else "line"
-        yield Outlier(name, kind, "control", error, name not in found.in_use)
+        yield Outlier(name, "point" if name in chosen.control.points.ids else "line", "control",
+                      error, name not in found.in_use)
 
 
 def is_feasible(task: Task, found: Search, chosen: Fit) -> bool:
@@ -171,7 +175,7 @@ def is_feasible(task: Task, found: Search, chosen: Fit) -> bool:
         As `estimated` returns it.
     """
     return (found.violation == 0 if chosen.estimator.least_squares else chosen.determined) \
-        and not _has_pole(task, chosen)
+        and not has_pole(chosen, task.observations.check)
 
 
 def estimated(task: Task, selection: Selection, found: Search) -> Fit:
@@ -190,8 +194,13 @@ def estimated(task: Task, selection: Selection, found: Search) -> Fit:
     return chosen if found.coefficients is None else chosen.with_coefficients(found.coefficients)
 
 
-def _certificate(task: Task, found: Search, chosen: Fit) -> Mapping[str, Any] | None:
+def _certificate(task: Task, found: Search, chosen: Fit) -> Certificate | None:
     """Return what the solver proved, or how far its find is from the proven optimum."""
+    content = _proven(task, found, chosen)
+    return None if content is None else convert(plain(content), Certificate)
+
+
+def _proven(task: Task, found: Search, chosen: Fit) -> Mapping[str, Any] | None:
     claim = plugins_of(task).get("solver")
     if found.certificate is not None and claim:
         return {**_required(found.certificate, claim["name"]), "claimed_by": claim["name"]}
@@ -218,40 +227,27 @@ def _sizes(task: Task, found: Search) -> list[SizeProof]:
         else found.proof.by_size(task.problem)
 
 
-def _member(task: Task, genes: Genes) -> Mapping[str, Any]:
+def _member(task: Task, genes: Genes) -> Member:
     """Return the member of a front, with its RMSE on all roles."""
     observations, selection = task.observations, task.problem.decode(genes)
     member = fit_of(task, selection)
     values = task.problem.evaluate(genes[None]).objectives[0].tolist()
     size = len(selection.features if task.recipe.second == "n_features" else selection.terms)
-    return {"objectives": {task.recipe.second: size,
-                           **dict(zip(task.problem.objectives, values, strict=True))},
-            "selection": selection.to_dict(),
-            "rmse": plain_rmse({"control": member.control_rmse(),
-                                "check": member.rmse(observations.check),
-                                "independent": member.rmse(observations.independent)})}
+    return Member(
+        {task.recipe.second: size, **dict(zip(task.problem.objectives, values, strict=True))},
+        selection.record(),
+        rmse_record({"control": member.control_rmse(), "check": member.rmse(observations.check),
+                     "independent": member.rmse(observations.independent)}),
+        bool(member.estimator.options["iterated"]))
 
 
 def fit_of(task: Task, selection: Selection) -> Fit:
-    """Return the model fitted with the terms and features that a problem's genes stand for.
-
-    Where the iteration for lines under separate denominators ends with a pole in the scene,
-    the solution it began with, which the search judged, is taken.
-    """
+    """Return the model fitted with the terms and features that a problem's genes stand for."""
     control = task.observations.control
     model = task.model.with_parameters(selection.parameters)
     terms = _mask(task, model.terms, selection.terms, "term")
     used = _mask(task, control.ids, selection.features, "control feature")
-    chosen = fit(model, control, task.scaling, terms, used)
-    return fit(model, control, task.scaling, terms, used, iterated=False) \
-        if _has_pole(task, chosen) else chosen
-
-
-def _has_pole(task: Task, chosen: Fit) -> bool:
-    """Return whether a denominator falls short somewhere in the scene."""
-    guard = guard_points(task.scaling.features(task.observations.control),
-                         task.scaling.points(task.observations.check))
-    return bool(pole_violation(chosen.model, chosen.adjustment.coefficients[None], guard).any())
+    return least_squares_of(model, control, task.scaling, terms, used, task.observations.check)
 
 
 def _mask(task: Task, names: tuple[str, ...], chosen: Iterable[str], what: str) -> BoolArray:

@@ -12,13 +12,14 @@ from termsel.measurements.features import FeatureSet
 from termsel.measurements.roles import Observations
 from termsel.plugins.hookspecs import PROJECT
 from termsel.plugins.registry import SESSION, registry
+from termsel.record.record import Counts, DataRecord, IdsByRole
 from termsel.results.checksums import of_features
 
 if TYPE_CHECKING:
     from termsel.runs.task.task import Request, Task
 
 
-def data_of(features: FeatureSet, source: str, observations: Observations) -> dict[str, Any]:
+def data_of(features: FeatureSet, source: str, observations: Observations) -> DataRecord:
     """Return what a record says of the features its result is made of.
 
     Parameters
@@ -30,17 +31,13 @@ def data_of(features: FeatureSet, source: str, observations: Observations) -> di
         The same features, each in its role.
     """
     control, size = observations.control, features.image_size
-    return {
-        "source": source, "sha256": of_features(features), "crs": features.crs,
-        "fit_crs": control.fit_crs or features.crs,
-        "heights": features.heights or height_reference(features.crs) or None,
-        "noise": features.noise, "image_size": size and list(size),
-        "counts": {"control": len(control.points), "check": len(observations.check),
-                   "independent": len(observations.independent),
-                   "lines": len(control.lines.features), "off": len(observations.off)},
-        "roles": {"control": list(control.ids), "off": list(observations.off),
-                  "check": list(observations.check.ids),
-                  "independent": list(observations.independent.ids)}}
+    return DataRecord(
+        source, of_features(features), features.crs, control.fit_crs or features.crs,
+        features.heights or height_reference(features.crs) or None, features.noise, size,
+        Counts(len(control.points), len(observations.check), len(observations.independent),
+               len(control.lines.features), len(observations.off)),
+        IdsByRole(control.ids, observations.off, observations.check.ids,
+                  observations.independent.ids))
 
 
 def versions() -> dict[str, str]:

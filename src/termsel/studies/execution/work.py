@@ -293,7 +293,7 @@ def _figures_of(result: Result) -> dict[str, Any]:
     predicted, selection = result.predicted, result.selection
     excluded = sum(one.excluded for one in result.outliers)
     return {
-        "chosen": (result.strategy or {}).get("chosen"), **_rmse(result.rmse),
+        "chosen": result.strategy and result.strategy.chosen, **_rmse(result.rmse),
         "predicted": predicted and finite_or_none(predicted.rmse),
         "predicted_low": predicted and finite_or_none(predicted.low),
         "predicted_high": predicted and finite_or_none(predicted.high),

@@ -1,0 +1,37 @@
+"""All estimators by their names in the record of a run."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from termsel.candidates.local import Interpolated
+from termsel.candidates.ridge import RidgeByOrder
+from termsel.candidates.robust import Reweighted
+from termsel.candidates.selected import ForwardSelection
+from termsel.candidates.shrunken import Averaging
+from termsel.errors import unknown_name
+from termsel.fits.fit import Estimator, Given
+from termsel.fits.least_squares import LeastSquares
+
+ESTIMATORS: dict[str, type[Estimator]] = {one.name: one for one in (
+    LeastSquares, RidgeByOrder, ForwardSelection, Averaging, Interpolated, Reweighted, Given)}
+
+
+def estimator_named(name: str, options: Mapping[str, Any]) -> Estimator:
+    """Return the estimator of a name, made with options.
+
+    Parameters
+    ----------
+    name : str
+    options : mapping
+        As `Estimator.options` gives them.
+
+    Raises
+    ------
+    TermselError
+        If there is no estimator of this name.
+    """
+    if name not in ESTIMATORS:
+        raise unknown_name("estimator", name, ESTIMATORS)
+    return ESTIMATORS[name](**options)

@@ -1,0 +1,114 @@
+"""Records of termsel 0.1 and 0.2, completed by what this version stores."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from termsel.candidates.candidate import named
+from termsel.fits.fit import Fit
+from termsel.fits.least_squares import LEAST_SQUARES
+from termsel.measurements.features import BoolArray, FeatureSet, Points
+from termsel.measurements.scaling import Scaling
+from termsel.models.base import SensorModel
+from termsel.record.record import FitRecord, Record
+from termsel.results.same_fit import least_squares_of
+
+_SINCE_0_1: dict[str, Any] = {
+    "outliers": [], "predicted": None, "accuracy": None, "final": None, "exported": "selection",
+    "history": [], "budget": {}, "plugins": {}}
+"""Keys that version 0.1 did not have, with what says nothing."""
+
+
+def completed(content: dict[str, Any]) -> dict[str, Any]:
+    """Return the content of result.json with all keys of this version.
+
+    Up to 0.2 a record did not say how its coefficients were found. It follows from other keys:
+    from the candidate that auto chose, and from the objectives, which only least squares has.
+
+    Parameters
+    ----------
+    content : dict
+        That of this version, or what is no record, is returned as it is.
+    """
+    parts = [content.get(key) for key in ("selection", "data", "options")]
+    if "fit" in content or not all(isinstance(part, dict) for part in parts):
+        return content
+    strategy, features = content.get("strategy"), None
+    if isinstance(strategy, dict):
+        strategy = {"reason": "", **strategy}
+        candidate = named(str(strategy.get("chosen")))
+        how = candidate.estimator.name if candidate else "given"
+        features = [*_list(content["selection"], "features"),
+                    *_list(content["data"].get("roles"), "check")]
+    elif content.get("objectives"):
+        how = "least-squares"
+    else:
+        shrunk = content["options"].get("problem", {}).get("shrink")
+        how = "ridge-by-order" if shrunk else "given"
+    return {**_SINCE_0_1, "offered": _offered(content), **content,
+            "options": {"search": {}, **content["options"]}, "strategy": strategy,
+            "fit": {"estimator": how, "options": {}, "effective": None, "held_out": None,
+                    "features": features}}
+
+
+def _list(part: Any, key: str) -> list[Any]:
+    """Return a list within a part of a record; empty where there is none."""
+    value = part.get(key) if isinstance(part, dict) else None
+    return value if isinstance(value, list) else []
+
+
+def _offered(content: dict[str, Any]) -> dict[str, Any]:
+    """Return what there was to select from, by the conventional fit and the counts of features."""
+    rows = [one for one in _list(content, "baselines") if isinstance(one, dict)]
+    terms = [one.get("n_terms", 0) for one in (content["selection"], *rows)
+             if one is content["selection"] or one.get("name") == "all-terms"]
+    counts = content["data"].get("counts", {})
+    return {"n_terms": max(terms), "n_features": counts.get("control", 0) + counts.get("lines", 0)}
+
+
+def iteration_known(how: FitRecord, model: SensorModel, control: FeatureSet, scaling: Scaling,
+                    terms: BoolArray, used: BoolArray, check: Points) -> FitRecord:
+    """Return how a fit was found, with whether the iteration for lines was run.
+
+    Up to 0.2 that follows from the rule of the run alone, which is applied again.
+
+    Parameters
+    ----------
+    how : FitRecord
+    model, control, scaling, terms, used, check
+        As for `termsel.results.same_fit.least_squares_of`.
+    """
+    if how.estimator != LEAST_SQUARES.name or how.options:
+        return how
+    chosen = least_squares_of(model, control, scaling, terms, used, check)
+    return msgspec.structs.replace(how, options=chosen.estimator.options)
+
+
+def final_of_0_2(record: Record, model: SensorModel, control: FeatureSet, scaling: Scaling,
+                 used: BoolArray) -> Fit:
+    """Return the final fit of a record of 0.2, which has nothing but its coefficients.
+
+    Parameters
+    ----------
+    record : Record
+        Of the strategy auto, with a final fit.
+    model : SensorModel
+    control : FeatureSet
+        All it was fitted to.
+    scaling : Scaling
+    used : ndarray of bool, shape (len(control),)
+    """
+    assert record.final is not None
+    assert record.strategy is not None
+    candidate, values = named(record.strategy.chosen), record.final.coefficients
+    terms = np.array([name in values for name in model.terms], dtype=bool)
+    # The terms that a forward selection chose stayed those of the choice.
+    estimator = candidate.estimator if candidate and candidate.kind != "selected" \
+        else LEAST_SQUARES
+    fitted = estimator.fit(model, control, scaling, terms, used)
+    coefficients = np.array([values.get(name, 0.0) for name in model.terms])
+    return replace(fitted, adjustment=replace(fitted.adjustment, coefficients=coefficients))

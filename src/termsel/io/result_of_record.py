@@ -1,0 +1,193 @@
+"""The result that a record and its features are of: the same fits again, no search."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from msgspec import ValidationError, convert
+
+from termsel.errors import TermselError
+from termsel.fits.diagnosis import Diagnosis
+from termsel.fits.figures import Baseline, figures, in_role, residuals_of, rmse_from
+from termsel.fits.fit import Fit
+from termsel.io.earlier import completed, final_of_0_2, iteration_known
+from termsel.measurements.features import FeatureSet
+from termsel.measurements.roles import ASSIGNABLE, Observations, by_roles, together
+from termsel.measurements.scaling import Scaling
+from termsel.measurements.twins import merged
+from termsel.models.base import SensorModel
+from termsel.plugins.registry import registry
+from termsel.problems.base import Selection
+from termsel.record.base import plain
+from termsel.record.record import SCHEMA, PluginRecord, Record
+from termsel.results.result import Result
+from termsel.results.same_fit import fit_of_record
+
+AGAIN = "Run the search again."
+"""What to do with a record that cannot be read."""
+
+
+def record_from(content: Any) -> Record:
+    """Return the record that the content of result.json is.
+
+    Parameters
+    ----------
+    content : Any
+        As JSON has it. What records of earlier versions lack is added.
+
+    Raises
+    ------
+    TermselError
+        If it is not a record, with the place in the JSON and what is expected there.
+    """
+    if not isinstance(content, dict) or content.get("schema") != SCHEMA:
+        raise TermselError(f"this is not a result with the schema {SCHEMA}",
+                           hint="Run the search again with this version of termsel.")
+    if "checksums" not in content:
+        raise TermselError("this result is of an earlier version of termsel, without checksums",
+                           hint="Run the search again with this version of termsel.")
+    try:
+        return convert(completed(content), Record)
+    except ValidationError as error:
+        what, _, where = str(error).partition(" - at ")
+        place = where.strip("`") or "$"
+        raise TermselError(f"this result is damaged at {place}: {what[0].lower()}{what[1:]}",
+                           hint=AGAIN) from error
+
+
+def result_from(record: Record, features: FeatureSet) -> Result:
+    """Return the result of a record and its features.
+
+    Parameters
+    ----------
+    record : Record
+    features : FeatureSet
+        Each point has its role.
+
+    Raises
+    ------
+    TermselError
+        If the model or one of its options is unknown, or the model is not the one of the run.
+    """
+    observations = by_roles(features)
+    model = _model(record)
+    fitted = _fit(record, model, observations)
+    _refuse_other_model(record, fitted, observations)
+    return Result(
+        **{name: getattr(record, name) for name in (
+            "problem", "model", "solver", "criterion", "seed", "data", "feasible", "judgement",
+            "notes", "outliers", "predicted", "accuracy", "objectives", "front", "certificate",
+            "strategy", "evaluations", "lookups", "generations", "seconds", "history", "budget",
+            "stability", "by_size", "interrupted", "polish", "versions")},
+        options=plain(record.options),
+        plugins={part: plain(one) for part, one in record.plugins.items()},
+        selection=Selection(record.selection.terms, record.selection.features,
+                            record.selection.parameters or {}),
+        rmse=rmse_from(record.rmse),
+        baselines=tuple(Baseline(one.name, one.n_terms, one.fitted_to, one.determined,
+                                 rmse_from(one.rmse), one.predicted) for one in record.baselines),
+        fit=fitted, diagnosis=Diagnosis(
+            record.significance, tuple((*pair.terms, pair.correlation)
+                                       for pair in record.correlations),
+            record.doubts, record.adjustment.orientation_spread),
+        residuals=residuals_of(fitted, observations, check_used=record.strategy is not None),
+        features=features, final=_final(record, model, observations))
+
+
+def _model(record: Record) -> SensorModel:
+    """Return the model of the selection."""
+    model_type = _model_type(record.plugins.get("model"), record.model)
+    asked: SensorModel = model_type(**record.options.model)
+    model = asked.with_parameters(record.selection.parameters or {})
+    if unknown := [name for name in record.coefficients if name not in model.terms]:
+        raise TermselError(f"the installed model has no term {unknown[0]!r}, which is in the "
+                           "record: the model is not the one of the run", hint=_made_by(record))
+    return model
+
+
+def _fit(record: Record, model: SensorModel, observations: Observations) -> Fit:
+    """Return the fit of the selection: of the control, or of all it was made with."""
+    control, how = observations.control, record.fit
+    if how.features is None:
+        used = np.isin(control.ids, record.selection.features)
+    else:
+        both = together(observations)
+        control = _made_of(both, set(both.ids), how.features)
+        used = np.ones(len(control), dtype=bool)
+    scaling = Scaling.from_numbers(record.scaling)
+    terms = np.array([name in record.coefficients for name in model.terms], dtype=bool)
+    how = iteration_known(how, model, control, scaling, terms, used, observations.check)
+    made = fit_of_record(model, control, scaling, used, record.coefficients,
+                         record.standard_deviations, record.adjustment, how)
+    return in_role(made, observations)
+
+
+def _made_of(features: FeatureSet, points: set[str], ids: tuple[str, ...]) -> FeatureSet:
+    """Return some points with twins as one, and the lines among some ids."""
+    lines = features.lines
+    some = merged(features.with_(
+        points=features.points.take([name in points for name in features.points.ids]),
+        lines=lines.take([name in ids for name in lines.ids])))
+    if not set(some.ids) <= set(ids):
+        raise TermselError("this result is damaged at $.fit.features: they are not those of the "
+                           "roles", hint=AGAIN)
+    return some
+
+
+def _final(record: Record, model: SensorModel, observations: Observations) -> Fit | None:
+    """Return the final fit: of all points with a role but independent outliers."""
+    final = record.final
+    if final is None:
+        return None
+    points = observations.features.points
+    out = {one.id for one in record.outliers if one.role == "independent"}
+    taken = {name for name, role in zip(points.ids, points.roles, strict=True)
+             if role in ASSIGNABLE} - out
+    roles = tuple("control" if name in taken else role
+                  for name, role in zip(points.ids, points.roles, strict=True))
+    every = _made_of(observations.features.with_(points=replace(points, roles=roles)), taken,
+                     final.features)
+    scaling, used = Scaling.from_numbers(final.scaling), np.ones(len(every), dtype=bool)
+    if final.fit is None or final.adjustment is None or final.standard_deviations is None:
+        return final_of_0_2(record, model, every, scaling, used)
+    return fit_of_record(model, every, scaling, used, final.coefficients,
+                         final.standard_deviations, final.adjustment, final.fit)
+
+
+def _model_type(plugin: PluginRecord | None, name: str) -> type[SensorModel]:
+    """Return the class of a model, as a plugin or this session provides it."""
+    known = registry()
+    if plugin and plugin.class_ and not any(
+            entry.answers_to(plugin.name) for entry in known.entries("models")):
+        raise TermselError(
+            f"the model {name!r} of this result is the class {plugin.class_}, which no plugin "
+            "provides", hint="In Python, call termsel.register with this class before reading the "
+                             "result. To use it on the command line, put it into a plugin.")
+    model: type[SensorModel] = known.get("models", plugin.name if plugin else name)
+    return model
+
+
+def _refuse_other_model(record: Record, fitted: Fit, observations: Observations) -> None:
+    """Refuse a model that has changed since the run, as another version of a plugin may have."""
+    now = figures(fitted, observations)
+    # Leave-one-out of what auto chose is told by what it predicts, not here.
+    for role, rmse in rmse_from(record.rmse).items():
+        again = now.get(role)
+        if rmse is not None and again is not None and not np.isclose(
+                rmse.total, again.total, rtol=1e-3, atol=1e-6, equal_nan=True):
+            raise TermselError(
+                f"the {role} RMSE is {again.total:.4g} px by the installed model and "
+                f"{rmse.total:.4g} px in the record: the model is not the one of the run",
+                hint=_made_by(record))
+
+
+def _made_by(record: Record) -> str:
+    plugin = record.plugins.get("model")
+    if plugin is not None and plugin.class_:
+        return (f"The run used the class {plugin.class_} as it was then. Register that one, or "
+                "run the search again.")
+    made_by = (f"{plugin.name} of version {plugin.version}" if plugin else
+               f"{record.model} of termsel {record.versions['termsel']}")
+    return f"The run used {made_by}. Install that version, or run the search again."

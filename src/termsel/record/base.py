@@ -1,0 +1,52 @@
+"""What all parts of a record have in common: their kinds of values, and their JSON.
+
+msgspec was chosen over cattrs by measurement. It decodes the record of a run in some 0.1 ms where
+cattrs with attrs takes some 1 ms and is imported in two thirds of the time. It refuses unknown keys
+and wrong types by itself and names the place in the JSON, writes NaN and infinity as null, checks
+ranges, and generates the JSON Schema, for which cattrs has nothing. It is one wheel without
+dependencies.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+import msgspec
+from msgspec import Meta
+
+Name = Annotated[str, Meta(pattern=r"^\S+$")]
+Names = Annotated[tuple[str, ...], Meta(extra_json_schema={"uniqueItems": True})]
+Count = Annotated[int, Meta(ge=0)]
+Positive = Annotated[int, Meta(ge=1)]
+Size = Annotated[float, Meta(ge=0)]
+Scale = Annotated[float, Meta(gt=0)]
+Share = Annotated[float, Meta(ge=0, le=1)]
+Checksum = Annotated[str, Meta(pattern=r"^[0-9a-f]{64}$")]
+Role = Literal["control", "check", "independent"]
+Roles = Annotated[tuple[Role, ...], Meta(extra_json_schema={"uniqueItems": True})]
+Value = str | float | int | bool | None
+Settings = dict[str, Value]
+
+
+class RecordPart(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
+    """A part of the record. Keys with a default are left out where they have it."""
+
+    def __getitem__(self, key: str) -> Any:
+        """Return the value of a key of the JSON: parts of results were mappings before 0.3."""
+        names = dict(zip(self.__struct_encode_fields__, self.__struct_fields__, strict=True))
+        return getattr(self, names[key])
+
+
+def plain(part: Any) -> dict[str, Any]:
+    """Return a part as JSON has it: dicts, lists, text and numbers.
+
+    NaN and infinity become None, numbers of numpy those of Python.
+
+    Parameters
+    ----------
+    part : RecordPart or mapping
+        Any part of a record, or the whole.
+    """
+    content: dict[str, Any] = msgspec.json.decode(
+        msgspec.json.encode(part, enc_hook=lambda value: value.item()))
+    return content

@@ -1,0 +1,204 @@
+"""Parts of a record that tell how good a fit is: RMSE, accuracy, diagnosis."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Annotated, Literal
+
+from msgspec import Meta, field
+
+from termsel.record.base import Count, Name, Names, Positive, RecordPart, Role, Roles, Share, Size
+
+LEVEL = 0.9
+"""Probability of an interval."""
+
+
+class RoleRmse(RecordPart, frozen=True):
+    """RMSE over the features of one role [px]; null where there are none."""
+
+    line: float | None
+    """Along lines [px]."""
+    sample: float | None
+    """Along samples [px]."""
+    total: float | None
+    """Of the distances [px]."""
+    n: Count
+    """Number of features."""
+
+
+class RmseByRole(RecordPart, frozen=True):
+    """RMSE by role [px]."""
+
+    control: RoleRmse
+    """Over control features in use."""
+    check: RoleRmse
+    """Over check points; the fitness, or a fit to them."""
+    independent: RoleRmse
+    """Over independent points; the accuracy."""
+    leave_one_out: RoleRmse | None = field(name="leave-one-out", default=None)
+    """Over control, each feature held out once, under models that the control corrects."""
+
+    @property
+    def by_role(self) -> dict[str, RoleRmse]:
+        """The RMSE by the key of its role, with "leave-one-out" where it is known."""
+        of_roles = {"control": self.control, "check": self.check, "independent": self.independent}
+        return of_roles if self.leave_one_out is None else {
+            **of_roles, "leave-one-out": self.leave_one_out}
+
+
+class BaselineRow(RecordPart, frozen=True):
+    """A fit without a search, for comparison."""
+
+    name: Name
+    """Name of the structure; `all-terms` is the conventional fit."""
+    n_terms: Count
+    """Number of terms."""
+    fitted_to: Roles
+    """Roles of the points it was fitted to."""
+    determined: bool
+    """False if the points do not determine it; its figures are then those of the least-norm
+    solution."""
+    predicted: float | None
+    """RMSE by leave-one-out [px] where it was computed."""
+    rmse: RmseByRole
+    """RMSE by role [px]."""
+
+
+class Outlier(RecordPart, frozen=True):
+    """A feature that the others contradict."""
+
+    id: str
+    """Id of the feature."""
+    kind: Literal["point", "line"]
+    """What it is."""
+    role: Role
+    """Its role before it was left out."""
+    error: Size
+    """Its error [px]: of a point the larger in line and sample, of a line the largest distance of
+    a vertex."""
+    excluded: bool
+    """Whether the fit does without it."""
+
+
+class Predicted(RecordPart, frozen=True, omit_defaults=False):
+    """A predicted RMSE with its interval."""
+
+    rmse: Size
+    """Of points held out in folds [px]."""
+    low: Size
+    """Lower end of the interval [px]."""
+    high: Size
+    """Upper end of the interval [px]."""
+    level: Share = LEVEL
+    """Probability that the interval holds the RMSE."""
+    points: Positive | None = None
+    """Number of independent points whose RMSE the interval is for; null for the true accuracy."""
+
+
+class InImage(RecordPart, frozen=True):
+    """Errors of independent points in the image [px]."""
+
+    n: Count
+    """Number of points."""
+    line: Size
+    """RMSE of line."""
+    sample: Size
+    """RMSE of sample."""
+    total: Size
+    """RMSE of the distances."""
+    maximum: Size
+    """Largest distance."""
+    ce90: Size
+    """Distance that nine in ten points do not exceed."""
+
+
+class OnGround(RecordPart, frozen=True):
+    """Errors of independent points on the ground, each at its height [m]."""
+
+    n: Count
+    """Number of points."""
+    x: Size
+    """RMSE to the east."""
+    y: Size
+    """RMSE to the north."""
+    total: Size
+    """RMSE of the distances."""
+    maximum: Size
+    """Largest distance."""
+    ce90: Size
+    """Distance that nine in ten points do not exceed."""
+
+
+class StandardFigure(RecordPart, frozen=True, omit_defaults=False):
+    """A figure of a standard, or why there is none."""
+
+    value: float | None
+    """The figure [m], or null."""
+    reason: str | None = None
+    """Why there is no figure, or null."""
+
+
+class Accuracy(RecordPart, frozen=True):
+    """The accuracy on independent points."""
+
+    image: InImage
+    """In the image [px]."""
+    ground: OnGround | None
+    """On the ground, at the height of each point [m]; null where it is not known in metres."""
+    nssda: StandardFigure
+    """Horizontal accuracy by NSSDA at 95 % confidence."""
+    asprs: StandardFigure
+    """Horizontal RMSE by ASPRS 2024, without the error of the check points' survey."""
+
+
+class Significance(RecordPart, frozen=True):
+    """A coefficient against zero."""
+
+    t: float
+    """The coefficient divided by its standard deviation."""
+    p: Share
+    """Chance of so large a t if the coefficient were zero (two-sided Student test)."""
+
+
+class Correlation(RecordPart, frozen=True):
+    """Two coefficients that correlate."""
+
+    terms: tuple[str, str]
+    """The two terms."""
+    correlation: Annotated[float, Meta(ge=-1, le=1)]
+    """Their correlation."""
+
+
+class Doubts(RecordPart, frozen=True):
+    """Control features against a selection that was made among them."""
+
+    sigma: Size
+    """StandardFigure deviation of a measured coordinate [px], from the median error of all control
+    features on offer, so that few blunders do not change it. With weights it is that of a feature
+    with the median weight."""
+    wrong: Mapping[str, Size]
+    """Probable blunders: features whose error is beyond 3 sigma, each with that error [px]."""
+    in_use: Names
+    """Those of them that the selection uses."""
+    spare: Names
+    """Features that fit and were not selected."""
+
+
+class AdjustmentFigures(RecordPart, frozen=True):
+    """Figures of the least-squares adjustment."""
+
+    equations: Count
+    """Number of equations."""
+    terms: Count
+    """Number of terms; effective parameters, rounded, of a shrunken polynomial."""
+    redundancy: int
+    """Equations less terms."""
+    rank: Count
+    """Rank of the design matrix."""
+    condition: float | None
+    """Ratio of extreme singular values, columns scaled to one length; null if infinite."""
+    sigma0: float | None
+    """StandardFigure deviation of unit weight [px]."""
+    orientation_spread: float | None
+    """1 if control lines of all directions occur equally, 0 if all are parallel; null without
+    lines."""

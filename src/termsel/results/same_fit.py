@@ -1,0 +1,162 @@
+"""Fits in a record: what is stored of them, and the same fits again.
+
+What is stored are the figures that cost time or depend on a choice: coefficients, their standard
+deviations, effective parameters, errors of features that were held out. The rest follows from them
+and the features in closed form. No estimator is run again, unless an earlier version of termsel
+wrote the record, which stored less.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from termsel.adjustment.solve import Adjustment
+from termsel.candidates.estimators import estimator_named
+from termsel.errors import TermselError
+from termsel.fits.figures import finite_or_none, number
+from termsel.fits.fit import Estimator, Fit, HeldOut
+from termsel.fits.fittable import Fittable
+from termsel.fits.least_squares import LeastSquares
+from termsel.measurements.features import BoolArray, FeatureSet, FloatArray, Points
+from termsel.measurements.scaling import Scaling
+from termsel.models.base import SensorModel
+from termsel.models.poles import guard_points, pole_violation
+from termsel.record.figures import AdjustmentFigures
+from termsel.record.record import FitRecord
+
+
+def fit_record(fitted: Fit) -> FitRecord:
+    """Return how the coefficients of a fit were found.
+
+    Parameters
+    ----------
+    fitted : Fit
+    """
+    made = fitted.made or fitted
+    held_out = None if made.held_out is None else made.held_out.errors.tolist()
+    return FitRecord(made.estimator.name, made.estimator.options,
+                     None if made.trace is None else finite_or_none(made.trace), held_out,
+                     None if fitted.made is None else made.control.ids)
+
+
+def adjustment_figures(fitted: Fit, orientation_spread: float | None = None) -> AdjustmentFigures:
+    """Return the figures of the adjustment of a fit.
+
+    Parameters
+    ----------
+    fitted : Fit
+    orientation_spread : float, optional
+        Of its lines.
+    """
+    of = fitted.adjustment
+    return AdjustmentFigures(
+        of.n_equations, of.n_terms, of.redundancy, of.rank, finite_or_none(of.condition),
+        finite_or_none(of.sigma0 * fitted.scaling.image_scale), orientation_spread)
+
+
+def fit_of_record(model: SensorModel, control: FeatureSet, scaling: Scaling, used: BoolArray,
+                  coefficients: Mapping[str, float], deviations: Mapping[str, float | None],
+                  figures: AdjustmentFigures, how: FitRecord) -> Fit:
+    """Return the fit that a record describes.
+
+    Parameters
+    ----------
+    model : SensorModel
+    control : FeatureSet
+        What it was fitted to.
+    scaling : Scaling
+    used : ndarray of bool, shape (len(control),)
+    coefficients, deviations : mapping
+        By term.
+    figures : AdjustmentFigures
+    how : FitRecord
+
+    Raises
+    ------
+    TermselError
+        If there is no such estimator, or the errors held out are not those of the features in use.
+    """
+    estimator = estimator_named(how.estimator, how.options)
+    model = model.prepared(scaling, control.crs)
+    terms = np.array([name in coefficients for name in model.terms], dtype=bool)
+    if estimator.least_squares:
+        iterated = getattr(estimator, "iterated", True)
+        made = LeastSquares(iterated).fit(model, control, scaling, terms, used)
+    else:
+        made = _of_coefficients(model, control, scaling, terms, used, coefficients, estimator)
+    unknown = np.zeros(len(terms)) if estimator.least_squares else np.full(len(terms), np.nan)
+    trace, held_out = how.effective, None
+    if how.held_out is not None:
+        in_use, errors = control.take(used), np.array(how.held_out).reshape(-1, 2)
+        if len(errors) != len(in_use.vertex_feature):
+            raise TermselError(f"this result is damaged at $.fit.held_out: {len(errors)} errors, "
+                               f"expected {len(in_use.vertex_feature)}",
+                               hint="Run the search again.")
+        held_out = HeldOut.of(errors, in_use)
+    if trace is None and not estimator.least_squares:
+        trace = np.nan
+        if estimator.repeatable:  # a record of termsel 0.2 or earlier
+            again = estimator.fit(model, control, scaling, terms, used)
+            trace, held_out = again.trace, again.held_out
+    # The figures of the record, whatever the rounding of this machine.
+    adjustment = Adjustment(
+        _by_term(model, coefficients, np.zeros(len(terms))), made.adjustment.residuals,
+        _by_term(model, deviations, unknown), figures.terms, figures.equations, figures.rank,
+        np.inf if figures.condition is None else figures.condition,
+        number(figures.sigma0) / scaling.image_scale,
+        made.adjustment.correlations)
+    return Fit(model, scaling, control, terms, used, adjustment, estimator, trace, held_out)
+
+
+def _of_coefficients(model: SensorModel, control: FeatureSet, scaling: Scaling, terms: BoolArray,
+                     used: BoolArray, coefficients: Mapping[str, float],
+                     estimator: Estimator) -> Fit:
+    """Return a fit whose adjustment has nothing but coefficients and residuals."""
+    equations = model.equations(scaling.features(control))
+    values = _by_term(model, coefficients, np.zeros(len(terms)))
+    return Fit(model, scaling, control, terms, used, Adjustment(
+        values, equations.b - equations.A @ values, values, 0, 0, 0, np.inf, np.nan), estimator)
+
+
+def _by_term(model: SensorModel, values: Mapping[str, float | None],
+             default: FloatArray) -> FloatArray:
+    """Return values by term as an array; NaN for None."""
+    found = default.copy()
+    for i, name in enumerate(model.terms):
+        if name in values:
+            found[i] = number(values[name])
+    return found
+
+
+def least_squares_of(model: Fittable, control: FeatureSet, scaling: Scaling, terms: BoolArray,
+                     used: BoolArray, check: Points, iterated: bool | None = None) -> Fit:
+    """Return the fit of a selection of terms and features, as a run makes it.
+
+    Where the iteration for lines under separate denominators ends with a pole in the scene, the
+    solution it began with, which the search judged, is taken.
+
+    Parameters
+    ----------
+    model : SensorModel
+    control : FeatureSet
+    scaling : Scaling
+    terms, used : ndarray of bool
+        As for `termsel.fits.least_squares.fit`.
+    check : Points
+        With the control they say how far the scene reaches.
+    iterated : bool, optional
+        Whether the iteration was taken, where it is known.
+    """
+    chosen = LeastSquares(iterated is not False).fit(model, control, scaling, terms, used)
+    if iterated is None and has_pole(chosen, check):
+        return LeastSquares(False).fit(model, control, scaling, terms, used)
+    return chosen
+
+
+def has_pole(fitted: Fit, check: Points) -> bool:
+    """Return whether a denominator falls short somewhere in the scene of control and check."""
+    scaling = fitted.scaling
+    guard = guard_points(scaling.features(fitted.control), scaling.points(check))
+    return bool(pole_violation(fitted.model, fitted.adjustment.coefficients[None], guard).any())
