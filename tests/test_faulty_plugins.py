@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -170,3 +171,90 @@ def test_objectives_are_names_and_not_letters() -> None:
     task.problem.objectives = "check"
     with pytest.raises(TermselError, match="are 'check', not a tuple of names"):
         termsel.search(task.problem, task.solver)
+
+
+TALKING = """
+    import os, threading
+    from termsel import Criterion, hookimpl
+    from termsel.criteria import CheckRmse
+
+    print("imported")
+    {thread}
+
+    class Talking(CheckRmse):
+        '''Prints what it is asked.'''
+        name = "talking"
+        def score(self, fits):
+            print("asked")
+            return super().score(fits)
+
+    @hookimpl
+    def termsel_criteria():
+        return [Talking]
+    @hookimpl
+    def termsel_commands(cli):
+        @cli.command("talk")
+        def talk():
+            '''Talk.'''
+            print("of the command")
+"""
+
+BEAT = """def beat():
+        while True: print("beat")
+    threading.Thread(target=beat, daemon=True).start()"""
+
+
+@pytest.mark.parametrize("thread", ["", BEAT], ids=["calls", "a thread"])
+def test_stdout_has_the_result_alone(install: Callable[..., None], thread: str, tmp_path: Path,
+                                     ) -> None:
+    install("talking", TALKING.format(thread=thread))
+    done = _termsel(tmp_path, "run", "--problem", "poly-terms", "--criterion", "talking",
+                    "--generations", "1", "--set", "population=10", "--json")
+    assert json.loads(done.stdout)["criterion"] == "talking"
+    assert {"imported", "asked"} <= set(done.stderr.splitlines())
+
+
+def test_a_command_of_a_plugin_has_stdout(install: Callable[..., None], tmp_path: Path) -> None:
+    install("talking", TALKING.format(thread=""))
+    done = _termsel(tmp_path, "talk")
+    assert done.stdout == "of the command\n"
+    assert done.stderr == "imported\n"
+
+
+STAYING = """
+    import threading, time
+    from termsel import hookimpl
+    from termsel.criteria import CheckRmse
+
+    def stay():
+        time.sleep(1000)
+
+    {imported}
+
+    class Staying(CheckRmse):
+        '''Leaves a thread.'''
+        name = "staying"
+        def score(self, fits):
+            {called}
+            return super().score(fits)
+
+    @hookimpl
+    def termsel_criteria():
+        return [Staying]
+"""
+
+
+@pytest.mark.parametrize("place", ["imported", "called"])
+def test_a_thread_that_never_ends_does_not_keep_termsel(
+        install: Callable[..., None], place: str, tmp_path: Path) -> None:
+    install("staying", STAYING.format(**{
+        **dict.fromkeys(("imported", "called"), "pass"),
+        place: "threading.Thread(target=stay).start()"}))
+    done = subprocess.run(
+        [sys.executable, "-m", "termsel", "run", "--problem", "poly-terms", "--criterion",
+         "staying", "--solver", "all-terms", "--json"],
+        cwd=tmp_path, text=True, capture_output=True, check=False, timeout=300)
+    assert done.returncode == 0
+    assert json.loads(done.stdout)["criterion"] == "staying"
+    said = "a thread of staying 1.0 does not end; termsel ends without it" in done.stderr
+    assert said == (place == "called")  # what an import starts ends with the program

@@ -3,7 +3,6 @@
 import inspect
 import json
 import os
-import random
 import re
 import sys
 import warnings
@@ -11,12 +10,11 @@ from importlib.metadata import distributions
 from pathlib import Path
 from textwrap import dedent
 
-import numpy as np
 import pytest
 
 import termsel
 from termsel.errors import TermselError
-from termsel.plugins import builtin, hookspecs
+from termsel.plugins import builtin, hookspecs, loading
 from termsel.plugins.kinds import KINDS
 from termsel.plugins.loading import HOOKS
 from termsel.plugins.registry import Registry
@@ -224,6 +222,14 @@ BROKEN = {
             def blocks(self, ground): return Blocks(ground, ground)
         @hookimpl
         def termsel_models(): return [Odd]""", "the name 'a b'"),
+    "leaves by an exception of its own": ("""
+        class Away(BaseException): pass
+        raise Away('far')""", "cannot be imported: Away: far"),
+    "hook that leaves": ("""
+        from termsel import hookimpl
+        class Away(BaseException): pass
+        @hookimpl
+        def termsel_models(): raise Away('far')""", "termsel_models: Away: far"),
     "command raises": ("""
         from termsel import hookimpl
         @hookimpl
@@ -516,6 +522,9 @@ def test_pluggy_orders_and_wraps_the_calls(install, registry):
     ("wrapper=True", "raise OSError('before')\n        yield", "as a wrapper: OSError: before"),
     ("wrapper=True", "yield\n        raise OSError('after')", "as a wrapper: OSError: after"),
     ("wrapper=True", "yield\n        return 5", "as a wrapper: TypeError: returned 5, not a list"),
+    ("wrapper=True", "yield", "as a wrapper: TypeError: returned nothing; a wrapper returns"),
+    ("hookwrapper=True", "r = yield\n        r.force_result(None)",
+     "as a wrapper: TypeError: returned nothing"),
     ("wrapper=True", "yield\n        yield", "as a wrapper: RuntimeError: it yields twice"),
     ("hookwrapper=True", "r = yield\n        r.force_result('no')",
      "as a wrapper: TypeError: returned 'no', not a list"),
@@ -535,46 +544,110 @@ def test_the_first_called_takes_no_name_of_termsel(install, registry):
     assert names.names("models")[0] == "rival:rfm"
 
 
-def test_every_listener_has_a_copy_and_a_process_of_its_own(install, registry, tmp_path):
+def test_every_listener_has_a_copy(install, registry, tmp_path):
     install("a-changer", f"""
-        import os, random, sys, warnings
-        import numpy as np
+        import os, sys, warnings
         from termsel import hookimpl
         @hookimpl
         def termsel_run_finished(result):
             result['a'].append(1)
             os.chdir({str(tmp_path)!r})
             warnings.simplefilter('error')
-            np.seterr(all='raise')
-            random.seed(1)
-            np.random.seed(1)
-            sys.stdout = None
             sys.exit(3)""")
     install("b-listener", """
         from termsel import hookimpl
         heard = []
         @hookimpl
         def termsel_run_finished(result): heard.append(result)""")
-    before = _process()
+    before = os.getcwd(), list(warnings.filters)
     given = {"a": []}
     registry().notify_run_finished(given)
     assert given == sys.modules["b_listener"].heard[0] == {"a": []}
     assert sys.modules["b_listener"].heard[0] is not given
-    assert _process() == before
+    # Files of the result are still written here, and warnings of termsel are no errors.
+    assert (os.getcwd(), list(warnings.filters)) == before
 
 
-def _process():
-    name, keys, *rest = np.random.get_state()
-    return (os.getcwd(), list(warnings.filters), np.geterr(), random.getstate(), name,
-            keys.tobytes(), rest, sys.stdout)
+ENDLESS = {
+    "import": ("import time\nwhile True: time.sleep(0.01)\n", "cannot be imported"),
+    "hook": ("""
+        import time
+        from termsel import hookimpl
+        @hookimpl
+        def termsel_models():
+            while True: time.sleep(0.01)""", "termsel_models"),
+    "wrapper": ("""
+        import time
+        from termsel import hookimpl
+        @hookimpl(wrapper=True)
+        def termsel_models():
+            lists = yield
+            while True: time.sleep(0.01)""", "termsel_models: as a wrapper"),
+}
 
 
-def test_what_a_plugin_prints_does_not_reach_stdout(install, registry, capsys):
-    install("chatty", "print('hello')" + MODEL.format(name="chatty").replace("\n    ", "\n"))
-    assert "chatty" in registry().names("models")
-    captured = capsys.readouterr()
-    assert captured.out == ""
-    assert captured.err == "hello\n"
+@pytest.mark.parametrize("kind", ENDLESS)
+def test_an_endless_import_or_hook_is_left_out(install, registry, monkeypatch, caplog, kind):
+    code, where = ENDLESS[kind]
+    monkeypatch.setattr(loading, "LIMIT", 0.5)
+    monkeypatch.setattr(loading, "SOON", 0.2)
+    install(f"a-endless-{kind}", code)  # a module that is being imported keeps its lock
+    install("b-sound-one", MODEL.format(name="sound"))
+    names = registry()
+    assert names.names("models") == [*Registry([]).names("models"), "sound"]
+    assert names.failures("models")[0].what == f"{where}: it takes more than 0.5 s"
+    assert f"or a hook of a-endless-{kind} 1.0 is taking long. Ctrl-C ends" in caplog.text
+
+
+def test_what_took_too_long_once_is_not_asked_again(install, registry, monkeypatch):
+    monkeypatch.setattr(loading, "LIMIT", 0.5)
+    install("stuck", """
+        import time
+        from termsel import hookimpl
+        @hookimpl
+        def termsel_models(): time.sleep(60)
+        @hookimpl
+        def termsel_solvers(): raise AssertionError""")
+    names = registry()
+    names.names("models")
+    assert names.names("solvers") == Registry([]).names("solvers")
+    assert "not asked, as it took too long" in names.failures("solvers")[0].what
+
+
+@pytest.mark.parametrize(("file", "content", "said"), [
+    ("METADATA", None, "its METADATA is missing or cannot be read"),
+    ("METADATA", bytes(range(256)), "its METADATA is missing or cannot be read"),
+    ("entry_points.txt", bytes(range(256)), "its entry_points.txt cannot be read: Unicode"),
+    ("entry_points.txt", b"[termsel]\nx = 1 + 1\n", "its entry_points.txt cannot be read")])
+def test_unreadable_metadata_are_named(install, tmp_path, monkeypatch, file, content, said):
+    install("ruined-one", MODEL.format(name="x"))
+    place = tmp_path / "ruined_one-1.0.dist-info"
+    (place / file).unlink()
+    if content is not None:
+        (place / file).write_bytes(content)
+    monkeypatch.setenv("TERMSEL_PLUGINS", "ruined-one")
+    names = Registry()
+    assert names.names("models") == Registry([]).names("models")
+    (failure,) = names.failures()
+    assert failure.distribution == "ruined-one"
+    assert said in failure.what
+
+
+def test_a_run_of_built_in_things_imports_no_plugin(install, monkeypatch, tmp_path):
+    hooks = "\n".join(f"@hookimpl\ndef termsel_{kind}(): return []" for kind in KINDS)
+    install("slow", f"from termsel import hookimpl\n{hooks}\n")
+    monkeypatch.setenv("TERMSEL_PLUGINS", "slow")
+    process_registry.cache_clear()
+    (tmp_path / "p.csv").write_text("id,role,line,sample,x,y,z\n" + "".join(
+        f"p{i},,{i * i % 90},{i * 31 % 97},{i * i % 90 + 5},{i * 31 % 97 + 7},1\n"
+        for i in range(25)))
+    features = termsel.read(tmp_path / "p.csv", crs="local")
+    termsel.run("poly-terms", features=features, solver="ga", generations=1,
+                options={"population": 10, "polish": False})
+    assert "slow" not in sys.modules
+    process_registry().names("models")
+    assert "slow" in sys.modules
+    process_registry.cache_clear()
 
 
 def test_the_traceback_of_a_plugin_is_shown_for_its_author(install, registry, capsys, monkeypatch):

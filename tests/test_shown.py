@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import json
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -90,7 +91,7 @@ def test_tables_and_json(capsys, monkeypatch) -> None:
     assert json.loads(text) == {"a": f"{ESC}\x9b\U000e0001", "b": "é"}
     tables.print_json("é")
     assert capsys.readouterr().out == '"é"\n'
-    monkeypatch.setattr(tables.sys.stdout, "isatty", lambda: True)
+    monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
     tables.print_table(("a",), [(ESC,)])
     assert "\x07" not in capsys.readouterr().out
 

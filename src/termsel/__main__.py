@@ -13,7 +13,11 @@ except KeyboardInterrupt:
 
 TYPE_CHECKING = False  # see termsel.interrupts
 if TYPE_CHECKING:
+    from threading import Thread
     from types import TracebackType
+
+PATIENCE = 2.0
+"""Seconds that threads have to end after the command."""
 
 FAULT = """\
 Error: termsel has failed: {what}. This is a bug in termsel or in a plugin, not your mistake.
@@ -63,6 +67,40 @@ def open_streams() -> None:
         sys.stdout.reconfigure(errors="backslashreplace")
 
 
+def end_threads(code: object) -> None:
+    """End the program here where a thread, such as that of a plugin, would not let it end.
+
+    Parameters
+    ----------
+    code : object
+        The exit code.
+    """
+    import threading
+
+    # Python itself ends the threads of executors.
+    others = [thread for thread in threading.enumerate()
+              if not thread.daemon and thread is not threading.main_thread()
+              and _module_of(thread) != "concurrent"]
+    for thread in others:
+        thread.join(PATIENCE / len(others))
+    going_on = {_module_of(thread) for thread in others if thread.is_alive()}
+    if not going_on:
+        return
+    from termsel.guard.faults import distribution_of
+
+    print(f"Note: a thread of {' and of '.join(sorted(map(distribution_of, going_on)))} does not "
+          "end; termsel ends without it.", file=sys.stderr)
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(code if isinstance(code, int) else 0)
+
+
+def _module_of(thread: Thread) -> str:
+    """Return the top-level module whose code a thread runs."""
+    runs = getattr(thread, "_target", None) or type(thread)
+    return str(runs.__module__).partition(".")[0]
+
+
 def main() -> None:
     """Run the command line."""
     end_at_once()
@@ -72,7 +110,7 @@ def main() -> None:
         from termsel.cli.main import cli
 
         open_streams()
-        cli.main(prog_name="termsel")
+        cli.main(prog_name="termsel", gives_back=False)
     except KeyboardInterrupt:  # where the command line does not answer
         leave()
     except (Exception, SystemExit) as error:
@@ -82,6 +120,8 @@ def main() -> None:
             leave()
         if code == INTERRUPTED:
             end()
+        if isinstance(error, SystemExit):
+            end_threads(error.code)
         raise
     finally:
         end_at_once()

@@ -32,7 +32,7 @@ ROOMS = {
     "measurements": "features, roles, areas, coordinates, scaling, data sets",
     "record": "the typed record of a run: what result.json holds, and its schema",
     "options": "typed, documented options",
-    "guard": "calls into plugins: faults, isolation, limits of time",
+    "guard": "calls into plugins: faults, checks of what they return, limits of time",
     "display": "values at one glance, in a terminal and in notebooks",
     "threads": "threads of linear algebra",
     "interrupts": "Ctrl-C that is not lost",

@@ -7,6 +7,8 @@ from collections.abc import Callable
 import click
 from click.shell_completion import CompletionItem, get_completion_class
 
+from termsel.cli.messages import stdout
+
 SHELLS = ("bash", "zsh", "fish")
 
 
@@ -30,7 +32,7 @@ def completion(context: click.Context, shell: str) -> None:
     assert found is not None
     script = found(program.command, {}, "termsel", "_TERMSEL_COMPLETE")
     # Not source(), which asks the shell, perhaps not this machine's, for its version.
-    click.echo(script.source_template % script.source_vars())
+    click.echo(script.source_template % script.source_vars(), file=stdout())
 
 
 Completer = Callable[[click.Context, click.Parameter, str], list[CompletionItem]]

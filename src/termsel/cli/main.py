@@ -13,14 +13,15 @@ import re
 import shlex
 import sys
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from copy import copy
 from difflib import get_close_matches
 from importlib import import_module
-from typing import Any
+from typing import Any, NoReturn
 
 import click
 
-from termsel.cli.messages import echo
+from termsel.cli.messages import echo, give_back_stdout, stdout, take_stdout
 from termsel.errors import TermselError, cut, unknown_name
 from termsel.interrupts import INTERRUPTED, answered
 from termsel.plugins.commands import COMMANDS
@@ -44,12 +45,12 @@ def _stdout_may_end() -> Iterator[None]:
     """
     try:
         yield
-        sys.stdout.flush()
+        stdout().flush()
     except OSError as error:
         if error.errno not in _UNWRITABLE or error.filename is not None:
             raise
         # Python flushes stdout once more when it ends.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        os.dup2(os.open(os.devnull, os.O_WRONLY), stdout().fileno())
         if isinstance(error, BrokenPipeError):
             raise click.exceptions.Exit(0) from None
         raise TermselError(f"cannot write to stdout: {error.strerror}",
@@ -70,9 +71,12 @@ class Commands(click.Group):
         """Return a command; that of a broken plugin tells why it is broken."""
         if cmd_name in COMMANDS:
             module, _, attribute = COMMANDS[cmd_name][0].partition(":")
-            command: click.Command = getattr(import_module(module), attribute)
-            return command
-        return _plugin_command(cmd_name)
+            return _printing_alone(getattr(import_module(module), attribute))
+        take_stdout()
+        try:
+            return _plugin_command(cmd_name)
+        finally:
+            give_back_stdout()
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]
@@ -118,14 +122,26 @@ class Commands(click.Group):
         prog_name: str | None = None,
         complete_var: str | None = None,
         standalone_mode: bool = True,
+        gives_back: bool = True,
         **extra: Any,
     ) -> Any:
         """Run the command line and leave the program with an exit code.
 
-        A command that returns a whole number chooses the exit code.
+        A command that returns a whole number chooses the exit code. Unless it `gives_back` stdout,
+        a thread of a plugin that prints on and on prints nothing after the results either.
         """
-        if not standalone_mode:
+        try:
+            if standalone_mode:
+                self._end_with_code(args, prog_name, complete_var, **extra)
             return super().main(args, prog_name, complete_var, False, **extra)
+        finally:
+            with suppress(OSError):
+                stdout().flush()
+            if gives_back:
+                give_back_stdout()
+
+    def _end_with_code(self, args: Sequence[str] | None, prog_name: str | None,
+                       complete_var: str | None, **extra: Any) -> NoReturn:
         try:
             value = super().main(args, prog_name, complete_var, False, **extra)
         except TermselError as error:
@@ -155,6 +171,18 @@ def _near(error: click.ClickException) -> str:
         return ""
     near = get_close_matches(typed[1], list(map(str, kind.choices)), n=1)
     return f" Did you mean {near[0]!r}?" if near else ""
+
+
+def _printing_alone(command: click.Command) -> click.Command:
+    """Return a built-in command while which nothing else prints on stdout; its help page may."""
+    command, invoke = copy(command), command.invoke
+
+    def alone(ctx: click.Context) -> Any:
+        take_stdout()
+        return invoke(ctx)
+
+    command.invoke = alone  # type: ignore[method-assign]
+    return command
 
 
 def _plugin_command(name: str) -> click.Command | None:

@@ -7,10 +7,36 @@ import sys
 from collections.abc import Iterable
 from contextlib import nullcontext, suppress
 from pathlib import Path
+from typing import TextIO
 
 import click
 
 from termsel.errors import TermselError, printable
+
+_results: TextIO | None = None
+"""What stdout was before `take_stdout`."""
+
+
+def take_stdout() -> None:
+    """Keep stdout for `echo`: what else prints, such as a plugin, prints on stderr from here on.
+
+    Once for a command and not for each call into a plugin, as other threads may be printing.
+    """
+    global _results
+    if _results is None:
+        _results, sys.stdout = sys.stdout, sys.stderr
+
+
+def give_back_stdout() -> None:
+    """Undo `take_stdout`."""
+    global _results
+    if _results is not None:
+        _results, sys.stdout = None, _results
+
+
+def stdout() -> TextIO:
+    """Return where the results of a command go."""
+    return _results or sys.stdout
 
 
 def echo(text: str = "", *, err: bool = False, nl: bool = True) -> None:
@@ -25,13 +51,13 @@ def echo(text: str = "", *, err: bool = False, nl: bool = True) -> None:
         Whether a line end follows.
     """
     with suppress(OSError) if err else nullcontext():
-        click.echo(printable(text), err=err, nl=nl)
+        click.echo(printable(text), file=sys.stderr if err else stdout(), nl=nl)
 
 
 def stdout_has(text: str) -> bool:
     """Return True if the encoding of stdout has all characters of a text."""
     try:
-        text.encode(getattr(sys.stdout, "encoding", None) or "utf-8")
+        text.encode(getattr(stdout(), "encoding", None) or "utf-8")
     except UnicodeEncodeError:
         return False
     return True
@@ -46,7 +72,7 @@ def echo_table(text: str) -> None:
         If the encoding of stdout has not all of its characters.
     """
     if not stdout_has(text):
-        raise TermselError(f"the encoding of stdout, {sys.stdout.encoding}, does not have all "
+        raise TermselError(f"the encoding of stdout, {stdout().encoding}, does not have all "
                            "characters of the table",
                            hint="Write to a file with --output, or set PYTHONIOENCODING=utf-8.")
     echo(text, nl=False)

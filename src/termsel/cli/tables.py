@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import json
-import sys
 from collections.abc import Sequence
 from typing import Any
 
-from termsel.cli.messages import echo, stdout_has
+from termsel.cli.messages import echo, stdout, stdout_has
 from termsel.errors import printable
 
 
@@ -19,7 +18,7 @@ def print_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
     header : sequence of str
     rows : sequence of sequence of str
     """
-    if sys.stdout.isatty():
+    if stdout().isatty():
         _draw(header, rows)
         return
     widths = [max(len(row[i]) for row in (header, *rows)) for i in range(len(header))]
@@ -40,7 +39,7 @@ def _draw(header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
     for row in rows:
         # Text, as "[...]" in a summary is not markup.
         table.add_row(*(Text(printable(cell)) for cell in row))
-    Console().print(table)
+    Console(file=stdout()).print(table)
 
 
 def json_text(value: Any) -> str:

@@ -9,7 +9,7 @@ from functools import cached_property, wraps
 from typing import Any, ClassVar
 
 from termsel.guard.faults import OWN, blamed, package_of, wrong
-from termsel.guard.isolation import inside
+from termsel.guard.inside import inside
 
 Check = Callable[..., str | None]
 """Takes the object, what a method returned and the method's arguments; returns what is wrong with
@@ -33,8 +33,7 @@ class Guarded:
 
     A subclass that is defined outside termsel gets each of its `guards` wrapped when it is made.
     What the method raises becomes a `termsel.guard.faults.PluginFault`, which names the plugin and
-    the line; what it returns is checked; what it changes of the process is put back. Calls from
-    within the same package are not guarded again.
+    the line; what it returns is checked. Calls from within the same package are not guarded again.
     """
 
     kind: ClassVar[str] = ""

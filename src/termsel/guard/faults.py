@@ -14,7 +14,7 @@ from types import TracebackType
 from typing import Any
 
 from termsel.errors import TermselError
-from termsel.guard.isolation import Isolated, is_marked
+from termsel.guard.inside import Inside, is_marked
 
 OWN = "termsel"
 
@@ -95,7 +95,7 @@ def wrong(thing: Any, method: str, what: str, hint: str = HINT) -> PluginFault:
 
 @contextmanager
 def blamed(thing: Any, method: str, hint: str = HINT) -> Iterator[None]:
-    """Run code of a plugin in isolation; what it raises becomes its fault.
+    """Run code of a plugin; what it raises becomes its fault.
 
     termsel's own errors pass, such as a `TermselError` on a file that the user can correct.
 
@@ -117,11 +117,12 @@ def blamed(thing: Any, method: str, hint: str = HINT) -> Iterator[None]:
         yield
         return
     try:
-        with Isolated(package):
+        with Inside(package):
             yield
     # A plugin may raise anything at all, even leave the program.
-    except (Exception, SystemExit) as error:
-        if is_own(type(error)) or is_marked(error):
+    except BaseException as error:
+        if (isinstance(error, KeyboardInterrupt | GeneratorExit) or is_own(type(error))
+                or is_marked(error)):
             raise
         raise failed(error, f"{name_of(thing)} failed in {method}()", package, hint) from error
 

@@ -12,6 +12,7 @@ from typing import Any
 
 from termsel.errors import TermselError, counted, unknown_name
 from termsel.files.atomic import private_folder
+from termsel.files.names import is_there
 from termsel.formats.base import Reader, is_utf16, located, read_head, read_once, utf16_error
 from termsel.formats.readers.advice import unknown_table
 from termsel.guard.faults import PluginFault, is_own, name_of
@@ -20,12 +21,15 @@ from termsel.measurements.coordinates.plausible import check_ground
 from termsel.measurements.features import FeatureSet, no_lines, no_points
 from termsel.measurements.joined import join_lines, join_points
 from termsel.measurements.tables.columns import LINES, OPTIONAL, POINTS
-from termsel.plugins.registry import registry
+from termsel.plugins.registry import built_in, registry
 
 log = logging.getLogger(__name__)
 
 _NEAR = 0.76
 """Likeness, by difflib: sgima_line and roles are near a name, rule is not."""
+
+_EXPECTED = ("Give a table headed id,role,line,sample,x,y,z, or another format of "
+             "termsel list readers.")
 
 _NOISE = bytes(range(1, 256)) * 4
 """What no reader recognises, unless it recognises anything."""
@@ -73,6 +77,7 @@ def read(
     if columns:
         of_readers["columns"] = columns if isinstance(columns, str) else ",".join(
             f"{meaning}={column}" for meaning, column in columns.items())
+    formats = [format] if isinstance(format, str) else format
     with ExitStack() as stack:
         image_lines = of_readers.get("image_lines")
         once = {Path(path): stack.enter_context(read_once(Path(path)))
@@ -82,13 +87,30 @@ def read(
             of_readers["image_lines"] = str(once[Path(image_lines)])
         features = read_features(
             *paths[:2], areas=paths[2], crs=crs,
-            readers=[entry.object for entry in registry().entries("readers")],
-            formats=[format] if isinstance(format, str) else format, options=of_readers)
+            readers=readers_of([path for path in paths if path is not None], formats),
+            formats=formats, options=of_readers)
     if dem is None:
         return features
     from termsel.formats.heights import with_heights
 
     return with_heights(features, Path(dem))
+
+
+def readers_of(paths: Sequence[Path], formats: Sequence[str]) -> list[type[Reader]]:
+    """Return the readers to ask about files: those of plugins only where they are needed.
+
+    Parameters
+    ----------
+    paths : sequence of pathlib.Path
+    formats : sequence of str
+        As for `read`.
+    """
+    own: list[type[Reader]] = [entry.object for entry in built_in().entries("readers")]
+    enough = {reader.name for reader in own}.issuperset(formats) and all(
+        is_there(path) and path.is_file() and any(
+            reader().sniff(path, read_head(path, _EXPECTED)) for reader in own)
+        for path in dict.fromkeys(paths))
+    return own if enough else [entry.object for entry in registry().entries("readers")]
 
 
 def read_file(path: Path, readers: Iterable[type[Reader]], format: str | None = None,
@@ -132,9 +154,7 @@ def find_reader(path: Path, readers: Iterable[type[Reader]], format: str | None 
     chosen = [reader for reader in known if reader.name == format]
     if format is not None and not chosen:
         raise unknown_name("file format", format, [reader.name for reader in known])
-    expected = ("Give a table headed id,role,line,sample,x,y,z, or another format of "
-                "termsel list readers.")
-    head = read_head(path, expected)
+    head = read_head(path, _EXPECTED)
     if chosen:
         return chosen[0]
     found = _recognising(path, head, known)
@@ -142,16 +162,16 @@ def find_reader(path: Path, readers: Iterable[type[Reader]], format: str | None 
         return found
     if any(name in head for name in (b"LINE_NUM_COEFF", b"lineNumCoef", b"Global_RFM")):
         raise TermselError("this file holds an RPC and no control features", file=path,
-                           hint="--problem rpc-gcps --set rpc=FILE refines it by points, with the "
-                                "package termsel-rpc.")
+                           hint="--problem rpc-gcps --set rpc=FILE refines it by points. "
+                                + registry().missing("rpc-gcps"))
     if is_utf16(head) and _recognising(
             path, head.decode("utf-16", errors="ignore").encode(), known) is not None:
         raise utf16_error(path)
-    error = unknown_table(path, expected, str((options or {}).get("columns", "")))
+    error = unknown_table(path, _EXPECTED, str((options or {}).get("columns", "")))
     if error is not None:
         raise error
     kind = "binary file" if b"\0" in head else "file"
-    raise TermselError(f"this {kind} is in no format that termsel knows", file=path, hint=expected)
+    raise TermselError(f"this {kind} is in no format that termsel knows", file=path, hint=_EXPECTED)
 
 
 def _recognising(path: Path, head: bytes, readers: Sequence[Reader]) -> Reader | None:

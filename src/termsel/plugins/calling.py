@@ -41,7 +41,7 @@ Taken = Callable[[Any], list[Any]]
 
 
 def call(hook: str, slots: Iterable[Slot], taken: Taken, arguments: Arguments | None = None,
-         ) -> Answers:
+         seconds: float | None = None) -> Answers:
     """Call a hook of all plugins through pluggy.
 
     ``tryfirst``, ``trylast`` and wrappers work as pluggy documents them. Without them the built-in
@@ -56,13 +56,15 @@ def call(hook: str, slots: Iterable[Slot], taken: Taken, arguments: Arguments | 
         Raises TypeError for what a plugin may not return.
     arguments : mapping, optional
         By name; what makes each of them, so that no plugin changes what another one gets.
+    seconds : float, optional
+        How long each plugin may take; by default as long as an import.
     """
     answers, givers, arguments = Answers(), _Givers(), arguments or {}
     manager = new_manager()
     # pluggy calls first what is registered last.
     for slot in reversed(list(slots)):
         guard = _wrapper if slot.hooks[hook].wrapper or slot.hooks[hook].hookwrapper else _plain
-        function = guard(slot, slot.hooks[hook], arguments, taken, answers, givers)
+        function = guard(slot, slot.hooks[hook], arguments, taken, answers, givers, seconds)
         manager.register(SimpleNamespace(**{hook: function}), _key(slot))
     results = getattr(manager.hook, hook)(**dict.fromkeys(arguments))
     for one in results:
@@ -103,12 +105,12 @@ def listed(value: Any) -> list[Any]:
 
 
 def _plain(slot: Slot, implementation: pluggy.HookImpl, arguments: Arguments, taken: Taken,
-           answers: Answers, givers: _Givers) -> Callable[..., Any]:
+           answers: Answers, givers: _Givers, seconds: float | None) -> Callable[..., Any]:
     """Return an implementation that never raises; what it returns is a list of things."""
     @wraps(implementation.function)
     def answer(*_args: Any, **_given: Any) -> list[Any] | None:
         things, reason = slot.attempt(
-            lambda: taken(_called(implementation, slot.plugin, arguments)))
+            lambda: taken(_called(implementation, slot.plugin, arguments)), seconds)
         if reason is not None:
             answers.faults.append((slot.plugin, reason))
         givers.gave(slot.plugin, things or ())
@@ -118,7 +120,7 @@ def _plain(slot: Slot, implementation: pluggy.HookImpl, arguments: Arguments, ta
 
 
 def _wrapper(slot: Slot, implementation: pluggy.HookImpl, arguments: Arguments, _taken: Taken,
-             answers: Answers, givers: _Givers) -> Callable[..., Any]:
+             answers: Answers, givers: _Givers, seconds: float | None) -> Callable[..., Any]:
     """Return a wrapper that never raises; if it fails, what it wraps is the result."""
     @wraps(implementation.function)
     def wrap(*_args: Any, **_given: Any) -> Generator[None, Any, Any]:
@@ -127,13 +129,13 @@ def _wrapper(slot: Slot, implementation: pluggy.HookImpl, arguments: Arguments, 
             next(running)
             return running
 
-        running, reason = slot.attempt(begin)
+        running, reason = slot.attempt(begin, seconds)
         inner = yield
         # An old wrapper gets a pluggy.Result, and changes it.
         before = inner if implementation.wrapper else inner.get_result()
         made = None
         if running is not None:
-            made, reason = slot.attempt(partial(_ended, running, inner))
+            made, reason = slot.attempt(partial(_ended, running, inner), seconds)
         if reason is not None:
             answers.faults.append((slot.plugin, f"as a wrapper: {reason}"))
         for things in made or ():
@@ -153,6 +155,8 @@ def _ended(running: Generator[None, Any, Any], inner: Any) -> list[list[Any]] | 
         running.send(inner if old else list(inner))
     except StopIteration as end:
         made = inner.get_result() if old else end.value
+        if made is None and inner:
+            raise TypeError("returned nothing; a wrapper returns the lists that it gets") from None
         return None if made is None else [listed(one) for one in listed(made)]
     running.close()
     raise RuntimeError("it yields twice")

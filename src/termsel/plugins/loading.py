@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import re
 import time
@@ -17,13 +18,21 @@ from typing import Any, TypeVar
 import pluggy
 
 from termsel.errors import unknown_name
-from termsel.guard.faults import told
-from termsel.guard.isolation import Isolated
+from termsel.guard.faults import OWN, distribution_of, told
+from termsel.guard.inside import Inside, Surroundings, TooSlow, within
 from termsel.plugins import builtin, hookspecs
 from termsel.plugins.hookspecs import PROJECT
 from termsel.version import __version__
 
+log = logging.getLogger(__name__)
+
 T = TypeVar("T")
+
+LIMIT = 30.0
+"""Seconds that an import, or a hook, may take; a plugin that takes longer is left out."""
+
+SOON = 5.0
+"""Seconds after which a message names the plugin that is waited for."""
 
 HOOKS = tuple(name for name in vars(hookspecs) if name.startswith(f"{PROJECT}_"))
 """Names of all hooks."""
@@ -75,33 +84,47 @@ class Remark:
         return f"plugin {self.plugin!r} of {package}: {self.what}"
 
 
-def attempt(call: Callable[[], T], package: str = "") -> tuple[T, None] | tuple[None, str]:
-    """Run code of a plugin.
+def attempt(call: Callable[[], T], package: str = OWN, seconds: float | None = None,
+            ) -> tuple[T, None] | tuple[None, str]:
+    """Run code of a plugin, in a thread of its own with a limit of time.
 
-    What it prints goes to stderr, as stdout belongs to results, and what it changes of the process
-    is put back. ``TERMSEL_DEBUG=1`` shows the traceback of what it raises.
+    Working folder and filters of warnings are put back. ``TERMSEL_DEBUG=1`` shows the traceback of
+    what it raises.
 
     Parameters
     ----------
     call : callable
         Without arguments.
     package : str
-        The top-level module of the plugin.
+        The top-level module of the plugin; what belongs to termsel is called as it is.
+    seconds : float, optional
+        The limit; by default `LIMIT`.
 
     Returns
     -------
     value, reason
         The value and None, or None and what was raised.
     """
+    limit = LIMIT if seconds is None else seconds
     try:
-        with Isolated(package):
-            return call(), None
+        with Surroundings(), Inside(package):
+            return (call() if package == OWN else
+                    within(limit, call, soon=SOON, tell=partial(_tell, package))), None
+    except TooSlow:
+        return None, f"it takes more than {limit:g} s"
+    except (KeyboardInterrupt, GeneratorExit):
+        raise
     # A plugin may raise anything at all, even leave the program while it is imported, and
     # must not take termsel or another plugin with it. This is the one place for that.
-    except (Exception, SystemExit) as error:  # noqa: BLE001
+    except BaseException as error:  # noqa: BLE001
         if os.environ.get("TERMSEL_DEBUG") == "1":
             traceback.print_exc()
         return None, f"{type(error).__name__}: {' '.join(str(error).split())}"
+
+
+def _tell(package: str) -> None:
+    log.warning("Note: the import or a hook of %s is taking long. Ctrl-C ends the command; "
+                "TERMSEL_PLUGINS= (empty) runs without plugins.", distribution_of(package))
 
 
 def canonical(distribution: str) -> str:
@@ -126,6 +149,8 @@ class Slot:
         What it implements, once it is loaded.
     seconds : float
         How long its import and its hooks took.
+    left_out : str
+        Why it is not asked any more: it took too long.
     """
 
     plugin: Plugin
@@ -135,19 +160,25 @@ class Slot:
     hooks: dict[str, pluggy.HookImpl] = field(default_factory=dict)
     loaded: bool = False
     seconds: float = 0.0
+    left_out: str = ""
 
     @property
     def package(self) -> str:
         """The top-level module."""
         return self.module.partition(".")[0]
 
-    def attempt(self, call: Callable[[], T]) -> tuple[T, None] | tuple[None, str]:
+    def attempt(self, call: Callable[[], T], seconds: float | None = None,
+                ) -> tuple[T, None] | tuple[None, str]:
         """Run code of the plugin (see `attempt`), and note how long it takes."""
+        if self.left_out:
+            return None, self.left_out
         start = time.perf_counter()
-        try:
-            return attempt(call, self.package)
-        finally:
-            self.seconds += time.perf_counter() - start
+        value, reason = attempt(call, self.package, seconds)
+        taken = time.perf_counter() - start
+        self.seconds += taken
+        if reason is not None and taken > (seconds or LIMIT):
+            self.left_out = "it is not asked, as it took too long before"
+        return value, reason  # type: ignore[return-value]
 
 
 class Loader:
@@ -202,13 +233,16 @@ class Loader:
         points: list[EntryPoint] = []
         # Not entry_points(): one package with unreadable metadata would hide all plugins.
         for distribution in distributions():
-            found, _ = attempt(partial(_points_of, distribution))
-            if not found:
+            of_plugins, fault = _points_of(distribution)
+            if not of_plugins and not fault:
                 continue
-            name = canonical(distribution.name)
+            name = _name_of(distribution)
             # Of a distribution that is found twice, Python imports the first.
             if name not in seen and (allowed is None or name in wanted):
-                points += found
+                points += of_plugins
+                if fault:
+                    self._missing.append(Plugin("", name, ""))
+                    self.failures.append(self._missing[-1].remark(fault))
             seen.add(name)
         for name in sorted(wanted - seen):
             self._missing.append(Plugin("", name, ""))
@@ -292,8 +326,30 @@ def _key(plugin: Plugin) -> str:
     return f"{plugin.distribution}:{plugin.name}"
 
 
-def _points_of(distribution: Distribution) -> list[EntryPoint]:
-    return list(distribution.entry_points.select(group=PROJECT))
+def _points_of(distribution: Distribution) -> tuple[list[EntryPoint], str]:
+    """Return the entry points of a distribution's plugins, and what is wrong with its metadata."""
+    points, reason = attempt(lambda: [
+        point for point in distribution.entry_points.select(group=PROJECT) if point.module])
+    if points is None:
+        _spare_numba()
+        return [], f"its entry_points.txt cannot be read: {reason}"
+    if points and attempt(lambda: (canonical(distribution.name), distribution.version))[1]:
+        return [], "its METADATA is missing or cannot be read; install it again"
+    return points, ""
+
+
+def _spare_numba() -> None:
+    """Let numba find its extensions now: it fails at what no reader of metadata can read, once."""
+    from numba.core.entrypoints import init_all
+
+    attempt(init_all)
+
+
+def _name_of(distribution: Distribution) -> str:
+    """Return the name of a distribution: by its folder where it has no readable metadata."""
+    name, _ = attempt(lambda: canonical(distribution.name))
+    folder = Path(str(getattr(distribution, "_path", "unknown"))).name
+    return name or canonical(folder.partition("-")[0])
 
 
 def _plugin_of(point: EntryPoint) -> Plugin:

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import json
 import sys
 from collections.abc import Iterable
 from copy import deepcopy
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
 from importlib.metadata import EntryPoint
+from importlib.resources import files
 from typing import TYPE_CHECKING, Any
 
 from termsel.errors import TermselError, printable, unknown_name
 from termsel.options import Configurable
-from termsel.plugins.calling import Answers, call, listed
+from termsel.plugins.calling import call, listed
 from termsel.plugins.commands import COMMANDS
 from termsel.plugins.hookspecs import PROJECT
 from termsel.plugins.kinds import KINDS, summary
@@ -23,12 +25,8 @@ if TYPE_CHECKING:
 
     from termsel.results.result import Result
 
-_PACKAGES = {
-    "termsel-hybrids": ("multiquadric", "pointwise", "hybrid-1", "hybrid-3"),
-    "termsel-rpc": ("rpc-gcps", "rpc-shift", "rpc-drift", "rpc-affine", "pushbroom-refine"),
-}
-"""What the optional packages provide, for an error that names the missing package."""
-
+HEARD = 600.0
+"""Seconds that a plugin may take for a finished run, such as to send it somewhere."""
 
 SESSION = "session"
 """What stands for a distribution with things that are registered in this process."""
@@ -148,9 +146,11 @@ class Registry:
         TermselError
             If there is none, with the names there are.
         """
-        for entry in self.entries(kind):
-            if entry.answers_to(name):
-                return entry.object
+        # A built-in thing always has its name, so that no plugin need be imported for it.
+        for names in (built_in(), self):
+            for entry in names.entries(kind):
+                if entry.answers_to(name):
+                    return entry.object
         raise unknown_name(KINDS[kind].word, name, self.names(kind), self.hint(name, kind))
 
     def taken(self, kind: str, given: Any) -> Any:
@@ -221,8 +221,9 @@ class Registry:
 
         A recipe that comes from another process is equal, and not the same.
         """
-        return next((entry for kind in KINDS for entry in self.entries(kind)
-                     if entry.object == thing), None)
+        kinds = [kind for kind in KINDS if KINDS[kind].is_of(thing)]
+        return next((entry for names in (built_in(), self) for kind in kinds
+                     for entry in names.entries(kind) if entry.object == thing), None)
 
     def version(self, distribution: str) -> str:
         """Return the version of a distribution that provides a plugin; none of this session."""
@@ -258,29 +259,31 @@ class Registry:
         """Return a sentence on where an unknown name may come from, or nothing."""
         if name == "auto":
             return "auto is a strategy: ask for --strategy auto, the default of rfm-terms."
-        installed = {plugin.distribution for plugin in self._loader.plugins}
-        distribution = canonical(name.rpartition(":")[0])
-        if distribution and distribution not in installed:
-            return f"It comes with the package {distribution}, which is not installed."
-        for package, names in _PACKAGES.items():
-            if name in names and package not in installed:
-                return f"It comes with the package {package}, which is not installed."
+        if missing := self.missing(name):
+            return missing
         broken = sorted({failure.distribution for failure in self.failures(*kinds)})
         if not broken:
             return ""
         return (f"It may come from a plugin that does not work ({', '.join(broken)}): "
                 "see termsel plugins.")
 
+    def missing(self, name: str) -> str:
+        """Return a sentence on the package that a name comes with; nothing if it is installed."""
+        package = canonical(name.rpartition(":")[0])
+        if not package:
+            index = json.loads((files("termsel.plugins") / "packages.json").read_text("utf-8"))
+            package = next((one for one, names in index.items() if name in names), "")
+        if package in ("", *(plugin.distribution for plugin in self._loader.plugins)):
+            return ""
+        return f"It comes with the package {package}, which is not installed."
+
     def notify_run_finished(self, result: Result) -> None:
         """Give every plugin that asks for it a copy of a finished run; warn of those that fail."""
         hook = f"{PROJECT}_run_finished"
-        answers = self._call(hook, result=lambda _plugin: deepcopy(result))
+        answers = call(hook, self._loader.slots_of(hook), _nothing,
+                       {"result": lambda _plugin: deepcopy(result)}, HEARD)
         for plugin, reason in answers.faults:
             print(printable(f"Warning: {plugin.remark(f'{hook}: {reason}')}"), file=sys.stderr)
-
-    def _call(self, hook: str, **arguments: Any) -> Answers:
-        """Call a hook that returns nothing, of all plugins that implement it."""
-        return call(hook, self._loader.slots_of(hook), lambda _value: [], arguments)
 
     def _collect(self, kind: str) -> Provided:
         """Return what is provided of a kind, asking plugins once."""
@@ -320,8 +323,9 @@ class Registry:
 
         # Each plugin has its own group, so that none replaces a command of another.
         groups: dict[Plugin, click.Group] = {}
-        answers = self._call(f"{PROJECT}_commands",
-                             cli=lambda plugin: groups.setdefault(plugin, click.Group()))
+        hook = f"{PROJECT}_commands"
+        answers = call(hook, self._loader.slots_of(hook), _nothing,
+                       {"cli": lambda plugin: groups.setdefault(plugin, click.Group())})
         return ([(plugin, Entry(name, command.get_short_help_str(), plugin.distribution, command))
                  for plugin, group in groups.items() for name, command in group.commands.items()],
                 answers.faults)
@@ -335,6 +339,17 @@ Offered = tuple[list[tuple[Plugin, Entry]], list[tuple[Plugin, str]]]
 def registry() -> Registry:
     """Return the registry of this process, with all installed plugins."""
     return Registry()
+
+
+@cache
+def built_in() -> Registry:
+    """Return the registry of what termsel itself provides, which needs no plugin."""
+    return Registry([])
+
+
+def _nothing(_value: Any) -> list[Any]:
+    """Return what a hook gives that returns nothing."""
+    return []
 
 
 def _given(error: TypeError) -> str:

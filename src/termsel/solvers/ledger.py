@@ -10,7 +10,7 @@ import numpy as np
 
 from termsel.enumeration.features.walk import RowSystem
 from termsel.guard.faults import wrong
-from termsel.guard.isolation import Returned
+from termsel.guard.inside import Returned
 from termsel.measurements.features import FloatArray
 from termsel.problems.base import (
     EnumerablePart,
@@ -86,7 +86,6 @@ class Ledger(Problem):
         self.limit = evaluations
         self.deadline = deadline
         self.after_evaluation: Callable[[], None] = lambda: None
-        self.busy = False
         self.count = 0
         self.lookups = 0
         self.best: tuple[float, float] = (np.inf, np.inf)
@@ -99,12 +98,8 @@ class Ledger(Problem):
 
     def evaluate(self, genes: Genes) -> Evaluation:
         """Return the evaluation, computing only what is not known."""
-        self.busy = True
-        try:
-            with Returned():
-                return self._evaluate(genes)
-        finally:
-            self.busy = False
+        with Returned():
+            return self._evaluate(genes)
 
     def _evaluate(self, genes: Genes) -> Evaluation:
         if self.deadline is not None and self.count and time.perf_counter() > self.deadline:

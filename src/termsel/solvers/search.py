@@ -244,15 +244,15 @@ def begin(problem: Problem, solver: Solver) -> None:
 
 
 def require_able(problem: Problem, solver: Solver,
-                 others: Iterable[type[Solver]] = ()) -> None:
+                 others: Callable[[], Iterable[type[Solver]]] = tuple) -> None:
     """Refuse a solver that cannot handle the objectives or the genes of the problem.
 
     Parameters
     ----------
     problem : Problem
     solver : Solver
-    others : iterable of type[Solver]
-        Solvers; the error names those that can.
+    others : callable
+        Returns solvers, of which the error names those that can.
 
     Raises
     ------
@@ -264,7 +264,7 @@ def require_able(problem: Problem, solver: Solver,
     many = solver.min_objectives <= wanted <= solver.max_objectives
     if many and types <= set(solver.segments):
         return
-    able = [other.name for other in others
+    able = [other.name for other in others()
             if other.min_objectives <= wanted <= other.max_objectives
             and types <= set(other.segments)]
     itself = solver.name in able  # with other options

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import pickle
-import time
 import warnings
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
@@ -11,8 +10,8 @@ from functools import partial
 from typing import Any, TypeVar
 
 from termsel.errors import unknown_name
-from termsel.guard.alarm import Alarm, TimeUp
 from termsel.guard.calls import unguarded
+from termsel.guard.inside import TooSlow, within
 from termsel.options import Configurable
 from termsel.plugins.kinds import KINDS, summary
 
@@ -145,16 +144,14 @@ def _run(name: str, function: Callable[[Any], None], cases: tuple[Case, ...],
 
 
 def _run_case(name: str, function: Callable[[Any], None], case: Case) -> None:
-    start = time.perf_counter()
-    late = Alarm(0.1, lambda: None, lambda: time.perf_counter() - start > LIMIT)
     try:
         # The user of the plugin would see a warning such as "divide by zero".
-        with warnings.catch_warnings(), unguarded(), late:
+        with warnings.catch_warnings(), unguarded():
             warnings.simplefilter("error", RuntimeWarning)
-            function(case.make())
+            within(LIMIT, lambda: function(case.make()))
     except AssertionError as failure:
         raise AssertionError(f"{name}: {case.label}: {failure}") from failure
-    except TimeUp as end:
+    except TooSlow as end:
         raise AssertionError(f"{name}: {case.label}: it takes more than {LIMIT:.0f} s") from end
     except Exception as error:
         raise AssertionError(f"{name}: {case.label}: {type(error).__name__} was raised: {error}"

@@ -251,7 +251,7 @@ class Asked:
         TermselError
             As `termsel.read`, and for an option of a reader that is given twice.
         """
-        from termsel.io.read import read
+        from termsel.io.read import read, readers_of
         from termsel.plugins.registry import registry
 
         options = dict(self.options)
@@ -262,8 +262,8 @@ class Asked:
             return None, options
         given = {"raster": self.raster, "image_lines": self.image_lines,
                  "columns": self.columns}
-        known = {option.name for entry in registry().entries("readers")
-                 for option in entry.object.declared_options}
+        known = {option.name for reader in readers_of(self.files, self.formats)
+                 for option in reader.declared_options}
         of_readers = {key: options.pop(key) for key in list(options) if key in known}
         for key in of_readers:
             if given.get(key) is not None:

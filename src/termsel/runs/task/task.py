@@ -328,7 +328,8 @@ def build(request: Request, observations: Observations, scaling: Scaling,
     if isinstance(problem, ParameterProblem):
         _refuse_searched(request, problem)
     for solver in filter(None, (request.solver, request.then)):
-        require_able(problem, solver, [entry.object for entry in registry().entries("solvers")])
+        require_able(problem, solver, lambda: [
+            entry.object for entry in registry().entries("solvers")])
     data = {**request.options["data"], "check_as": _check_as(request, observations)}
     return Task(request.recipe, problem, inputs.model, request.solver, request.criterion,
                 observations, scaling, request.features, request.source,

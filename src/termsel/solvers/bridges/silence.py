@@ -1,13 +1,12 @@
-"""Solvers of others that yield nothing for long: the progress says so, time ends them."""
+"""Solvers of others that yield nothing for long: the progress and the log say so."""
 
 from __future__ import annotations
 
 import logging
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from threading import Event, Thread
 
-from termsel.guard.alarm import Alarm, TimeUp
 from termsel.guard.faults import is_own, name_of
 from termsel.solvers.base import Generation, Solver
 from termsel.solvers.ledger import Ledger
@@ -17,56 +16,49 @@ log = logging.getLogger(__name__)
 LONG = 10.0
 """Seconds without a generation and an evaluation after which a solver counts as silent."""
 
-GRACE = 1.0
-"""Seconds beyond the deadline that a solver has to yield, before it is ended."""
-
 _EVERY = 0.5
 
 
-@dataclass
 class _Silence:
-    solver: Solver
-    ledger: Ledger
-    tell: Callable[[str], None]
-    since: float = 0.0
-    count: int = 0
-    inside: bool = False
-    said: bool = False
+    """Says how long a solver has neither yielded nor evaluated, from a thread of its own."""
 
-    def begin(self) -> None:
-        self.since, self.count, self.inside = time.perf_counter(), self.ledger.count, True
+    def __init__(self, solver: Solver, ledger: Ledger, tell: Callable[[str], None]) -> None:
+        self.solver, self.ledger, self.tell = solver, ledger, tell
+        self.over = Event()
+        self.running = True
+        self.heard()
 
-    def ring(self) -> None:
-        """Say once in the log, and again and again in the progress, how long nothing happened."""
-        if self.ledger.count != self.count or not self.inside:
-            self.since, self.count = time.perf_counter(), self.ledger.count
-        quiet = time.perf_counter() - self.since
-        if quiet < LONG:
-            return
-        self.tell(f"{name_of(self.solver)} has yielded nothing for {quiet:.0f} s")
-        if not self.said:
-            self.said = True
-            log.info("Note: %s has yielded nothing for %.0f s. %s", name_of(self.solver), quiet,
-                     "Ctrl-C ends the run." if self.ledger.deadline is None
-                     else "The budget of time will end it.")
+    def heard(self) -> None:
+        """Note that something has happened."""
+        self.since, self.count = time.perf_counter(), self.ledger.count
 
-    def due(self) -> bool:
-        """Return whether the solver has no time left; an evaluation that runs is finished."""
-        deadline = self.ledger.deadline
-        return (self.inside and not self.ledger.busy and deadline is not None
-                and time.perf_counter() > deadline + GRACE)
+    def watch(self) -> None:
+        """Say it once in the log, and again and again in the progress, until it is over."""
+        said = False
+        while not self.over.wait(_EVERY):
+            if self.ledger.count != self.count or not self.running:
+                self.heard()
+            if (quiet := time.perf_counter() - self.since) < LONG:
+                continue
+            what = f"{name_of(self.solver)} has yielded nothing for {quiet:.0f} s"
+            self.tell(what)
+            if not said:
+                said = True
+                log.info("Note: %s. Ctrl-C ends the run with the best so far.", what)
 
 
 def heard(running: Iterator[Generation], solver: Solver, ledger: Ledger,
           tell: Callable[[str], None]) -> Iterator[Generation]:
-    """Yield what a solver yields, and end one of others that is silent when its time is spent.
+    """Yield what a solver yields, and say where one of others is silent for long.
+
+    Nothing but Ctrl-C ends code that neither yields nor evaluates.
 
     Parameters
     ----------
     running : iterator of Generation
     solver : Solver
     ledger : Ledger
-        Its deadline is that of the budget.
+        Counts the evaluations.
     tell : callable
         Takes what the progress shows; called in another thread.
     """
@@ -74,14 +66,12 @@ def heard(running: Iterator[Generation], solver: Solver, ledger: Ledger,
         yield from running
         return
     silence = _Silence(solver, ledger, tell)
+    Thread(target=silence.watch, daemon=True).start()
     try:
-        with Alarm(_EVERY, silence.ring, silence.due):
-            while True:
-                silence.begin()
-                generation = next(running, None)
-                silence.inside = False
-                if generation is None:
-                    return
-                yield generation
-    except TimeUp:
-        log.info("Note: %s yielded nothing until its time was spent.", name_of(solver))
+        for generation in running:
+            silence.running = False  # what takes long now is not the solver
+            yield generation
+            silence.heard()
+            silence.running = True
+    finally:
+        silence.over.set()

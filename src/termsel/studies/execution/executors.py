@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 import threading
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -103,6 +104,7 @@ def begin_worker(features: Mapping[str, FeatureSet]) -> None:
     global _features
     _features = features
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the study decides when cells end
+    sys.stdout = sys.stderr  # stdout is for the results of the command
     threading.Thread(target=_end_with_parent, daemon=True).start()
 
 
