@@ -128,7 +128,7 @@ def test_what_cannot_be_written_is_named(command: str, name: str, folder: Path, 
 
 
 @pytest.mark.parametrize("command", ["export r --to points-csv -o NAME",
-                                     "rectify r s.tif --height 500 --res 0.01 -o NAME"])
+                                     "rectify r s.tif --height 500 --res 500 -o NAME"])
 def test_the_longest_name_can_be_written(command: str, folder: Path, call: Call) -> None:
     name = "y" * 251 + ".tif"
     done = call(*(word.replace("NAME", name) for word in command.split()))
@@ -207,7 +207,7 @@ def test_names_that_are_not_utf8_work(folder: Path, call: Call,
         assert vrt.rpcs is not None
         assert vrt.read(1, window=((0, 2), (0, 2))).shape == (2, 2)
     for ground in (("--height", "500"), ("--dem", f"{ODD}-d.tif")):
-        done = call("rectify", "r", f"{ODD}.tif", *ground, "--res", "0.01", "-o", f"{ODD}-m.tif",
+        done = call("rectify", "r", f"{ODD}.tif", *ground, "--res", "500", "-o", f"{ODD}-m.tif",
                     "--overwrite")
         assert done.exit_code == 0, done.stderr
     done = call("project", "r", "--points", f"{ODD}.csv", "-o", f"{ODD}-p.csv")

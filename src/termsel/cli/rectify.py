@@ -21,7 +21,8 @@ from termsel.errors import TermselError
 @click.option("--dem", metavar="FILE", type=click.Path(path_type=Path),
               help="Raster of heights, with the vertical datum of the control.")
 @click.option("--height", type=float, help="Height of the ground, instead of a raster.")
-@click.option("--crs", metavar="CRS", help="CRS of the map; by default that of the control.")
+@click.option("--crs", metavar="CRS", help="CRS of the map; by default that of the control if "
+                                           "it is in metres, else UTM.")
 @click.option("--res", "resolution", type=click.FloatRange(min=0, min_open=True),
               help="Pixel size in units of the CRS; by default that of the image.")
 @click.option("--resampling", default="bilinear", show_default=True, metavar="METHOD",

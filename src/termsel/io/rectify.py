@@ -27,9 +27,12 @@ from termsel.measurements.coordinates.crs import (
     horizontal,
     is_geocentric,
     is_geographic,
+    metres_per_unit,
     normalise,
+    to_wgs84,
 )
 from termsel.measurements.coordinates.longitudes import continuous
+from termsel.measurements.coordinates.utm import utm_zone
 from termsel.measurements.features import FloatArray
 from termsel.models.rpc_fit import GOOD, RpcFit, rpc_of
 
@@ -44,6 +47,7 @@ _TILE = 1024  # size of the tiles that are warped at once [px of the map]
 _NARROW = 128  # across, where GDAL interpolates places along lines between ends and middle
 _OUTLINE = 33  # places along either side of the image its extent on the map is found by
 _LARGEST = 2e5  # pixels along either side of a map; more is a mistake in --res
+_USUAL = 16, 30_000  # pixels along either side: others are a mistake unless the image has them
 
 
 def rectify(
@@ -79,7 +83,7 @@ def rectify(
     height : float, optional
         Of the ground, where no raster is given; that of the middle of the control by default.
     crs : str, optional
-        Of the map; that of the control by default.
+        Of the map; by default that of the control where it is in metres, else the zone of UTM.
     resolution : float, optional
         Size of a pixel of the map [units of its CRS]; that of the image on the ground by default.
     resampling : str
@@ -98,8 +102,9 @@ def rectify(
     ------
     TermselError
         If rasterio is not installed; if image or raster of heights cannot be read or do not
-        fit the result; if no part of the image is on the map; if the file exists and may not be
-        replaced, or cannot be written.
+        fit the result; if no part of the image is on the map; if the map would have fewer than 16
+        or more than 30,000 pixels along a side and the image does not; if the file exists and may
+        not be replaced, or cannot be written.
     """
     require_rasterio()
     image, output = Path(image), Path(output)
@@ -113,7 +118,7 @@ def rectify(
     for name, value in (("height", height), ("resolution", resolution)):
         if value is not None and not np.isfinite(value):
             raise TermselError(f"the {name} of a map cannot be {value}", hint="Give a number.")
-    target = horizontal(crs if crs is not None else result.features.crs)
+    target = _in_metres(result) if crs is None else horizontal(crs)
     if not target:
         raise TermselError("a map needs a CRS", hint="Give --crs, such as EPSG:32631.")
     if is_geocentric(target):
@@ -130,14 +135,31 @@ def rectify(
         if "RPC_DEM" in options:
             options["RPC_DEM"] = str(stack.enter_context(utf8_name(options["RPC_DEM"])))
         outline = _ground(result, dem, level, target)
-        shape, transform = _map(result, outline, dem, resolution)
+        unit = _unit(target)
+        shape, transform = _map(result, outline, dem, resolution, unit)
         with open_raster(source) as raster, atomic_path(output) as temporary:
             empty = _nodata(raster) if nodata is None else _held(nodata, raster.dtypes[0])
-            _say(shape, transform, target, outline, dem)
+            chosen = "" if crs is not None or target == horizontal(result.features.crs) else \
+                " (the zone of UTM, as the control is not in metres; --crs names another)"
+            _say(shape, f"{transform.a:g} {unit} in {target}{chosen}", outline, dem)
             with utf8_folder(temporary.parent) as place, _gdal_faults(output):
                 _warp(raster, place / "map.tif", shape, transform, target, empty, progress,
                       resampling=resampling, **options)
                 (place / "map.tif").replace(place / temporary.name)
+
+
+def _in_metres(result: Result) -> str:
+    """Return the CRS of the control if it is in metres, else the zone of UTM."""
+    own = result.features.crs
+    if not is_geographic(own) and metres_per_unit(own) in (1.0, None):  # None: nobody knows it
+        return horizontal(own)
+    lon, lat, _ = to_wgs84(own)(result.fit.ground_box()[0][None])[0]
+    try:
+        return utm_zone(float(lon), float(lat))
+    except TermselError as error:
+        raise TermselError(f"the map has no CRS: {error.what}",
+                           hint="Give --crs with a projected CRS in metres, such as EPSG:3413."
+                           ) from error
 
 
 def _source(result: Result, picture: Picture, vrt: Path, dem: Path | str | None, height: float,
@@ -167,23 +189,26 @@ def _rpc(result: Result) -> RpcFit | None:
     return found if found.worst <= GOOD else None
 
 
-def _say(shape: tuple[int, int], transform: Any, target: str, outline: FloatArray,
-         dem: Path | str | None) -> None:
+def _say(shape: tuple[int, int], pixels: str, outline: FloatArray, dem: Path | str | None,
+         ) -> None:
     """Log what the map is, and which share of the image it shows."""
-    from pyproj import CRS
-
-    unit = CRS.from_user_input(target).axis_info[0].unit_name
     share = float(np.isfinite(outline).all(axis=-1).mean())
-    log.info("Map: %d lines and %d samples of %g %s in %s, with %s of the image.", *shape,
-             transform.a, unit, target, "all" if share == 1 else f"about {100 * share:.0f} %")
+    log.info("Map: %d lines and %d samples of %s, with %s of the image.", *shape, pixels,
+             "all" if share == 1 else f"about {100 * share:.0f} %")
     if share < 1:
         log.warning("Warning: about %.0f %% of the image is not on the map, as %s.",
                     100 - 100 * share, "the model has no ground position there" if dem is None
                     else f"{dem} has no heights there")
 
 
-def _map(result: Result, outline: FloatArray, dem: Path | str | None,
-         resolution: float | None) -> tuple[tuple[int, int], Any]:
+def _unit(crs: str) -> str:
+    from pyproj import CRS
+
+    return str(CRS.from_user_input(crs).axis_info[0].unit_name)
+
+
+def _map(result: Result, outline: FloatArray, dem: Path | str | None, resolution: float | None,
+         unit: str) -> tuple[tuple[int, int], Any]:
     """Return lines and samples of the map, and its geotransform."""
     from affine import Affine
 
@@ -191,21 +216,26 @@ def _map(result: Result, outline: FloatArray, dem: Path | str | None,
     if not len(known):
         raise TermselError("the image is outside the raster of heights", file=dem,
                            hint="Give a raster that covers the image.")
+    (top, left), (bottom, right) = result.fit.image_box()
+    along, across = (np.linalg.norm(np.diff(outline, axis=axis), axis=-1) for axis in (0, 1))
+    pixels = [np.nanmedian(along) * (_OUTLINE - 1) / max(bottom - top, 1.0),
+              np.nanmedian(across) * (_OUTLINE - 1) / max(right - left, 1.0)]
+    of_image = float(f"{min(pixels):.2g}")
     if resolution is None:
-        (top, left), (bottom, right) = result.fit.image_box()
-        along, across = (np.linalg.norm(np.diff(outline, axis=axis), axis=-1) for axis in (0, 1))
-        pixels = [np.nanmedian(along) * (_OUTLINE - 1) / max(bottom - top, 1.0),
-                  np.nanmedian(across) * (_OUTLINE - 1) / max(right - left, 1.0)]
-        resolution = float(f"{min(pixels):.2g}")
+        resolution = of_image
     # Edges on multiples of the pixel size, so that maps of neighbouring images fit together.
     low = np.floor(known.min(axis=0) / resolution) - 1
     high = np.ceil(known.max(axis=0) / resolution) + 1
     width, lines = high - low
-    if max(width, lines) > _LARGEST:
-        raise TermselError(f"with pixels of {resolution:g} the map would have {lines:.0f} lines "
-                           f"and {width:.0f} samples",
-                           hint="Give --res in the units of --crs, or a --crs whose edge does not "
-                                "run through the image.")
+    least, most = _USUAL
+    sides, own = (high - low).tolist(), (np.ptp(known, axis=0) / of_image).tolist()
+    # An image may have such sides itself; a map that alone has them mixes up degrees and metres.
+    if min(sides) < least <= min(own) or max(sides) > most >= max(own) or max(sides) > _LARGEST:
+        raise TermselError(f"with pixels of {resolution:g} {unit} the map would have {lines:.0f} "
+                           f"lines and {width:.0f} samples",
+                           hint=f"Give --res in the units of the map, {unit}: the image has "
+                                f"{of_image:g}. Or give a --crs whose edge does not run through "
+                                "the image.")
     west, north = low[0] * resolution, high[1] * resolution
     return (int(lines), int(width)), Affine(resolution, 0.0, west, 0.0, -resolution, north)
 

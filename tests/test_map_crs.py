@@ -1,0 +1,123 @@
+"""The CRS and the size of a map where nothing, or a number in the wrong unit, is said of them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import termsel
+from termsel.io import rectify as module
+from termsel.io.rectify import rectify
+from termsel.models.polynomial import Polynomial3D
+
+rasterio = pytest.importorskip("rasterio")
+pyproj = pytest.importorskip("pyproj")
+
+SIZE = 300, 400
+
+
+def scene(crs: str, lon: float, lat: float, size: tuple[int, int] = SIZE, gsd: float = 2.0,
+          ) -> termsel.Result:
+    """Return an affine model of an image with north up, fitted to control in a CRS."""
+    rng = np.random.default_rng(3)
+    image = rng.uniform(0.0, np.array(size) - 1.0, (12, 2))
+    east, north = (image[:, 1] - size[1] / 2) * gsd, -(image[:, 0] - size[0] / 2) * gsd
+    ground = np.column_stack([lon + east / 111_320 / np.cos(np.radians(lat)), lat + north / 111_320,
+                              rng.uniform(100.0, 120.0, 12)])
+    turn = pyproj.Transformer.from_crs("EPSG:4979", crs, always_xy=True)
+    points = termsel.Points(tuple(map(str, range(12))), image,
+                            np.column_stack(turn.transform(*ground.T)))
+    features = termsel.FeatureSet(points, crs=crs, image_size=size)
+    return termsel.run("poly-terms", features=features, model=Polynomial3D(degree=1),
+                       solver="all-terms", seed=1)
+
+
+def picture(folder: Path, size: tuple[int, int] = SIZE) -> Path:
+    path = folder / "scene.tif"
+    with rasterio.open(path, "w", driver="GTiff", height=size[0], width=size[1], count=1,
+                       dtype="uint8") as raster:
+        raster.write(np.full(size, 100, dtype=np.uint8), 1)
+    return path
+
+
+def made(result: termsel.Result, folder: Path, size: tuple[int, int] = SIZE, **options: Any,
+         ) -> tuple[int, tuple[int, int], float]:
+    """Return the code of the CRS of a map, its shape and the size of its pixels."""
+    rectify(result, picture(folder, size), folder / "map.tif", height=110.0, **options)
+    with rasterio.open(folder / "map.tif") as raster:
+        assert (raster.read(1) == 100).mean() > 0.4  # north is not up in every zone
+        return raster.crs.to_epsg(), raster.shape, raster.res[0]
+
+
+@pytest.mark.parametrize(("crs", "lon", "lat", "expected"), [
+    ("EPSG:4979", 11.0, 47.4, 32632), ("EPSG:4979", -70.0, -33.5, 32719),
+    ("EPSG:4326", 179.99, -16.9, 32760), ("EPSG:2263", -74.0, 40.7, 32618)])
+def test_control_that_is_not_in_metres_is_mapped_in_utm(
+        crs: str, lon: float, lat: float, expected: int, tmp_path: Path,
+        caplog: pytest.LogCaptureFixture) -> None:
+    with caplog.at_level("INFO", logger="termsel"):
+        code, shape, side = made(scene(crs, lon, lat), tmp_path)
+    assert code == expected
+    assert shape == pytest.approx(SIZE, rel=0.1)
+    assert side == pytest.approx(2.0, rel=0.06)
+    assert f"metre in EPSG:{expected} (the zone of UTM, as the control is not in metres; " \
+        "--crs names another), with all of the image." in caplog.text
+
+
+@pytest.mark.parametrize(("crs", "lon", "lat"), [("EPSG:25832", 11.0, 47.4),
+                                                 ("EPSG:3413", -45.0, 86.0)])
+def test_control_in_metres_keeps_its_crs(crs: str, lon: float, lat: float, tmp_path: Path,
+                                         caplog: pytest.LogCaptureFixture) -> None:
+    with caplog.at_level("INFO", logger="termsel"):
+        code, _, side = made(scene(crs, lon, lat), tmp_path)
+    assert f"EPSG:{code}" == crs
+    assert 1.5 < side < 2.5
+    assert "UTM" not in caplog.text
+
+
+def test_a_crs_that_is_named_is_taken(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    with caplog.at_level("INFO", logger="termsel"):
+        code, shape, _ = made(scene("EPSG:4979", 11.0, 47.4), tmp_path, crs="EPSG:4326")
+    assert code == 4326
+    assert min(shape) > 200
+    assert "UTM" not in caplog.text
+
+
+def test_near_the_poles_the_crs_must_be_named(tmp_path: Path) -> None:
+    with pytest.raises(termsel.TermselError, match="no CRS: no UTM zone") as caught:
+        made(scene("EPSG:4979", -45.0, 86.0), tmp_path)
+    assert "--crs" in str(caught.value)
+    assert "--fit-crs" not in str(caught.value)
+
+
+@pytest.mark.parametrize(("options", "lines", "unit", "right"), [
+    ({"resolution": 10.0, "crs": "EPSG:4326"}, 2, "degree", "1.8e-05"),  # metres are meant
+    ({"resolution": 2e-5}, 30_000_000, "metre", "2"),                    # degrees are meant
+    ({"resolution": 200.0}, 5, "metre", "2"),                            # centimetres
+    ({"resolution": 0.01}, 60_000, "metre", "2")])
+def test_a_map_in_the_wrong_unit_is_refused(options: dict[str, Any], lines: int, unit: str,
+                                            right: str, tmp_path: Path) -> None:
+    with pytest.raises(termsel.TermselError) as caught:
+        made(scene("EPSG:4979", 11.0, 47.4), tmp_path, **options)
+    text = str(caught.value)
+    assert f"{unit} the map would have " in text
+    shown = int(text.partition("would have ")[2].partition(" lines")[0])
+    assert shown == pytest.approx(lines, rel=0.1, abs=1)
+    assert f"units of the map, {unit}: the image has {right}." in text
+    assert not (tmp_path / "map.tif").exists()
+
+
+def test_images_that_are_as_narrow_or_as_wide_as_that_are_mapped(
+        tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    narrow = (12, 400)
+    _, shape, _ = made(scene("EPSG:25832", 11.0, 47.4, narrow), tmp_path, narrow)
+    assert 12 <= shape[0] < 30
+    monkeypatch.setattr(module, "_USUAL", (16, 350))  # as if 400 samples were too many
+    _, shape, _ = made(scene("EPSG:25832", 11.0, 47.4), tmp_path, overwrite=True)
+    assert shape[1] > 350
+    monkeypatch.setattr(module, "_USUAL", (16, 450))
+    with pytest.raises(termsel.TermselError, match=r"lines and 8\d\d samples"):
+        made(scene("EPSG:25832", 11.0, 47.4), tmp_path, overwrite=True, resolution=1.0)
