@@ -305,7 +305,7 @@ def test_a_run_and_the_fit_say_the_same() -> None:
     assert result.objectives["press"] == pytest.approx(fitted.leave_one_out_rmse().total)
 
 
-def test_a_file_is_not_a_set_of_features() -> None:
-    with pytest.raises(termsel.TermselError, match="fit takes a FeatureSet, not str"):
+def test_a_file_that_does_not_exist_is_no_set_of_features() -> None:
+    with pytest.raises(termsel.TermselError, match=r"gcps\.csv: this file does not exist"):
         termsel.fit("gcps.csv")
     assert len(termsel.simulate_scene("ikonos-hamedan").points.take([])) == 0

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import ExitStack
+from dataclasses import replace
 from difflib import get_close_matches
 from itertools import zip_longest
 from pathlib import Path
@@ -20,7 +21,7 @@ from termsel.measurements.coordinates.crs import EXAMPLES, normalise
 from termsel.measurements.coordinates.plausible import check_ground
 from termsel.measurements.features import FeatureSet, no_lines, no_points
 from termsel.measurements.joined import join_lines, join_points
-from termsel.measurements.tables.columns import LINES, OPTIONAL, POINTS
+from termsel.measurements.tables.columns import LINES, OPTIONAL, POINTS, columns_text
 from termsel.plugins.registry import built_in, registry
 
 log = logging.getLogger(__name__)
@@ -36,7 +37,7 @@ _NOISE = bytes(range(1, 256)) * 4
 
 
 def read(
-    points: Path | str | None = None,
+    points: Any = None,
     lines: Path | str | None = None,
     *,
     areas: Path | str | None = None,
@@ -50,8 +51,11 @@ def read(
 
     Parameters
     ----------
-    points, lines, areas : path-like, optional
-        At least one of them. Areas become lines or, with ``areas_as="centroid"``, points.
+    points : path-like or table, optional
+        A file, or a DataFrame of pandas or geopandas, a list of dicts or a dict of columns.
+    lines, areas : path-like, optional
+        Files; at least one of the three is given. Areas become lines or, with
+        ``areas_as="centroid"``, points.
     crs : str, optional
         CRS of the ground coordinates, where no file declares it: "EPSG:n", WKT, or "local".
     format : str or sequence of str, optional
@@ -75,9 +79,13 @@ def read(
     """
     of_readers = {key: value for key, value in options.items() if value is not None}
     if columns:
-        of_readers["columns"] = columns if isinstance(columns, str) else ",".join(
-            f"{meaning}={column}" for meaning, column in columns.items())
+        of_readers["columns"] = columns_text(columns)
     formats = [format] if isinstance(format, str) else format
+    if points is not None and not isinstance(points, str | Path):
+        if lines is not None or areas is not None or format:
+            raise TermselError("a table in Python is read alone",
+                               hint="Read files by themselves and join them with FeatureSet.with_.")
+        return _with_dem(_read_frame(points, crs, of_readers), dem)
     with ExitStack() as stack:
         image_lines = of_readers.get("image_lines")
         once = {Path(path): stack.enter_context(read_once(Path(path)))
@@ -89,6 +97,10 @@ def read(
             *paths[:2], areas=paths[2], crs=crs,
             readers=readers_of([path for path in paths if path is not None], formats),
             formats=formats, options=of_readers)
+    return _with_dem(features, dem)
+
+
+def _with_dem(features: FeatureSet, dem: Path | str | None) -> FeatureSet:
     if dem is None:
         return features
     from termsel.formats.heights import with_heights
@@ -111,6 +123,20 @@ def readers_of(paths: Sequence[Path], formats: Sequence[str]) -> list[type[Reade
             reader().sniff(path, read_head(path, _EXPECTED)) for reader in own)
         for path in dict.fromkeys(paths))
     return own if enough else [entry.object for entry in registry().entries("readers")]
+
+
+def _read_frame(frame: Any, crs: str | None, options: Mapping[str, Any]) -> FeatureSet:
+    from termsel.formats.readers.frames import read_frame
+
+    for name in options.keys() - {"columns", "decimal"}:
+        raise TermselError(f"a table in Python has no option {name!r}", hint="Leave it out.")
+    features = read_frame(frame, **options)
+    place = Path("the table")
+    measured = replace(features, crs=_agreed_crs(
+        {place: features}, None if crs is None else normalise(crs)))
+    _say_misspelt(place, measured)
+    check_ground(measured)
+    return measured
 
 
 def read_file(path: Path, readers: Iterable[type[Reader]], format: str | None = None,
@@ -226,7 +252,7 @@ def _with_options(reader: type[Reader], given: Mapping[str, Any]) -> Reader:
 
 def read_features(points: Path | None, lines: Path | None, *, areas: Path | None = None,
                   crs: str | None, readers: Iterable[type[Reader]], formats: Sequence[str] = (),
-                  options: Mapping[str, Any] | None = None) -> FeatureSet:
+                  options: Mapping[str, Any] | None = None, either: bool = False) -> FeatureSet:
     """Return the points, lines and areas of one file each, in one CRS.
 
     Parameters
@@ -241,6 +267,8 @@ def read_features(points: Path | None, lines: Path | None, *, areas: Path | None
         Names of the readers of the files, in their order, as far as they are forced.
     options : mapping, optional
         Options of the readers.
+    either : bool
+        Whether a file given as both may have points or lines alone.
 
     Raises
     ------
@@ -269,6 +297,8 @@ def read_features(points: Path | None, lines: Path | None, *, areas: Path | None
             _check_areas(path, chosen[path], path == areas and path not in (points, lines))
             continue
         counts = {"points": len(features.points), "lines": len(features.lines)}
+        if either and any(counts.values()):
+            continue
         _check_kinds(path, counts, {"points": path == points, "lines": path == lines})
     measured = FeatureSet(
         no_points() if points is None else sets[points].points,

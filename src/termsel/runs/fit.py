@@ -2,29 +2,34 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any, cast
 
 from termsel.candidates.candidate import CANDIDATES, named
 from termsel.errors import TermselError, unknown_name
 from termsel.fits.fit import Fit
-from termsel.measurements.features import FeatureSet
+from termsel.io.sources import features_of
 from termsel.models.base import SensorModel
 from termsel.plugins.registry import registry
 
 
-def fit(features: FeatureSet, model: str | type[SensorModel] | SensorModel = "rfm",
+def fit(features: Any, model: str | type[SensorModel] | SensorModel = "rfm", *,
+        crs: str | None = None, columns: str | Mapping[str, Any] | None = None,
         **options: Any) -> Fit:
     """Fit one model to control features, without any selection.
 
     Parameters
     ----------
-    features : FeatureSet
-        Lines, and points with the role control or none, are control. Points with the role check,
+    features : FeatureSet, path-like or table
+        The name of a file, or a table such as a DataFrame, is read by `termsel.read`. Lines, and
+        points with the role control or none, are control. Points with the role check,
         independent or off are left out.
     model : str, class or SensorModel
         Name of a model, or of a candidate that needs no search: affine, dlt, projective,
         quadratic, cubic, rfm-2, rfm-3, ridge, selected, shrunken-quadratic, shrunken-cubic,
         huber, tukey. Of a name that both have, the model is taken.
+    crs, columns : optional
+        As for `termsel.read`, where features are read.
     **options
         Options of the model; a candidate has none.
 
@@ -49,9 +54,7 @@ def fit(features: FeatureSet, model: str | type[SensorModel] | SensorModel = "rf
     >>> fitted.rmse(independent).total < 10
     True
     """
-    if not isinstance(features, FeatureSet):
-        raise TermselError(f"fit takes a FeatureSet, not {type(features).__name__}",
-                           hint="Read files with termsel.read first.")
+    features = features_of(features, crs, columns)
     if isinstance(model, str):
         names = registry().names("models")
         candidate = None if model in names else named(model)

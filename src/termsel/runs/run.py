@@ -15,6 +15,7 @@ from termsel.adjustment import kernels, leave_out
 from termsel.criteria import Criterion
 from termsel.errors import TermselError
 from termsel.io.result_folder import claim_folder, write_result
+from termsel.io.sources import features_of
 from termsel.measurements.datasets import DatasetSpec
 from termsel.measurements.features import FeatureSet
 from termsel.measurements.roles import together
@@ -42,7 +43,9 @@ SEARCH_COMPILES, AUTO_COMPILES = 10, 4
 def run(
     problem: str | Recipe | Task | None = None,
     *,
-    features: FeatureSet | None = None,
+    features: Any = None,
+    crs: str | None = None,
+    columns: str | Mapping[str, Any] | None = None,
     dataset: str | DatasetSpec | None = None,
     source: str | None = None,
     model: str | type[SensorModel] | SensorModel | None = None,
@@ -65,7 +68,12 @@ def run(
     ----------
     problem : str, Recipe or Task, optional
         A recipe, its name, or what `prepare` made of it; by default that of `problem_for`.
-    features, dataset, source, model, solver, criterion, options
+    features : FeatureSet, path-like or table, optional
+        Measured features; the name of a file, or a table such as a DataFrame, is read by
+        `termsel.read`.
+    crs, columns : optional
+        As for `termsel.read`, where features are read.
+    dataset, source, model, solver, criterion, options
         As for `prepare`; not for a task.
     strategy : {"auto", "as-asked"}, optional
         "auto" chooses the model itself, among plain and shrunken ones, by what it predicts for
@@ -105,6 +113,12 @@ def run(
     >>> round(result.rmse["independent"].total, 1) > 0
     True
     """
+    if features is not None:
+        source = source or (str(features) if isinstance(features, str | Path) else None)
+        features = features_of(features, crs, columns)
+    elif crs is not None or columns is not None:
+        raise TermselError("crs and columns are for features that are read",
+                           hint="Give features, such as the name of a file.")
     given: dict[str, Any] = {
         "features": features, "dataset": dataset, "source": source, "model": model,
         "solver": solver, "criterion": criterion, "options": options}

@@ -5,6 +5,7 @@ from __future__ import annotations
 import codecs
 import csv
 import io
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -187,9 +188,10 @@ def _delimiter(text: str, aliases: Aliases, own: Mapping[str, str]) -> str:
     if best[0] >= 3:
         return best[-1]
     line = lines[0] if lines else ""
-    best_sign = max(",;\t|", key=line.count)
-    # Decimal commas stand between digits, as those of rows between spaces do.
-    return best_sign if best_sign in line else ""
+    # Commas between digits may be decimal, where anything else separates cells.
+    bare = re.sub(r"(?<=\d),(?=\d)", "", line)
+    sign = max(",;\t|", key=bare.count)
+    return sign if sign in bare else "" if len(line.split()) > 2 else ","
 
 
 def _of_text(path: Path, text: str, delimiter: str) -> Cells:

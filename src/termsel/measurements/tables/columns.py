@@ -106,6 +106,12 @@ def _parted(meaning: str) -> tuple[str, str]:
     return (meaning[:-1], meaning[-1]) if meaning[-1] in "12" else (meaning, "")
 
 
+def columns_text(given: str | Mapping[str, object]) -> str:
+    """Return the text of ``--columns`` for a mapping of the same meaning, or the text itself."""
+    return given if isinstance(given, str) else ",".join(
+        f"{meaning}={column}" for meaning, column in given.items())
+
+
 def parse_columns(given: str) -> dict[str, str]:
     """Return the name or number of a column by its meaning, as the user says.
 

@@ -1,0 +1,77 @@
+"""Features in tables of Python: frames of pandas, geopandas and polars, lists of dicts."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from termsel.errors import TermselError
+from termsel.formats.readers.cells import found_in, of_records
+from termsel.formats.readers.csv_tables import LinesCsv
+from termsel.formats.readers.table import points_of
+from termsel.formats.readers.tables import table_of
+from termsel.measurements.features import FeatureSet
+from termsel.measurements.tables.columns import LINES, POINTS, parse_columns
+
+ACCEPTED = ("a FeatureSet, the name of a file, a DataFrame of pandas, geopandas or polars, a list "
+            "of dicts, or a dict of columns")
+_GROUND = {axis: f"{axis} of the geometry" for axis in "xyz"}
+
+
+def read_frame(frame: Any, columns: str = "", decimal: str | None = None) -> FeatureSet:
+    """Return the points or lines of a table.
+
+    Parameters
+    ----------
+    frame : DataFrame, GeoDataFrame, list of mapping or mapping of lists
+        Columns as of a file. The points of a GeoDataFrame are those of its geometry.
+    columns, decimal : str, optional
+        As for files.
+
+    Raises
+    ------
+    TermselError
+        For anything that is no such table, or as for files.
+    """
+    records, crs = _records(frame)
+    if not records:
+        raise TermselError("the table has no rows", hint="Give one row per feature.")
+    cells, own = of_records(records, "row", _GROUND), parse_columns(columns)
+    header = cells.rows[0]
+    ends = {meaning: LINES[meaning] for meaning in ("line1", "sample1", "line2", "sample2")}
+    if found_in(header, ends, own) == len(ends):
+        return LinesCsv().features(table_of(None, cells, LINES, own, decimal, flat=True))
+    return points_of(table_of(None, cells, POINTS, own, decimal, flat=True), crs)
+
+
+def _records(frame: Any) -> tuple[list[dict[str, Any]], str]:
+    """Return the rows of a table, with the positions of its geometry, and its CRS."""
+    if isinstance(frame, Mapping) and all(_is_column(column) for column in frame.values()):
+        sizes = {name: len(column) for name, column in frame.items()}
+        if len(set(sizes.values())) > 1:
+            raise TermselError(f"the columns have different lengths: {sizes}",
+                               hint="Give each column a value for every row.")
+        return [dict(zip(frame, row, strict=True)) for row in zip(*frame.values(), strict=True)], ""
+    if isinstance(frame, Sequence) and not isinstance(frame, str | bytes) \
+            and all(isinstance(row, Mapping) for row in frame):
+        return [dict(row) for row in frame], ""
+    if hasattr(frame, "to_dicts"):  # polars
+        return list(frame.to_dicts()), ""
+    if not hasattr(frame, "to_dict") or not hasattr(frame, "columns"):
+        raise TermselError(f"features cannot be read from a {type(frame).__name__}",
+                           hint=f"Give {ACCEPTED}.")
+    records = (frame.reset_index() if frame.index.name else frame).to_dict("records")
+    shapes = list(frame.geometry) if hasattr(frame, "geom_type") else []
+    if not shapes or any(shape is None or shape.geom_type != "Point" for shape in shapes):
+        return records, ""
+    name = frame.geometry.name
+    places = ({"x": shape.x, "y": shape.y, "z": shape.z if shape.has_z else None}
+              for shape in shapes)
+    return [{**{key: value for key, value in record.items() if key != name},
+             **{_GROUND[axis]: place[axis] for axis in "xyz"}}
+            for record, place in zip(records, places, strict=True)], \
+        "" if frame.crs is None else frame.crs.to_wkt()
+
+
+def _is_column(column: Any) -> bool:
+    return hasattr(column, "__len__") and not isinstance(column, str | bytes | Mapping)
