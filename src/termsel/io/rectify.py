@@ -103,7 +103,7 @@ def rectify(
     TermselError
         If rasterio is not installed; if image or raster of heights cannot be read or do not
         fit the result; if no part of the image is on the map; if the map would have fewer than 16
-        or more than 30,000 pixels along a side and the image does not; if the file exists and may
+        or more than 30,000 px along a side and the image does not; if the file exists and may
         not be replaced, or cannot be written.
     """
     require_rasterio()
