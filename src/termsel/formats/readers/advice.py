@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 
 from termsel.errors import TermselError
-from termsel.formats.readers.cells import read_cells
+from termsel.formats.readers.cells import WIDEST, read_cells
 from termsel.measurements.features import FloatArray
 from termsel.measurements.tables.columns import POINTS, Aliases, declared, matches, parse_columns
 from termsel.measurements.tables.numbers import COMMA, POINT, BadCell, decimal_signs, read_numbers
@@ -18,7 +18,8 @@ _SPREADSHEETS = (".xlsx", ".xlsm", ".xlsb", ".xls", ".ods")
 
 
 def with_advice(error: TermselError, header: Sequence[str], rows: Sequence[Sequence[str]],
-                found: Mapping[str, int], aliases: Aliases) -> TermselError:
+                found: Mapping[str, int], aliases: Aliases,
+                fixed: Collection[int] = ()) -> TermselError:
     """Return an error with the text of --columns that declares all columns, as far as it is known.
 
     Parameters
@@ -30,6 +31,8 @@ def with_advice(error: TermselError, header: Sequence[str], rows: Sequence[Seque
         Column of each meaning that is known.
     aliases : mapping
         Of the table; only columns of points are guessed.
+    fixed : collection of int
+        Columns that nobody can declare, such as those of a geometry.
     """
     if "line" not in aliases or "x" not in aliases:
         return error
@@ -38,11 +41,11 @@ def with_advice(error: TermselError, header: Sequence[str], rows: Sequence[Seque
     pairs = []
     for meaning in aliases:
         i = columns.get(meaning)
-        if i is not None:
+        if i is not None and i not in fixed:
             plain = names.count(names[i]) == 1 and names[i] and "," not in names[i] \
                 and not names[i].isdecimal()
             pairs.append(f"{meaning}={names[i] if plain else i + 1}")
-        elif meaning in ("line", "sample", "x", "y"):
+        elif i is None and meaning in ("line", "sample", "x", "y"):
             pairs.append(f"{meaning}=?")
     error.columns = ",".join(pairs)
     doubt = " Put the column for each ?." if "?" in error.columns else \
@@ -68,10 +71,11 @@ def unknown_table(path: Path, expected: str, columns: str) -> TermselError | Non
     except TermselError as error:
         spoken = "not UTF" in error.what or path.suffix.lower() in _SPREADSHEETS
         return error if spoken else None
-    rows = [row for row in cells.rows[:_ROWS] if len(row) == len(cells.rows[-1])]
+    rows = [row for row in cells.rows[:_ROWS] if len(row) == len(cells.rows[-1]) <= WIDEST]
     values = _numbers(rows[1:])
     if len(rows) < 3 or len(values) < 4:
-        return None
+        return None if path.suffix.lower() not in _SPREADSHEETS else TermselError(
+            "no visible sheet has a table of points", file=path, hint=expected)
     bare = any(i in _numbers(rows[:1]) for i in values)
     header = [str(i + 1) for i in range(len(rows[0]))] if bare else rows[0]
     found = {meaning: places[0] for meaning, places in matches(header, POINTS).items() if places}

@@ -22,7 +22,7 @@ _DELIMITERS = (",", ";", "\t", "|", "")
 """The last stands for spaces."""
 
 _SEARCHED = 20  # rows in which a header may be found, below a title
-_WIDEST = 1_000  # columns
+WIDEST = 1_000  # columns
 _SHEETS = (b"PK\x03\x04", b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1")  # zip of .xlsx and .ods; .xls
 
 
@@ -69,7 +69,7 @@ def as_cell(value: Any) -> str:
 
 def found_in(header: Sequence[str], aliases: Aliases, own: Mapping[str, str]) -> int:
     """Return how many meanings of numbers a header names."""
-    if len(header) > _WIDEST:
+    if len(header) > WIDEST:
         return 0
     found = declared(header, own).keys() | {
         meaning for meaning, columns in matches(header, aliases).items() if columns}
@@ -220,8 +220,8 @@ def _of_text(path: Path, text: str, delimiter: str) -> Cells:
         raise TermselError(f"the row that begins here cannot be read: {error}", file=path,
                            line=end + 1, hint='Look for a quotation mark (") that is not closed.'
                            ) from error
-    if rows and len(rows[0]) > _WIDEST:
-        raise TermselError(f"the first row has {len(rows[0]):,} cells, more than {_WIDEST:,}",
+    if rows and len(rows[0]) > WIDEST:
+        raise TermselError(f"the first row has {len(rows[0]):,} cells, more than {WIDEST:,}",
                            file=path, line=lines[0], hint="Give a table with a row per point.")
     return Cells(rows, lines, comments, delimiter)
 

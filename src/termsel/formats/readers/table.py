@@ -86,8 +86,7 @@ class Table:
             if first.setdefault(name, row) != row and "id" in self.names:
                 raise self.error(f"id {name!r} is already used on {self.part} "
                                  f"{self.lines[first[name]]}", row, "id",
-                                 "Give every point an id of its own, or none (--columns id=NUMBER "
-                                 "takes another column).")
+                                 "Give every point an id of its own.")
         try:
             return Points(tuple(ids), image, ground, sigma, tuple(roles), self.more)
         except TermselError as error:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import logging
 import re
 from abc import abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import ClassVar
@@ -91,7 +91,8 @@ def sniff_table(path: Path, head: bytes, aliases: Aliases, columns: str = "",
 
 
 def _columns(path: Path | None, line: int | None, header: Sequence[str], rows: list[list[str]],
-             aliases: Aliases, chosen: Mapping[str, int], *, flat: bool) -> dict[str, int]:
+             aliases: Aliases, chosen: Mapping[str, int], fixed: Collection[int], *,
+             flat: bool) -> dict[str, int]:
     """Return the one column of each meaning, refusing missing and ambiguous ones.
 
     If `flat`, all columns of heights may be missing together.
@@ -115,7 +116,7 @@ def _columns(path: Path | None, line: int | None, header: Sequence[str], rows: l
                 TermselError(f"columns {named} both mean {meaning}", file=path, line=line,
                              column=header[places[1]].strip(),
                              hint="Rename or remove all but one of them."),
-                header, rows, {**found, meaning: places[0]}, aliases)
+                header, rows, {**found, meaning: places[0]}, aliases, fixed)
         elif places:
             found[meaning] = places[0]
         elif not ((meaning in OPTIONAL and not (sigma and meaning.startswith("sigma")))
@@ -126,8 +127,8 @@ def _columns(path: Path | None, line: int | None, header: Sequence[str], rows: l
                 TermselError(f"there is no column for {meaning}", file=path, line=line,
                              column=meaning, hint=f"{here} Accepted names: {', '.join(names)}, "
                                                   f"and others.{blank}"),
-                header, rows, {**{one: columns[0] for one, columns in by_name.items() if columns},
-                               **chosen}, aliases)
+                header, rows, {**{one: columns[-1] for one, columns in by_name.items() if columns},
+                               **chosen}, aliases, fixed)
     return found
 
 
@@ -224,7 +225,8 @@ def table_of(path: Path | None, cells: Cells, aliases: Aliases, own: Mapping[str
     for meaning in own.keys() - declared(header, own).keys():
         raise TermselError(f"there is no column {own[meaning]!r} for {meaning}", file=path,
                            line=line, hint=f"The columns here are: {', '.join(header)}.")
-    found = _columns(path, line, header, rows, aliases, chosen, flat=flat)
+    found = _columns(path, line, header, rows, aliases, chosen,
+                     cells.fixed.values(), flat=flat)
     width = len(header)
     if rows and set(map(len, rows)) != {width}:
         # Spreadsheets leave separators after the last cell.
