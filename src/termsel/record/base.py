@@ -9,6 +9,7 @@ dependencies.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
 import msgspec
@@ -26,6 +27,8 @@ Role = Literal["control", "check", "independent"]
 Roles = Annotated[tuple[Role, ...], Meta(extra_json_schema={"uniqueItems": True})]
 Value = str | float | int | bool | None
 Settings = dict[str, Value]
+Objectives = Mapping[str, int | float | None]
+"""Objectives by name; counts are whole numbers."""
 
 
 class RecordPart(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):

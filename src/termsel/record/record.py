@@ -12,6 +12,7 @@ from termsel.record.base import (
     Count,
     Name,
     Names,
+    Objectives,
     Positive,
     RecordPart,
     Scale,
@@ -238,7 +239,7 @@ class Record(RecordPart, frozen=True, kw_only=True):
     """What there was to select from."""
     feasible: bool
     """False if no selection satisfied all conditions."""
-    objectives: Mapping[str, float | None]
+    objectives: Objectives
     """Objectives of the search at the selection, by name; the criterion is one of them."""
     rmse: RmseByRole
     """RMSE by role [px]; that of the independent points is the accuracy."""

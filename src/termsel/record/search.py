@@ -7,7 +7,18 @@ from typing import Annotated, Literal
 
 from msgspec import UNSET, Meta, UnsetType
 
-from termsel.record.base import Count, Name, Names, Positive, RecordPart, Roles, Scale, Share, Size
+from termsel.record.base import (
+    Count,
+    Name,
+    Names,
+    Objectives,
+    Positive,
+    RecordPart,
+    Roles,
+    Scale,
+    Share,
+    Size,
+)
 from termsel.record.figures import RmseByRole
 
 
@@ -29,7 +40,7 @@ class SelectionRecord(RecordPart, frozen=True):
 class Member(RecordPart, frozen=True):
     """A selection that no other one found beats in every objective."""
 
-    objectives: Mapping[str, float | None]
+    objectives: Objectives
     """Objectives of the member, by name."""
     selection: SelectionRecord
     """Terms and control features of the member."""
@@ -43,7 +54,7 @@ class Member(RecordPart, frozen=True):
 class SizeRow(RecordPart, frozen=True, kw_only=True):
     """The best selection of one size, with its own proof."""
 
-    objectives: Mapping[str, float | None]
+    objectives: Objectives
     """Number of terms or features, and the criterion."""
     selection: SelectionRecord
     """Terms and control features."""

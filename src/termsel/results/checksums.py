@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from termsel.measurements.features import FeatureSet
+from termsel.record.record import Checksums
 
 SEALS = "checksums"
 """Key of the checksums in result.json."""
@@ -61,14 +62,13 @@ def of_record(record: Mapping[str, Any]) -> str:
     return hashlib.sha256(plain.encode()).hexdigest()
 
 
-def sealed(record: Mapping[str, Any], features: FeatureSet) -> dict[str, Any]:
-    """Return the content of result.json with checksums of itself and of its features.
+def checksums_of(content: Mapping[str, Any], features: FeatureSet) -> Checksums:
+    """Return the checksums of the content of result.json and of its features.
 
     Parameters
     ----------
-    record : mapping
+    content : mapping
+        Without checksums.
     features : FeatureSet
     """
-    attributes = of_attributes(features)
-    return {**record, SEALS: {"record": of_record(record), "features": of_features(features),
-                              **({"attributes": attributes} if attributes else {})}}
+    return Checksums(of_record(content), of_features(features), of_attributes(features))

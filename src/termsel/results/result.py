@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
-from msgspec import UNSET, convert
+from msgspec import UNSET, convert, structs
 from numpy.typing import ArrayLike
 
 from termsel.display import Glance
@@ -51,7 +51,7 @@ from termsel.report.answers import report, statement
 from termsel.report.plots import Plots
 from termsel.report.text import summary
 from termsel.report.view import View
-from termsel.results.checksums import sealed
+from termsel.results.checksums import SEALS, checksums_of
 from termsel.results.same_fit import adjustment_figures, fit_record, least_squares_of
 
 if TYPE_CHECKING:
@@ -172,16 +172,23 @@ class Result(Glance):
         """Share of all evaluations that were looked up."""
         return self.lookups / self.evaluations
 
+    def to_dict(self) -> dict[str, Any]:
+        """Return the content of result.json, without its checksums."""
+        content = plain(self.record)
+        del content[SEALS]
+        return content
+
     @cached_property
     def record(self) -> Record:
-        """The content of result.json, typed, with its checksums."""
-        return convert(sealed(self.to_dict(), self.features), Record)
+        """The content of result.json, typed."""
+        # By way of JSON, so that it is the same when it is read again.
+        record = convert(plain(self._content()), Record)
+        return structs.replace(record, checksums=checksums_of(plain(record), self.features))
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return the content of result.json."""
+    def _content(self) -> Record:
         final = self.final
         terms = self.fit.model.terms
-        return plain(Record(
+        return Record(
             schema=SCHEMA, problem=self.problem, model=self.model, solver=self.solver,
             criterion=self.criterion, seed=self.seed, options=convert(plain(self.options), Options),
             data=self.data, selection=self.selection.record(),
@@ -204,7 +211,7 @@ class Result(Glance):
             correlations=tuple(Correlation((one, other), value)
                                for one, other, value in self.diagnosis.correlations),
             doubts=self.diagnosis.doubts, scaling=self.fit.scaling.numbers(),
-            versions=self.versions, plugins=convert(plain(self.plugins), dict[str, PluginRecord])))
+            versions=self.versions, plugins=convert(plain(self.plugins), dict[str, PluginRecord]))
 
     def fit_of(self, member: Member | SizeRow) -> Fit:
         """Return the fit of a member of the front, or of the best selection of a size.
