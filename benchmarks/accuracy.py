@@ -29,6 +29,7 @@ from benchmarks.sets import NOISE, PLAIN, heights_of, names, put, rmse_of, split
 from termsel.candidates import portfolio
 from termsel.candidates.portfolio import choose
 from termsel.formats.readers.csv_tables import write_points_csv
+from termsel.measurements.control import Control
 from termsel.measurements.features import FeatureSet, Points
 from termsel.priors import posterior
 from termsel.simulate.catalogue import SCENES
@@ -287,7 +288,7 @@ def _ratio(jobs: list[tuple[str, int, int]]) -> float:
     found = []
     for name, count, seed in jobs:
         mine, independent = split(name, count, seed)
-        choice = choose(FeatureSet(mine), heights_of(mine))
+        choice = choose(Control.of(FeatureSet(mine), heights_of(mine)))
         assert choice is not None
         found.append(rmse_of(choice.chosen.fit.errors(independent))
                      / min(rmse_of(one.fit.errors(independent)) for one in choice.judged

@@ -34,6 +34,7 @@ from termsel.candidates import blunders, contradictions
 from termsel.candidates.blunders import find_blunders
 from termsel.candidates.contradictions import Suspects
 from termsel.candidates.portfolio import choose
+from termsel.measurements.control import Control
 from termsel.measurements.features import BoolArray, FeatureSet, FloatArray, Points
 from termsel.measurements.scaling import scaling_of
 from termsel.priors import blunder_odds
@@ -134,7 +135,7 @@ def _quadratic(peer: Peer, points: Points, others: Points) -> float:
 
 def _auto(points: Points, others: Points, heights: bool) -> tuple[float, float]:
     """Return the independent RMSE of auto, and what it predicts, for all of the points."""
-    choice = choose(FeatureSet(points), heights, whole=False)
+    choice = choose(Control.of(FeatureSet(points), heights), whole=False)
     assert choice is not None
     return rmse_of(choice.chosen.fit.errors(others)), choice.chosen.predicted
 
@@ -151,7 +152,7 @@ def measure(job: tuple[str, int, int, float]) -> Outcome | None:
     wrong = np.zeros(count, dtype=bool)
     if share:
         mine, wrong = spoil(mine, sigma, share, seed)
-    found = find_blunders(FeatureSet(mine), heights)
+    found = find_blunders(Control.of(FeatureSet(mine), heights))
     assert found is not None
     nothing = np.zeros_like(wrong)
     ratio = {} if share else {nothing.tobytes(): 1.0}
@@ -281,7 +282,7 @@ def sensitivity(wanted: list[str], splits: int) -> str:
     def cell() -> str:
         ratios, named, lost = [], [], []
         for points, wrong, independent, heights, clean in cases:
-            found = find_blunders(FeatureSet(points), heights)
+            found = find_blunders(Control.of(FeatureSet(points), heights))
             assert found is not None
             out = found.blunders
             ratios.append(_auto(points.take(~out), independent, heights)[0] / clean)

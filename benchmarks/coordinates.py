@@ -16,6 +16,7 @@ from statistics import median
 
 from termsel.candidates.portfolio import choose
 from termsel.fits.least_squares import fit
+from termsel.measurements.control import Control
 from termsel.measurements.features import FeatureSet, Points
 from termsel.measurements.scaling import scaling_of
 from termsel.models.base import SensorModel
@@ -49,7 +50,7 @@ def errors(name: str, model: str, count: int, seed: int) -> dict[str, float] | N
         fit_crs = fit_crs_of(system, control)
         own = replace(control, fit_crs="" if fit_crs == control.crs else fit_crs)
         if model == AUTO:
-            choice = choose(own, heights=True)
+            choice = choose(Control.of(own, True))
             fitted = choice.chosen.fit if choice else None
         else:
             fitted = fit(MODELS[model], own, scaling_of(own))

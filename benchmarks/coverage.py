@@ -19,6 +19,7 @@ from benchmarks.sets import heights_of, names, put, rmse_of, split
 from termsel.candidates.portfolio import choose
 from termsel.candidates.repetition import repeated
 from termsel.fits.accuracy import LEVEL, Predicted, predicted_by, predicted_rmse
+from termsel.measurements.control import Control
 from termsel.measurements.features import FeatureSet, FloatArray
 from termsel.simulate.catalogue import SCENES
 from termsel.simulate.maps import NAME as OLD_MAP
@@ -77,8 +78,8 @@ def case(name: str, count: int, seed: int) -> Case | None:
     if len(independent) < 20:
         return None
     control, heights = FeatureSet(mine), heights_of(mine)
-    choice = choose(control, heights)
-    errors = None if choice is None else repeated(control, heights)
+    choice = choose(Control.of(control, heights))
+    errors = None if choice is None else repeated(Control.of(control, heights))
     if choice is None or errors is None:
         return None
     fitted = choice.chosen.fit

@@ -20,12 +20,11 @@ import numpy as np
 import termsel
 from benchmarks.sets import DATA
 from termsel.adjustment.equations import line_normals
-from termsel.candidates.candidate import CANDIDATES
-from termsel.candidates.compare import has_heights
+from termsel.candidates.structures import CANDIDATES
 from termsel.fits.fit import Undetermined
+from termsel.measurements.control import Control
 from termsel.measurements.features import FeatureSet, Points, select
-from termsel.measurements.roles import Observations, observe, together
-from termsel.measurements.scaling import scaling_of
+from termsel.measurements.roles import Observations, observe
 from termsel.models.rpc import Rpc
 from termsel.simulate.catalogue import SCENES, Scene
 from termsel.simulate.scenes import scene_truth, simulate_scene
@@ -147,13 +146,13 @@ def load(name: str, seed: int) -> tuple[FeatureSet, frozenset[str]]:
 
 def _told(observations: Observations, wrong: frozenset[str]) -> dict[str, float]:
     """Return the independent RMSE of each structure fitted to all features but the blunders."""
-    both, heights = together(observations), has_heights(observations)
+    both, heights = observations.together, observations.heights
     right = both.take(np.array([name not in wrong for name in both.ids]))
     found = {}
     for one in CANDIDATES:
         if one.model(heights) and one.kind != "robust":
             try:
-                fitted = one.fit_control(right, heights, scaling_of(right))
+                fitted = one.fit_control(Control.of(right, heights))
             except Undetermined:
                 continue
             rmse = fitted.rmse(observations.independent)

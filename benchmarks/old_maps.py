@@ -23,6 +23,7 @@ import termsel
 from benchmarks.sets import DATA, PLAIN, heights_of, put, rmse_of, split
 from termsel.candidates import local
 from termsel.candidates.portfolio import best_of, choose
+from termsel.measurements.control import Control
 from termsel.measurements.features import FeatureSet, Points
 from termsel.priors import field
 from termsel.simulate import simulate_map
@@ -71,7 +72,7 @@ def measure(name: str, count: int, seed: int) -> Split | None:
     if len(independent) < 30:
         return None
     control, start = FeatureSet(mine), time.process_time()
-    choice = choose(control, heights_of(mine))
+    choice = choose(Control.of(control, heights_of(mine)))
     seconds = time.process_time() - start
     assert choice is not None
     without = best_of(one for one in choice.judged if one.candidate.kind != "local")
@@ -86,7 +87,7 @@ def measure(name: str, count: int, seed: int) -> Split | None:
     bound = 1.645 * fitted.sigma(independent.ground, measured=True)
     return Split(rmse_of(errors), rmse_of(without.chosen.fit.errors(independent)), others,
                  float((np.abs(errors) <= bound).mean()),
-                 choice.chosen.candidate.kind == "local", seconds)
+                 choice.chosen.name in ("field", "tps"), seconds)
 
 
 @dataclass(frozen=True)
@@ -185,7 +186,7 @@ def sensitivity(splits: int) -> str:
         found = []
         for name, count, seed in jobs:
             mine, independent = drawn(name, count, seed)
-            choice = choose(FeatureSet(mine), heights_of(mine))
+            choice = choose(Control.of(FeatureSet(mine), heights_of(mine)))
             assert choice is not None
             best = min(rmse_of(one.fit.errors(independent)) for one in choice.judged
                        if one.name in PLAIN)

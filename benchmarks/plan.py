@@ -17,7 +17,7 @@ from statistics import mean, median
 import numpy as np
 
 from benchmarks.sets import put
-from termsel.candidates.candidate import named
+from termsel.candidates.structures import named
 from termsel.fits.fit import Fit
 from termsel.fits.next_places import rank_places
 from termsel.measurements.features import FeatureSet, FloatArray, Points

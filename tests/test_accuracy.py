@@ -22,6 +22,7 @@ from termsel.fits.accuracy import (
     rmse_interval,
 )
 from termsel.fits.uncertainty import _Belief, shared_variance
+from termsel.measurements.control import Control
 from termsel.measurements.coordinates.metres import in_metres
 from termsel.measurements.features import FeatureSet, Points
 from termsel.measurements.scaling import scaling_of
@@ -133,7 +134,7 @@ def test_interval_of_simulated_scenes_holds_the_independent_rmse() -> None:
         points = simulate_scene("spot-isfahan", seed=200 + seed, n_points=112).points
         order = np.random.default_rng(seed).permutation(112)
         control = FeatureSet(points.take(order[:12]))
-        choice, errors = choose(control, heights=True), repeated(control, heights=True)
+        choice, errors = choose(Control.of(control, True)), repeated(Control.of(control, True))
         assert choice is not None
         assert errors is not None
         fitted = choice.chosen.fit

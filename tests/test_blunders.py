@@ -16,6 +16,7 @@ from termsel.adjustment.monomials import graded_exponents, monomials
 from termsel.candidates.blunders import find_blunders, judge_others
 from termsel.candidates.portfolio import choose
 from termsel.candidates.shrunken import average
+from termsel.measurements.control import Control
 from termsel.measurements.features import no_lines, no_points
 from termsel.measurements.scaling import scaling_of
 from termsel.priors.held_out import chance_of
@@ -48,10 +49,10 @@ def test_a_fifth_of_blunders_is_found_and_nothing_else(name: str, seed: int) -> 
     angle, size = rng.uniform(0, 2 * np.pi, 10), 0.5 * 10 ** rng.uniform(1.2, 2, 10)
     spoilt = moved(clean, {int(at): (s * np.cos(a), s * np.sin(a))
                            for at, s, a in zip(wrong, size, angle, strict=True)})
-    found = find_blunders(spoilt, True)
+    found = find_blunders(Control.of(spoilt, True))
     assert found is not None
     assert set(np.flatnonzero(found.blunders)) == set(wrong)
-    nothing = find_blunders(clean, True)
+    nothing = find_blunders(Control.of(clean, True))
     assert nothing is not None
     assert not nothing.blunders.any()
 
@@ -115,7 +116,7 @@ def test_a_point_that_says_it_is_inexact_is_no_blunder() -> None:
     sigma = np.full((45, 2), 0.5)
     sigma[7] = 40.0
     told = spoilt.with_(points=replace(spoilt.points, sigma=sigma))
-    found, known = find_blunders(spoilt, True), find_blunders(told, True)
+    found, known = find_blunders(Control.of(spoilt, True)), find_blunders(Control.of(told, True))
     assert found is not None
     assert known is not None
     assert list(np.flatnonzero(found.blunders)) == [7]
@@ -140,13 +141,13 @@ def test_an_error_below_rounding_is_no_blunder(error: float, blunder: bool) -> N
     ground = rng.uniform(0, [1000, 1000, 100], (40, 3))
     image = ground[:, 1::-1] * 2 + ground[:, 2:] * [0.1, -0.2] + ground[:, :1] ** 2 * [1e-4, 0]
     image[7, 0] += error
-    found = find_blunders(FeatureSet(Points(tuple(map(str, range(40))), image, ground),
-                                     no_lines(), "local"), True)
+    found = find_blunders(Control.of(FeatureSet(Points(tuple(map(str, range(40))), image, ground),
+                                     no_lines(), "local"), True))
     assert found is not None
     assert list(np.flatnonzero(found.blunders)) == ([7] if blunder else [])
     points = Points(tuple(map(str, range(40))), image, ground)
     there = np.isin(np.arange(40), [7, 8, 9])
-    choice = choose(FeatureSet(points.take(~there), no_lines(), "local"), True)
+    choice = choose(Control.of(FeatureSet(points.take(~there), no_lines(), "local"), True))
     assert choice is not None
     others = judge_others(choice.chosen, True, points.take(there))
     assert others is not None
@@ -158,7 +159,8 @@ def test_few_points_say_what_cannot_be_found() -> None:
     few = FeatureSet(replace(points, roles=("control",) * 9), no_lines(), "EPSG:4979")
     note, = (one for one in termsel.run("rfm-terms", features=few).notes
              if one.startswith("With 9 points an error must exceed "))
-    assert note.endswith(f" px at {points.ids[int(find_blunders(few, True).limits.argmax())]}.")
+    worst = find_blunders(Control.of(few, True)).limits.argmax()
+    assert note.endswith(f" px at {points.ids[int(worst)]}.")
     more = termsel.run("rfm-terms", features=scene(60))
     assert not any(note.startswith("With ") for note in more.notes)
 
@@ -198,7 +200,7 @@ def test_a_search_names_its_blunders_too() -> None:
 
 
 def test_no_others_are_not_judged() -> None:
-    choice = choose(termsel.simulate_scene("ikonos-hamedan", n_lines=0), True)
+    choice = choose(Control.of(termsel.simulate_scene("ikonos-hamedan", n_lines=0), True))
     assert choice is not None
     assert judge_others(choice.chosen, True, no_points()) is None
 

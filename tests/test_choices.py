@@ -10,19 +10,19 @@ import pytest
 
 import termsel
 from termsel.adjustment.monomials import graded_exponents, monomials
-from termsel.candidates import portfolio
-from termsel.candidates.candidate import named
+from termsel.candidates.base import Candidate, Judged
 from termsel.candidates.compare import compare
-from termsel.candidates.portfolio import Judged, choose
+from termsel.candidates.portfolio import choose
 from termsel.candidates.repetition import repeated
 from termsel.candidates.selected import select_forward
 from termsel.candidates.shrunken import average
+from termsel.candidates.structures import named
 from termsel.criteria import Ebic, Fits, KFold
 from termsel.fits.fit import Fit
+from termsel.measurements.control import Control
 from termsel.measurements.coordinates.places import spatial_order
 from termsel.measurements.features import BoolArray, FeatureSet, FloatArray, Points, no_points
 from termsel.measurements.roles import by_roles
-from termsel.measurements.scaling import scaling_of
 from termsel.models.projective import DLT3D
 from termsel.problems.base import Evaluation, Problem, Selection
 from termsel.problems.genome import Genome
@@ -64,9 +64,8 @@ def photograph(slope: float, n: int = 24) -> FeatureSet:
 def test_a_pole_in_a_box_half_as_wide_again_excludes_a_candidate(slope: float, kept: bool) -> None:
     control, dlt = photograph(slope), named("dlt")
     assert dlt is not None
-    assert dlt.fit_control(control, True, scaling_of(control)).determined
-    judged = portfolio._judged(dlt, control, True, scaling_of(control))
-    assert (judged is not None) == kept
+    assert dlt.fit_control(Control.of(control)).determined
+    assert (dlt.judge(Control.of(control)) is not None) == kept
 
 
 def gain_of(standard_errors: float, n: int = 40) -> FloatArray:
@@ -86,10 +85,10 @@ def test_what_must_be_better_by_how_much(cubic: float, dlt: float, chosen: str,
     squares = {"shrunken-quadratic": one, "shrunken-cubic": one * gain_of(cubic),
                "dlt": one * gain_of(dlt), "quadratic": 0.1 * one}
     # The quadratic one is contained in the shrunken one, so that it cannot win.
-    monkeypatch.setattr(portfolio, "_judged", lambda candidate, control, heights, scaling: (
-        Judged(candidate, candidate.fit_control(control, heights, scaling),
+    monkeypatch.setattr(Candidate, "judge", lambda candidate, control: (
+        Judged(candidate, candidate.fit_control(control),
                squares[candidate.name]) if candidate.name in squares else None))
-    found = choose(control, True)
+    found = choose(Control.of(control, True))
     assert found is not None
     assert found.chosen.name == chosen
     assert ("by 1 standard error;" in found.reason) == (cubic == 1.02)
@@ -99,12 +98,12 @@ def test_every_point_is_in_one_fold_and_predicted_by_the_others() -> None:
     rng = np.random.default_rng(3)
     ground = places(23)
     control = set_of(ground, 100 * ground[:, :2] + rng.normal(0, 1, (23, 2)))
-    errors = repeated(control, True)
+    errors = repeated(Control.of(control, True))
     assert errors is not None
     order = spatial_order(ground[:, :2])
     for out in ([order[0], order[20]], [order[2], order[22]], [order[3]]):
         others = ~np.isin(np.arange(23), out)
-        choice = choose(control.with_(points=control.points.take(others)), True)
+        choice = choose(Control.of(control.with_(points=control.points.take(others)), True))
         assert choice is not None
         np.testing.assert_allclose(
             errors[out], choice.chosen.fit.errors(control.points.take(out)), rtol=1e-9)
@@ -231,7 +230,7 @@ def test_checksums_of_features_cover_roles_and_deviations() -> None:
 def test_a_fit_is_what_the_portfolio_judges() -> None:
     control, affine = photograph(0.0), named("affine")
     assert affine is not None
-    judged = portfolio._judged(affine, control, True, scaling_of(control))
+    judged = affine.judge(Control.of(control))
     assert judged is not None
     assert isinstance(judged.fit, Fit)
     assert judged.predicted < 1e-6

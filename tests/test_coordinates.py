@@ -18,6 +18,7 @@ from termsel.cli.main import cli
 from termsel.errors import TermselError
 from termsel.fits.least_squares import fit
 from termsel.formats.readers.csv_tables import PointsCsv, write_points_csv
+from termsel.measurements.control import Control
 from termsel.measurements.coordinates.crs import (
     height_reference,
     is_geocentric,
@@ -166,7 +167,8 @@ def test_auto_takes_the_best_by_leave_one_out(scene: FeatureSet) -> None:
                                                ("control", "check")))
     predicted = {}
     for crs in SYSTEMS.values():
-        choice = choose(FeatureSet(both, crs=few.crs, fit_crs="" if crs == few.crs else crs), True)
+        own = FeatureSet(both, crs=few.crs, fit_crs="" if crs == few.crs else crs)
+        choice = choose(Control.of(own, True))
         assert choice is not None
         predicted[crs] = choice.chosen.predicted
     assert result.data.fit_crs == min(predicted, key=lambda crs: predicted[crs])

@@ -12,9 +12,9 @@ import pytest
 
 import termsel
 from termsel.candidates.portfolio import choose
-from termsel.candidates.relief import carriers, heights_hold
 from termsel.candidates.repetition import repeated
 from termsel.formats.readers.csv_tables import write_points_csv
+from termsel.measurements.control import Control, carriers, heights_hold
 from termsel.measurements.coordinates.crs import transformation
 from termsel.measurements.features import FeatureSet, FloatArray, Points
 from termsel.runs.task import data_notes
@@ -101,8 +101,8 @@ def test_a_similarity_is_chosen_where_it_predicts_best(mirrored: bool, chosen: s
 def test_so_few_points_are_held_out_from_what_all_choose(n: int, heights: bool) -> None:
     """Four of them would choose by luck, and may take a model that all refuse."""
     features = some(n)
-    choice = choose(features, heights)
-    errors = repeated(features, heights)
+    choice = choose(Control.of(features, heights))
+    errors = repeated(Control.of(features, heights))
     assert choice is not None
     assert errors is not None
     expected: FloatArray = np.array(choice.chosen.squares)
@@ -153,7 +153,7 @@ def coast(hills: tuple[int, ...], n: int = 24) -> FeatureSet:
 def test_heights_that_rest_on_one_point_or_two(hills: tuple[int, ...]) -> None:
     features = coast(hills)
     names = tuple(features.points.ids[i] for i in hills)
-    assert sorted(carriers(features)) == sorted(names)
+    assert sorted(carriers(Control.of(features))) == sorted(names)
     result = termsel.run("rfm-terms", features=features.with_(
         points=replace(features.points, roles=("control",) * 24)))
     note, = (note for note in result.notes if "lie on a plane" in note)
@@ -172,13 +172,13 @@ def test_a_hill_far_from_all_others_carries_the_heights() -> None:
     ground[5] = 60_000.0, 60_000.0, 300.0
     ground[:5, 2] = 0.4
     rough = features.with_(points=replace(features.points, ground=ground))
-    assert carriers(rough, most=1) == ("P5",)
+    assert carriers(Control.of(rough), most=1) == ("P5",)
 
 
 def test_heights_that_rest_on_more_are_used() -> None:
     features = coast((2, 5, 9, 13, 17, 20))
-    assert carriers(features) == ()
-    assert heights_hold(features)
+    assert carriers(Control.of(features)) == ()
+    assert heights_hold(Control.of(features))
     result = termsel.run("rfm-terms", features=features.with_(
         points=replace(features.points, roles=("control",) * 24)))
     assert result.fit.model.uses_height
@@ -189,7 +189,7 @@ def test_heights_that_rest_on_more_are_used() -> None:
 
 @pytest.mark.parametrize("hills", [(5, 17), (2, 5, 9)])
 def test_the_choice_is_repeated_where_a_fold_takes_the_hills(hills: tuple[int, ...]) -> None:
-    errors = repeated(coast(hills), True)
+    errors = repeated(Control.of(coast(hills), True))
     assert errors is not None
     assert np.isfinite(errors).all()
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import termsel
-from termsel.candidates.candidate import CANDIDATES
+from termsel.candidates.structures import CANDIDATES
 from termsel.fits.least_squares import fit as low_level
 from termsel.fits.residuals import Residuals
 from termsel.measurements.features import FeatureSet, Lines, Points, no_lines, no_points

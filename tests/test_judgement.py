@@ -5,7 +5,8 @@ from __future__ import annotations
 import pytest
 
 import termsel
-from termsel.candidates.candidate import Candidate, named
+from termsel.candidates.base import Candidate
+from termsel.candidates.structures import named
 from termsel.errors import counted
 from termsel.fits.figures import Baseline
 from termsel.fits.rmse import Rmse

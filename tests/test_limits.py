@@ -21,7 +21,7 @@ from termsel.measurements.coordinates.places import beyond
 from termsel.measurements.coordinates.plausible import check_ground
 from termsel.measurements.features import FeatureSet, FloatArray, Lines, Points
 from termsel.measurements.joined import join_points
-from termsel.measurements.roles import by_roles, observe, together
+from termsel.measurements.roles import by_roles, observe
 from termsel.measurements.scaling import scaling_of
 from termsel.models.poles import pole_violation
 from termsel.models.polynomial import Affine
@@ -147,7 +147,7 @@ def test_the_box_of_an_image_has_lines_before_samples() -> None:
 
 def test_a_fit_to_control_and_check_cannot_be_repeated_with_the_control_alone() -> None:
     observations = by_roles(FeatureSet(points(12, noise=0.5, roles=("control", "check") * 6)))
-    shown = in_role(fitted(together(observations)), observations)
+    shown = in_role(fitted(observations.together), observations)
     assert shown.control is observations.control
     with pytest.raises(TermselError, match="has given coefficients, so no feature can be"):
         shown.leave_one_out_rmse()

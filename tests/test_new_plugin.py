@@ -18,8 +18,8 @@ import pytest
 from termsel.cli.new_plugin import KINDS, package
 
 LISTED = {"model": "models", "solver": "solvers", "problem": "problems", "criterion": "criteria",
-          "objective": "objectives", "dataset": "datasets", "reader": "readers",
-          "writer": "writers"}
+          "objective": "objectives", "candidate": "candidates", "dataset": "datasets",
+          "reader": "readers", "writer": "writers"}
 
 
 def environment(folder: Path) -> Path:

@@ -15,15 +15,16 @@ from scipy.optimize import least_squares, minimize
 import termsel
 from termsel.adjustment.equations import Equations
 from termsel.candidates.blunders import find_blunders
-from termsel.candidates.portfolio import Choice, choose, choose_features
+from termsel.candidates.portfolio import Choice, Portfolio, choose, choose_features
 from termsel.candidates.repetition import repeated
 from termsel.candidates.robust import HUBER, TUKEY, reweighted
 from termsel.candidates.shrunken import average, average_with_lines
 from termsel.cli.main import cli
 from termsel.fits.diagnosis import NORMAL_MEDIAN
 from termsel.io.result_folder import read_result
+from termsel.measurements.control import Control
 from termsel.measurements.features import FeatureSet, Lines, no_lines
-from termsel.measurements.roles import observe, together
+from termsel.measurements.roles import observe
 from termsel.measurements.scaling import scaling_of
 from termsel.models.polynomial import Polynomial3D
 from termsel.runs.auto import owdis
@@ -99,7 +100,7 @@ def test_a_robust_fit_by_its_name_is_not_moved_by_blunders(name: str) -> None:
 
 def control_of(seed: int = 0, **more: int) -> FeatureSet:
     scene = simulate_scene("ikonos-hamedan", seed=seed, **more)
-    return together(observe(scene, control="both", rng=np.random.default_rng(0)))
+    return observe(scene, control="both", rng=np.random.default_rng(0)).together
 
 
 def polylines() -> FeatureSet:
@@ -163,7 +164,7 @@ def test_wrong_lines_are_found_and_right_ones_kept(with_points: bool) -> None:
     control = control_of()
     if not with_points:
         control = control.with_(points=control.points.take([]))
-    found = find_blunders(control, True)
+    found = find_blunders(Control.of(control, True))
     assert found is not None
     named = {control.ids[i] for i in np.flatnonzero(found.blunders)}
     wrong = set(scene_truth("ikonos-hamedan").wrong_lines)
@@ -174,7 +175,7 @@ def test_wrong_lines_are_found_and_right_ones_kept(with_points: bool) -> None:
 
 def test_a_third_of_wrong_lines_is_found() -> None:
     control = control_of(n_lines=90, wrong_lines=30)
-    found = find_blunders(control, True)
+    found = find_blunders(Control.of(control, True))
     assert found is not None
     named = {control.ids[i] for i in np.flatnonzero(found.blunders)}
     wrong = set(scene_truth("ikonos-hamedan", n_lines=90, wrong_lines=30).wrong_lines)
@@ -185,7 +186,7 @@ def test_a_third_of_wrong_lines_is_found() -> None:
 def test_right_lines_and_points_stay() -> None:
     lost = []
     for seed in range(4):
-        found = find_blunders(control_of(seed, wrong_lines=0), True)
+        found = find_blunders(Control.of(control_of(seed, wrong_lines=0), True))
         assert found is not None
         lost.append(found.blunders.mean())
     assert np.mean(lost) < 0.005
@@ -196,7 +197,7 @@ def test_a_wrong_point_among_lines_is_found() -> None:
     image = control.points.image.copy()
     image[7] += [9.0, -7.0]
     spoilt = control.with_(points=replace(control.points, image=image))
-    found = find_blunders(spoilt, True)
+    found = find_blunders(Control.of(spoilt, True))
     assert found is not None
     assert list(np.flatnonzero(found.blunders)) == [7]
 
@@ -204,10 +205,10 @@ def test_a_wrong_point_among_lines_is_found() -> None:
 def test_shrunken_polynomials_of_lines_predict_better_than_plain_ones() -> None:
     """Few lines: least squares of all terms is far off, and leave-one-out knows."""
     control = control_of(1, n_points=8, n_lines=24, wrong_lines=0)
-    choice = choose(control, True)
+    choice = choose(Control.of(control, True))
     assert choice is not None
     by_name = {one.name: one for one in choice.judged}
-    assert choice.chosen.candidate.kind == "shrunken"
+    assert choice.chosen.name.startswith("shrunken")
     assert choice.chosen.predicted < by_name["quadratic"].predicted
     independent = simulate_scene("ikonos-hamedan", n_points=60, n_lines=0, seed=9).points
     mine, plain = (one.fit.rmse(independent) for one in (choice.chosen, by_name["quadratic"]))
@@ -223,7 +224,8 @@ def test_predictions_from_lines_come_true() -> None:
         control = control_of(seed, n_points=20, n_lines=40, wrong_lines=0)
         independent = simulate_scene("ikonos-hamedan", n_points=80, n_lines=0,
                                      seed=50 + seed).points
-        choice, errors = choose_features(control, True), repeated(control, True)
+        both = Control.of(control, True)
+        choice, errors = choose_features(both), repeated(both)
         assert choice is not None
         assert errors is not None
         assert errors.shape == (len(control.points) + 40, 2)
@@ -479,7 +481,7 @@ def test_lines_that_are_not_used_say_nothing_of_the_prediction() -> None:
 def few_lines() -> tuple[FeatureSet, Choice]:
     scene = simulate_scene("ikonos-hamedan", n_points=24, n_lines=24, wrong_lines=0)
     control = scene.with_(points=replace(scene.points, roles=()))
-    choice = choose_features(control, True)
+    choice = choose_features(Control.of(control, True))
     assert choice is not None
     return control, choice
 
@@ -488,7 +490,7 @@ def test_owdis_is_searched_once_where_it_does_not_help(
         few_lines: tuple[FeatureSet, Choice], monkeypatch: pytest.MonkeyPatch) -> None:
     control, choice = few_lines
     monkeypatch.setattr(owdis, "_held_out", None)
-    found, errors = owdis.with_selected_lines(control, True, choice, 1)
+    found, errors = owdis.with_selected_lines(Control.of(control, True), choice, Portfolio(), 1)
     assert (found.chosen, errors) == (choice.chosen, None)
     assert found.reason.startswith(choice.reason)
     assert re.search(r"OWDIS selects \d+ of 24 lines\. .*must be better by more than 3\.$",
@@ -499,10 +501,10 @@ def test_where_owdis_is_taken_all_structures_are_shown(
         few_lines: tuple[FeatureSet, Choice], monkeypatch: pytest.MonkeyPatch) -> None:
     control, choice = few_lines
     worse = replace(choice, chosen=replace(choice.chosen, squares=1e3 * choice.chosen.squares))
-    some = control.take(np.arange(len(control)) < 40)
+    some = Control.of(control.take(np.arange(len(control)) < 40), True)
     monkeypatch.setattr(owdis, "_selected", lambda *given: some)
     monkeypatch.setattr(owdis, "_held_out", lambda *given: np.full((24, 2), 1e-3))
-    found, _ = owdis.with_selected_lines(control, True, worse, 1)
+    found, _ = owdis.with_selected_lines(Control.of(control, True), worse, Portfolio(), 1)
     assert len(found.chosen.fit.control.lines) == 16
     assert [one.name for one in found.judged] == [one.name for one in choice.judged]
 
@@ -513,14 +515,14 @@ def test_owdis_is_taken_for_errors_of_points_that_it_did_not_select_by(
     control, choice = few_lines
     worse = replace(choice, chosen=replace(choice.chosen, squares=1e3 * choice.chosen.squares))
     monkeypatch.setattr(owdis, "FOLDS_WITH_LINES", 2)
-    found, errors = owdis.with_selected_lines(control, True, worse, 1)
+    found, errors = owdis.with_selected_lines(Control.of(control, True), worse, Portfolio(), 1)
     assert found.reason.endswith("so these lines are used.")
     assert len(found.chosen.fit.control.points) == 24
     assert 0 < len(found.chosen.fit.control.lines) < 24
     image = control.points.image.copy()
     image[0] += 3.0, -4.0
     moved = control.with_(points=replace(control.points, image=image))
-    _, again = owdis.with_selected_lines(moved, True, worse, 1)
+    _, again = owdis.with_selected_lines(Control.of(moved, True), worse, Portfolio(), 1)
     assert errors is not None
     assert again is not None
     np.testing.assert_allclose(again[0] - errors[0], (3.0, -4.0), atol=1e-9)

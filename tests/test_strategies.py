@@ -11,12 +11,13 @@ import pytest
 
 import termsel
 from termsel.adjustment.monomials import graded_exponents, monomials
-from termsel.candidates.candidate import CANDIDATES
 from termsel.candidates.portfolio import choose
 from termsel.candidates.repetition import repeated
 from termsel.candidates.selected import select_forward
 from termsel.candidates.shrunken import average
+from termsel.candidates.structures import CANDIDATES
 from termsel.io.result_folder import read_result
+from termsel.measurements.control import Control
 from termsel.measurements.features import FeatureSet, Points
 from termsel.simulate import simulate_scene
 
@@ -92,7 +93,7 @@ def by_shrunken(one: str, other: str, judged: dict) -> float:
     (frame_camera(40), True, "dlt")])
 def test_the_reason_states_the_figures_that_decided(
         features: FeatureSet, heights: bool, chosen: str) -> None:
-    found = choose(features, heights)
+    found = choose(Control.of(features, heights))
     assert found is not None
     judged = {one.name: one for one in found.judged}
     assert found.chosen.name == chosen
@@ -119,7 +120,7 @@ def test_the_page_states_the_reason_of_the_choice(result: termsel.Result) -> Non
 
 def test_without_shrunken_polynomials_the_least_error_is_the_reason() -> None:
     features = simulate_scene("ikonos-hamedan", n_points=0, n_lines=5, wrong_lines=0)
-    found = choose(features, True)
+    found = choose(Control.of(features, True))
     assert found is not None
     assert found.chosen.predicted == min(one.predicted for one in found.judged)
     assert found.reason == "It has the smallest leave-one-out RMSE."
@@ -288,7 +289,7 @@ def test_predictions_come_true() -> None:
         features = scene(100, seed)
         order = np.random.default_rng(seed).permutation(100)
         mine = FeatureSet(features.points.take(order[:40]))
-        choice, errors = choose(mine, True), repeated(mine, True)
+        choice, errors = choose(Control.of(mine, True)), repeated(Control.of(mine, True))
         assert choice is not None
         assert errors is not None
         found = choice.chosen.fit.errors(features.points.take(order[40:]))
@@ -305,7 +306,8 @@ def test_the_full_rfm_is_chosen_where_it_is_the_truth_and_can_be_named() -> None
     denominators = rng.uniform(-0.03, 0.03, (20, 2))
     denominators[0] = 1.0
     image = (columns @ numerators) / (columns @ denominators) + rng.normal(0, 0.01, (90, 2))
-    choice = choose(FeatureSet(Points(tuple(f"P{i}" for i in range(90)), image, ground)), True)
+    points = Points(tuple(f"P{i}" for i in range(90)), image, ground)
+    choice = choose(Control.of(FeatureSet(points), True))
     assert choice is not None
     assert choice.chosen.name == "rfm-3"
     assert {one.name for one in choice.judged} <= {one.name for one in CANDIDATES}

@@ -3,13 +3,19 @@ from .adjustment import Equations as Equations
 from .adjustment import image_equations as image_equations
 from .adjustment import line_normals as line_normals
 from .adjustment import row_weights as row_weights
+from .candidates.base import Candidate as Candidate
+from .candidates.base import Judged as Judged
+from .candidates.structures import Structure as Structure
 from .criteria import Criterion as Criterion
 from .criteria import Fits as Fits
 from .errors import TermselError as TermselError
 from .files.rasters import open_raster as open_raster
 from .files.remote import allow_remote as allow_remote
 from .fits.accuracy import ce90 as ce90
+from .fits.fit import Estimator as Estimator
 from .fits.fit import Fit as Fit
+from .fits.fit import HeldOut as HeldOut
+from .fits.fit import Undetermined as Undetermined
 from .formats.base import Reader as Reader
 from .formats.base import Writer as Writer
 from .formats.heights import open_dem as open_dem
@@ -21,6 +27,7 @@ from .io.export import export as export
 from .io.read import read as read
 from .io.rectify import rectify as rectify
 from .io.result_folder import read_result as read_result
+from .measurements.control import Control as Control
 from .measurements.datasets import DatasetSpec as DatasetSpec
 from .measurements.features import FeatureSet as FeatureSet
 from .measurements.features import Lines as Lines

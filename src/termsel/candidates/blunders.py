@@ -28,22 +28,23 @@ from __future__ import annotations
 import numpy as np
 from scipy.special import chdtr, gammaincinv
 
+from termsel.candidates.base import Judged
 from termsel.candidates.contradictions import (
     LEVEL,
     STRAIN,
+    Division,
     Suspects,
     Test,
-    likeliest_blunder,
-    local_test,
     polynomial_of,
-    test_of,
 )
-from termsel.candidates.portfolio import FIELD, Judged, choose
+from termsel.candidates.portfolio import Portfolio, choose
 from termsel.candidates.robust import reweighted
+from termsel.candidates.shrunken import Averaging
 from termsel.fits.fit import Fit
+from termsel.measurements.control import Control
 from termsel.measurements.features import BoolArray, FeatureSet, FloatArray, Points
 from termsel.measurements.joined import join_points
-from termsel.measurements.scaling import scaling_of
+from termsel.priors.field import Collocation
 from termsel.priors.held_out import chance_of
 
 MOST = 1 / 3
@@ -61,49 +62,43 @@ LEAST = 21
 coefficients of a cubic polynomial, and a right point that shows a bend may look like one."""
 
 
-def find_blunders(control: FeatureSet, heights: bool) -> Suspects | None:
-    """Return which control features are blunders.
+def find_blunders(control: Control, portfolio: Portfolio | None = None) -> Suspects | None:
+    """Return which control features are blunders; None where they are too few for a test.
 
     What the shrunken polynomial suspects is left out of the choice among all candidates. Features
     that the chosen one predicts within STRAIN are no blunders: their errors were the polynomial's.
 
     Parameters
     ----------
-    control : FeatureSet
-    heights : bool
-        Whether heights are known and differ.
-
-    Returns
-    -------
-    Suspects or None
-        None where the features are too few for a test.
+    control : Control
+    portfolio : Portfolio, optional
+        By default the built-in candidates.
     """
     everything = np.ones(len(control), dtype=bool)
-    whole = test_of(control, everything, heights)
+    whole = Division(control, everything).shrunken_test()
     if whole is None:
         return None
-    used, test = _settled(
-        control, *_forward(control, *_core(control, whole, heights), whole, heights), heights)
+    used, test = _settled(control, *_forward(control, *_core(control, whole), whole))
     while not (used.all() or test.local) and (
-            choice := choose(control.take(used), heights, whole=False)):
-        more = used | _predicted_by(choice.chosen, control)
+            choice := choose(control.take(used), portfolio, whole=False)):
+        more = used | _predicted_by(choice.chosen, control.features)
         if (more == used).all():
             break
         used = more
     kept = used
-    if len(control) >= LEAST and not len(control.lines):
-        kept = _without_probable(control, used, heights)
+    if len(control) >= LEAST and not len(control.features.lines):
+        kept = _without_probable(control, used)
     if (kept != used).any():
-        test = local_test(control, kept, heights) or test_of(control, kept, heights) or test
+        test = Division(control, kept).test() or test
     far, decided = test.far(len(control)), test.decided()
     return test.suspects(~kept, ~kept & ~(far & decided), kept & far & ~decided, everything)
 
 
-def _without_probable(control: FeatureSet, used: BoolArray, heights: bool) -> BoolArray:
+def _without_probable(control: Control, used: BoolArray) -> BoolArray:
     """Leave out points that are likelier blunders than right, the likeliest one first each time."""
     kept = used.copy()
     while (~kept).sum() < int(MOST * len(control)):
-        worst = likeliest_blunder(control, kept, heights)
+        worst = Division(control, kept.copy()).likeliest_blunder()
         if worst is None:
             break
         kept[worst] = False
@@ -112,11 +107,12 @@ def _without_probable(control: FeatureSet, used: BoolArray, heights: bool) -> Bo
 
 def _predicted_by(chosen: Judged, features: FeatureSet) -> BoolArray:
     """Return the features that a candidate predicts as it predicts those it was fitted to."""
-    if len(features.lines) and chosen.candidate.kind == "shrunken":  # as the test
+    averaged = isinstance(chosen.fit.estimator, Averaging)
+    if len(features.lines) and averaged:  # the test was by the same polynomial
         return np.zeros(len(features), dtype=bool)
     # The median of the sum of two squared normal variables is 2 ln 2.
     bound = STRAIN * np.sqrt(np.median(chosen.squares) / (2 * np.log(2)))
-    if chosen.name != FIELD and chosen.candidate.kind != "shrunken":
+    if not (averaged or isinstance(chosen.fit.interpolation, Collocation)):
         # The test was of another model than the chosen one.
         bound = max(bound, CLEAR * np.sqrt(chosen.squares.max()))
     return np.asarray(_errors(chosen.fit, features) <= bound)
@@ -124,13 +120,13 @@ def _predicted_by(chosen: Judged, features: FeatureSet) -> BoolArray:
 
 def _errors(fitted: Fit, features: FeatureSet) -> FloatArray:
     """Return the largest error of each feature in line or sample, or off its line [px]."""
-    found = np.zeros(len(features))
+    largest = np.zeros(len(features))
     rows = np.abs(fitted.errors(features.points)).max(axis=1)
     if len(features.lines):
         vectors = fitted.line_errors(features.lines)
         rows = np.concatenate([rows, np.linalg.norm(vectors, axis=2).max(axis=1)])
-    np.maximum.at(found, features.feature, rows)
-    return found
+    np.maximum.at(largest, features.feature, rows)
+    return largest
 
 
 def judge_others(chosen: Judged, heights: bool, others: Points) -> Suspects | None:
@@ -141,6 +137,7 @@ def judge_others(chosen: Judged, heights: bool, others: Points) -> Suspects | No
     chosen : Judged
         The choice for control without blunders.
     heights : bool
+        Whether models with heights are fitted.
     others : Points
 
     Returns
@@ -151,26 +148,26 @@ def judge_others(chosen: Judged, heights: bool, others: Points) -> Suspects | No
     control, count = chosen.fit.control, len(chosen.fit.control.points)
     if not len(others):
         return None
-    every = control.with_(points=join_points(control.points, others))
+    every = Control.of(control.with_(points=join_points(control.points, others)), heights)
     used = np.ones(len(every), dtype=bool)
     used[count:count + len(others)] = False
-    test = local_test(every, used, heights) or test_of(every, used, heights)
+    test = Division(every, used).test()
     if test is None:
         return None
-    far = test.far(len(others)) & ~_predicted_by(chosen, every)
+    far = test.far(len(others)) & ~_predicted_by(chosen, every.features)
     decided = test.decided()
     return test.suspects(far & decided, np.zeros_like(far), far & ~decided, ~used)
 
 
-def _core(control: FeatureSet, whole: Test, heights: bool) -> tuple[BoolArray, Test]:
+def _core(control: Control, whole: Test) -> tuple[BoolArray, Test]:
     """Return the features that remain where those that fit worst are set aside, and their test.
 
     Of points step by step. With lines, which are many, those that have no weight under the biweight
     are; a whole third where these are more, or the features too few for a quadratic.
     """
-    if len(control.lines):
-        used = _weighty(control, whole, heights)
-        return used, test_of(control, used, heights) or whole
+    if len(control.features.lines):
+        used = _weighty(control, whole)
+        return used, Division(control, used).shrunken_test() or whole
     used, test = np.ones(len(control), dtype=bool), whole
     core = len(control) - int(MOST * len(control))
     while used.sum() > core:
@@ -178,16 +175,16 @@ def _core(control: FeatureSet, whole: Test, heights: bool) -> tuple[BoolArray, T
         worst = np.argsort(-np.where(used, test.strain, -1.0), kind="stable")[:count]
         fewer = used.copy()
         fewer[worst] = False
-        nearer = test_of(control, fewer, heights)
+        nearer = Division(control, fewer).shrunken_test()
         if nearer is None:
             break
         used, test = fewer, nearer
     return used, test
 
 
-def _weighty(control: FeatureSet, whole: Test, heights: bool) -> BoolArray:
+def _weighty(control: Control, whole: Test) -> BoolArray:
     """Return the features that have weight under a robust quadratic polynomial."""
-    weightless, most = _weightless(control, heights), int(MOST * len(control))
+    weightless, most = _weightless(control), int(MOST * len(control))
     if weightless is not None and weightless.sum() <= most:
         return ~weightless
     used = np.ones(len(control), dtype=bool)
@@ -195,10 +192,10 @@ def _weighty(control: FeatureSet, whole: Test, heights: bool) -> BoolArray:
     return used
 
 
-def _weightless(control: FeatureSet, heights: bool) -> BoolArray | None:
+def _weightless(control: Control) -> BoolArray | None:
     """Return the features with a row of no weight; None if they are too few for a quadratic."""
-    scaled, model = scaling_of(control).features(control), polynomial_of(heights, 2)
-    equations = model.equations(scaled)
+    model = polynomial_of(control.heights, 2)
+    equations = model.equations(control.scaled)
     if len(equations.b) <= len(model.terms):
         return None
     _, weights = reweighted(equations, biweight=True)
@@ -207,27 +204,20 @@ def _weightless(control: FeatureSet, heights: bool) -> BoolArray | None:
     return weightless
 
 
-def suspicious(control: FeatureSet, heights: bool) -> bool:
+def suspicious(control: Control) -> bool:
     """Return whether a search for blunders may find any: it takes longer than this look.
 
-    Parameters
-    ----------
-    control : FeatureSet
-    heights : bool
-
-    Returns
-    -------
-    bool
-        False if each feature has some weight under a robust quadratic polynomial.
+    It finds none where each feature has some weight under a robust quadratic polynomial.
     """
-    weightless = _weightless(control, heights)
+    weightless = _weightless(control)
     return weightless is None or bool(weightless.any())
 
 
-def _forward(control: FeatureSet, used: BoolArray, test: Test, whole: Test,
-             heights: bool) -> tuple[BoolArray, Test]:
+def _forward(control: Control, used: BoolArray, test: Test,
+             whole: Test) -> tuple[BoolArray, Test]:
     """Admit features again that those in use predict; leave out those they no longer do."""
     n, seen = len(control), set[bytes]()
+    # A set of features that comes back would come back for ever.
     while used.tobytes() not in seen:
         seen.add(used.tobytes())
         out = ~used & test.far(n) & test.decided()
@@ -247,15 +237,14 @@ def _forward(control: FeatureSet, used: BoolArray, test: Test, whole: Test,
                 now[bad[np.argmax(test.strain[bad])]] = False
         if (now == used).all():
             break
-        nearer = whole if now.all() else test_of(control, now, heights)
+        nearer = whole if now.all() else Division(control, now).shrunken_test()
         if nearer is None:
             break
         used, test = now, nearer
     return used, test
 
 
-def _settled(control: FeatureSet, used: BoolArray, test: Test,
-             heights: bool) -> tuple[BoolArray, Test]:
+def _settled(control: Control, used: BoolArray, test: Test) -> tuple[BoolArray, Test]:
     """Judge again by a random field, where the points in use call for one.
 
     Local deformation is no blunder, and what is small next to the error of a polynomial may be
@@ -264,7 +253,7 @@ def _settled(control: FeatureSet, used: BoolArray, test: Test,
     n, seen = len(control), set[bytes]()
     while used.tobytes() not in seen and (~used).sum() <= MOST * n:
         seen.add(used.tobytes())
-        nearer = local_test(control, used, heights)
+        nearer = Division(control, used).local_test()
         if nearer is None:
             break
         test = nearer

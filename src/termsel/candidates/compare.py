@@ -6,16 +6,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from termsel.candidates.base import Candidate
 from termsel.candidates.blunders import find_blunders, suspicious
-from termsel.candidates.candidate import CANDIDATES, Candidate
-from termsel.candidates.portfolio import Choice, choose
-from termsel.candidates.relief import heights_hold
+from termsel.candidates.portfolio import Choice, Portfolio, choose
+from termsel.candidates.structures import ROBUST
 from termsel.fits.figures import BOTH, Baseline, baseline, finite_or_none
-from termsel.fits.fit import Fit, Undetermined
+from termsel.fits.fit import Fit
+from termsel.measurements.control import Control
 from termsel.measurements.features import select
-from termsel.measurements.roles import Observations, together
-from termsel.measurements.scaling import scaling_of
-from termsel.measurements.twins import merged
+from termsel.measurements.roles import Observations
 from termsel.models.rational import RationalFunctions
 
 WITHOUT_BLUNDERS = "without-blunders"
@@ -23,7 +22,7 @@ WITHOUT_BLUNDERS = "without-blunders"
 
 
 @dataclass(frozen=True, eq=False)
-class Comparison:
+class Yardsticks:
     """What a selection is compared with.
 
     Parameters
@@ -50,7 +49,8 @@ class Comparison:
         return self.choice.chosen.candidate if self.choice else None
 
 
-def compare(observations: Observations, choice: Choice | None = None) -> Comparison:
+def compare(observations: Observations, choice: Choice | None = None,
+            portfolio: Portfolio | None = None) -> Yardsticks:
     """Return the candidates fitted to control and check together.
 
     No search is made with the check points there, so they are free to serve as control. A
@@ -63,73 +63,55 @@ def compare(observations: Observations, choice: Choice | None = None) -> Compari
     choice : Choice, optional
         That of `choose` for control and check, twins merged, or of `choose_features`: all are then
         fitted to the features that it chooses. By default that of `choose`.
+    portfolio : Portfolio, optional
+        By default the built-in candidates.
     """
-    both, heights = merged(together(observations)), has_heights(observations)
-    choice = choice or choose(both, heights)
-    both = choice.chosen.fit.control if choice else both
-    scaling = scaling_of(both)
-    found: dict[str, tuple[Fit, float | None]] = {}
+    portfolio, both = portfolio or Portfolio(), observations.pool
+    choice = choice or choose(both, portfolio)
+    if choice and choice.chosen.fit.control is not both.features:
+        both = Control.of(choice.chosen.fit.control, both.heights)
+    fits: dict[str, tuple[Fit, float | None]] = {}
     if choice:
-        found = {one.name: (one.fit, finite_or_none(one.predicted)) for one in choice.judged}
+        fits = {one.name: (one.fit, finite_or_none(one.predicted)) for one in choice.judged}
     baselines = []
-    for one in CANDIDATES:
-        model = one.model(heights)
-        if model is None or one.kind == "robust":
+    for one in portfolio.candidates:
+        if one in ROBUST:
             continue
-        if one.name not in found and isinstance(model, RationalFunctions):
-            try:
-                fitted = one.fit_control(both, heights, scaling)
-            except Undetermined:
-                pass
-            else:
-                if not fitted.estimator.least_squares or fitted.adjustment.redundancy > 0:
-                    found[one.name] = fitted, None
-        if one.name in found:
-            baselines.append(baseline(one.name, *found[one.name], observations))
-        elif one.kind not in ("selected", "shrunken", "local", "few"):
-            baselines.append(Baseline(one.name, len(model.terms), BOTH, False, dict.fromkeys(
+        if one.name not in fits and isinstance(portfolio.ask(one, "model", both.heights),
+                                               RationalFunctions):
+            fitted = portfolio.ask(one, "fit_control", both)
+            if fitted is not None and (not fitted.estimator.least_squares
+                                       or fitted.adjustment.redundancy > 0):
+                fits[one.name] = fitted, None
+        if one.name in fits:
+            baselines.append(baseline(one.name, *fits[one.name], observations))
+        elif np.isfinite(size := portfolio.ask(one, "size", both.heights) or np.inf) \
+                and not one.for_few:
+            baselines.append(Baseline(one.name, int(size), BOTH, False, dict.fromkeys(
                 ("control", "check", "independent"))))
-    return Comparison(tuple(baselines), choice.chosen.name if choice else "", choice)
+    return Yardsticks(tuple(baselines), choice.chosen.name if choice else "", choice)
 
 
-def compare_robustly(observations: Observations) -> Comparison:
-    """Return the candidates of `compare`, and fits that blunders do not spoil.
+def compare_robustly(observations: Observations) -> Yardsticks:
+    """Return the built-in candidates, as `compare` does, and fits that blunders do not spoil.
 
     These are M-estimators, and the candidate that is chosen once blunders are left out. Where there
     are blunders, it is the reference.
-
-    Parameters
-    ----------
-    observations : Observations
     """
-    comparison = compare(observations)
-    both, heights = merged(together(observations)), has_heights(observations)
-    robust = []
-    for one in CANDIDATES:
-        if one.kind == "robust" and one.model(heights):
-            try:
-                fitted = one.fit_control(both, heights, scaling_of(both))
-            except Undetermined:
-                continue
-            if fitted.adjustment.redundancy >= 1:
-                robust.append(baseline(one.name, fitted, None, observations))
-    comparison = replace(comparison, baselines=(*comparison.baselines, *robust))
-    found = find_blunders(both, heights) if suspicious(both, heights) else None
-    if found is None or not found.blunders.any():
-        return comparison
-    choice = choose(both.take(~found.blunders), heights)
+    both, portfolio = observations.pool, Portfolio()
+    yardsticks = compare(observations, portfolio=portfolio)
+    fits = ((one, portfolio.ask(one, "fit_control", both)) for one in ROBUST
+            if one.model(both.heights))
+    yardsticks = replace(yardsticks, baselines=(*yardsticks.baselines, *(
+        baseline(one.name, fitted, None, observations) for one, fitted in fits
+        if fitted is not None and fitted.adjustment.redundancy >= 1)))
+    suspects = find_blunders(both, portfolio) if suspicious(both) else None
+    if suspects is None or not suspects.blunders.any():
+        return yardsticks
+    choice = choose(both.take(~suspects.blunders), portfolio)
     if choice is None:
-        return comparison
+        return yardsticks
     chosen = choice.chosen
-    return Comparison((*comparison.baselines, baseline(
+    return Yardsticks((*yardsticks.baselines, baseline(
         WITHOUT_BLUNDERS, chosen.fit, chosen.predicted, observations)), WITHOUT_BLUNDERS, choice,
-        select(both.ids, found.blunders))
-
-
-def has_heights(observations: Observations) -> bool:
-    """Return whether all features have heights that hold (see `heights_hold`).
-
-    Of independent points only whether they have heights is looked at.
-    """
-    return not np.isnan(observations.independent.ground[:, 2]).any() \
-        and heights_hold(together(observations))
+        select(both.features.ids, suspects.blunders))

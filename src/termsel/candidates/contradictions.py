@@ -16,8 +16,8 @@ from termsel.adjustment.equations import weights_of
 from termsel.adjustment.lines import row_weights
 from termsel.adjustment.monomials import monomials
 from termsel.candidates.local import LIKELY
-from termsel.measurements.features import BoolArray, FeatureSet, FloatArray, IntArray, Points
-from termsel.measurements.scaling import Scaling, scaling_of
+from termsel.measurements.control import Control
+from termsel.measurements.features import BoolArray, FloatArray, IntArray
 from termsel.models.polynomial import Polynomial, Polynomial2D, Polynomial3D
 from termsel.priors.field import Collocation, collocate
 from termsel.priors.held_out import Prediction, chance_of
@@ -106,71 +106,91 @@ class Test:
                         np.maximum(strain * self.spread * self.noise, ROUNDING)[which])
 
 
-def local_test(every: FeatureSet, used: BoolArray, heights: bool) -> Test | None:
-    """Return what points in use predict by a random field; None if they call for none, or lines."""
-    if len(every.lines):
-        return None
-    points, control = every.points, every.points.take(used)
-    scaling, found = _collocated(control, heights)
-    if found is None or found.probability <= LIKELY:
-        return None
-    scaled = scaling.points(points)
-    variance, unit = found.spread(scaled.ground)
-    noise = unit / weights_of(points) ** 2
-    errors = scaled.image - found.predict(scaled.ground)
-    statistic = (errors**2 / (variance + noise)).sum(axis=1) / 2
-    freedom = found.parts[0].found.freedom
-    rows = np.stack([*np.abs(errors.T), chance_of(statistic, freedom), np.sqrt(statistic),
-                     np.sqrt((1 + variance / noise).max(axis=1))], axis=1)
-    # Of points in use that holds, whatever their own errors, without them.
-    rows[used] = _rows(found.left_out)
-    rows[used, :2] /= weights_of(control)
-    pixels = rows[:, :2] * scaling.image_scale
-    return Test(np.abs(pixels).max(axis=1), rows[:, 2], rows[:, 3], rows[:, 4],
-                 float(np.sqrt(unit[0])) * scaling.image_scale, freedom,
-                 (pixels[used] ** 2).sum(axis=1), local=True)
-
-
-def likeliest_blunder(control: FeatureSet, used: BoolArray, heights: bool) -> int | None:
-    """Return the point in use that is likeliest a blunder, under all that is believed of points.
+@dataclass(frozen=True, eq=False)
+class Division:
+    """Features, of which some are in use and predict all.
 
     Parameters
     ----------
-    control : FeatureSet
-        Points alone.
+    every : Control
     used : ndarray of bool, shape (n,)
-    heights : bool
-
-    Returns
-    -------
-    int or None
-        None if none is likelier a blunder than right. Beforehand one point of all is believed to
-        be one.
     """
-    in_use = np.flatnonzero(used)
-    points = control.points.take(used)
-    scaling, found = _collocated(points, heights)
-    if found is None:
-        return None
-    large = np.abs(found.errors).max(axis=1) * scaling.image_scale > ROUNDING
-    looked_at = np.flatnonzero(large & (found.left_out.statistic > LOOK**2))
-    if not looked_at.size:
-        return None
-    odds = found.blunder_odds(looked_at)
-    return int(in_use[looked_at[odds.argmax()]]) if odds.max() > np.log(len(points) - 1) else None
 
+    every: Control
+    used: BoolArray
 
-def _collocated(points: Points, heights: bool) -> tuple[Scaling, Collocation | None]:
-    scaling = scaling_of(FeatureSet(points))
-    return scaling, collocate(scaling.points(points), 3 if heights else 2)
+    @cached_property
+    def in_use(self) -> Control:
+        """The features in use, with the scaling that all are predicted in.
 
+        Points are tested in their own coordinates, whatever those of the fit.
+        """
+        part = self.every.take(self.used)
+        if not part.features.fit_crs or len(part.features.lines):
+            return part
+        return Control.of(replace(part.features, fit_crs=""), part.heights)
 
-def test_of(control: FeatureSet, used: BoolArray, heights: bool) -> Test | None:
-    """Return what the features in use predict, by the shrunken quadratic or, if better, cubic."""
-    if len(control.lines):
-        return _better(*(_test_of_lines(control, used, heights, degree) for degree in (2, 3)))
-    one = _better(*(_of_points(control.points, used, heights, degree) for degree in (2, 3)))
-    return one.test() if one else None
+    @property
+    def _collocated(self) -> Collocation | None:
+        return collocate(self.in_use.scaled.points, 3 if self.every.heights else 2)
+
+    def test(self) -> Test | None:
+        """Return what the features in use predict, by a random field where points call for it.
+
+        Else by `shrunken_test`.
+        """
+        return self.local_test() or self.shrunken_test()
+
+    def local_test(self) -> Test | None:
+        """Return what points in use predict by a random field; None where they call for none."""
+        if len(self.every.features.lines):
+            return None
+        found = self._collocated
+        if found is None or found.probability <= LIKELY:
+            return None
+        points, scaling, used = self.every.features.points, self.in_use.scaling, self.used
+        scaled = scaling.points(points)
+        variance, unit = found.spread(scaled.ground)
+        noise = unit / weights_of(points) ** 2
+        errors = scaled.image - found.predict(scaled.ground)
+        statistic = (errors**2 / (variance + noise)).sum(axis=1) / 2
+        freedom = found.parts[0].found.freedom
+        rows = np.stack([*np.abs(errors.T), chance_of(statistic, freedom), np.sqrt(statistic),
+                         np.sqrt((1 + variance / noise).max(axis=1))], axis=1)
+        # A point in use is predicted by the others: its own measurement would hide its error.
+        rows[used] = _rows(found.left_out)
+        rows[used, :2] /= weights_of(self.in_use.features.points)
+        pixels = rows[:, :2] * scaling.image_scale
+        return Test(np.abs(pixels).max(axis=1), rows[:, 2], rows[:, 3], rows[:, 4],
+                    float(np.sqrt(unit[0])) * scaling.image_scale, freedom,
+                    (pixels[used] ** 2).sum(axis=1), local=True)
+
+    def shrunken_test(self) -> Test | None:
+        """Return what the features in use predict, by the shrunken quadratic or, if better, cubic.
+
+        None where they are too few.
+        """
+        if len(self.every.features.lines):
+            return _better(*(_test_of_lines(self, degree) for degree in (2, 3)))
+        one = _better(*(_of_points(self, degree) for degree in (2, 3)))
+        return one.test() if one else None
+
+    def likeliest_blunder(self) -> int | None:
+        """Return the point in use that is likeliest a blunder, under all polynomials and fields.
+
+        None if none is likelier a blunder than right. Beforehand one point of all is believed to be
+        one.
+        """
+        found = self._collocated
+        if found is None:
+            return None
+        large = np.abs(found.errors).max(axis=1) * self.in_use.scaling.image_scale > ROUNDING
+        looked_at = np.flatnonzero(large & (found.left_out.statistic > LOOK**2))
+        if not looked_at.size:
+            return None
+        odds = found.blunder_odds(looked_at)
+        likely = odds.max() > np.log(len(self.in_use) - 1)
+        return int(np.flatnonzero(self.used)[looked_at[odds.argmax()]]) if likely else None
 
 
 class _Judged(Protocol):
@@ -225,10 +245,10 @@ class _OfPoints:
                     noise * self.image_scale, found.freedom, self.squares)
 
 
-def _of_points(points: Points, used: BoolArray, heights: bool, degree: int) -> _OfPoints | None:
-    scaling = scaling_of(FeatureSet(points.take(used)))
+def _of_points(division: Division, degree: int) -> _OfPoints | None:
+    points, used, scaling = division.every.features.points, division.used, division.in_use.scaling
     scaled = scaling.points(points)
-    exponents = polynomial_of(heights, degree).exponents
+    exponents = polynomial_of(division.every.heights, degree).exponents
     powers = np.array(exponents).sum(axis=1)
     weights, order = weights_of(points), np.argsort(~used, kind="stable")
     found = posterior(monomials(scaled.ground[order], exponents), scaled.image[order], powers,
@@ -237,11 +257,12 @@ def _of_points(points: Points, used: BoolArray, heights: bool, degree: int) -> _
     return None if found is None else _OfPoints(found, order, weights, scaling.image_scale)
 
 
-def _test_of_lines(control: FeatureSet, used: BoolArray, heights: bool,
-                   degree: int) -> Test | None:
+def _test_of_lines(division: Division, degree: int) -> Test | None:
     """Test points and lines, without factors of single terms: many tests are made."""
-    scaling = scaling_of(control.take(used))
-    scaled, model = scaling.features(control), polynomial_of(heights, degree)
+    control, used = division.every, division.used
+    scaling = division.in_use.scaling
+    scaled = scaling.features(control.features)
+    model = polynomial_of(control.heights, degree)
     equations = model.equations(scaled)
     weights = np.where(used, 1.0, UNUSED)[equations.feature]
     found = coupled(replace(equations, A=equations.A * weights[:, None], b=equations.b * weights),
@@ -249,12 +270,12 @@ def _test_of_lines(control: FeatureSet, used: BoolArray, heights: bool,
     if found is None:
         return None
     one = found.predictions(np.where(used, 1.0, UNUSED))
-    pixels = one.errors / row_weights(scaled, heights=heights) * scaling.image_scale
+    pixels = one.errors / row_weights(scaled, heights=control.heights) * scaling.image_scale
     largest, squares = np.zeros((2, len(control)))
     np.maximum.at(largest, equations.feature, np.abs(pixels))
     np.add.at(squares, equations.feature, pixels**2)
     return Test(largest, one.chance, one.strain, one.spread, found.noise * scaling.image_scale,
-                 found.freedom, squares[used])
+                found.freedom, squares[used])
 
 
 def _rows(one: Prediction) -> FloatArray:

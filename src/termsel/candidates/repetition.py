@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
 
 from termsel.adjustment.lines import row_weights
-from termsel.candidates.portfolio import EXACT, Choice, Watch, choose, choose_features, shrinks
-from termsel.candidates.relief import heights_hold
-from termsel.fits.fit import Fit, Undetermined
+from termsel.candidates.portfolio import EXACT, Portfolio, Watch, choose, choose_features
+from termsel.measurements.control import Control, heights_hold
 from termsel.measurements.coordinates.places import ground_centres, spatial_order
 from termsel.measurements.features import FeatureSet, FloatArray
-from termsel.measurements.scaling import scaling_of
 
 MAX_FOLDS, FOLDS_WITH_LINES = 20, 10
 """Most folds in which the whole choice is repeated; lines are many, and take longer."""
@@ -23,7 +22,7 @@ def folds_of(control: FeatureSet) -> int:
     return min(FOLDS_WITH_LINES if len(control.lines) else MAX_FOLDS, len(control))
 
 
-def repeated(control: FeatureSet, heights: bool,
+def repeated(control: Control, portfolio: Portfolio | None = None,
              watch: Watch | None = None) -> FloatArray | None:
     """Return the errors of features under choices made without them.
 
@@ -31,10 +30,9 @@ def repeated(control: FeatureSet, heights: bool,
 
     Parameters
     ----------
-    control : FeatureSet
+    control : Control
         Folds are spread over the scene.
-    heights : bool
-    watch : callable, optional
+    portfolio, watch
         As for `choose`.
 
     Returns
@@ -45,35 +43,31 @@ def repeated(control: FeatureSet, heights: bool,
         with two coordinates of a point. None if some fold leaves too little to choose by, or lines
         alone that are too few to shrink.
     """
-    order, folds = spatial_order(ground_centres(control)), folds_of(control)
-    count, owner = len(control.points), control.feature
+    portfolio, features = portfolio or Portfolio(), control.features
+    order, folds = spatial_order(ground_centres(features)), folds_of(features)
+    count, owner = len(features.points), features.feature
     errors = np.empty((len(owner), 2))
-    whole = cache(lambda: choose(control, heights, whole=False))
+    whole = cache(lambda: choose(control, portfolio, whole=False))
     for fold in range(folds):
         out = np.zeros(len(control), dtype=bool)
         out[order[fold::folds]] = True
-        rest, held = control.take(~out), control.take(out)
+        rest, held = control.take(~out), features.take(out)
+        # Relief that rests on one feature of the others tells nothing of those held out.
+        flat = replace(rest, heights=rest.heights and heights_hold(rest, most=1))
         choice = None if len(rest) <= EXACT else choose_features(
-            rest, heights and heights_hold(rest, most=1), watch, whole=False)
+            flat, portfolio, watch, whole=False)
         fitted = choice.chosen.fit if choice else None
-        if not choice or not shrinks(choice.judged):
-            fitted = (_as_all(whole(), rest, heights) or fitted) if count else None
+        if not choice or not any(one.candidate.has_prior for one in choice.judged):
+            if not count:
+                return None
+            # Few features choose by luck: what all of them choose is fitted to these.
+            if usual := whole():
+                fitted = portfolio.ask(usual.chosen.candidate, "fit_control", rest) or fitted
         if fitted is None:
             return None
         errors[:count][out[:count]] = fitted.errors(held.points)
         errors[count:][out[owner[count:]]] = np.linalg.norm(fitted.line_errors(held.lines), axis=2)
     if count < len(owner):
-        scaling = scaling_of(control)
-        errors[count:] *= row_weights(scaling.features(control), heights=heights)[
+        errors[count:] *= row_weights(control.scaled, heights=control.heights)[
             2 * count:].reshape(-1, 2)
     return errors
-
-
-def _as_all(choice: Choice | None, rest: FeatureSet, heights: bool) -> Fit | None:
-    """Return what all features choose, fitted to some, which would choose by luck; or None."""
-    try:
-        if choice:
-            return choice.chosen.candidate.fit_control(rest, heights, scaling_of(rest))
-    except Undetermined:
-        pass
-    return None

@@ -120,6 +120,18 @@ def _describe_objective(entry: Entry) -> None:
     echo(f"\nUse it with --set objectives={entry.name}, next to the criterion.")
 
 
+def _describe_candidate(entry: Entry) -> None:
+    one = entry.object
+    echo(f"\n{entry.summary}")
+    _pairs({"chosen": "never: it is shown for comparison" if one.only_shown else
+            "with the smallest leave-one-out RMSE, where points are few" if one.for_few else
+            "where it is better by one standard error, or instead of what it contains"
+            if one.has_prior else
+            "where it is better by three standard errors and has the smaller RMSE",
+            "contains": ", ".join(one.contains), "needs": ", ".join(one.needs)})
+    echo(f"\nFit it alone with termsel.fit(features, {entry.name!r}).")
+
+
 def _describe_dataset(entry: Entry) -> None:
     echo(f"\n{entry.summary}")
     _pairs({"measurements": "simulated" if entry.object.simulated else "real"})
@@ -136,7 +148,7 @@ def _describe_format(entry: Entry) -> None:
 _DESCRIBE: dict[str, Callable[[Entry], None]] = {
     "problems": _describe_problem, "models": _describe_model, "solvers": _describe_solver,
     "criteria": _describe_criterion, "objectives": _describe_objective,
-    "datasets": _describe_dataset}
+    "candidates": _describe_candidate, "datasets": _describe_dataset}
 
 
 def _document(entry: Entry) -> None:

@@ -16,8 +16,8 @@ from termsel.cli.messages import echo, say_written
 from termsel.errors import TermselError
 from termsel.version import plugin_bound
 
-KINDS = ("model", "solver", "problem", "criterion", "objective", "dataset", "reader", "writer",
-         "command")
+KINDS = ("model", "solver", "problem", "criterion", "objective", "candidate", "dataset", "reader",
+         "writer", "command")
 
 _NAME = re.compile(r"[A-Za-z](?:[A-Za-z0-9]|[-_.](?=[A-Za-z0-9]))*")
 
@@ -28,6 +28,7 @@ _USE = {
     "criterion": "Use it: `termsel run --problem rfm-terms --criterion {name}`",
     "objective": "Use it: `termsel run --problem owdis-points --solver nsga2 "
                  "--set objectives={name}`",
+    "candidate": "Use it: `termsel run --points FILE --crs EPSG:n`; auto judges it with its own.",
     "dataset": "Use it: `termsel run --problem rfm-terms --dataset {name}`",
     "reader": "Use it: `termsel run --points FILE --crs EPSG:n`; termsel recognises the format.",
     "writer": "Use it: `termsel export DIR --to {name} --output FILE`",

@@ -8,7 +8,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from termsel.candidates.candidate import named
+from termsel.candidates.structures import named
 from termsel.fits.fit import Fit
 from termsel.fits.least_squares import LEAST_SQUARES
 from termsel.measurements.features import BoolArray, FeatureSet, Points
@@ -107,8 +107,8 @@ def final_of_0_2(record: Record, model: SensorModel, control: FeatureSet, scalin
     candidate, values = named(record.strategy.chosen), record.final.coefficients
     terms = np.array([name in values for name in model.terms], dtype=bool)
     # The terms that a forward selection chose stayed those of the choice.
-    estimator = candidate.estimator if candidate and candidate.kind != "selected" \
-        else LEAST_SQUARES
+    estimator = LEAST_SQUARES if candidate is None or candidate.estimator.least_squares \
+        else candidate.estimator
     fitted = estimator.fit(model, control, scaling, terms, used)
     coefficients = np.array([values.get(name, 0.0) for name in model.terms])
     return replace(fitted, adjustment=replace(fitted.adjustment, coefficients=coefficients))

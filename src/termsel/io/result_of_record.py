@@ -8,13 +8,14 @@ from typing import Any
 import numpy as np
 from msgspec import ValidationError, convert
 
+from termsel.candidates.base import Candidate
 from termsel.errors import TermselError
 from termsel.fits.diagnosis import Diagnosis
 from termsel.fits.figures import Baseline, figures, in_role, residuals_of, rmse_from
-from termsel.fits.fit import Fit
+from termsel.fits.fit import Estimator, Fit
 from termsel.io.earlier import completed, final_of_0_2, iteration_known
 from termsel.measurements.features import FeatureSet
-from termsel.measurements.roles import ASSIGNABLE, Observations, by_roles, together
+from termsel.measurements.roles import ASSIGNABLE, Observations, by_roles
 from termsel.measurements.scaling import Scaling
 from termsel.measurements.twins import merged
 from termsel.models.base import SensorModel
@@ -113,14 +114,14 @@ def _fit(record: Record, model: SensorModel, observations: Observations) -> Fit:
     if how.features is None:
         used = np.isin(control.ids, record.selection.features)
     else:
-        both = together(observations)
+        both = observations.together
         control = _made_of(both, set(both.ids), how.features)
         used = np.ones(len(control), dtype=bool)
     scaling = Scaling.from_numbers(record.scaling)
     terms = np.array([name in record.coefficients for name in model.terms], dtype=bool)
     how = iteration_known(how, model, control, scaling, terms, used, observations.check)
     made = fit_of_record(model, control, scaling, used, record.coefficients,
-                         record.standard_deviations, record.adjustment, how)
+                         record.standard_deviations, record.adjustment, how, _estimator(record))
     return in_role(made, observations)
 
 
@@ -153,7 +154,17 @@ def _final(record: Record, model: SensorModel, observations: Observations) -> Fi
     if final.fit is None or final.adjustment is None or final.standard_deviations is None:
         return final_of_0_2(record, model, every, scaling, used)
     return fit_of_record(model, every, scaling, used, final.coefficients,
-                         final.standard_deviations, final.adjustment, final.fit)
+                         final.standard_deviations, final.adjustment, final.fit,
+                         _estimator(record))
+
+
+def _estimator(record: Record) -> Estimator | None:
+    """Return the estimator of the candidate that auto chose, if a plugin provides it."""
+    plugin = record.plugins.get("candidate")
+    if plugin is None:
+        return None
+    candidate: Candidate = registry().get("candidates", plugin.name)
+    return candidate.estimator
 
 
 def _model_type(plugin: PluginRecord | None, name: str) -> type[SensorModel]:

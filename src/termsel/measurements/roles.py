@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from termsel.errors import TermselError, unknown_name
+from termsel.measurements.control import Control, carriers
 from termsel.measurements.coordinates.longitudes import without_jump
 from termsel.measurements.coordinates.places import spatial_order
 from termsel.measurements.features import (
@@ -22,7 +24,7 @@ from termsel.measurements.features import (
 )
 from termsel.measurements.joined import join_points
 from termsel.measurements.order import in_order
-from termsel.measurements.twins import twins
+from termsel.measurements.twins import merged, twins
 
 ASSIGNABLE = ("control", "check", "independent")
 THIRDS = (1 / 3, 1 / 3, 1 / 3)
@@ -31,6 +33,8 @@ THIRDS = (1 / 3, 1 / 3, 1 / 3)
 @dataclass(frozen=True, eq=False)
 class Observations:
     """Measured features, each point in the one role it plays in a run.
+
+    What follows from features and roles is derived once and kept here.
 
     Parameters
     ----------
@@ -55,6 +59,36 @@ class Observations:
         points = self.features.points
         return tuple(name for name, role in zip(points.ids, points.roles, strict=True)
                      if role == "off")
+
+    @cached_property
+    def together(self) -> FeatureSet:
+        """Control and check points as control, and the control lines."""
+        return self.control.with_(points=join_points(self.control.points, self.check))
+
+    @cached_property
+    def carriers(self) -> tuple[str, ...]:
+        """One or two features of `together` without which all heights lie on a plane, if any."""
+        return carriers(self._together) if self._together.heights else ()
+
+    @cached_property
+    def heights(self) -> bool:
+        """Whether all features have heights, and these differ without any one or two of them.
+
+        Of independent points nothing else is looked at.
+        """
+        return not np.isnan(self.independent.ground[:, 2]).any() \
+            and self._together.heights and not self.carriers
+
+    @cached_property
+    def pool(self) -> Control:
+        """What a choice is made from: the features of `together`, twins merged."""
+        features = merged(self.together)
+        return (replace(self._together, heights=self.heights) if features is self.together
+                else Control.of(features, self.heights))
+
+    @cached_property
+    def _together(self) -> Control:
+        return Control.of(self.together)
 
     def fitted_in(self, crs: str) -> Observations:
         """Return the observations with the CRS a model is to be fitted in."""
@@ -245,12 +279,6 @@ def by_roles(features: FeatureSet) -> Observations:
     return Observations(features, features.with_(points=control), check, independent)
 
 
-def together(observations: Observations) -> FeatureSet:
-    """Return control and check points as control."""
-    control = observations.control
-    return control.with_(points=join_points(control.points, observations.check))
-
-
 def leave_out(observations: Observations, ids: Iterable[str]) -> Observations:
     """Return the observations with some points in the role off, and without some lines.
 
@@ -286,7 +314,7 @@ def check_as_control(observations: Observations) -> Observations:
     points = observations.features.points
     roles = tuple("control" if role == "check" else role for role in points.roles)
     return Observations(observations.features.with_(points=replace(points, roles=roles)),
-                        together(observations), no_points(), observations.independent)
+                        observations.together, no_points(), observations.independent)
 
 
 def _assign_blank(xy: FloatArray, shares: Sequence[float], how: str,

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from termsel.plugins.hookspecs import hookimpl
 
 if TYPE_CHECKING:
+    from termsel.candidates.base import Candidate
     from termsel.criteria import Criterion
     from termsel.formats.base import Reader, Writer
     from termsel.measurements.datasets import DatasetSpec
@@ -90,6 +91,14 @@ def termsel_solvers() -> Iterable[type[Solver]]:
             ImperialistCompetition, BinarySwarm, AntColony,
             Nsga2, AgeMoea2, SmsEmoa, Spea2, Exact, Swap, RandomSearch, AllTerms,
             Stepwise, TTest, NestedRegression, Lasso, Ridge]
+
+
+@hookimpl
+def termsel_candidates() -> Iterable[Candidate]:
+    """Return the built-in candidates of the strategy auto."""
+    from termsel.candidates.structures import CANDIDATES
+
+    return CANDIDATES
 
 
 @hookimpl

@@ -36,6 +36,7 @@ import pluggy
 if TYPE_CHECKING:
     import click
 
+    from termsel.candidates.base import Candidate
     from termsel.criteria import Criterion
     from termsel.formats.base import Reader, Writer
     from termsel.measurements.datasets import DatasetSpec
@@ -106,6 +107,18 @@ def termsel_solvers() -> Iterable[type[Solver]]:
     -------
     iterable of type
         Subclasses of `Solver`, each with a `name` as in ``--solver``.
+    """
+
+
+@hookspec
+def termsel_candidates() -> Iterable[Candidate]:
+    """Return candidates of the strategy auto, next to those that are built in.
+
+    Returns
+    -------
+    iterable of Candidate
+        Each with a `name` as in `termsel.fit`. One that fails is left out of the choice, and a note
+        names it.
     """
 
 

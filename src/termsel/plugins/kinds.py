@@ -109,6 +109,7 @@ KINDS = {
     "solvers": Kind("solver", "termsel.solvers", "Solver"),
     "criteria": Kind("criterion", "termsel.criteria", "Criterion", tried=True),
     "objectives": Kind("objective", "termsel.problems.objectives", "Objective"),
+    "candidates": Kind("candidate", "termsel.candidates.base", "Candidate"),
     "datasets": Kind("data set", "termsel.measurements.datasets", "DatasetSpec"),
     "readers": Kind("reader", "termsel.formats.base", "Reader", tried=True),
     "writers": Kind("writer", "termsel.formats.base", "Writer", tried=True),

@@ -146,12 +146,15 @@ class Registry:
         TermselError
             If there is none, with the names there are.
         """
-        # A built-in thing always has its name, so that no plugin need be imported for it.
-        for names in (built_in(), self):
-            for entry in names.entries(kind):
-                if entry.answers_to(name):
-                    return entry.object
+        if (thing := self.known(kind, name)) is not None:
+            return thing
         raise unknown_name(KINDS[kind].word, name, self.names(kind), self.hint(name, kind))
+
+    def known(self, kind: str, name: str) -> Any:
+        """Return the thing of a kind that has a name, as for `get`; None if there is none."""
+        # A built-in thing always has its name, so that no plugin need be imported for it.
+        return next((entry.object for names in (built_in(), self) for entry in names.entries(kind)
+                     if entry.answers_to(name)), None)
 
     def taken(self, kind: str, given: Any) -> Any:
         """Return the thing of a kind that is given: by its name, or itself.

@@ -6,9 +6,9 @@ import textwrap
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
-from termsel.candidates.candidate import named
 from termsel.candidates.compare import WITHOUT_BLUNDERS
 from termsel.candidates.portfolio import EXACT
+from termsel.candidates.structures import named
 from termsel.errors import amount, counted, percent, printable
 from termsel.fits.diagnosis import BEYOND, CORRELATED
 from termsel.fits.figures import LEAVE_ONE_OUT, ROLES

@@ -58,7 +58,8 @@ def adjustment_figures(fitted: Fit, orientation_spread: float | None = None) -> 
 
 def fit_of_record(model: SensorModel, control: FeatureSet, scaling: Scaling, used: BoolArray,
                   coefficients: Mapping[str, float], deviations: Mapping[str, float | None],
-                  figures: AdjustmentFigures, how: FitRecord) -> Fit:
+                  figures: AdjustmentFigures, how: FitRecord,
+                  own: Estimator | None = None) -> Fit:
     """Return the fit that a record describes.
 
     Parameters
@@ -72,13 +73,16 @@ def fit_of_record(model: SensorModel, control: FeatureSet, scaling: Scaling, use
         By term.
     figures : AdjustmentFigures
     how : FitRecord
+    own : Estimator, optional
+        That of a plugin's candidate, which is taken where it has the name in the record.
 
     Raises
     ------
     TermselError
         If there is no such estimator, or the errors held out are not those of the features in use.
     """
-    estimator = estimator_named(how.estimator, how.options)
+    estimator = own if own is not None and own.name == how.estimator \
+        else estimator_named(how.estimator, how.options)
     model = model.prepared(scaling, control.crs)
     terms = np.array([name in coefficients for name in model.terms], dtype=bool)
     if estimator.least_squares:

@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, cast
 
-from termsel.candidates.candidate import CANDIDATES, named
+from termsel.candidates.base import Candidate
 from termsel.errors import TermselError, unknown_name
 from termsel.fits.fit import Fit
+from termsel.guard.faults import blamed
 from termsel.io.sources import features_of
 from termsel.models.base import SensorModel
 from termsel.plugins.registry import registry
@@ -56,16 +57,16 @@ def fit(features: Any, model: str | type[SensorModel] | SensorModel = "rfm", *,
     """
     features = features_of(features, crs, columns)
     if isinstance(model, str):
-        names = registry().names("models")
-        candidate = None if model in names else named(model)
-        if candidate is not None:
-            _refuse(options, f"candidate {model!r}")
+        names = registry()
+        if (model_type := names.known("models", model)) is not None:
+            return cast(type[SensorModel], model_type)(**options).fit(features)
+        candidate: Candidate | None = names.known("candidates", model)
+        if candidate is None:
+            raise unknown_name("model", model, {*names.names("models"), *names.names("candidates")},
+                               names.hint(model, "models", "candidates"))
+        _refuse(options, f"candidate {model!r}")
+        with blamed(candidate, "fit"):
             return candidate.fit(features)
-        if model not in names and ":" not in model:
-            raise unknown_name("model", model, {*names, *(one.name for one in CANDIDATES)},
-                               registry().hint(model, "models"))
-        model_type: type[SensorModel] = registry().get("models", model)
-        return model_type(**options).fit(features)
     given = registry().taken("models", model)
     if isinstance(given, SensorModel):
         _refuse(options, f"model {given.name!r}, which has its options already,")

@@ -18,7 +18,6 @@ from termsel.io.result_folder import claim_folder, write_result
 from termsel.io.sources import features_of
 from termsel.measurements.datasets import DatasetSpec
 from termsel.measurements.features import FeatureSet
-from termsel.measurements.roles import together
 from termsel.models.base import SensorModel
 from termsel.plugins.registry import registry
 from termsel.problems.recipes import Recipe
@@ -201,7 +200,7 @@ def _chosen(problem: str | Recipe, asked: Mapping[str, Any], seed: int,
         request = replace(request, model=registry().get("models", "poly2d")())
     observations = observe(request, LEAST)
     # Whether a search of lines follows, which compiles more, is not known yet.
-    compiles = len(together(observations)) > LEAST and leave_out.needs_compilation()
+    compiles = len(observations.together) > LEAST and leave_out.needs_compilation()
     _begin(out, overwrite, AUTO_COMPILES if compiles else 0)
     return _finished(choose_for(request, observations, seed, observers), out)
 

@@ -14,7 +14,6 @@ from termsel.fits.least_squares import fit
 from termsel.fits.rmse import Rmse
 from termsel.interrupts import answered
 from termsel.measurements.features import BoolArray, FeatureSet, FloatArray, select
-from termsel.measurements.roles import together
 from termsel.measurements.scaling import scaling_of
 from termsel.measurements.twins import twins
 from termsel.models.poles import guard_points, pole_violation
@@ -223,7 +222,7 @@ def _with_drawn_roles(task: Task, rng: np.random.Generator) -> FeatureSet:
 
 def _fitted(task: Task, chosen: BoolArray) -> tuple[bool, dict[str, Rmse | None]]:
     """Return whether terms are a model of control and check together, and its RMSE."""
-    both, axis = together(task.observations), task.model.axis
+    both, axis = task.observations.together, task.model.axis
     scaling = scaling_of(both)
     if not chosen[axis == 0].any() or not chosen[axis == 1].any():
         return False, {}

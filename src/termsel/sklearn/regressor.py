@@ -8,11 +8,11 @@ import numpy as np
 from sklearn.base import BaseEstimator, MultiOutputMixin, RegressorMixin
 from sklearn.utils.validation import check_is_fitted, validate_data
 
-from termsel.candidates.candidate import Candidate
 from termsel.candidates.ridge import RidgeByOrder
 from termsel.candidates.robust import Reweighted
 from termsel.candidates.selected import ForwardSelection
 from termsel.candidates.shrunken import Averaging
+from termsel.candidates.structures import Structure
 from termsel.errors import TermselError
 from termsel.fits.fit import Estimator
 from termsel.fits.least_squares import LEAST_SQUARES
@@ -104,9 +104,9 @@ class SensorModelRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):  # 
             if self.strategy in ("shrunken", "selected") and (flat.polynomial_degree or 0) < 2:
                 raise ValueError(f"strategy {self.strategy!r} needs a polynomial of at least "
                                  "degree 2")
-            self.fit_ = Candidate(
-                self.model, f"model {self.model!r}", "plain", high, flat,
-                STRATEGIES[self.strategy]).fit(FeatureSet(points, crs="local"))
+            self.fit_ = Structure(
+                self.model, f"model {self.model!r}", high, flat,
+                estimator=STRATEGIES[self.strategy]).fit(FeatureSet(points, crs="local"))
         except TermselError as error:
             raise ValueError(str(error)) from error
         return self

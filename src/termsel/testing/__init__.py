@@ -16,9 +16,9 @@ or each check as a separate test::
     def test_model(check):
         check.run()
 
-Both recognise what they are given: a model, solver, criterion, objective, problem, data set,
-reader, writer or command. Given the name of a package, they check the installed plugin, whatever
-it provides.
+Both recognise what they are given: a model, solver, criterion, objective, candidate, problem, data
+set, reader, writer or command. Given the name of a package, they check the installed plugin,
+whatever it provides.
 
 Name a check that must fail, with the reason: ``expected_failures={"control_kinds": "requires
 points"}``. It then fails if it passes, so that the list stays correct. pytest is not required.

@@ -10,6 +10,7 @@ from termsel.errors import TermselError
 from termsel.plugins.kinds import KINDS
 from termsel.problems.base import Problem
 from termsel.testing import (
+    candidates,
     commands,
     criteria,
     datasets,
@@ -29,6 +30,7 @@ SUITES: dict[str, Suite] = {
     "criteria": criteria.SUITE,
     "objectives": objectives.SUITE,
     "problems": problem_suite.SUITE,
+    "candidates": candidates.SUITE,
     "datasets": datasets.SUITE,
     "readers": readers.SUITE,
     "writers": writers.SUITE,
@@ -46,8 +48,9 @@ def checks(thing: Any, *, expected_failures: Mapping[str, str] | None = None,
     ----------
     thing : object
         What a hook returns: a class of models, solvers, criteria, readers or writers, or an object
-        of one with the options to check it with; a `Recipe`, `DatasetSpec` or `Objective`. Or a
-        `Problem`, or what makes one; a ``click.Command``; the name of an installed package.
+        of one with the options to check it with; a `Recipe`, `DatasetSpec`, `Objective` or
+        `Candidate`. Or a `Problem`, or what makes one; a ``click.Command``; the name of an
+        installed package.
     expected_failures : mapping, optional
         Checks that it is known to fail, by name, with the reason.
     **about
@@ -65,6 +68,7 @@ def checks(thing: Any, *, expected_failures: Mapping[str, str] | None = None,
         - writer: `filename`, as for a reader; `results`, those to write (by default
           `example_results`); `verify`, which takes a result and the path it was written to, and
           raises AssertionError if they do not agree.
+        - candidate: `features`, an iterable of `FeatureSet`, where it is not for any points.
         - command: `words`, what a user types after its name.
 
     Returns

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from termsel.candidates.candidate import named
+from termsel.candidates.structures import named
 from termsel.errors import cut
 from termsel.fits.accuracy import rmse_interval
 from termsel.report.theme import (

@@ -4,18 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Collection
 
-import numpy as np
-
-from termsel.candidates.portfolio import Judged, has_pole
-from termsel.fits.fit import Fit, Undetermined
-from termsel.fits.least_squares import LEAST_SQUARES
+from termsel.candidates.base import Judged, has_pole
+from termsel.candidates.portfolio import Portfolio
+from termsel.fits.fit import Fit
+from termsel.measurements.control import Control
 from termsel.measurements.features import Points
 from termsel.measurements.roles import ASSIGNABLE
-from termsel.measurements.scaling import scaling_of
 from termsel.measurements.twins import merged
 
 
-def final_fit(chosen: Judged, points: Points, heights: bool,
+def final_fit(chosen: Judged, points: Points, heights: bool, portfolio: Portfolio,
               blunders: Collection[str]) -> Fit | None:
     """Return the chosen structure fitted to all points.
 
@@ -28,6 +26,8 @@ def final_fit(chosen: Judged, points: Points, heights: bool,
     points : Points
         All points, each with its role.
     heights : bool
+        Whether models with heights are fitted.
+    portfolio : Portfolio
     blunders : collection of str
         Ids of independent points that contradict all others; they stay out.
 
@@ -42,13 +42,5 @@ def final_fit(chosen: Judged, points: Points, heights: bool,
     every = merged(control.with_(points=more))
     if len(every) == len(control):
         return None
-    scaling = scaling_of(every)
-    try:
-        if chosen.candidate.kind == "selected":
-            used = np.ones(len(every), dtype=bool)
-            found = LEAST_SQUARES.fit(chosen.fit.model, every, scaling, chosen.fit.terms, used)
-        else:
-            found = chosen.candidate.fit_control(every, heights, scaling)
-    except Undetermined:
-        return None
-    return found if found.determined and not has_pole(found) else None
+    final = portfolio.ask(chosen.candidate, "refit", chosen.fit, Control.of(every, heights))
+    return final if final is not None and final.determined and not has_pole(final) else None

@@ -6,12 +6,13 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from termsel.candidates.base import Judged
 from termsel.candidates.blunders import MOST, find_blunders, judge_others
 from termsel.candidates.contradictions import Suspects
-from termsel.candidates.portfolio import Judged
+from termsel.candidates.portfolio import Portfolio
 from termsel.measurements.features import BoolArray, FeatureSet, Points, select
-from termsel.measurements.roles import Observations, leave_out, together
-from termsel.measurements.twins import merged, with_twins
+from termsel.measurements.roles import Observations, leave_out
+from termsel.measurements.twins import with_twins
 from termsel.record.base import Role
 from termsel.record.figures import Outlier
 
@@ -19,20 +20,14 @@ FEW = 17
 """Number of points below which a note says what errors cannot be found."""
 
 
-def without_blunders(observations: Observations,
-                     heights: bool) -> tuple[Observations, list[Outlier], list[str]]:
+def without_blunders(observations: Observations, portfolio: Portfolio,
+                     ) -> tuple[Observations, list[Outlier], list[str]]:
     """Return the observations without blunders, the outliers and what is to be said of them.
 
     Control and check points and lines are judged; independent points take no part.
-
-    Parameters
-    ----------
-    observations : Observations
-    heights : bool
-        Whether heights are known and differ.
     """
-    both = merged(together(observations))
-    found = find_blunders(both, heights)
+    both = observations.pool.features
+    found = find_blunders(observations.pool, portfolio)
     if found is None:
         return observations, [], []
     role: dict[str, Role] = dict.fromkeys(observations.check.ids, "check")
@@ -42,7 +37,7 @@ def without_blunders(observations: Observations,
                 for i in _worst_first(found, found.blunders | found.undecided)]
     points = found.blunders[:len(both.points)]
     left = leave_out(observations, [
-        *with_twins(together(observations).points, select(both.points.ids, points)),
+        *with_twins(observations.together.points, select(both.points.ids, points)),
         *select(both.lines.features, found.blunders[len(both.points):])])
     return left, outliers, list(_notes(both, found))
 

@@ -17,26 +17,27 @@ from dataclasses import replace
 
 import numpy as np
 
-from termsel.candidates.portfolio import CLEARLY, Choice, choose, gain_of
+from termsel.candidates.portfolio import CLEARLY, Choice, Portfolio, choose, gain_of
 from termsel.candidates.repetition import FOLDS_WITH_LINES
 from termsel.errors import TermselError
+from termsel.measurements.control import Control
 from termsel.measurements.coordinates.places import spatial_order
-from termsel.measurements.features import FeatureSet, FloatArray, Points
+from termsel.measurements.features import FloatArray, Points
 from termsel.runs.search.blunders_out import search_without_blunders
 from termsel.runs.task.task import prepare
 
 
-def with_selected_lines(control: FeatureSet, heights: bool, choice: Choice,
+def with_selected_lines(control: Control, choice: Choice, portfolio: Portfolio,
                         seed: int) -> tuple[Choice, FloatArray | None]:
     """Return the choice from points and the lines that OWDIS selects, if it is clearly better.
 
     Parameters
     ----------
-    control : FeatureSet
+    control : Control
         Points and lines.
-    heights : bool
     choice : Choice
-        That of `choose_features`, which says in any case how OWDIS compares.
+        That of `choose_features`; how OWDIS compares with it is added to its reason.
+    portfolio : Portfolio
     seed : int
         Of the search.
 
@@ -46,22 +47,22 @@ def with_selected_lines(control: FeatureSet, heights: bool, choice: Choice,
     errors : ndarray, shape (n_points, 2), or None
         Of the points under selections made without them [px], where OWDIS is chosen.
     """
-    count = len(control.points)
-    if count < FOLDS_WITH_LINES or not len(control.lines):
+    lines, count = control.features.lines, len(control.features.points)
+    if count < FOLDS_WITH_LINES or not len(lines):
         return choice, None
     others = choice.chosen.squares[:count]
-    selected = _selected(control, heights, seed)
-    found = None if selected is None else choose(selected, heights)
+    selected = _selected(control, seed)
+    found = None if selected is None else choose(selected, portfolio)
     if selected is None or found is None:
         return choice, None
     gain = gain_of(found.chosen.squares[:count], others)
-    said = (f"OWDIS selects {len(selected.lines)} of {len(control.lines)} lines. With these the "
+    said = (f"OWDIS selects {len(selected.features.lines)} of {len(lines)} lines. With these the "
             f"points are predicted {'better' if gain > 0 else 'worse'} by {abs(gain):.2g} standard "
             "errors")
     if gain <= CLEARLY:
         return replace(choice, reason=f"{choice.reason} {said}; it must be better by more than "
                                       f"{CLEARLY:g}."), None
-    errors = _held_out(control, heights, seed)
+    errors = _held_out(control, portfolio, seed)
     if errors is None:
         return choice, None
     squares = (errors**2).sum(axis=1)
@@ -74,37 +75,37 @@ def with_selected_lines(control: FeatureSet, heights: bool, choice: Choice,
     return replace(found, reason=f"{found.reason} {said}, so these lines are used."), errors
 
 
-def _selected(control: FeatureSet, heights: bool, seed: int) -> FeatureSet | None:
+def _selected(control: Control, seed: int) -> Control | None:
     """Return the points and the lines that OWDIS selects by them; None where it cannot."""
-    points = control.points
+    features, points = control.features, control.features.points
     judging = Points(points.ids, points.image, points.ground, points.sigma,
                      ("check",) * len(points))
     try:
-        task = prepare("owdis-lines", features=control.with_(points=judging),
-                       model="poly3d" if heights else "poly2d", source="control and check")
+        task = prepare("owdis-lines", features=features.with_(points=judging),
+                       model="poly3d" if control.heights else "poly2d", source="control and check")
     except TermselError:  # too few lines, or all parallel
         return None
-    found = search_without_blunders(task, seed=seed, generations=task.recipe.generations,
-                                    patience=task.recipe.patience)
-    if found.interrupted:
+    search = search_without_blunders(task, seed=seed, generations=task.recipe.generations,
+                                     patience=task.recipe.patience)
+    if search.interrupted:
         raise KeyboardInterrupt
-    if found.violation:
+    if search.violation:
         return None
-    lines = set(task.problem.decode(found.genes).features)
+    lines = set(task.problem.decode(search.genes).features)
     return control.take(np.array([True] * len(points)
-                                 + [name in lines for name in control.lines.features]))
+                                 + [name in lines for name in features.lines.features]))
 
 
-def _held_out(control: FeatureSet, heights: bool, seed: int) -> FloatArray | None:
+def _held_out(control: Control, portfolio: Portfolio, seed: int) -> FloatArray | None:
     """Return the errors of points under selections made without them; None if a fold has none."""
-    count = len(control.points)
-    errors = np.empty((count, 2))
-    order = spatial_order(control.points.ground[:, :2])
+    points = control.features.points
+    errors = np.empty((len(points), 2))
+    order = spatial_order(points.ground[:, :2])
     for fold in range(FOLDS_WITH_LINES):
         out = np.isin(np.arange(len(control)), order[fold::FOLDS_WITH_LINES])
-        selected = _selected(control.take(~out), heights, seed)
-        found = None if selected is None else choose(selected, heights, whole=False)
-        if found is None:
+        selected = _selected(control.take(~out), seed)
+        choice = None if selected is None else choose(selected, portfolio, whole=False)
+        if choice is None:
             return None
-        errors[out[:count]] = found.chosen.fit.errors(control.points.take(out[:count]))
+        errors[out[:len(points)]] = choice.chosen.fit.errors(points.take(out[:len(points)]))
     return errors

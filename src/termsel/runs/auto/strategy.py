@@ -9,15 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from termsel.candidates.compare import compare, has_heights
-from termsel.candidates.portfolio import (
-    EXACT,
-    Judged,
-    best_of,
-    choose_features,
-    exact,
-    portfolio,
-)
+from termsel.candidates.base import Judged
+from termsel.candidates.compare import compare
+from termsel.candidates.portfolio import EXACT, best_of, choose_features, exact
 from termsel.candidates.repetition import folds_of, repeated
 from termsel.errors import TermselError, counted
 from termsel.fits.accuracy import accuracy_of, predicted_by
@@ -27,8 +21,7 @@ from termsel.fits.figures import figures, finite_or_none, in_role, residuals_of
 from termsel.fits.fit import Fit
 from termsel.interrupts import answered
 from termsel.measurements.features import FloatArray, no_points, select
-from termsel.measurements.roles import Observations, together, with_lines
-from termsel.measurements.twins import merged
+from termsel.measurements.roles import Observations, with_lines
 from termsel.models.base import SensorModel
 from termsel.problems.base import Evaluation, Selection
 from termsel.problems.recipes import Recipe
@@ -39,6 +32,7 @@ from termsel.runs.auto.outliers import judged_independent, without_blunders
 from termsel.runs.auto.owdis import with_selected_lines
 from termsel.runs.judgement.judge import judge_choice
 from termsel.runs.task.data_notes import notes_on_data
+from termsel.runs.task.given import all_candidates
 from termsel.runs.task.provenance import data_of, plugins_of, versions
 from termsel.runs.task.task import FEW, Request, all_control
 from termsel.solvers.base import Generation
@@ -161,24 +155,24 @@ def choose_for(request: Request, observations: Observations, seed: int,
         If control and check points together determine no candidate.
     """
     start = time.perf_counter()
-    heights = has_heights(observations)
-    watch = _Watch(observers, len(portfolio(heights)), folds_of(merged(together(observations))))
+    portfolio = all_candidates()
+    watch = _Watch(observers, len(portfolio.offered(observations.pool)),
+                   folds_of(observations.pool.features))
     watch.tell("blunders")
     of_data = tuple(notes_on_data(request.features, observations, heights=True))
-    clean, outliers, notes = without_blunders(observations, heights)
-    both = merged(together(clean))
+    clean, outliers, notes = without_blunders(observations, portfolio)
+    control, both = clean.pool, clean.pool.features
     choice, errors, interrupted = None, None, False
-    heights = has_heights(clean)
     try:
-        choice = exact(both) if len(both) <= EXACT else choose_features(
-            both, heights, watch.candidate)
+        choice = exact(control) if len(both) <= EXACT else choose_features(
+            control, portfolio, watch.candidate)
         if choice and len(both.lines):
             watch.tell("OWDIS")
-            choice, errors = with_selected_lines(both, heights, choice, seed)
+            choice, errors = with_selected_lines(control, choice, portfolio, seed)
         if choice and errors is None and len(both) > EXACT:
-            errors = repeated(both, heights, watch.candidate)
+            errors = repeated(control, portfolio, watch.candidate)
     except KeyboardInterrupt:
-        choice, errors, interrupted = choice or best_of(watch.judged), None, True
+        choice, errors, interrupted = choice or best_of(watch.judged, portfolio), None, True
         if choice is None:
             raise
         answered()
@@ -186,7 +180,7 @@ def choose_for(request: Request, observations: Observations, seed: int,
         raise TermselError(
             f"the {len(both)} control and check {both.word} lie so that no model can be held "
             "against them", hint="Measure more, spread over the scene.")
-    chosen, comparison = choice.chosen, compare(clean, choice)
+    chosen, comparison = choice.chosen, compare(clean, choice, portfolio)
     if errors is not None and not len(chosen.fit.control.lines):
         errors = errors[:len(both.points)]  # what lines were predicted to be says nothing
     expected = None if errors is None else predicted_by(
@@ -196,8 +190,8 @@ def choose_for(request: Request, observations: Observations, seed: int,
     fitted = in_role(chosen.fit, observations)
     model = fitted.model
     rmse = figures(fitted, observations)
-    contradicting, more = judged_independent(observations.independent, heights, chosen)
-    final = final_fit(chosen, observations.features.points, heights,
+    contradicting, more = judged_independent(observations.independent, control.heights, chosen)
+    final = final_fit(chosen, observations.features.points, control.heights, portfolio,
                       [one.id for one in contradicting])
     # The chosen one is the selection, and is not shown twice unless it is plain.
     baselines = tuple(b for b in comparison.baselines
@@ -215,10 +209,9 @@ def choose_for(request: Request, observations: Observations, seed: int,
         feasible=True, rmse=rmse, baselines=baselines,
         judgement=judge_choice(chosen.candidate, predicted, rmse, baselines,
                                request.features.noise),
-        notes=(*_few(request),
-               *of_data,
-               *_notes(request.model, clean, errors, said,
-                       plane=not model.uses_height), *notes, *_lines(fitted), *more),
+        notes=(*_few(request), *of_data,
+               *_notes(request.model, clean, errors, said, plane=not model.uses_height),
+               *notes, *_lines(fitted), *more, *portfolio.notes),
         outliers=(*outliers, *contradicting), predicted=expected,
         accuracy=accuracy_of(fitted, observations.independent), final=final,
         objectives={"press": chosen.predicted} if np.isfinite(chosen.predicted) else {},
@@ -228,7 +221,7 @@ def choose_for(request: Request, observations: Observations, seed: int,
         # Blunders are those that were left out, by a test of their own.
         diagnosis=replace(diagnose(fitted), doubts=None),
         features=observations.features, versions=versions(),
-        plugins=plugins_of(request),
+        plugins=plugins_of(request, model=type(model), candidate=chosen.candidate),
         strategy=Strategy("auto", chosen.name, choice.reason, predicted, folds,
                           ("control", "check"), tuple(CandidateRow(
                               one.name, one.fit.model.name, int(one.fit.terms.sum()),
@@ -252,7 +245,7 @@ def _few(request: Request) -> list[str]:
 
 def _notes(model: SensorModel, observations: Observations, errors: FloatArray | None,
            interrupted: str = "", *, plane: bool = False) -> list[str]:
-    both = together(observations)
+    both = observations.together
     notes = [*warnings_of(both, np.ones(len(both), dtype=bool), no_points())]
     if interrupted:
         notes.append(interrupted)
@@ -263,7 +256,7 @@ def _notes(model: SensorModel, observations: Observations, errors: FloatArray | 
     elif errors is None:
         notes.append(f"The {both.word} are too few to repeat the choice without some of them, so "
                      "it predicts no accuracy.")
-    if not plane and has_heights(observations) and not model.uses_height:
+    if not plane and observations.heights and not model.uses_height:
         notes.append(f"Heights are known and were used. --model {model.name} keeps to a plane "
                      "model.")
     return notes

@@ -6,7 +6,8 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
-from termsel.candidates.candidate import Candidate, named
+from termsel.candidates.base import Candidate
+from termsel.candidates.structures import named
 from termsel.criteria import Criterion
 from termsel.errors import counted
 from termsel.fits.diagnosis import PARALLEL, orientation_spread
@@ -16,6 +17,7 @@ from termsel.fits.fit import Fit
 from termsel.fits.least_squares import fit
 from termsel.fits.rmse import Rmse
 from termsel.measurements.roles import Observations
+from termsel.plugins.registry import registry
 from termsel.problems.genome import Genome
 from termsel.solvers.search import Search
 
@@ -107,7 +109,8 @@ def judge_choice(chosen: Candidate, predicted: float | None, rmse: Mapping[str, 
     sentences = [start, f"The RMSE of {counted(mine.n, 'independent point')}, which took no part, "
                         f"is {_px(mine.total)}."]
     others = [(b.predicted, b, other) for b in baselines if b.predicted is not None
-              and (other := named(b.name)) and other.is_plain and other is not chosen]
+              and (other := registry().known("candidates", b.name)) and other.is_plain
+              and other is not chosen]
     if others:
         _, best, other = min(others, key=lambda one: one[0])
         sentences.append(_compare("That is", mine.total, best, f"{other.title}, the best "

@@ -6,14 +6,12 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from termsel.candidates.candidate import heights_differ
-from termsel.candidates.relief import carriers
 from termsel.measurements.coordinates.crs import is_geocentric
 from termsel.measurements.coordinates.longitudes import jumps
 from termsel.measurements.coordinates.metres import in_metres
 from termsel.measurements.features import FeatureSet, FloatArray, Points
 from termsel.measurements.joined import join_points
-from termsel.measurements.roles import Observations, together
+from termsel.measurements.roles import Observations
 from termsel.measurements.twins import groups, twins
 
 SOME = 5
@@ -42,13 +40,13 @@ def notes_on_data(read: FeatureSet, observations: Observations, heights: bool) -
     if jumps(read):
         yield ("The longitudes jump by a full turn between points. They were made continuous: on "
                "one side they go on beyond 180 degrees.")
-    both, independent = together(observations), observations.independent
+    both, independent = observations.together, observations.independent
     yield from _on_twins(both.points, independent)
     yield from _on_one_line(both)
     z = both.ground_vertices()[:, 2]
     if not heights:
         return
-    yield from _on_carriers(both)
+    yield from _on_carriers(both, observations.carriers)
     if len(z) > 1 and (z == z[0]).all():
         yield (f"All heights are {z[0]:g}, so they were not used. If they are not known, leave "
                "them blank or take them from a raster (--dem FILE).")
@@ -83,11 +81,8 @@ def _is_narrow(places: FloatArray) -> bool:
     return bool(along > 0.0 and across <= NARROW * along)
 
 
-def _on_carriers(both: FeatureSet) -> Iterator[str]:
+def _on_carriers(both: FeatureSet, carrying: tuple[str, ...]) -> Iterator[str]:
     """Yield which features heights rest on, where they are one or two."""
-    if not heights_differ(both):
-        return
-    carrying = carriers(both)
     if len(carrying) == 1 and len(both) < SOME:
         yield (f"With {len(both)} {both.word} nothing tells what a height does from an error, so "
                "the model is plane.")

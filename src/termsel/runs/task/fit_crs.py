@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from termsel.candidates.compare import has_heights
 from termsel.candidates.portfolio import choose
 from termsel.errors import TermselError
+from termsel.measurements.control import Control
 from termsel.measurements.coordinates.crs import (
     LOCAL,
     WGS84,
@@ -21,7 +21,7 @@ from termsel.measurements.coordinates.crs import (
 from termsel.measurements.coordinates.longitudes import continuous
 from termsel.measurements.coordinates.utm import utm_zone
 from termsel.measurements.features import FeatureSet
-from termsel.measurements.roles import Observations, together
+from termsel.measurements.roles import Observations
 from termsel.models.base import SensorModel
 from termsel.options import Option
 
@@ -62,7 +62,7 @@ def with_fit_crs(choice: str, observations: Observations, model: SensorModel) ->
         raise TermselError(f"--fit-crs {choice}: plane coordinates without a CRS cannot be turned "
                            "into others", hint="State the CRS of the ground coordinates, or leave "
                                                "--fit-crs out.")
-    spatial = model.uses_height and has_heights(observations)
+    spatial = model.uses_height and observations.heights
     if choice == AUTO:
         fit_crs = _best(observations, spatial)
     else:
@@ -120,13 +120,13 @@ def _utm_zone(control: FeatureSet) -> str:
 
 def _best(observations: Observations, spatial: bool) -> str:
     """Return the CRS in which the best of the plain and shrunken models predicts best."""
-    both, heights = together(observations), has_heights(observations)
+    both = observations.together
     predicted: dict[str, float] = {}
     for system in SYSTEMS:
         fit_crs = fit_crs_of(system, observations.control)
         if is_geocentric(fit_crs) and not spatial:
             continue
-        choice = choose(replace(both, fit_crs=fit_crs), heights)
+        choice = choose(Control.of(replace(both, fit_crs=fit_crs), observations.heights))
         predicted[fit_crs] = np.inf if choice is None else choice.chosen.predicted
     best = min(predicted, key=lambda crs: predicted[crs])
     if not np.isfinite(predicted[best]):

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from termsel.candidates.portfolio import Portfolio
 from termsel.criteria import Criterion
 from termsel.errors import TermselError
 from termsel.options import Configurable
@@ -12,6 +13,12 @@ from termsel.plugins.registry import registry
 from termsel.problems.constraints import listed
 from termsel.problems.objectives import Objective
 from termsel.problems.recipes import Recipe
+
+
+def all_candidates() -> Portfolio:
+    """Return all candidates; of two with one name that of termsel itself, or the first."""
+    return Portfolio(entry.object for entry in registry().entries("candidates")
+                     if entry.name == entry.object.name)
 
 
 def class_of(part: type[Configurable] | Configurable) -> type[Configurable]:

@@ -46,7 +46,7 @@ def versions() -> dict[str, str]:
     return {"python": platform.python_version(), **{name: version(name) for name in packages}}
 
 
-def plugins_of(asked: Request | Task) -> dict[str, dict[str, str]]:
+def plugins_of(asked: Request | Task, **chosen: Any) -> dict[str, dict[str, str]]:
     """Return the parts of a run that plugins provide, for the record.
 
     A name alone does not identify them: two packages may use the same one.
@@ -54,17 +54,19 @@ def plugins_of(asked: Request | Task) -> dict[str, dict[str, str]]:
     Parameters
     ----------
     asked : Request or Task
+    **chosen
+        What the strategy "auto" chose in the place of what was asked for: model and candidate.
 
     Returns
     -------
     dict
-        By "problem", "model", "solver", "criterion" and "then": ``name`` as
+        By "problem", "model", "solver", "criterion", "then" and "candidate": ``name`` as
         ``distribution:name``, and ``version`` of the distribution. Parts of termsel itself are
         left out. What no plugin provides has the distribution "session" and its ``class``, as
         "module.Class".
     """
     parts = {"problem": asked.recipe, "model": type(asked.model), "solver": type(asked.solver),
-             "criterion": type(asked.criterion)}
+             "criterion": type(asked.criterion), **chosen}
     if asked.then is not None:
         parts["then"] = type(asked.then)
     return {word: found for word, thing in parts.items() if (found := _origin(thing))}
@@ -76,7 +78,7 @@ def _origin(thing: Any) -> dict[str, str]:
     if entry is not None and entry.provided_by != SESSION:
         return {} if entry.provided_by == PROJECT else {
             "name": entry.full_name, "version": registry().version(entry.provided_by)}
-    made_by = thing if isinstance(thing, type) else thing.build
+    made_by = thing if isinstance(thing, type) else getattr(thing, "build", type(thing))
     name = getattr(made_by, "__qualname__", type(made_by).__qualname__)
     return {"name": f"{SESSION}:{thing.name}", "version": "",
             "class": f"{made_by.__module__}.{name}"}

@@ -1,0 +1,234 @@
+"""What the strategy auto chooses among: candidates, each of which fits and judges itself."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import KW_ONLY, dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from termsel.adjustment.parts import independent_parts
+from termsel.criteria import Fits
+from termsel.errors import TermselError
+from termsel.fits.fit import Estimator, Fit, Undetermined
+from termsel.fits.least_squares import LEAST_SQUARES
+from termsel.fits.leave_out import solutions_without_each
+from termsel.fits.of_features import control_of
+from termsel.measurements.control import Control
+from termsel.measurements.features import FeatureSet, FloatArray, no_points
+from termsel.models.base import SensorModel
+from termsel.models.poles import guard_points, pole_violation
+from termsel.threads import one_blas_thread
+
+WIDER = 1.5
+"""A denominator must be positive in a box this much wider than that of the points."""
+
+
+@dataclass(frozen=True, eq=False)
+class Judged:
+    """A candidate fitted to features, and its errors by leave-one-out.
+
+    Parameters
+    ----------
+    candidate : Candidate
+    fit : Fit
+    squares : ndarray, shape (n,)
+        Squared error of each feature under the same procedure without it [px^2]: of a point
+        dl^2 + ds^2, of a line the sum over its vertices.
+    """
+
+    candidate: Candidate
+    fit: Fit
+    squares: FloatArray
+
+    @property
+    def name(self) -> str:
+        """Name of the candidate."""
+        return self.candidate.name
+
+    @property
+    def predicted(self) -> float:
+        """RMSE by leave-one-out [px], over points and vertices of lines."""
+        control = self.fit.control
+        return float(np.sqrt(self.squares.sum()
+                             / (len(control.points) + 2 * len(control.lines))))
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate(ABC):
+    """A model that needs no search; the strategy auto chooses one of many.
+
+    Its attributes say what place it has in the choice. It fits and judges itself. One object is
+    fitted to many parts of the same features, so it keeps nothing of them.
+
+    Parameters
+    ----------
+    name : str
+        As in `termsel.fit` and ``termsel describe``.
+    title : str
+        In words, with its article, such as "a cubic polynomial".
+    short : str
+        Title in tables; by default the name.
+    estimator : Estimator
+        How its coefficients are found; with it a stored result is the same fit again.
+    is_plain : bool
+        Whether it takes neither selection nor shrinkage, and is plainer than a full RFM.
+    has_prior : bool
+        Whether a prior of its own holds what the features do not determine. Then it is chosen where
+        it is better by one standard error; else it must be better by three, and have the smaller
+        RMSE.
+    contains : tuple of str
+        Names of candidates that it has as limits. They are not chosen next to it. Where it has a
+        prior, it takes the place of those among them that have one, as soon as it is called for.
+    family : str
+        Plural that names it together with others that have the same limits.
+    needs : tuple of str
+        Names of candidates without which it is not called for.
+    for_few : bool
+        Whether it is for features that are too few for any candidate with a prior.
+    only_shown : bool
+        Whether it is shown for comparison and never chosen.
+    """
+
+    kind: ClassVar[str] = "candidate"
+    name: str
+    title: str
+    _: KW_ONLY
+    short: str = ""
+    estimator: Estimator = LEAST_SQUARES
+    is_plain: bool = False
+    has_prior: bool = False
+    contains: tuple[str, ...] = ()
+    family: str = ""
+    needs: tuple[str, ...] = ()
+    for_few: bool = False
+    only_shown: bool = False
+
+    @property
+    def label(self) -> str:
+        """What tables and short sentences call it."""
+        return self.short or self.name
+
+    @property
+    def summary(self) -> str:
+        """What lists say of it."""
+        return f"{self.title[:1].upper()}{self.title[1:]}."
+
+    @abstractmethod
+    def fit_control(self, control: Control) -> Fit:
+        """Fit the candidate to features, whatever the roles of points.
+
+        Parameters
+        ----------
+        control : Control
+            The features with their scaling. All that is known of the image is in its features:
+            the size of the image, the CRS, further columns of the file.
+
+        Raises
+        ------
+        Undetermined
+            If the features do not determine the candidate, or do not call for it.
+        """
+
+    def declines(self, control: Control) -> str | None:
+        """Return in a sentence why it is not for such features, or None if it is.
+
+        It is asked before every fit, so it should be quick.
+        """
+        return None
+
+    def judge(self, control: Control) -> Judged | None:
+        """Return the candidate fitted and judged; None without redundancy or with a pole.
+
+        Errors are those that the estimator finds on its way (`Fit.held_out`), or those of least
+        squares without each feature, in closed form.
+        """
+        try:
+            fitted = self.fit_control(control)
+        except Undetermined:
+            return None
+        if fitted.held_out is not None:
+            return Judged(self, fitted, fitted.held_out.squares)
+        if fitted.adjustment.redundancy < 1 or has_pole(fitted):
+            return None
+        squares = left_out_squares(fitted)
+        return Judged(self, fitted, squares) if np.isfinite(squares).all() else None
+
+    def refit(self, fitted: Fit, control: Control) -> Fit:
+        """Return the final fit: the structure of a fit that was chosen, fitted to more features.
+
+        Raises
+        ------
+        Undetermined
+        """
+        return self.fit_control(control)
+
+    def describe(self, fitted: Fit) -> str:
+        """Return one sentence on why the features call for it; "" if leave-one-out tells all."""
+        return ""
+
+    def model(self, heights: bool) -> SensorModel | None:
+        """Return the model for features with heights, or without; None where it depends."""
+        return None
+
+    def size(self, heights: bool) -> float:
+        """Return the number of terms if that is fixed; the plainest are judged first."""
+        return np.inf
+
+    @one_blas_thread
+    def fit(self, features: FeatureSet) -> Fit:
+        """Fit the candidate to control features.
+
+        Parameters
+        ----------
+        features : FeatureSet
+            Lines, and points with the role control or none, are control. Points with the role
+            check, independent or off are left out.
+
+        Raises
+        ------
+        TermselError
+            If there is no control, the control does not determine the candidate, or it is not for
+            such features.
+        """
+        control = Control.of(control_of(features))
+        reason = self.declines(control)
+        if reason is not None:
+            raise TermselError(reason, hint="Choose another model, such as shrunken-cubic.")
+        return self.fit_control(control)
+
+
+def has_pole(fitted: Fit) -> bool:
+    """Return whether a denominator falls short of the margin in a box wider than the points'."""
+    guard = guard_points(fitted.scaled_control, no_points())
+    middle = (guard.max(axis=0) + guard.min(axis=0)) / 2
+    return bool(pole_violation(fitted.model, fitted.adjustment.coefficients[None],
+                               middle + WIDER * (guard - middle))[0] > 0)
+
+
+def left_out_squares(fitted: Fit) -> FloatArray:
+    """Return the squared error of each control feature under the fit without it, shape (n,).
+
+    As the criterion press judges: with equations to first order where others are not exact, so
+    that this is closed form throughout.
+
+    Parameters
+    ----------
+    fitted : Fit
+        By least squares.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        [px^2]; infinite throughout where some feature is indispensable, and where a denominator
+        falls short.
+    """
+    model, control = fitted.model, fitted.scaled_control
+    parts = independent_parts(model.equations(control), model.axis)
+    solutions = solutions_without_each(parts, fitted.terms, fitted.used)
+    if solutions is None:
+        return np.full(len(control), np.inf)
+    fits = Fits(model, control.points, no_points(), fitted.scaling.image_scale,
+                fitted.terms[None], fitted.adjustment.coefficients[None], control.lines, parts)
+    return np.asarray(fits.held_out_each(solutions[:, None])[0])
