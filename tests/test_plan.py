@@ -12,7 +12,9 @@ from click.testing import CliRunner
 import termsel
 from termsel.cli.main import cli
 from termsel.fits.fit import Fit
-from termsel.fits.next_places import rank_places
+from termsel.fits.next_places import APART, rank_places
+from termsel.fits.scene import scene_grid
+from termsel.io.plan import GRID, plan
 from termsel.measurements.features import FeatureSet, FloatArray, Points, no_points
 from termsel.simulate import scene_truth, simulate_scene
 from termsel.simulate.catalogue import SCENES
@@ -59,7 +61,7 @@ def test_greedy_choice_is_the_best_by_brute_force() -> None:
     points = simulate_scene("spot-isfahan", seed=3, n_points=40).points
     fitted = _fit(points.take(np.arange(12)))
     candidates, scene = points.ground[12:24], points.ground[24:]
-    found = rank_places(fitted, candidates, scene, 3)
+    found = rank_places(fitted, candidates, scene, 3, apart=0.0)
     both = fitted.estimator.spread(fitted, fitted.scaling.ground(
         np.concatenate([candidates, scene])))
     assert both.factors is not None
@@ -188,3 +190,31 @@ def test_plan_is_completed_and_listed() -> None:
     code, out, _ = _termsel("--help")
     assert code == 0
     assert "plan" in out
+
+
+def _least_distance(image: FloatArray) -> float:
+    apart = np.linalg.norm(image[:, None] - image, axis=2)
+    return float(apart[np.triu_indices(len(image), 1)].min())
+
+
+def test_places_of_a_plan_keep_a_distance() -> None:
+    closest = []
+    for name, scene in SCENES.items():
+        result = termsel.run("rfm-terms", features=simulate_scene(name, n_points=30))
+        distance = APART * max(scene.image_size)
+        assert _least_distance(plan(result, 8).values[:, :2]) >= 0.99 * distance
+        grid = scene_grid(result.fit, GRID)[1]
+        order = rank_places(result.fit, grid, grid, 8, apart=0.0).order
+        closest.append(_least_distance(result.project(grid[order])) / distance)
+    assert min(closest) < 0.9  # what it would be without
+
+
+def test_of_candidates_that_are_close_together_one_is_proposed_first() -> None:
+    points = simulate_scene("ikonos-hamedan", n_points=40).points
+    fitted = _fit(points.take(np.arange(12)))
+    alone = points.ground[12:20]
+    best = rank_places(fitted, alone, points.ground, 3).order.tolist()
+    twins = np.repeat(alone, 2, axis=0) + np.tile([[0.0, 0, 0], [1e-5, 0, 0]], (8, 1))  # a metre
+    order = rank_places(fitted, twins, points.ground, 16).order
+    assert [number // 2 for number in order[:3]] == best
+    assert sorted(order.tolist()) == list(range(16))  # those that are close follow in the end

@@ -2,7 +2,8 @@
 
 A measurement at a place lessens the variance of what is predicted elsewhere by the square of
 their covariance, over the variance of the measurement. The place comes first after which the mean
-variance over the scene is least; the next is the best together with it, and so on.
+variance over the scene is least; the next is the best together with it, and so on. Places keep a
+distance, as errors of the model that its variances do not know are alike at neighbouring places.
 
 References
 ----------
@@ -21,6 +22,9 @@ from termsel.errors import TermselError
 from termsel.fits.fit import Fit
 from termsel.fits.uncertainty import Spread, believed_spread
 from termsel.measurements.features import FloatArray, IntArray
+
+APART = 0.2
+"""Least distance of two places in the image, as a share of its longer side."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +46,8 @@ class Ranking:
     now: float
 
 
-def rank_places(fitted: Fit, candidates: FloatArray, scene: FloatArray, count: int) -> Ranking:
+def rank_places(fitted: Fit, candidates: FloatArray, scene: FloatArray, count: int,
+                apart: float = APART) -> Ranking:
     """Return the best places to measure next.
 
     Parameters
@@ -55,6 +60,9 @@ def rank_places(fitted: Fit, candidates: FloatArray, scene: FloatArray, count: i
         Ground positions, spread over the scene, where the model is to be good.
     count : int
         How many places; at most as many as there are candidates.
+    apart : float
+        Least distance of two places in the image, as a share of its longer side. Where no
+        candidate is as far from all places before it, any may follow.
 
     Raises
     ------
@@ -74,12 +82,20 @@ def rank_places(fitted: Fit, candidates: FloatArray, scene: FloatArray, count: i
     at, there = both.factors[:len(candidates)], both.factors[len(candidates):]
     left = np.eye(at.shape[2])  # what measurements leave of the directions of doubt
     over = np.einsum("mad,mae->de", there, there) / len(there)
+    image, box = fitted.project(candidates), np.array(fitted.image_box())
+    distance = apart * float(np.ptp(box, axis=0).max())
+    free = np.ones(len(candidates), dtype=bool)
+    near = np.zeros(len(candidates), dtype=bool)
     chosen: list[int] = []
     after: list[float] = []
     for _ in range(min(count, len(candidates))):
         gains = _gains(at, left, over, both.noise)
-        gains[chosen] = -np.inf
+        gains[~free] = -np.inf
+        if (free & ~near).any():
+            gains[near] = -np.inf
         best = int(np.argmax(gains))
+        free[best] = False
+        near |= np.hypot(*(image - image[best]).T) < distance
         for axis in (0, 1):
             left = _measured(left, at[best, axis], both.noise[axis])
         chosen.append(best)
