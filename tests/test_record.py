@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import termsel
-from termsel.candidates.candidate import CANDIDATES, named
+from termsel.candidates.structures import CANDIDATES, named
 from termsel.errors import TermselError
 from termsel.fits.fit import Fit
 from termsel.io.result_folder import read_result, write_result
