@@ -145,6 +145,10 @@ def test_python_takes_objects_and_features() -> None:
     (SMALL.replace("seeds = 2", "splits = 3"), "line 4, column 1", "all splits are the same"),
     (SMALL.replace("seeds", 'strategies = ["auto"]\nseeds'), "line 3, column 1",
      "the strategy auto chooses the method itself"),
+    (SMALL.replace('"swap"', '{name = "ga-correlation", scale = 2.0}'), "line 3, column 48",
+     "requires preset=own"),
+    (SMALL.replace('"swap"', '{name = "ga-correlation", preset = "own"}'), "line 3, column 22",
+     "preset=own requires scale and offset"),
 ])
 def test_what_is_wrong_is_told_with_its_place(
         text: str, place: str, said: str, call: Call, tmp_path: Path) -> None:

@@ -30,6 +30,8 @@ class TermselError(Exception):
         named columns, its number.
     ids : iterable of str, optional
         The features concerned, from which a reader finds the line of its file.
+    name : str
+        Of the option, model, solver or other thing that it is about, as far as there is one.
 
     Attributes
     ----------
@@ -48,6 +50,7 @@ class TermselError(Exception):
         line: int | None = None,
         column: str | int | None = None,
         ids: Iterable[str] = (),
+        name: str = "",
     ) -> None:
         super().__init__(what)
         self.what = what
@@ -56,6 +59,7 @@ class TermselError(Exception):
         self.line = line
         self.column = column
         self.ids = tuple(ids)
+        self.name = name
 
     def __str__(self) -> str:
         """Return the message as it can be shown: printable, and long cells without their middle."""
@@ -140,7 +144,8 @@ def unknown_name(kind: str, name: str, known: Iterable[str], hint: str = "") -> 
     more = f" and {len(names) - MOST_NAMED} more" if len(names) > MOST_NAMED else ""
     listed = (f"Known: {', '.join(names[:MOST_NAMED])}{more}." if names
               else f"No {kind} is known here.")
-    return TermselError(f"unknown {kind} {name!r}", hint=f"{guess}{listed} {hint}".strip())
+    return TermselError(f"unknown {kind} {name!r}", hint=f"{guess}{listed} {hint}".strip(),
+                        name=name)
 
 
 def percent(share: float) -> str:

@@ -88,7 +88,7 @@ class Option:
         if value is None and self.default is None:
             return None
         wrong = TermselError(f"option {self.name!r} does not accept {value!r}",
-                             hint=f"Accepted: {self.accepts}.")
+                             hint=f"Accepted: {self.accepts}.", name=self.name)
         parsed: Any
         if self.type is bool:
             text = str(value).strip().lower()
@@ -164,10 +164,11 @@ def by_part(given: Mapping[str, Any],
             raise unknown_name("option", key, parts_of)
         if len(parts) > 1:
             raise TermselError(f"{' and '.join(parts)} each have an option {name!r}",
-                               hint=f"Write {' or '.join(f'{one}.{name}' for one in parts)}.")
+                               hint=f"Write {' or '.join(f'{one}.{name}' for one in parts)}.",
+                               name=name)
         if name in chosen[parts[0]]:
             raise TermselError(f"option {name!r} of the {parts[0]} is given twice",
-                               hint="Give it once.")
+                               hint="Give it once.", name=name)
         chosen[parts[0]][name] = value
     return chosen
 

@@ -43,11 +43,16 @@ def with_options(word: str, part: type[Configurable] | Configurable,
         If there are options for an instance.
     """
     if isinstance(part, type):
-        return part(**options)
+        try:
+            return part(**options)
+        except TermselError as error:
+            error.name = error.name or str(part.name)
+            raise
     if options:
         raise TermselError(f"option {next(iter(options))!r} is for the {word} {part.name!r}, which "
                            "has its options already",
-                           hint=f"Give them with the name or the class of the {word}.")
+                           hint=f"Give them with the name or the class of the {word}.",
+                           name=next(iter(options)))
     return part
 
 

@@ -85,7 +85,8 @@ class Pymoo(Solver):
         super().__init__(**options)
         if self.options["horizon"] and self.options["algorithm"] != "rvea":
             raise TermselError("option 'horizon' is for algorithm=rvea, and the algorithm is "
-                               f"{self.options['algorithm']}", hint="Leave it out.")
+                               f"{self.options['algorithm']}", hint="Leave it out.",
+                               name="horizon")
         one = self.options["algorithm"] in SINGLE
         # Which number of objectives an algorithm can handle its class does not tell.
         for word, several in (("min_objectives", 2), ("max_objectives", 8)):

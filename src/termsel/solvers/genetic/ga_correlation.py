@@ -141,7 +141,8 @@ class CorrelationSeededGA(GeneticAlgorithm):
                                hint="For example --set preset=own --set scale=1 --set offset=0.")
         if given and not own:
             raise TermselError(f"option {given[0]!r} requires preset=own, but the preset is "
-                               f"{self.options['preset']}", hint="Add --set preset=own.")
+                               f"{self.options['preset']}", hint="Add --set preset=own.",
+                               name=given[0])
 
     def toolbox(self, problem: Problem, rng: np.random.Generator) -> base.Toolbox:
         """Return the toolbox of the GA with another population."""

@@ -223,14 +223,13 @@ class _Kinds:
 
     def _at_fault(self, parts: Mapping[str, Part | None], error: TermselError) -> TermselError:
         """Return the error with the place of the part, or the option, that it is about."""
-        said = error.what.split("'")[1] if "'" in error.what else ""
         for word, part in parts.items():
-            key = said.removeprefix(f"{word}.")
-            if part is not None and (said == part.name or key in part.options):
+            key = error.name.removeprefix(f"{word}.")
+            if part is not None and (error.name == part.name or key in part.options):
                 path = (*part.path, key) if key in part.options else part.path
                 return self._spec.places.error(path, error.what, error.hint)
-        if said in self._spec.options:
-            return self._spec.places.error(("options", said), error.what, error.hint)
+        if error.name in self._spec.options:
+            return self._spec.places.error(("options", error.name), error.what, error.hint)
         problem = parts["problem"]
         return self._spec.places.error(problem.path if problem else (), error.what, error.hint)
 
