@@ -95,12 +95,7 @@ def printable(text: str, kept: str = "\n\t") -> str:
 
 
 def is_printable(text: str) -> bool:
-    """Return True for text without control characters, line breaks and what `printable` replaces.
-
-    Parameters
-    ----------
-    text : str
-    """
+    """Return True for text without line breaks and what `printable` replaces."""
     return text.isprintable() or all(
         one.isprintable() or one in _KEPT or unicodedata.category(one) in _SHOWN for one in text)
 
@@ -149,12 +144,7 @@ def unknown_name(kind: str, name: str, known: Iterable[str], hint: str = "") -> 
 
 
 def percent(share: float) -> str:
-    """Return a share in per cent: two decimals, or two digits where these would show nothing.
-
-    Parameters
-    ----------
-    share : float
-    """
+    """Return a share in per cent: two decimals, or two digits where these would show nothing."""
     return f"{100 * share:.2f} %" if share >= 1e-3 else f"{100 * share:.2g} %"
 
 

@@ -17,10 +17,6 @@ def one_blas_thread(function: Callable[P, R]) -> Callable[P, R]:
 
     Matrices are small here. More threads wait for each other in busy loops: that gains nothing,
     and on a busy machine it takes several times the processor time.
-
-    Parameters
-    ----------
-    function : callable
     """
     @wraps(function)
     def alone(*args: P.args, **kwargs: P.kwargs) -> R:

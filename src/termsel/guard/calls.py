@@ -46,20 +46,20 @@ class Guarded:
         super().__init_subclass__(**options)
         if package_of(cls) == OWN:
             return
-        guards = dict.fromkeys((name for name, found in vars(cls).items()
-                                if isinstance(found, property) and _is_own(cls, name)))
+        guards = dict.fromkeys((name for name, value in vars(cls).items()
+                                if isinstance(value, property) and _is_own(cls, name)))
         for name, check in {**guards, **_guards(cls)}.items():
-            found = cls.__dict__.get(name)
-            if isinstance(found, property) and found.fget is not None:
-                setattr(cls, name, property(_guarded(name, found.fget, check), found.fset,
-                                            found.fdel, found.__doc__))
-            elif isinstance(found, cached_property):
-                cached = cached_property(_guarded(name, found.func, check))
+            method = cls.__dict__.get(name)
+            if isinstance(method, property) and method.fget is not None:
+                setattr(cls, name, property(_guarded(name, method.fget, check), method.fset,
+                                            method.fdel, method.__doc__))
+            elif isinstance(method, cached_property):
+                cached = cached_property(_guarded(name, method.func, check))
                 cached.__set_name__(cls, name)
                 setattr(cls, name, cached)
-            elif callable(found) and not isinstance(found, type):
+            elif callable(method) and not isinstance(method, type):
                 wrapped = _iterated if name == "generations" else _guarded
-                setattr(cls, name, wrapped(name, found, check))
+                setattr(cls, name, wrapped(name, method, check))
 
 
 def _is_own(cls: type, name: str) -> bool:
@@ -81,12 +81,12 @@ def _plain(thing: Any) -> bool:
 
 def _guarded(name: str, function: Callable[..., Any], check: Check | None) -> Callable[..., Any]:
     @wraps(function)
-    def call(self: Any, *args: Any, **given: Any) -> Any:
+    def call(self: Any, *args: Any, **options: Any) -> Any:
         if _plain(self):
-            return function(self, *args, **given)
+            return function(self, *args, **options)
         with blamed(self, name):
-            value = function(self, *args, **given)
-        what = check(self, value, *args, **given) if check is not None else None
+            value = function(self, *args, **options)
+        what = check(self, value, *args, **options) if check is not None else None
         if what is not None:
             raise wrong(self, name, what)
         return value
@@ -97,15 +97,15 @@ def _guarded(name: str, function: Callable[..., Any], check: Check | None) -> Ca
 def _iterated(name: str, function: Callable[..., Any], check: Check | None) -> Callable[..., Any]:
     """Return the guard of a method that returns an iterator, each step of which is guarded."""
     @wraps(function)
-    def call(self: Any, *args: Any, **given: Any) -> Iterator[Any]:
+    def call(self: Any, *args: Any, **options: Any) -> Iterator[Any]:
         if _plain(self):
-            found: Iterator[Any] = function(self, *args, **given)
-            return found
-        return steps(self, *args, **given)
+            unguarded_steps: Iterator[Any] = function(self, *args, **options)
+            return unguarded_steps
+        return steps(self, *args, **options)
 
-    def steps(self: Any, *args: Any, **given: Any) -> Iterator[Any]:
+    def steps(self: Any, *args: Any, **options: Any) -> Iterator[Any]:
         with blamed(self, name):
-            iterator = iter(function(self, *args, **given))
+            iterator = iter(function(self, *args, **options))
         try:
             while True:
                 with blamed(self, name):
@@ -113,7 +113,7 @@ def _iterated(name: str, function: Callable[..., Any], check: Check | None) -> C
                         value = next(iterator)
                     except StopIteration:
                         return
-                what = check(self, value, *args, **given) if check is not None else None
+                what = check(self, value, *args, **options) if check is not None else None
                 if what is not None:
                     raise wrong(self, name, what)
                 yield value

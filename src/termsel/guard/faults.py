@@ -27,7 +27,7 @@ class PluginFault(TermselError):
     """Code of a plugin failed, or returned what it must not; the command ends with exit code 2."""
 
 
-def told(package: str, distribution: str) -> None:
+def remember(package: str, distribution: str) -> None:
     """Remember the distribution and version that a top-level module comes with.
 
     Parameters
@@ -149,21 +149,22 @@ def failed(error: BaseException, what: str, package: str, hint: str = HINT) -> P
 
 def _raised(trace: TracebackType | None, package: str) -> tuple[str | None, int | None]:
     """Return the innermost line of the package's code in a traceback."""
-    found: tuple[str | None, int | None] = (None, None)
+    place: tuple[str | None, int | None] = (None, None)
     while trace is not None:
         module = str(trace.tb_frame.f_globals.get("__name__", ""))
         if module.partition(".")[0] == package:
-            found = trace.tb_frame.f_code.co_filename, trace.tb_lineno
+            place = trace.tb_frame.f_code.co_filename, trace.tb_lineno
         trace = trace.tb_next
-    return found
+    return place
 
 
 def _defined(thing: Any, method: str) -> tuple[str | None, int | None]:
     """Return where a method is defined."""
-    found = getattr(thing if isinstance(thing, type) else type(thing), method, thing)
-    found = getattr(found, "fget", None) or getattr(found, "func", found)
-    code = getattr(inspect.unwrap(found), "__code__", None)
+    function = getattr(thing if isinstance(thing, type) else type(thing), method, thing)
+    # Of a property its getter, of a cached one its function.
+    function = getattr(function, "fget", None) or getattr(function, "func", function)
+    code = getattr(inspect.unwrap(function), "__code__", None)
     if code is None:
-        module = sys.modules.get(str(getattr(found, "__module__", "")))
+        module = sys.modules.get(str(getattr(function, "__module__", "")))
         return getattr(module, "__file__", None), None
     return code.co_filename, code.co_firstlineno

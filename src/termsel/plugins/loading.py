@@ -18,7 +18,7 @@ from typing import Any, TypeVar
 import pluggy
 
 from termsel.errors import unknown_name
-from termsel.guard.faults import OWN, distribution_of, told
+from termsel.guard.faults import OWN, distribution_of, remember
 from termsel.guard.inside import Inside, Surroundings, TooSlow, within
 from termsel.plugins import builtin, hookspecs
 from termsel.plugins.hookspecs import PROJECT
@@ -212,12 +212,7 @@ class Loader:
             self._load(slot)
 
     def slots_of(self, hook: str) -> list[Slot]:
-        """Return the plugins that implement a hook, the built-in one first; import no others.
-
-        Parameters
-        ----------
-        hook : str
-        """
+        """Return the plugins that implement a hook, the built-in one first; import no others."""
         for slot in self.slots:
             if slot.may_have(hook):
                 self._load(slot)
@@ -255,7 +250,7 @@ class Loader:
             return
         slot.loaded = True
         plugin, manager = slot.plugin, new_manager()
-        told(slot.package, f"{plugin.distribution} {plugin.version}".strip())
+        remember(slot.package, f"{plugin.distribution} {plugin.version}".strip())
         module, reason = slot.attempt(slot.load)
         if reason is not None:
             self.failures.append(plugin.remark(f"cannot be imported: {reason}"))
@@ -264,16 +259,16 @@ class Loader:
         if reason is not None:
             self.failures.append(plugin.remark(f"does not fit the hooks: {reason}"))
             return
-        found = {caller.name: implementation
+        hooks = {caller.name: implementation
                  for caller in manager.get_hookcallers(module) or ()
                  for implementation in caller.get_hookimpls()}
-        if not found:
+        if not hooks:
             self.failures.append(plugin.remark(
                 "no hooks; its functions need the decorator termsel.hookimpl"))
         # Its other hooks count: it may be written for a later termsel that has more of them.
-        for hook in sorted(found.keys() - set(HOOKS)):
+        for hook in sorted(hooks.keys() - set(HOOKS)):
             self.failures.append(plugin.remark(str(unknown_name("hook", hook, HOOKS))))
-        slot.hooks = {hook: found[hook] for hook in sorted(found.keys() & set(HOOKS))}
+        slot.hooks = {hook: hooks[hook] for hook in sorted(hooks.keys() & set(HOOKS))}
         slot.plugin = replace(plugin, hooks=tuple(slot.hooks))
 
 
@@ -289,10 +284,6 @@ def hooks_in_source(point: EntryPoint) -> Callable[[str], bool]:
 
     A hook can only be left out where the source of the module is there, names another hook, and
     takes no names from elsewhere by ``*``.
-
-    Parameters
-    ----------
-    point : importlib.metadata.EntryPoint
     """
     @cache
     def source() -> str:

@@ -176,7 +176,8 @@ class Registry:
         try:
             KINDS[kind].made(given)
         except TypeError as error:
-            raise TermselError(f"{given!r} is no {KINDS[kind].word}: {_given(error)}",
+            why = str(error).removeprefix("returned ")  # as is said of what a hook returns
+            raise TermselError(f"{given!r} is no {KINDS[kind].word}: {why}",
                                hint=f"Give a name (termsel list {kind}), or what a plugin would "
                                     "return.") from error
         return given
@@ -296,15 +297,15 @@ class Registry:
             owners = dict.fromkeys(COMMANDS, PROJECT) if kind == "commands" else {}
             # Whoever is called first, a built-in thing keeps its name.
             owners |= {entry.name: PROJECT for _, entry in entries if entry.provided_by == PROJECT}
-            found = Provided()
+            provided = Provided()
             for plugin, entry in entries:
-                clash = _add(found.entries, entry, kind, owners)
+                clash = _add(provided.entries, entry, kind, owners)
                 if clash is not None:
                     faults.append((plugin, clash))
                 if entry.note:
-                    found.notes.append(plugin.remark(f"{hook}: {entry.note}"))
-            found.failures.extend(plugin.remark(f"{hook}: {fault}") for plugin, fault in faults)
-            self._provided[kind] = found
+                    provided.notes.append(plugin.remark(f"{hook}: {entry.note}"))
+            provided.failures.extend(plugin.remark(f"{hook}: {fault}") for plugin, fault in faults)
+            self._provided[kind] = provided
         return self._provided[kind]
 
     def _things(self, kind: str) -> Offered:
@@ -355,9 +356,6 @@ def _nothing(_value: Any) -> list[Any]:
     return []
 
 
-def _given(error: TypeError) -> str:
-    """Return what is wrong with a thing, whoever gave it."""
-    return str(error).removeprefix("returned ")
 
 
 def _entry(kind: str, plugin: Plugin, thing: Any) -> Entry:

@@ -111,10 +111,6 @@ class ParameterProblem(Problem):
 def segment_of(option: Option) -> Categories | Integers | Reals:
     """Return a segment for the values of an option; its name and that of its gene are the option's.
 
-    Parameters
-    ----------
-    option : Option
-
     Raises
     ------
     TermselError

@@ -17,7 +17,20 @@ Genes = NDArray[Any]
 
 
 @dataclass(frozen=True)
-class Bits:
+class _Named:
+    """A segment with a gene for each label."""
+
+    name: str
+    labels: tuple[str, ...]
+
+    @property
+    def size(self) -> int:
+        """Number of genes."""
+        return len(self.labels)
+
+
+@dataclass(frozen=True)
+class Bits(_Named):
     """Genes that are on or off.
 
     Parameters
@@ -30,17 +43,10 @@ class Bits:
         How many genes may be on; all of them where maximum is None.
     """
 
-    name: str
-    labels: tuple[str, ...]
     minimum: int = 0
     maximum: int | None = None
 
     dtype: ClassVar[type] = np.bool_
-
-    @property
-    def size(self) -> int:
-        """Number of genes."""
-        return len(self.labels)
 
     @property
     def most(self) -> int:
@@ -70,7 +76,7 @@ class Bits:
 
 
 @dataclass(frozen=True)
-class Integers:
+class Integers(_Named):
     """Genes that are whole numbers.
 
     Parameters
@@ -87,8 +93,6 @@ class Integers:
         For bounds that are not in order, or not one for each gene.
     """
 
-    name: str
-    labels: tuple[str, ...]
     low: Any
     high: Any
 
@@ -96,11 +100,6 @@ class Integers:
 
     def __post_init__(self) -> None:
         _spread_bounds(self, int)
-
-    @property
-    def size(self) -> int:
-        """Number of genes."""
-        return len(self.labels)
 
     def random(self, rng: np.random.Generator, n: int) -> Genes:
         """Return uniform values, shape (n, size)."""
@@ -120,7 +119,7 @@ class Integers:
 
 
 @dataclass(frozen=True)
-class Reals:
+class Reals(_Named):
     """Genes that are real numbers.
 
     Parameters
@@ -137,8 +136,6 @@ class Reals:
         For bounds that are not finite, not in order, or not one for each gene.
     """
 
-    name: str
-    labels: tuple[str, ...]
     low: Any
     high: Any
 
@@ -146,11 +143,6 @@ class Reals:
 
     def __post_init__(self) -> None:
         _spread_bounds(self, float)
-
-    @property
-    def size(self) -> int:
-        """Number of genes."""
-        return len(self.labels)
 
     def random(self, rng: np.random.Generator, n: int) -> FloatArray:
         """Return uniform values, shape (n, size)."""
@@ -170,7 +162,7 @@ class Reals:
 
 
 @dataclass(frozen=True)
-class Categories:
+class Categories(_Named):
     """Genes that each take one of several values without an order.
 
     Parameters
@@ -182,8 +174,6 @@ class Categories:
         The values; a gene is the index of one.
     """
 
-    name: str
-    labels: tuple[str, ...]
     choices: tuple[Any, ...]
 
     dtype: ClassVar[type] = np.intp
@@ -193,11 +183,6 @@ class Categories:
         object.__setattr__(self, "choices", tuple(self.choices))
         if not self.choices:
             raise TermselError(f"segment {self.name!r} has no choices")
-
-    @property
-    def size(self) -> int:
-        """Number of genes."""
-        return len(self.labels)
 
     def random(self, rng: np.random.Generator, n: int) -> Genes:
         """Return uniform choices, shape (n, size)."""
@@ -219,7 +204,7 @@ class Categories:
 
 
 @dataclass(frozen=True)
-class Permutation:
+class Permutation(_Named):
     """An order of things: every number from 0 to n - 1 once.
 
     Parameters
@@ -229,15 +214,7 @@ class Permutation:
         The n things.
     """
 
-    name: str
-    labels: tuple[str, ...]
-
     dtype: ClassVar[type] = np.intp
-
-    @property
-    def size(self) -> int:
-        """Number of genes, n."""
-        return len(self.labels)
 
     def random(self, rng: np.random.Generator, n: int) -> Genes:
         """Return random orders, shape (n, size)."""
@@ -258,7 +235,7 @@ class Permutation:
 
 
 @dataclass(frozen=True)
-class Subset:
+class Subset(_Named):
     """m of n things: m different numbers below n, ascending.
 
     Parameters
@@ -275,8 +252,6 @@ class Subset:
         If m is not from 0 to n.
     """
 
-    name: str
-    labels: tuple[str, ...]
     m: int
 
     dtype: ClassVar[type] = np.intp

@@ -16,13 +16,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Typed:
-    """A command and the words that are typed after it.
-
-    Parameters
-    ----------
-    command : click.Command
-    words : tuple of str
-    """
+    """A command and the words that are typed after it."""
 
     command: click.Command
     words: tuple[str, ...]

@@ -35,12 +35,7 @@ print("\\n", [name for name in before if before[name] != after[name]], seconds, 
 
 @dataclass(frozen=True)
 class Installed:
-    """A distribution with plugins.
-
-    Parameters
-    ----------
-    name : str
-    """
+    """A distribution with plugins."""
 
     name: str
 

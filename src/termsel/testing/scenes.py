@@ -33,11 +33,6 @@ def flattened(ground: FloatArray) -> FloatArray:
 def random_coefficients(model: SensorModel, rng: np.random.Generator) -> FloatArray:
     """Return coefficients that give a model a finite image within [-1, 1], without poles.
 
-    Parameters
-    ----------
-    model : SensorModel
-    rng : numpy.random.Generator
-
     Returns
     -------
     ndarray, shape (k,)

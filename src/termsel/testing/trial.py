@@ -23,12 +23,7 @@ FEW = 4
 
 
 class Counted(Problem):
-    """A problem with the number of genes that are on as its last objective.
-
-    Parameters
-    ----------
-    inner : Problem
-    """
+    """A problem with the number of genes that are on as its last objective."""
 
     def __init__(self, inner: Problem) -> None:
         self.inner = inner
