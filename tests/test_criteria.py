@@ -509,6 +509,10 @@ def test_robust_criteria_are_rmse_for_normal_errors() -> None:
     rmse = np.sqrt((Errors.check_errors**2).sum(axis=2).mean(axis=1))
     np.testing.assert_allclose(Median().score(Errors), rmse, rtol=0.01)
     np.testing.assert_allclose(Huber().score(Errors), rmse, rtol=0.06)
+    distances = np.hypot(*np.moveaxis(Errors.check_errors, -1, 0))
+    for threshold in (0.5, 3.0):
+        np.testing.assert_allclose(Huber(threshold=threshold).score(Errors), figure(
+            distances, np.ones_like(distances), "huber", threshold))
 
 
 @pytest.mark.parametrize("loss", ["squares", "huber", "median"])

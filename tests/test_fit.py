@@ -10,7 +10,9 @@ import numpy as np
 import pytest
 
 import termsel
+from termsel.adjustment.solve import solve
 from termsel.candidates.structures import CANDIDATES
+from termsel.fits.least_squares import LeastSquares
 from termsel.fits.least_squares import fit as low_level
 from termsel.fits.residuals import Residuals
 from termsel.measurements.features import FeatureSet, Lines, Points, no_lines, no_points
@@ -148,6 +150,24 @@ def test_leave_one_out_of_lines(name: str, options: dict, near: float) -> None:
     assert fitted.leave_one_out_rmse().n == 24
 
 
+def test_leave_one_out_of_an_iterated_fit_is_to_first_order_about_its_solution() -> None:
+    iterated = termsel.fit(lines_of(), "rfm", order=1)
+    plain = replace(iterated, estimator=LeastSquares(iterated=False))
+    expected = by_refits(iterated)
+    near, far = (np.abs(table(one.leave_one_out) - expected).max() for one in (iterated, plain))
+    assert near < 0.5 * far
+
+
+def test_without_iteration_the_equations_are_solved_once() -> None:
+    features = lines_of()
+    once, again = (low_level(RationalFunctions(order=1), features, scaling_of(features),
+                             iterated=iterated) for iterated in (False, True))
+    model = once.model
+    solved = solve(model.equations(once.scaled_control), once.terms, once.used)
+    np.testing.assert_array_equal(once.adjustment.coefficients, solved.coefficients)
+    assert (once.adjustment.coefficients != again.adjustment.coefficients).any()
+
+
 @pytest.mark.skipif("multiquadric" not in registry().names("models"),
                     reason="needs termsel-hybrids")
 @pytest.mark.parametrize("name", ["multiquadric", "hybrid-1"])
@@ -209,6 +229,18 @@ def test_lines_and_points_are_control_together() -> None:
     fitted = termsel.fit(both, "affine")
     assert len(fitted.residuals) == 10 + 24
     assert fitted.used.sum() == 22
+    used = ~np.isin(fitted.control.ids, ["P3", "L7"])
+    some = low_level(fitted.model, both, fitted.scaling, used=used)
+    assert [(one.id, one.kind) for one in some.residuals if not one.used] == [
+        ("P3", "point"), ("L7", "vertex 1"), ("L7", "vertex 2")]
+
+
+def test_vertices_of_further_pieces_of_a_line_have_further_numbers() -> None:
+    lines = lines_of(12).lines
+    pieces = replace(lines, ids=("A", "B", "A", *(f"L{i}" for i in range(8)), "A"))
+    fitted = termsel.fit(FeatureSet(no_points(), pieces), "affine")
+    assert [one.kind for one in fitted.residuals if one.id == "A"] == [
+        f"vertex {number}" for number in range(1, 7)]
 
 
 @pytest.mark.parametrize("make", [

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import json
 import re
 import shlex
@@ -21,6 +22,7 @@ from scipy.stats import chi2
 import termsel
 from termsel.cli import plot
 from termsel.cli.main import cli
+from termsel.files.thumbnail import thumbnail
 from termsel.fits.accuracy import rmse_interval
 from termsel.record.base import plain
 from termsel.report.plots import KINDS
@@ -450,3 +452,18 @@ def test_the_image_lies_below_the_residuals(searched: Path, call: Call, tmp_path
     assert not page.exists()
     assert call("report", searched, "-o", page, "--image", tmp_path / "right.tif").exit_code == 0
     assert "data:image/jpeg;base64," in page.read_text()
+
+
+@pytest.mark.parametrize(("size", "shown"), [((400, 3000), (133, 1000)), ((50, 60), (50, 60))])
+def test_an_image_is_reduced_to_a_thousand_pixels(size: tuple[int, int], shown: tuple[int, int],
+                                                  tmp_path: Path) -> None:
+    rasterio = pytest.importorskip("rasterio")
+    with rasterio.open(tmp_path / "a.tif", "w", driver="GTiff", height=size[0], width=size[1],
+                       count=1, dtype="uint16") as image:
+        image.write(np.linspace(0, 60_000, size[0] * size[1]).reshape(size), 1)
+    text, own = thumbnail(tmp_path / "a.tif")
+    assert own == size
+    content = base64.b64decode(text.partition(",")[2])
+    with rasterio.MemoryFile(content) as file, file.open() as jpeg:
+        assert jpeg.shape == shown
+        assert jpeg.read(1).min() < 120 < 240 < jpeg.read(1).max()
