@@ -101,7 +101,7 @@ def test_plugin_of_the_readme_is_a_plugin(tmp_path: Path) -> None:
     done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True,
                           text=True, check=False)
     assert done.returncode == 0, done.stderr
-    assert "owdis-lines: model dlt-demo" in done.stdout
+    assert "Model dlt-demo, solver ga" in done.stdout
     assert "all 11 terms" in done.stdout or "11 of 11 terms" in done.stdout
 
 

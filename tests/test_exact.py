@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 import termsel
-import termsel.report.text
 from termsel.criteria import CheckRmse, Fits
 from termsel.enumeration import descents as subset_descents
 from termsel.enumeration import subsets
@@ -205,7 +204,7 @@ def test_an_interrupted_proof_proves_nothing_but_has_the_best_so_far() -> None:
     assert plain(result.certificate) == found.certificate
     assert not result.front
     assert not all(one["optimal"] for one in result.by_size)
-    assert re.search(r"^Front: .* best of its size$", result.summary(), re.MULTILINE)
+    assert re.search(r"^Front\n.* best of its size$", result.summary(), re.MULTILINE)
 
 
 def test_a_heuristic_states_its_gap() -> None:

@@ -10,7 +10,6 @@ from pymoo.algorithms.moo.age2 import AGEMOEA2Survival
 from scipy.spatial import ConvexHull, QhullError
 
 import termsel
-import termsel.report.text
 from termsel.adjustment.parts import independent_parts
 from termsel.measurements.features import FeatureSet, Points
 from termsel.problems.coverage import hull_areas, uncovered_share

@@ -19,10 +19,10 @@ import numpy as np
 import pytest
 
 import termsel
-from termsel.report import view
 from termsel.report.plots import KINDS, chart
 from termsel.report.small import small_map
 from termsel.report.theme import styled
+from termsel.results import shown
 from termsel.studies.plan.spec import spec_of
 from termsel.studies.shown import figures
 from termsel.studies.shown.figures import figures_of
@@ -32,7 +32,7 @@ pytest.importorskip("altair")
 vl_convert = pytest.importorskip("vl_convert")
 
 REFERENCES = Path(__file__).parent / "pictures"
-SMALLER = ((view, "SIGMA_SIDE", 6), (figures, "_MOST_PANELS", 2))
+SMALLER = ((shown, "SIGMA_SIDE", 6), (figures, "_MOST_PANELS", 2))
 """What keeps the references small: fewer cells of the map, fewer panels."""
 TOLERANCE = 2.0
 """Pixels of the picture by which places may differ."""

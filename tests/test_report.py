@@ -26,7 +26,7 @@ from termsel.files.thumbnail import thumbnail
 from termsel.fits.accuracy import rmse_interval
 from termsel.record.base import plain
 from termsel.report.plots import KINDS
-from termsel.report.repeat import command, not_by_command
+from termsel.results.repeat import command, not_by_command
 
 altair = pytest.importorskip("altair")
 pytest.importorskip("vl_convert")
@@ -152,11 +152,11 @@ def test_every_chart_is_one_altair_chart_that_says_what_to_look_for(
 def test_the_bands_of_empires_are_their_countries(empires: termsel.Result) -> None:
     shown = max(rows_of(empires.plot.empires()).values(), key=len)
     history = empires.history
-    assert len(shown) == sum(len(one["empires"]) for one in history)
+    assert len(shown) == sum(len(one.empires) for one in history)
     for one in history:
-        assert sum(one["empires"]) == 40
+        assert sum(one.empires) == 40
         assert [row["countries"] for row in shown
-                if row["evaluations"] == one["evaluations"]] == one["empires"]
+                if row["evaluations"] == one.evaluations] == list(one.empires)
 
 
 def test_the_empires_in_the_history_are_those_of_the_search() -> None:
@@ -169,7 +169,7 @@ def test_the_empires_in_the_history_are_those_of_the_search() -> None:
 
     result = termsel.run("poly-terms", solver="ica", evaluations=900, observers=[look],
                          options={"population": 12, "imperialists": 0.25, "contested": 3})
-    assert [one["empires"] for one in result.history] == seen
+    assert [list(one.empires) for one in result.history] == seen
     assert 0 in seen[-1]  # one has vanished, and keeps its place
 
 
@@ -249,10 +249,12 @@ def test_baselines_show_the_record(chosen: termsel.Result) -> None:
 
 
 def test_blunders_stand_first_and_are_marked(lines: Path) -> None:
-    view = termsel.read_result(lines).view
-    assert view.blunders
-    assert {row["id"] for row in view.worst[:len(view.blunders)]} == set(view.blunders)
-    assert all(row["blunder"] for row in view.worst[:len(view.blunders)])
+    result = termsel.read_result(lines)
+    blunders = {one.id for one in result.outliers}
+    assert blunders
+    worst = result.view.worst[:len(blunders)]
+    assert {row["id"] for row in worst} == blunders
+    assert all(row["blunder"] for row in worst)
 
 
 def test_blunders_that_auto_leaves_out_are_shown() -> None:
@@ -395,7 +397,7 @@ def test_the_command_repeats_the_run(call: Call, request: pytest.FixtureRequest,
     folder = request.getfixturevalue(fixture)
     monkeypatch.chdir(folder)
     record = json.loads((folder / "result.json").read_text())
-    words = shlex.split(command(record).replace("\\\n", " "))
+    words = shlex.split(command(termsel.read_result(folder).record).replace("\\\n", " "))
     assert call(*words[1:], "--quiet", "--out", tmp_path / "again").exit_code == 0
     again = json.loads((tmp_path / "again" / "result.json").read_text())
     for key in ("terms", "features"):
@@ -413,8 +415,8 @@ def test_budgets_are_in_the_record_and_the_command(tmp_path: Path) -> None:
     assert plain(result.budget) == {"generations": 7, "seconds": 95.0, "patience": 30}
     record = json.loads((tmp_path / "r" / "result.json").read_text())
     assert record["budget"] == plain(result.budget)
-    assert "--generations 7 " in command(record)
-    assert command(record).replace("\\\n", " ").split()[-6:] == [
+    assert "--generations 7 " in command(result.record)
+    assert command(result.record).replace("\\\n", " ").split()[-6:] == [
         "--generations", "7", "--seconds", "95", "--patience", "30"]
     result.report(tmp_path / "page.html")
     assert "so the result depends on the machine" in (tmp_path / "page.html").read_text()
@@ -435,7 +437,7 @@ def test_what_no_command_repeats_is_said(tmp_path: Path) -> None:
     assert "termsel run \\" not in text
     task = termsel.prepare("poly-terms")
     genes = task.problem.genome.random(np.random.default_rng(1), 1)[0]
-    assert "genes were given" in not_by_command(termsel.assess(task, genes).to_dict())
+    assert "genes were given" in not_by_command(termsel.assess(task, genes).record)
 
 
 def test_the_image_lies_below_the_residuals(searched: Path, call: Call, tmp_path: Path) -> None:

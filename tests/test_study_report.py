@@ -15,7 +15,8 @@ import numpy as np
 import pytest
 
 import termsel
-from termsel.report.page import Section, Table, page
+from termsel.report.blocks import Document, Section, TableBlock
+from termsel.report.page import page
 from termsel.report.small import MOST, small_map
 from termsel.studies.shown.outputs import write_outputs
 
@@ -185,8 +186,9 @@ def test_the_page_of_two_hundred_images_is_small() -> None:
                                  options={"degree": 1}).view)
     assert many.count("M") <= 3 * MOST + 1
     drawn = [many] * 200
-    text = page("Study", "", [Section("Images", (Table(
-        "200 images", ("image",), [(f"image {i}",) for i in range(200)], pictures=drawn),))])
+    table = TableBlock("200 images", ("image",), [(f"image {i}",) for i in range(200)],
+                       pictures=drawn)
+    text = page(Document("Study", "", (), (Section("Images", (table,)),)))
     assert len(text) < 3.5e6
 
 

@@ -6,8 +6,12 @@ from collections.abc import Mapping
 from typing import Any
 
 import pytest
+from msgspec import convert
 
-from termsel.report.text import summary
+from termsel.io.earlier import completed
+from termsel.record.record import Record
+from termsel.report.answers import document
+from termsel.report.text import text_of
 
 
 def rmse(total: float | None, n: int = 10) -> dict[str, Any]:
@@ -29,10 +33,20 @@ def record(**changed: Any) -> dict[str, Any]:
     """A record of a search, as result.json holds it, with some parts other."""
     plain: dict[str, Any] = {
         "problem": "rfm-terms", "model": "poly3d", "solver": "ga", "criterion": "press", "seed": 4,
-        "options": {"problem": {}},
+        "options": {**{key: {} for key in ("data", "model", "solver", "criterion", "search")},
+                    "problem": {}},
+        "schema": "termsel-result-1", "feasible": True, "predicted": None, "accuracy": None,
+        "final": None, "exported": "selection", "hit_rate": 0.0, "history": [], "budget": {},
+        "interrupted": False, "coefficients": {}, "standard_deviations": {}, "plugins": {},
+        "scaling": {f"{name}_{kind}": 1 for name in ("line", "sample", "x", "y", "z")
+                    for kind in ("offset", "scale")},
+        "fit": {"estimator": "least-squares", "options": {}, "effective": None, "held_out": None,
+                "features": None},
         "data": {"source": "points.csv", "crs": "EPSG:4979", "fit_crs": "EPSG:4979",
                  "heights": "EGM96",
-                 "counts": {"control": 24, "lines": 0, "check": 12, "independent": 9}},
+                 "sha256": "0" * 64, "noise": None, "image_size": None,
+                 "roles": {key: [] for key in ("control", "check", "independent", "off")},
+                 "counts": {"control": 24, "lines": 0, "check": 12, "independent": 9, "off": 0}},
         "selection": {"terms": ["line:1", "line:X"], "features": ["A", "B"], "n_terms": 2,
                       "n_features": 2},
         "offered": {"n_terms": 2, "n_features": 2},
@@ -40,8 +54,11 @@ def record(**changed: Any) -> dict[str, Any]:
         "baselines": [baseline("all-terms", 20, roles(0.5, 5.0, 6.0), fitted_to=("control",))],
         "judgement": "It is good.", "notes": [], "front": [], "certificate": None,
         "strategy": None, "evaluations": 500, "lookups": 30, "generations": 7, "seconds": 1.25,
-        "polish": None, "adjustment": {"redundancy": 46}, "objectives": {"press": 1.0},
-        "significance": {}, "correlations": [], "doubts": None}
+        "polish": None, "adjustment": {
+            "equations": 48, "terms": 2, "redundancy": 46, "rank": 2, "condition": None,
+            "sigma0": None, "orientation_spread": None}, "objectives": {"press": 1.0},
+        "significance": {}, "correlations": [], "doubts": None, "outliers": [],
+        "versions": {"termsel": "9.9"}}
     return {**plain, **changed}
 
 
@@ -53,8 +70,12 @@ def counts(**changed: int) -> dict[str, Any]:
     return data(counts={**record()["data"]["counts"], **changed})
 
 
+def share(most: float) -> dict[str, Any]:
+    return {"options": {**record()["options"], "problem": {"max_share": most}}}
+
+
 def page(**changed: Any) -> list[str]:
-    return summary(record(**changed)).splitlines()
+    return text_of(document(convert(record(**changed), Record))).splitlines()
 
 
 def added(**changed: Any) -> list[str]:
@@ -65,18 +86,30 @@ def added(**changed: Any) -> list[str]:
 
 def test_the_page_of_an_ordinary_search() -> None:
     assert page() == [
-        "rfm-terms: model poly3d, solver ga, criterion press, seed 4",
-        "Data: points.csv",
+        "points.csv: rfm-terms",
+        "Model poly3d, solver ga, criterion press, seed 4; termsel 9.9",
         "Control: 24 points; 12 check points; 9 independent points",
-        "Selected: all 2 control features, all 2 terms; redundancy 46",
-        "Search: 500 evaluations (30 looked up), 7 generations, 1.2 s",
         "",
-        "RMSE [px]                terms     control       check   independent",
-        "selection                    2       1.000       2.000         3.000",
-        "conventional (all)          20       0.500       5.000         6.000",
+        "How accurate is it?",
+        "The accuracy is not known: there are no independent points. Give some points the role",
+        "independent.",
+        "",
+        "Is it better than plain structures?",
+        "It is good.",
+        "",
+        "RMSE [px], with 90 % intervals",
+        "fit          terms  control  check  independent        interval",
+        "this result      2    1.000  2.000        3.000  2.394 to 4.073",
+        "all terms       20    0.500  5.000        6.000  4.788 to 8.146",
+        "",
         "the search minimised press; independent = the accuracy",
         "",
-        "It is good."]
+        "Which points or lines are bad?",
+        "No feature is a probable blunder.",
+        "",
+        "What was selected, and why?",
+        "Selected: all 2 control features, all 2 terms; redundancy 46",
+        "Search: 500 evaluations (30 looked up), 7 generations, 1.2 s"]
 
 
 @pytest.mark.parametrize(("changed", "lines"), [
@@ -91,14 +124,14 @@ def test_the_page_of_an_ordinary_search() -> None:
     ({"evaluations": 1, "lookups": 0, "generations": 1}, [
         "Search: 1 evaluation (0 looked up), 1 generation, 1.2 s"]),
     ({"criterion": "check-rmse"}, [
-        "rfm-terms: model poly3d, solver ga, criterion check-rmse, seed 4",
+        "Model poly3d, solver ga, criterion check-rmse, seed 4; termsel 9.9",
         "check = the fitness, which the search minimised; independent = the accuracy"]),
-    ({"options": {"problem": {"max_share": 1.0}}}, []),
-    ({"options": {"problem": {"max_share": 0.67}}}, [
+    (share(1.0), []),
+    (share(0.67), [
         "Terms are 67 % of their equations at most; --set max_share=1 lifts this"]),
-    ({"polish": {"found": 1.23456, "polished": 1.1, "evaluations": 1500}}, [
+    ({"polish": {"found": 1.23456, "polished": 1.1, "evaluations": 1500, "lookups": 0}}, [
         "Local refinement: press 1.235 as ga found it, 1.1 after it (1500 evaluations)"]),
-    ({"polish": {"found": 2.0, "polished": 2.0, "evaluations": 1}}, [
+    ({"polish": {"found": 2.0, "polished": 2.0, "evaluations": 1, "lookups": 0}}, [
         "Local refinement: press 2 as ga found it, 2 after it (1 evaluation)"]),
     ({"notes": ["One note.", "Another."]}, ["Note: One note.", "Note: Another."])])
 def test_lines_about_the_search(changed: dict[str, Any], lines: list[str]) -> None:
@@ -118,8 +151,9 @@ def test_what_is_selected_is_listed_where_it_is_not_all(n_features: int, n_terms
 
 def test_a_record_of_version_01_tells_what_was_offered_by_its_counts() -> None:
     old = record()
-    del old["offered"]
-    assert "Selected: 2 of 24 control features, 2 of 20 terms; redundancy 46" in summary(old)
+    del old["offered"], old["fit"]
+    assert "Selected: 2 of 24 control features, 2 of 20 terms; redundancy 46" in text_of(
+        document(convert(completed(old), Record)))
 
 
 PROVEN = {"subsets": 12345, "of": 99999, "space": "all sizes", "optimal": False}
@@ -160,23 +194,23 @@ BELOW = "The proven optimum is 0, below this (12,345 subsets decided, all sizes)
     ({"subsets": 10**15 - 1, "of": 12 * 10**36}, "exact", 1.0,
      "Not proven: 999,999,999,999,999 of 1.2e37 subsets decided")])
 def test_what_is_proven(more: dict[str, Any], solver: str, share: float, line: str) -> None:
-    options = {"problem": {"max_share": share}}
+    options = {**record()["options"], "problem": {"max_share": share}}
     text = page(certificate={**PROVEN, **more}, solver=solver, options=options)
     plain = page(solver=solver, options=options)
-    assert [one for one in text if one not in plain] == [line]
+    assert " ".join(one for one in text if one not in plain) == line
 
 
 @pytest.mark.parametrize(("figure", "shown"), [
     (None, "-"), (0.01, "0.010"), (0.00999, "9.99e-03"), (99999.0, "99999.000"),
     (100000.0, "1.00e+05")])
 def test_figures_fit_their_columns(figure: float | None, shown: str) -> None:
-    assert added(rmse=roles(1.0, 2.0, figure)) == [
-        f"selection                    2       1.000       2.000{shown:>14}"]
+    [line] = [line for line in page(rmse=roles(figure, 2.0, None)) if line.startswith("this")]
+    assert line.split() == ["this", "result", "2", shown, "2.000", "-", "-"]
 
 
 def test_fits_to_control_and_check_have_a_star() -> None:
     assert added(baselines=[baseline("dlt", 11, roles(1.0, 1.5, 2.5))]) == [
-        "DLT *                       11       1.000       1.500         2.500",
+        "DLT *           11    1.000  1.500        2.500  1.995 to 3.394",
         "* fitted to control and check together; its check figure is a fit"]
 
 
@@ -185,40 +219,43 @@ def test_a_baseline_without_any_figure_is_said_to_be_not_determined() -> None:
     alone = {"fitted_to": ("control",)}
     text = "- not determined with redundancy"
     assert added(baselines=[baseline("rfm-3", 78, nothing, **alone)]) == [
-        "full RFM                    78           -           -             -", text]
+        "full RFM        78        -      -            -               -", text]
     # Without independent points it may be determined all the same.
     assert text not in added(baselines=[baseline("rfm-3", 78, roles(1.0, None, None), **alone)])
 
 
 def test_a_model_that_corrects_by_its_control_shows_its_leave_one_out() -> None:
-    assert added(rmse={**roles(1.0, 2.0, 3.0), "leave-one-out": rmse(1.75)}) == [
-        "  leave-one-out                      1.750",
-        "leave-one-out: each control feature by the fit without it, as poly3d corrects by control"]
+    text = page(rmse={**roles(1.0, 2.0, 3.0), "leave-one-out": rmse(1.75)})
+    assert "  leave-one-out           1.750" in text
+    assert ("leave-one-out: each control feature by the fit without it, as poly3d corrects by "
+            "control") in text
 
 
 def strategy(chosen: str, predicted: float | None, *names: str) -> dict[str, Any]:
     return {"name": "auto", "chosen": chosen, "reason": "It is " + "good. " * 16,
             "predicted": predicted, "folds": 20,
-            "candidates": [{"name": name, "n_terms": 20, "effective": 8.25, "predicted": 0.5}
+            "fitted_to": ["control", "check"],
+            "candidates": [{"name": name, "model": "poly3d", "n_terms": 20, "effective": 8.25,
+                            "predicted": 0.5}
                            for name in names]}
 
 
 def test_the_page_of_a_choice() -> None:
     text = page(strategy=strategy("shrunken-cubic", 0.6, "dlt", "shrunken-cubic"))
-    assert text[:1] + text[3:12] == [
-        "rfm-terms: model poly3d, strategy auto",
-        "Chosen: shrunken cubic, fitted to control and check together; predicted RMSE 0.600 px; "
-        "1.2 s",
+    assert text[1] == "Model poly3d, strategy auto, seed 4; termsel 9.9"
+    assert "The predicted RMSE is that of the whole choice, repeated in 20 folds." in text
+    assert text[-9:] == [
+        "What was selected, and why?",
+        "Chosen: shrunken cubic, fitted to control and check together; 1.2 s",
+        "It is good. good. good. good. good. good. good. good. good. good. good. good. good.",
+        "good. good. good.",
         "",
-        "candidate                terms       effective   leave-one-out",
-        "DLT                         20             8.2           0.500",
-        "shrunken cubic              20             8.2           0.500 <-",
-        "<- It is good. good. good. good. good. good. good. good. good. good. good. good. good.",
-        "   good. good. good.",
-        "The predicted RMSE is that of the whole choice, repeated in 20 folds.",
-        ""]
-    assert text[-3:] == ["independent = the accuracy", "", "It is good."]
-    assert "selection *                  2       1.000       2.000         3.000" in text
+        "Candidates",
+        "   candidate       terms  effective  leave-one-out RMSE [px]",
+        "   DLT                20        8.2                    0.500",
+        "-> shrunken cubic     20        8.2                    0.500"]
+    assert "independent = the accuracy" in text
+    assert any(line.startswith("this result * ") for line in text)
     assert not any(line.startswith(("Selected:", "Search:")) for line in text)
 
 
@@ -230,7 +267,7 @@ def test_a_choice_without_a_prediction() -> None:
 
 def member(terms: list[str], press: float, size: int, independent: float | None) -> dict[str, Any]:
     return {"objectives": {"n_terms": size, "press": press}, "rmse": roles(1, 2, independent),
-            "selection": {"terms": terms, "features": ["A", "B"]}}
+            "selection": {"terms": terms, "features": ["A", "B"], "n_terms": 1, "n_features": 2}}
 
 
 FRONT = [member(["line:1"], 2.5, 1, None), member(["line:1", "line:X"], 1.5, 2, 1.25)]
@@ -238,9 +275,10 @@ FRONT = [member(["line:1"], 2.5, 1, None), member(["line:1", "line:X"], 1.5, 2, 
 
 def test_a_front_marks_the_selection() -> None:
     assert added(front=FRONT) == [
-        "Front:          n_terms           press   independent",
-        "                      1             2.5             -",
-        "    ->                2             1.5         1.250"]
+        "Front",
+        "   terms  press  independent [px]",
+        "       1    2.5                 -",
+        "->     2    1.5             1.250"]
 
 
 def test_a_front_says_what_is_proven_of_each_size() -> None:
@@ -248,58 +286,64 @@ def test_a_front_says_what_is_proven_of_each_size() -> None:
         of = dict(zip(("better", "optimal", "bound", "gap"), proven, strict=True))
         return {**member([f"t{n}"], press, n, None), **of}
 
-    assert added(front=FRONT, by_size=[
+    assert added(by_size=[
         sized(1, 2.5, True, True, 2.5, 0.0), sized(2, 1.5, True, False, 1.2, 0.25),
         sized(3, 1.7, False, True, 1.7, 0.0), sized(4, 1.8, False, False, 1.5, 0.2),
         sized(5, 1.8, False, False, 1.4, 0.3), sized(6, 1.4, True, False, 0.4, 2.5),
         sized(7, 1.9, False, False, 1.4, 0.3), sized(8, 1.3, True, False, None, None)]) == [
-        "Front:          n_terms           press   independent   best of its size",
-        "                      1             2.5             -   proven",
-        "                      2             1.5             -   at most 25.00 % above it",
-        "                      6             1.4             -   at most 3.5 times as high",
-        "                      8             1.3             -   not proven",
+        "Front",
+        "terms  press  independent [px]  best of its size",
+        "    1    2.5                 -  proven",
+        "    2    1.5                 -  at most 25.00 % above it",
+        "    6    1.4                 -  at most 3.5 times as high",
+        "    8    1.3                 -  not proven",
         "Proven: the best selection of 3, 4 and 7 terms is no better than that of fewer.",
         "Not proven: a selection of 5 terms may still be better than that of fewer."]
 
 
-RULE = "-> the selection, recommended by the rule {} (--set recommend=...)"
+RULE = ("The marked one is the selection, recommended by the rule {} (--set recommend=...).")
 
 
 @pytest.mark.parametrize(("rule", "objectives", "lines"), [
     ("best", 1, []), ("best", 2, [RULE.format("best")]), ("knee", 1, [RULE.format("knee")])])
 def test_a_front_tells_of_the_rule_where_there_is_a_choice(rule: str, objectives: int,
                                                            lines: list[str]) -> None:
-    given = {"front": FRONT, "options": {"problem": {"recommend": rule}},
+    given = {"front": FRONT, "options": {**record()["options"], "problem": {"recommend": rule}},
              "objectives": dict.fromkeys("ab"[:objectives], 1.0)}
-    assert added(**given)[3:] == lines
+    assert added(**given)[4:] == lines
 
 
 @pytest.mark.parametrize("size", [40, 41])
 def test_a_long_front_is_counted(size: int) -> None:
     lines = added(front=[member([f"t{i}"], 1.0, i, 1.0) for i in range(size)])
-    text = f"       {size} members; result.json lists all of them"
-    assert (lines[1:] == [text]) == (size > 40)
-    assert len(lines) == (2 if size > 40 else 41)
+    assert (lines[1:] == ["41 rows; result.json has all of them"]) == (size > 40)
+    assert len(lines) == (2 if size > 40 else 42)
 
 
-def doubts(wrong: Mapping[str, float], in_use: tuple[str, ...] = (),
-           spare: tuple[str, ...] = ()) -> dict[str, Any]:
-    return {"sigma": 0.5, "wrong": dict(wrong), "in_use": list(in_use), "spare": list(spare)}
+def blunders(*named: tuple[str, float, bool], sigma: float | None = 0.5,
+             spare: tuple[str, ...] = ()) -> dict[str, Any]:
+    found = [{"id": name, "kind": "point", "role": "control", "error": error, "excluded": excluded}
+             for name, error, excluded in named]
+    return {"outliers": found, "doubts": None if sigma is None else {
+        "sigma": sigma, "wrong": {}, "in_use": [], "spare": list(spare)}}
 
 
-@pytest.mark.parametrize(("given", "lines"), [
-    (doubts({}), []),
-    (doubts({"P1": 4.0, "P2": 9.0}), [
-        "Probable blunders (beyond 3 sigma, 1.5 px): P2 (9.0 px) P1 (4.0 px)"]),
-    (doubts({"P1": 4.0, "P2": 9.0}, ("P1",)), [
-        "Probable blunders (beyond 3 sigma, 1.5 px): P2 (9.0 px) P1 (4.0 px, in use)",
-        "  leave out those in use by --off P1 and run again"]),
-    (doubts({"P1": 4.0, "P2": 9.0}, ("P1", "P2")), [
-        "Probable blunders (beyond 3 sigma, 1.5 px): P2 (9.0 px, in use) P1 (4.0 px, in use)",
-        "  leave out those in use by --off P1,P2 and run again"]),
-    (doubts({}, (), ("P3", "P4")), ["Left out though they fit: 2; they were not needed"])])
-def test_probable_blunders(given: dict[str, Any], lines: list[str]) -> None:
-    assert added(doubts=given) == lines
+@pytest.mark.parametrize(("changed", "lines"), [
+    (blunders(), []),
+    (blunders(("P1", 4.0, True), ("P2", 9.0, True)), [
+        "2 probable blunders (beyond 3 sigma, 1.5 px): point P2, 9 px, left out; point P1, 4 px,",
+        "left out."]),
+    (blunders(("P2", 9.0, True), sigma=None), [
+        "1 probable blunder: point P2, 9 px, left out."]),
+    (blunders(("P1", 4.0, False), ("P2", 9.0, True)), [
+        "2 probable blunders (beyond 3 sigma, 1.5 px): point P2, 9 px, left out; point P1, 4 px,",
+        "in use.", "Leave out those in use by --off P1 and run again."]),
+    (blunders(("P1", 4.0, False), ("P2", 9.0, False)), [
+        "2 probable blunders (beyond 3 sigma, 1.5 px): point P2, 9 px, in use; point P1, 4 px, in",
+        "use.", "Leave out those in use by --off P1,P2 and run again."]),
+    (blunders(spare=("P3", "P4")), ["Left out though they fit: 2; they were not needed."])])
+def test_probable_blunders(changed: dict[str, Any], lines: list[str]) -> None:
+    assert added(**changed) == lines
 
 
 @pytest.mark.parametrize(("p", "lines"), [

@@ -100,7 +100,7 @@ def compare(files: tuple[Path, ...], out: Path | None, workers: int, scheduler: 
 
     from termsel.studies import compare as comparing
     from termsel.studies.shown.outputs import write_outputs
-    from termsel.studies.shown.pages import summary
+    from termsel.studies.shown.report import summary
 
     with study_bar(quiet) as observe:
         found = comparing.compare(study, out=out, workers=workers, scheduler=scheduler,

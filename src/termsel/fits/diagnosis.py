@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import stdtr
+from scipy.special import stdtr, stdtrit
 
 from termsel.adjustment.equations import line_normals
 from termsel.adjustment.lines import relative_deviations
@@ -22,6 +22,9 @@ NORMAL_MEDIAN = 0.6745
 
 CORRELATED = 0.95
 """Absolute correlation of two coefficients from which on they are named."""
+
+SIGNIFICANT = 0.05
+"""Chance below which a coefficient is called significant."""
 
 PARALLEL = 0.05
 """Orientation spread from which on lines fix both image axes; that of lines within 13 degrees."""
@@ -77,6 +80,17 @@ def significance(fit: Fit) -> dict[str, Significance]:
     p = 2.0 * stdtr(adjustment.redundancy, -t)
     return {name: Significance(float(t[i]), float(p[i]))
             for i, name in enumerate(fit.model.terms) if fit.terms[i] and np.isfinite(t[i])}
+
+
+def least_t(redundancy: int) -> float:
+    """Return the t from which on a coefficient is called significant.
+
+    Parameters
+    ----------
+    redundancy : int
+        Of the adjustment, at least 1.
+    """
+    return float(stdtrit(redundancy, 1 - SIGNIFICANT / 2))
 
 
 def correlations(fit: Fit) -> Iterator[tuple[str, str, float]]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any, ClassVar, Protocol, Self
 
 from termsel.adjustment.equations import Equations
@@ -35,6 +36,9 @@ class Fittable(Protocol):
     @property
     def corrects(self) -> bool:
         """True if the control corrects predictions directly."""
+
+    def with_parameters(self, parameters: Mapping[str, Any]) -> Self:
+        """Return the model with parameters of a selection as values of its options."""
 
     def prepared(self, scaling: Scaling, crs: str) -> Self:
         """Return the model for features that are scaled like this."""

@@ -10,102 +10,33 @@ from __future__ import annotations
 import base64
 import hashlib
 import json
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Iterator
 from html import escape
 from importlib.resources import files
 from itertools import groupby
 from typing import Any
 
 from termsel.errors import printable
+from termsel.report.blocks import (
+    Block,
+    Code,
+    Document,
+    Figure,
+    Names,
+    Note,
+    Statement,
+    TableBlock,
+)
 from termsel.report.library import library
 from termsel.report.theme import styled
 
 
-@dataclass(frozen=True)
-class Table:
-    """A table, which also serves where a chart cannot be seen.
+def page(document: Document) -> str:
+    """Return what is shown of a result or a study as a page of HTML.
 
     Parameters
     ----------
-    caption : str
-    columns : tuple of str
-    rows : sequence of tuple
-        Numbers as text, already rounded.
-    choice : str
-        Name of the choice that a row makes in the charts; "" where there is none.
-    keys : sequence
-        What each row chooses, of the same length as the rows.
-    folded : bool
-        Whether it is shown only when asked for.
-    pictures : sequence of str
-        A drawing of each row as SVG, of the same length as the rows; none by default.
-    """
-
-    caption: str
-    columns: tuple[str, ...]
-    rows: Sequence[tuple[str, ...]]
-    choice: str = ""
-    keys: Sequence[Any] = ()
-    folded: bool = False
-    pictures: Sequence[str] = ()
-
-
-@dataclass(frozen=True)
-class Figure:
-    """A chart with what to look for.
-
-    Parameters
-    ----------
-    name, title, look : str
-    chart : altair.Chart
-        Without title and style.
-    keeps_ratio : bool
-        Whether height follows width, as that of a map.
-    """
-
-    name: str
-    title: str
-    look: str
-    chart: Any
-    keeps_ratio: bool = False
-
-
-@dataclass(frozen=True)
-class Statement:
-    """A statement that can be pasted elsewhere as it is."""
-
-    text: str
-
-
-@dataclass(frozen=True)
-class Code:
-    """A command, or other text in which spaces count."""
-
-    text: str
-
-
-_NUMBER = 24
-"""Characters beyond which a cell of a table is words, and begins at the left."""
-
-Block = str | Table | Figure | Statement | Code
-
-
-@dataclass(frozen=True)
-class Section:
-    """A question, and what answers it."""
-
-    title: str
-    blocks: tuple[Block, ...] = field(default=())
-
-
-def page(title: str, subtitle: str, sections: Iterable[Section]) -> str:
-    """Return a page as HTML.
-
-    Parameters
-    ----------
-    title, subtitle : str
-    sections : iterable of Section
+    document : Document
 
     Raises
     ------
@@ -113,8 +44,8 @@ def page(title: str, subtitle: str, sections: Iterable[Section]) -> str:
         If altair or vl-convert-python is not installed.
     """
     specs: dict[str, Any] = {}
-    parts = []
-    for number, section in enumerate(sections, 1):
+    title, parts = document.title, list(_blocks(document.facts, specs))
+    for number, section in enumerate(document.sections, 1):
         shown = "\n".join(_blocks(section.blocks, specs))
         parts.append(f'<section aria-labelledby="s{number}"><h2 id="s{number}">'
                      f"{_text(section.title)}</h2>\n{shown}\n</section>")
@@ -135,7 +66,7 @@ def page(title: str, subtitle: str, sections: Iterable[Section]) -> str:
 <style>{style}</style>
 </head>
 <body>
-<header><h1>{_text(title)}</h1><p>{_text(subtitle)}</p></header>
+<header><h1>{_text(title)}</h1><p>{_text(document.subtitle)}</p></header>
 <main>
 {chr(10).join(parts)}
 </main>
@@ -166,6 +97,11 @@ def _blocks(blocks: Iterable[Block], specs: dict[str, Any]) -> Iterator[str]:
 def _block(block: Block, specs: dict[str, Any]) -> str:
     if isinstance(block, str):
         return f"<p>{_text(block)}</p>"
+    if isinstance(block, Note):
+        return f"<p><strong>Note:</strong> {_text(block.text)}</p>"
+    if isinstance(block, Names):
+        return (f"<details><summary>{_text(block.title)}: {len(block.names)}</summary>"
+                f"<p>{_text(' '.join(block.names))}</p></details>")
     if isinstance(block, Statement):
         return f'<blockquote class="statement" tabindex="0">{_text(block.text)}</blockquote>'
     if isinstance(block, Code):
@@ -182,9 +118,9 @@ def _figure(figure: Figure, specs: dict[str, Any]) -> str:
             f'role="img" aria-label="{_text(figure.title)}. {_text(figure.look)}"></div></figure>')
 
 
-def _table(table: Table) -> str:
-    words = [""] + [' class="words"' * any(len(row[i]) > _NUMBER for row in table.rows)
-                    for i in range(1, len(table.columns))]
+def _table(table: TableBlock) -> str:
+    # The first column is the head of its row, which has a style of its own.
+    words = [""] + [' class="words"' * table.has_words(i) for i in range(1, len(table.columns))]
     heads = [f'<th scope="col"{kind}>{_text(name)}</th>'
              for name, kind in zip(table.columns, words, strict=True)]
     if table.pictures:
@@ -194,9 +130,9 @@ def _table(table: Table) -> str:
     rows = []
     for i, row in enumerate(table.rows):
         name, *cells = map(_text, row)
-        key = ""
+        key = ' class="marked"' * (i == table.marked)
         if table.choice:
-            key = f' data-key="{_text(json.dumps(table.keys[i]))}"'
+            key += f' data-key="{_text(json.dumps(table.keys[i]))}"'
             name = f'<button type="button">{name}</button>'
         picture = f'<td class="picture">{table.pictures[i]}</td>' if table.pictures else ""
         rows.append(f'<tr{key}><th scope="row">{name}</th>{picture}'

@@ -2,47 +2,44 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
+from collections.abc import Iterator, Sequence
 
 from termsel.errors import percent
+from termsel.record.search import Member, SelectionRecord, SizeRow
 
 TITLE = "best of its size"
 COUNTS = {"n_terms": "terms", "n_features": "control features"}
 
 _TIE = 1e-9  # criteria that differ relatively by less are equal
 
-Sized = Mapping[str, Any]
 
-
-def proven(one: Sized) -> str:
-    """Return what is proven of an item of the record's `by_size`."""
-    if one["optimal"]:
+def proven(row: SizeRow) -> str:
+    """Return what is proven of the best selection of a size."""
+    if row.optimal:
         return "proven"
-    if one["gap"] is None:
+    if row.gap is None:
         return "not proven"
-    if one["gap"] > 1:
-        return f"at most {1 + one['gap']:.3g} times as high"
-    return f"at most {percent(one['gap'])} above it"
+    if row.gap > 1:
+        return f"at most {1 + row.gap:.3g} times as high"
+    return f"at most {percent(row.gap)} above it"
 
 
-def others(by_size: Sequence[Sized], criterion: str) -> Iterator[str]:
+def others(by_size: Sequence[SizeRow], criterion: str) -> Iterator[str]:
     """Yield what is proven of the sizes that are no better than a smaller one.
 
     Parameters
     ----------
-    by_size : sequence of mapping
-        Of the record.
+    by_size : sequence of SizeRow
     criterion : str
         Name of its objective.
     """
     settled, open_, least = [], [], float("inf")
     words = counted_by(by_size)
-    for one in by_size:
-        size, value = one["objectives"][size_of(one)], one["objectives"][criterion]
-        if one["better"]:
+    for row in by_size:
+        size, value = int(row.objectives[size_of(row)] or 0), row.objectives[criterion]
+        if row.better and value is not None:
             least = value
-        elif one["bound"] is not None and one["bound"] >= least - _TIE * abs(least):
+        elif row.bound is not None and row.bound >= least - _TIE * abs(least):
             settled.append(size)
         else:
             open_.append(size)
@@ -54,12 +51,25 @@ def others(by_size: Sequence[Sized], criterion: str) -> Iterator[str]:
                "than that of fewer.")
 
 
-def size_of(one: Sized) -> str:
+def recommended(members: Sequence[Member | SizeRow], chosen: SelectionRecord) -> int | None:
+    """Return the number of the member that is the selection; None if none is.
+
+    Parameters
+    ----------
+    members : sequence of Member or SizeRow
+    chosen : SelectionRecord
+    """
+    return next((i for i, one in enumerate(members)
+                 if one.selection.terms == chosen.terms
+                 and one.selection.features == chosen.features), None)
+
+
+def size_of(member: Member | SizeRow) -> str:
     """Return what a member of a front counts: "n_terms" or "n_features"."""
-    return str(next(iter(one["objectives"])))
+    return next(iter(member.objectives))
 
 
-def counted_by(members: Sequence[Sized]) -> str:
+def counted_by(members: Sequence[Member | SizeRow]) -> str:
     """Return what members count, in words."""
     return COUNTS.get(size_of(members[0]), size_of(members[0]))
 

@@ -47,12 +47,13 @@ from termsel.record.search import (
     Strategy,
     TermFrequencies,
 )
-from termsel.report.answers import report, statement
+from termsel.report.answers import document, statement
+from termsel.report.page import page
 from termsel.report.plots import Plots
-from termsel.report.text import summary
-from termsel.report.view import View
+from termsel.report.text import text_of
 from termsel.results.checksums import SEALS, checksums_of
 from termsel.results.same_fit import adjustment_figures, fit_record, least_squares_of
+from termsel.results.shown import Shown
 
 if TYPE_CHECKING:
     from termsel.models.base import SensorModel
@@ -314,14 +315,15 @@ class Result(Glance):
         return json.dumps(plain(self.record), indent=1) + "\n"
 
     @cached_property
-    def view(self) -> View:
+    def view(self) -> Shown:
         """What charts and pages read of the result."""
         points = self.features.points
         names = {one.id for one in self.outliers} - {r.id for r in self.residuals}
         out = points.take([name in names for name in points.ids])  # blunders that have no role
-        return View(plain(self.record), self.fit, self.features, Residuals((
+        return Shown(self.record, self.fit, self.features, Residuals((
             *self.residuals,
-            *point_residuals(out, self.fit.errors(out), "left out", [False] * len(out)))))
+            *point_residuals(out, self.fit.errors(out), "left out", [False] * len(out)))),
+            lambda: [self.fit_of(member) for member in self.front])
 
     @property
     def plot(self) -> Plots:
@@ -354,11 +356,11 @@ class Result(Glance):
         if image is not None:
             picture, size = thumbnail(image, self.features.image_size)
             shown = self.of_image(size)
-        write_text(path, report(shown.view, picture))
+        write_text(path, page(document(shown.view.record, shown.view, picture)))
 
     def summary(self) -> str:
-        """Return a page that a person reads (see `termsel.report.text.summary`)."""
-        return summary(self.to_dict())
+        """Return what was selected, how good it is and what it is worth, as text."""
+        return text_of(document(self.record))
 
     def _glance(self) -> tuple[str, Mapping[str, str]]:
         counts = self.data["counts"]
@@ -369,5 +371,5 @@ class Result(Glance):
             "data": f"{self.data['source']}; {', '.join(features)}",
             "selected": f"{len(self.selection.terms)} terms, {len(self.selection.features)} "
                         "features",
-            "accuracy": statement(self.to_dict()),
+            "accuracy": statement(self.record),
             "see": "summary(), plot.residuals(), report('report.html')"}

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from termsel.candidates.structures import named
 from termsel.errors import cut
 from termsel.fits.accuracy import rmse_interval
+from termsel.report.compared import THIS, fits_of, label_of
 from termsel.report.theme import (
     BLUNDER,
     CONTROL,
@@ -27,7 +27,6 @@ WORST = 25
 """Features that the chart of the worst residuals shows."""
 ROW = 18
 """Height of a row [px of the screen]."""
-SELECTION = "this result"
 
 
 def worst_bars(view: View) -> Any:
@@ -59,14 +58,14 @@ def baseline_bars(view: View) -> Any:
     alt = require_altair()
     rows = fit_rows(view)
     roles = {row["role"]: ROLE_COLOURS[row["role"]] for row in rows}
-    order = [SELECTION, *dict.fromkeys(row["fit"] for row in rows if row["fit"] != SELECTION)]
+    order = [THIS, *dict.fromkeys(row["fit"] for row in rows if row["fit"] != THIS)]
     scale, kind = spread_scale([row["rmse"] for row in rows], zero=True)
     x = alt.X("rmse:Q", title=f"RMSE [px], with 90 % interval{kind}", scale=scale)
     colours = alt.Scale(domain=list(roles), range=list(roles.values()))
     base = alt.Chart(data(rows)).encode(
         y=alt.Y("fit:N", sort=order, title=None, axis=alt.Axis(
             ticks=False, domain=False, grid=True, labelLimit=160, labelFontWeight=alt.condition(
-                f"datum.value == '{SELECTION}'", alt.value("bold"), alt.value("normal")))),
+                f"datum.value == '{THIS}'", alt.value("bold"), alt.value("normal")))),
         yOffset=alt.YOffset("role:N", sort=list(roles)),
         color=alt.Color("role:N", scale=colours))
     chosen = alt.selection_point(name="fit", fields=["fit"], empty=False)
@@ -89,11 +88,13 @@ def baseline_bars(view: View) -> Any:
 def candidate_bars(view: View) -> Any:
     """Return the candidates of the strategy "auto" with the RMSE that leave-one-out predicts."""
     alt = require_altair()
-    strategy = view.record["strategy"]
-    rows = [{"fit": label_of(one["name"]), "rmse": one["predicted"],
-             "effective": float(f"{one['effective']:.4g}"), "terms": one["n_terms"],
-             "state": "chosen" if one["name"] == strategy["chosen"] else "candidate"}
-            for one in strategy["candidates"] if one["predicted"] is not None]
+    strategy = view.record.strategy
+    assert strategy is not None
+    rows: list[Row] = [
+        {"fit": label_of(one.name), "rmse": one.predicted, "terms": one.n_terms,
+         "effective": float(f"{one.effective:.4g}"),
+         "state": "chosen" if one.name == strategy.chosen else "candidate"}
+        for one in strategy.candidates if one.predicted is not None]
     scale, kind = spread_scale([row["rmse"] for row in rows], zero=True)
     order = [row["fit"] for row in sorted(rows, key=lambda row: row["rmse"])]
     colour = alt.Color("state:N", scale=alt.Scale(domain=["chosen", "candidate"],
@@ -113,25 +114,14 @@ def candidate_bars(view: View) -> Any:
     ).properties(width=WIDTH, height=1.2 * ROW * len(rows))
 
 
-def label_of(name: str) -> str:
-    """Return what tables call a baseline."""
-    candidate = named(name)
-    return {"all-terms": "all terms", "without-blunders": "without blunders"}.get(name, name) \
-        if candidate is None else candidate.label
-
-
 def fit_rows(view: View) -> list[Row]:
     """Return the RMSE of check and independent points of this result and of all other fits."""
-    record = view.record
-    fits = [(SELECTION, record["rmse"], bool(record["strategy"])),
-            *((label_of(one["name"]), one["rmse"], "check" in one["fitted_to"])
-              for one in record["baselines"])]
     rows = []
-    for name, rmse, fitted in fits:
+    for name, fitted, _, rmse in fits_of(view.record):
         for role in ("check", "independent"):
-            total, n = rmse[role]["total"], rmse[role]["n"]
-            if total is not None and total > 0 and n:
-                low, high = rmse_interval(total, n)
+            total = rmse.by_role[role].total
+            if total:
+                low, high = rmse_interval(total, rmse.by_role[role].n)
                 # A fit's own points say little; a hollow symbol tells them.
                 note = "fitted" if role == "check" and fitted else "judged"
                 rows.append({"fit": name, "role": role, "rmse": total, "low": low, "high": high,

@@ -74,15 +74,15 @@ def ground_map(view: View) -> Any:
     """Return residuals as arrows on the ground, in the CRS of the control."""
     alt = require_altair()
     rows = view.on_ground
-    places = view.ground[np.isfinite(view.ground[:, :2]).all(axis=1), :2]
-    low, high = places.min(axis=0), places.max(axis=0)
-    wide, tall = (max(float(side), 1e-9) for side in high - low)
+    left, bottom, right, top = view.ground_box
+    wide, tall = max(right - left, 1e-9), max(top - bottom, 1e-9)
     margin = MARGIN * max(wide * view.flattening, tall)
     across = margin / view.flattening
-    x = alt.X("x:Q", title=f"x, {view.features.crs}", axis=alt.Axis(grid=False, tickCount=5),
-              scale=alt.Scale(domain=[low[0] - across, high[0] + across], nice=False, zero=False))
+    crs = view.record.data.crs
+    x = alt.X("x:Q", title=f"x, {crs}", axis=alt.Axis(grid=False, tickCount=5),
+              scale=alt.Scale(domain=[left - across, right + across], nice=False, zero=False))
     y = alt.Y("y:Q", title="y", axis=alt.Axis(grid=False, tickCount=6),
-              scale=alt.Scale(domain=[low[1] - 2 * margin, high[1] + margin], nice=False,
+              scale=alt.Scale(domain=[bottom - 2 * margin, top + margin], nice=False,
                               zero=False))
     scale = _exaggeration([float(np.hypot(row["dx"] * view.flattening, row["dy"]))
                            for row in rows], tall)
@@ -91,7 +91,7 @@ def ground_map(view: View) -> Any:
     if view.units_per_metre is not None:
         metre = view.units_per_metre / view.flattening
         length = nice(0.2 * wide / (scale * metre))
-        layers.append(_bar(float(low[0]), float(low[1]) - 1.3 * margin, length * metre,
+        layers.append(_bar(left, bottom - 1.3 * margin, length * metre,
                            f"{length:g} m", "x", "y", x, y))
     return _map(layers, (wide * view.flattening + 2 * margin) / (tall + 3 * margin))
 
@@ -110,29 +110,16 @@ def sigma_map(view: View) -> Any:
                        legend=alt.Legend(title="standard deviation [px]", orient="top",
                                          gradientLength=220, titleFontWeight="normal",
                                          titleFontSize=11.5))
-    made = view.fit.made or view.fit
-    used = made.control.take(made.used).image_vertices()
     layers = [
         alt.Chart(data(cells)).mark_rect(strokeWidth=0, clip=True).encode(
             x=x, y=y, x2="sample2:Q", y2="line2:Q", color=colour,
             tooltip=[alt.Tooltip("sigma:Q", title="standard deviation [px]", format=".3g")]),
-        alt.Chart(data(_hull(used))).mark_line(
+        alt.Chart(data(view.hull)).mark_line(
             color=INK, strokeWidth=1.4, strokeDash=[5, 3]).encode(x=x, y=y, order="i:O"),
-        alt.Chart(data([{"line": line, "sample": sample} for line, sample in used.tolist()])
-                  ).mark_point(filled=True, size=26, color="white", stroke=INK, strokeWidth=0.9,
+        alt.Chart(data(view.control)).mark_point(
+            filled=True, size=26, color="white", stroke=INK, strokeWidth=0.9,
                                opacity=1).encode(x=x, y=y)]
     return _map(layers, max(right - left, 1.0) / max(bottom - top, 1.0))
-
-
-def _hull(places: Any) -> list[Row]:
-    from scipy.spatial import ConvexHull, QhullError
-
-    try:
-        around = ConvexHull(places).vertices
-    except (QhullError, ValueError):  # on one straight line, or fewer than three
-        return []
-    return [{"i": i, "line": float(places[v, 0]), "sample": float(places[v, 1])}
-            for i, v in enumerate([*around, around[0]])]
 
 
 def _map(layers: list[Any], aspect: float) -> Any:

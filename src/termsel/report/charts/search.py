@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+from termsel.record.search import HistoryRow
 from termsel.report.charts.maps import image_map
-from termsel.report.sizes import counted_by
+from termsel.report.sizes import counted_by, recommended, size_of
 from termsel.report.theme import (
     CHECK,
     CONTROL,
@@ -31,7 +32,7 @@ def front(view: View) -> Any:
     """Return the front: RMSE of check and independent points against terms or features."""
     alt = require_altair()
     rows = front_rows(view)
-    size = counted_by(view.record["front"])
+    size = counted_by(view.record.front)
     member = choice(view)
     scale, kind = spread_scale([row["rmse"] for row in rows], zero=False)
     base = alt.Chart(data(rows)).encode(
@@ -62,27 +63,33 @@ def members(view: View, image: str = "") -> Any:
 
 def front_rows(view: View) -> list[Row]:
     """Return a row for check and independent points of each member."""
-    return [{"member": i, "size": one["objectives"][view.front_size], "points": points,
-             "rmse": one["rmse"][points]["total"], "recommended": i == view.recommended}
-            for i, one in enumerate(view.record["front"]) for points in ("check", "independent")
-            if one["rmse"][points]["total"]]
+    members, chosen = view.record.front, _recommended(view)
+    return [{"member": i, "size": one.objectives[size_of(one)], "points": points,
+             "rmse": one.rmse.by_role[points].total, "recommended": i == chosen}
+            for i, one in enumerate(members) for points in ("check", "independent")
+            if one.rmse.by_role[points].total]
 
 
 def choice(view: View) -> Any:
     """Return the choice of a member, at first the recommended one."""
     return require_altair().selection_point(
-        name="member", fields=["member"], value=[{"member": view.recommended}], clear=False,
+        name="member", fields=["member"], value=[{"member": _recommended(view)}], clear=False,
         toggle=False, empty=False)
+
+
+def _recommended(view: View) -> int:
+    return recommended(view.record.front, view.record.selection) or 0
 
 
 def convergence(view: View) -> Any:
     """Return the best and the median of the population, and what share of it is infeasible."""
     alt = require_altair()
-    history = spaced(view.record["history"], MOST)
-    criterion = view.record["criterion"]
-    lines = [{"evaluations": one["evaluations"], "what": what, "value": one[what]}
-             for one in history for what in ("best", "median") if one[what] is not None]
-    share = [{"evaluations": one["evaluations"], "infeasible": 1.0 - one["feasible"]}
+    history = spaced(view.record.history, MOST)
+    criterion = view.record.criterion
+    lines: list[Row] = [
+        {"evaluations": one.evaluations, "what": what, "value": value} for one in history
+        for what, value in (("best", one.best), ("median", one.median)) if value is not None]
+    share = [{"evaluations": one.evaluations, "infeasible": 1.0 - one.feasible}
              for one in history]
     scale, kind = spread_scale([row["value"] for row in lines], zero=False)
     x = alt.X("evaluations:Q", axis=alt.Axis(format=",d", tickCount=6))
@@ -107,11 +114,11 @@ def convergence(view: View) -> Any:
 def empires(view: View) -> Any:
     """Return how many countries each empire of the ICA has, as bands of the population."""
     alt = require_altair()
-    counted = [one for one in view.record["history"] if "empires" in one]
-    most = max(AREAS // max(len(one["empires"]) for one in counted), 2)
-    rows = [{"evaluations": one["evaluations"], "empire": i + 1, "countries": countries,
-             "left": sum(map(bool, one["empires"]))}
-            for one in spaced(counted, most) for i, countries in enumerate(one["empires"])]
+    counted = [one for one in view.record.history if one.empires]
+    most = max(AREAS // max(len(one.empires) for one in counted), 2)
+    rows = [{"evaluations": one.evaluations, "empire": i + 1, "countries": countries,
+             "left": sum(map(bool, one.empires))}
+            for one in spaced(counted, most) for i, countries in enumerate(one.empires)]
     return alt.Chart(data(rows)).mark_area(stroke="white", strokeWidth=1, opacity=1).encode(
         x=alt.X("evaluations:Q", axis=alt.Axis(format=",d", tickCount=6)),
         y=alt.Y("countries:Q", stack="zero", title="countries"),
@@ -127,12 +134,12 @@ def empires(view: View) -> Any:
     ).properties(width=WIDTH, height=0.35 * WIDTH)
 
 
-def spaced(history: Sequence[Row], most: int) -> list[Row]:
+def spaced(history: Sequence[HistoryRow], most: int) -> list[HistoryRow]:
     """Return evenly spaced generations, the first and the last among them.
 
     Parameters
     ----------
-    history : sequence of dict
+    history : sequence of HistoryRow
     most : int
         How many, at least 2.
     """

@@ -5,34 +5,30 @@ from __future__ import annotations
 from collections import Counter
 from typing import Any
 
-import numpy as np
-from scipy.special import stdtrit
-
-from termsel.measurements.features import select
+from termsel.fits.diagnosis import SIGNIFICANT, least_t
 from termsel.report.theme import CHECK, CONTROL, FAINT, INK, UNUSED, WIDTH, data, require_altair
 from termsel.report.view import Row, View
 
 ROW = 15
-LEVEL = 0.05
-"""Chance below which a coefficient is called significant."""
 
 
 def term_bars(view: View) -> Any:
     """Return the significance of each term in use, and its share of the front's members."""
     alt = require_altair()
     rows = term_rows(view)
-    kinds = [f"significant ({100 * LEVEL:.0f} %)", "not significant"]
+    kinds = [f"significant ({100 * SIGNIFICANT:.0f} %)", "not significant"]
     order = [row["term"] for row in rows]
-    base = alt.Chart(data([{**row, "state": kinds[row["p"] > LEVEL]} for row in rows])).encode(
+    states = [{**row, "state": kinds[row["p"] > SIGNIFICANT]} for row in rows]
+    base = alt.Chart(data(states)).encode(
         y=alt.Y("term:N", sort=order, title=None,
                 axis=alt.Axis(ticks=False, domain=False, grid=True, labelLimit=170)))
     front = [alt.Tooltip("share:Q", title="share of the front", format=".0%")] \
-        * bool(view.record["front"])
+        * bool(view.record.front)
     shape = alt.Shape("state:N", scale=alt.Scale(domain=kinds, range=["circle", "diamond"]))
     x = alt.X("t:Q", title="|coefficient| / standard deviation, logarithmic",
               scale=alt.Scale(type="log", nice=False, padding=14))
     layers = [
-        alt.Chart(data([{"t": term_limit(view)}])).mark_rule(
+        alt.Chart(data([{"t": least_t(view.record.adjustment.redundancy)}])).mark_rule(
             strokeDash=[5, 3], color=INK, strokeWidth=1.2).encode(x="t:Q"),
         base.mark_point(filled=True, size=75, opacity=1).encode(
             x=x, shape=shape, color=alt.Color("state:N", scale=alt.Scale(
@@ -45,18 +41,13 @@ def term_bars(view: View) -> Any:
     return alt.layer(*layers).properties(width=WIDTH, height=ROW * len(rows))
 
 
-def term_limit(view: View) -> float:
-    """Return the ratio of coefficient to deviation above which a term is significant."""
-    return float(stdtrit(view.record["adjustment"]["redundancy"], 1 - LEVEL / 2))
-
-
 def term_rows(view: View) -> list[Row]:
     """Return the terms in use with t, p and their share of the front's members."""
-    front = view.record["front"]
-    return sorted(({"term": name, "t": max(one["t"], 1e-3), "p": one["p"],
-                    "share": sum(name in member["selection"]["terms"] for member in front)
+    front = view.record.front
+    return sorted(({"term": name, "t": max(one.t, 1e-3), "p": one.p,
+                    "share": sum(name in member.selection.terms for member in front)
                     / len(front) if front else None}
-                   for name, one in view.record["significance"].items()),
+                   for name, one in view.record.significance.items()),
                   key=lambda row: -row["t"])
 
 
@@ -68,9 +59,9 @@ def frequency_bars(view: View) -> Any:
     base = alt.Chart(data([{**row, "state": kinds[not row["used"]]} for row in rows])).encode(
         y=alt.Y("term:N", sort=[row["term"] for row in rows], title=None,
                 axis=alt.Axis(ticks=False, domain=False, labelLimit=170)))
-    stability = view.record.get("stability")
-    of = f"{stability['repeats']} selections" if stability else \
-        f"{len(view.record['front'])} members of the front"
+    stability = view.record.stability
+    of = f"{stability.repeats} selections" if stability else \
+        f"{len(view.record.front)} members of the front"
     layers = [base.mark_bar(height={"band": 0.72}).encode(
         x=alt.X("share:Q", title=f"share of the {of}", axis=alt.Axis(format="%"),
                 scale=alt.Scale(domain=[0, 1])),
@@ -78,7 +69,7 @@ def frequency_bars(view: View) -> Any:
         tooltip=[alt.Tooltip("term:N"), alt.Tooltip("share:Q", format=".0%"),
                  alt.Tooltip("state:N", title="it is")])]
     if stability:
-        layers.append(alt.Chart(data([{"share": stability["threshold"]}])).mark_rule(
+        layers.append(alt.Chart(data([{"share": stability.threshold}])).mark_rule(
             strokeDash=[5, 3], color=INK, strokeWidth=1.2).encode(x="share:Q"))
     return alt.layer(*layers).properties(width=WIDTH, height=ROW * len(rows))
 
@@ -86,21 +77,21 @@ def frequency_bars(view: View) -> Any:
 def frequency_rows(view: View) -> list[Row]:
     """Return the terms that any selection has with the share of selections, frequent ones first."""
     record = view.record
-    used, found = set(record["selection"]["terms"]), record.get("stability")
-    if found:
-        shares = found["frequency"]
+    used, shares = set(record.selection.terms), dict[str, float]()
+    if record.stability:
+        shares.update(record.stability.frequency)
     else:
-        counts = Counter(term for one in record["front"] for term in one["selection"]["terms"])
-        shares = {term: n / len(record["front"]) for term, n in counts.items()}
+        counts = Counter(term for one in record.front for term in one.selection.terms)
+        shares = {term: n / len(record.front) for term, n in counts.items()}
     return sorted(({"term": term, "share": round(share, 4), "used": term in used}
                    for term, share in shares.items() if share), key=lambda row: -row["share"])
 
 
 def no_frequencies(view: View) -> str:
     """Return why a result says nothing of how often terms are selected; "" if it does."""
-    if view.record.get("stability"):
+    if view.record.stability:
         return ""
-    members = {tuple(one["selection"]["terms"]) for one in view.record["front"]}
+    members = {tuple(one.selection.terms) for one in view.record.front}
     if len(members) > 1:
         return ""
     return "all members of its front have the same terms" if members else \
@@ -110,19 +101,16 @@ def no_frequencies(view: View) -> str:
 def correlation_map(view: View) -> Any:
     """Return the correlations of the coefficients of the terms in use."""
     alt = require_altair()
-    matrix = view.correlations
-    assert matrix is not None
-    names = select(view.fit.model.terms, view.fit.terms)
-    rows = [{"one": names[i], "other": names[j], "correlation": float(f"{matrix[i, j]:.3f}")}
-            for i in range(len(names)) for j in range(i) if np.isfinite(matrix[i, j])]
+    names = list(view.record.coefficients)
+    rows = [{**row, "correlation": float(f"{row['correlation']:.3f}")}
+            for row in view.correlations]
     side = min(max(13 * len(names), 200), WIDTH)
     labels = alt.Axis(labelFontSize=min(11, max(6, side / len(names) - 2)), ticks=False,
                       domain=False, grid=False, labelLimit=120)
-    order = list(names)
     return alt.Chart(data(rows)).mark_rect(stroke="white", strokeWidth=0.4).encode(
-        x=alt.X("other:N", sort=order, title=None, axis=alt.Axis(
+        x=alt.X("other:N", sort=names, title=None, axis=alt.Axis(
             **{**labels.to_dict(), "labelAngle": -90})),
-        y=alt.Y("one:N", sort=order, title=None, axis=labels),
+        y=alt.Y("one:N", sort=names, title=None, axis=labels),
         color=alt.Color("correlation:Q", scale=alt.Scale(scheme="purpleorange", domain=[-1, 1],
                                                          domainMid=0),
                         legend=alt.Legend(gradientLength=180, title="correlation",

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from termsel.report.page import Figure
+from termsel.report.blocks import Figure
 from termsel.report.theme import FAINT, INK, WIDTH, data, require_altair
 from termsel.studies.statistics.groups import Groups, group
 from termsel.studies.statistics.significance import (

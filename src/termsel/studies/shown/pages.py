@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 from termsel.errors import counted
+from termsel.report.blocks import TableBlock
 from termsel.studies.cells.table import Row
 from termsel.studies.statistics.claims import claims
 from termsel.studies.statistics.fronts import front_figures
@@ -17,26 +16,7 @@ from termsel.studies.statistics.summaries import Summary, summaries
 from termsel.studies.study import Study
 
 
-@dataclass(frozen=True)
-class Table:
-    """A table with a heading.
-
-    Parameters
-    ----------
-    title : str
-    header : tuple of str
-    rows : list of tuple of str
-    cells : tuple of str
-        Of images: the key of each row's cell.
-    """
-
-    title: str
-    header: tuple[str, ...]
-    rows: list[tuple[str, ...]]
-    cells: tuple[str, ...] = ()
-
-
-def tables_of(study: Study) -> tuple[list[Table], list[str]]:
+def tables_of(study: Study) -> tuple[list[TableBlock], list[str]]:
     """Return the tables of a study, and what may be claimed.
 
     Parameters
@@ -54,7 +34,7 @@ def tables_of(study: Study) -> tuple[list[Table], list[str]]:
                for name in groups.instances]
     # Fronts are compared where the objectives are the same: on one model, by one criterion.
     searched = group([row for row in rows if row["strategy"] != "auto"], study.records, "fitness")
-    tables.append(Table(
+    tables.append(TableBlock(
         "Fronts", ("instance", "method", "hypervolume", "IGD+", "reference"),
         [(one.instance, one.method, f"{one.hypervolume:.4f}", f"{one.igd_plus:.4f}",
           one.reference) for one in front_figures(searched)]))
@@ -62,30 +42,30 @@ def tables_of(study: Study) -> tuple[list[Table], list[str]]:
         title = f"Over {comparison.instances} instances"
         if comparison.difference is not None:
             title += f": critical difference of mean ranks {comparison.difference:.2f} (Nemenyi)"
-        tables.append(Table(title, ("method", "mean rank"), sorted(
+        tables.append(TableBlock(title, ("method", "mean rank"), sorted(
             ((name, f"{rank:.2f}") for name, rank in zip(comparison.methods, comparison.ranks,
                                                          strict=True)),
             key=lambda row: float(row[1]))))
-        tables.append(Table(
+        tables.append(TableBlock(
             "Pairs", ("method", "compared with", "better on", "worse on", "p (Wilcoxon)",
                       "p (Holm)"),
             [(pair.one, pair.other, str(pair.wins), str(pair.losses), f"{pair.p:.2g}",
               f"{pair.corrected:.2g}") for pair in comparison.pairs]))
-    tables.append(Table("Cells without a result", ("cell", "state", "reason"), [
+    tables.append(TableBlock("Cells without a result", ("cell", "state", "reason"), [
         (_named(row), row["state"], row["reason"]) for row in rows
         if row["state"] in ("failed", "infeasible")]))
     return [table for table in tables if table.rows], claims(groups, comparison, rows)
 
 
-def _images(rows: list[Row]) -> Table:
+def _images(rows: list[Row]) -> TableBlock:
     """Return one row an image, in the order of the study's rows."""
-    return Table(
+    return TableBlock(
         f"{counted(len(rows), 'image')}, worst first",
         ("image", "model", "predicted RMSE [px]", "independent RMSE [px]", "blunders", "notes"),
         [(str(row["data"]) + (f", split {row['split']}" if row["split"] else ""),
           str(row["chosen"] or row["state"]), _predicted(row), shown(row["independent"], 3),
           ", ".join(row["blunders"] or ()), row["reason"] or " ".join(row["notes"] or ()))
-         for row in rows], tuple(row["cell"] for row in rows))
+         for row in rows], keys=[row["cell"] for row in rows])
 
 
 def _predicted(row: Row) -> str:
@@ -95,7 +75,7 @@ def _predicted(row: Row) -> str:
             f"{shown(row['predicted_high'], 3)})")
 
 
-def _of_instance(groups: Groups, name: str, found: list[Summary]) -> Table:
+def _of_instance(groups: Groups, name: str, found: list[Summary]) -> TableBlock:
     """Return the figures of all methods on an instance; effect sizes are those of the best one."""
     runs_of, measure = groups.instances[name], groups.measure
     best = min(found, key=lambda one: one.median).method
@@ -118,7 +98,7 @@ def _of_instance(groups: Groups, name: str, found: list[Summary]) -> Table:
             f"{effect_size(runs_of[best].values, runs_of[one.method].values):.2f}", *reached,
             *(() if measure == "independent" else (shown(one.independent, 3),)),
             shown(one.evaluations, 0), shown(one.cpu_seconds, 2)))
-    return Table(title, header, rows)
+    return TableBlock(title, header, rows)
 
 
 def _named(row: Row) -> str:
@@ -155,18 +135,19 @@ def markdown(study: Study) -> str:
     return "\n".join(parts)
 
 
-def section(table: Table, depth: int = 2) -> str:
+def section(table: TableBlock, depth: int = 2) -> str:
     """Return a table with its heading as Markdown.
 
     Parameters
     ----------
-    table : Table
+    table : TableBlock
     depth : int
         Of the heading.
     """
-    marks = ["---", *("---:" if _numeric(table, i) else "---" for i in range(1, len(table.header)))]
-    lines = ["| " + " | ".join(map(_escaped, row)) + " |" for row in (table.header, *table.rows)]
-    return "\n".join([f"{'#' * depth} {_escaped(table.title)}\n", lines[0],
+    marks = ["---", *("---:" if _numeric(table, i) else "---"
+                      for i in range(1, len(table.columns)))]
+    lines = ["| " + " | ".join(map(_escaped, row)) + " |" for row in (table.columns, *table.rows)]
+    return "\n".join([f"{'#' * depth} {_escaped(table.caption)}\n", lines[0],
                       f"|{'|'.join(marks)}|", *lines[1:], ""])
 
 
@@ -176,7 +157,7 @@ def _escaped(text: str) -> str:
     return " ".join(text.split())
 
 
-def _numeric(table: Table, column: int) -> bool:
+def _numeric(table: TableBlock, column: int) -> bool:
     cells = [row[column] for row in table.rows if row[column]]
     return all(cell[0].isdigit() or cell[0] in "-∞" for cell in cells)
 
@@ -196,10 +177,10 @@ def latex(study: Study) -> str:
     parts = []
     for table in tables_of(study)[0]:
         columns = "".join("r" if i and _numeric(table, i) else "l"
-                          for i in range(len(table.header)))
-        lines = [" & ".join(map(_tex, row)) + r" \\" for row in (table.header, *table.rows)]
+                          for i in range(len(table.columns)))
+        lines = [" & ".join(map(_tex, row)) + r" \\" for row in (table.columns, *table.rows)]
         parts.append("\n".join([
-            r"\begin{table}", rf"\caption{{{_tex(table.title)}}}",
+            r"\begin{table}", rf"\caption{{{_tex(table.caption)}}}",
             rf"\begin{{tabular}}{{{columns}}}", r"\toprule", lines[0], r"\midrule", *lines[1:],
             r"\bottomrule", r"\end{tabular}", r"\end{table}", ""]))
     return "\n".join(parts)
@@ -207,30 +188,3 @@ def latex(study: Study) -> str:
 
 def _tex(text: Any) -> str:
     return "".join(_LATEX.get(sign, sign) for sign in " ".join(str(text).split()))
-
-
-def summary(study: Study) -> str:
-    """Return what the terminal shows of a study: its tables in plain text.
-
-    Parameters
-    ----------
-    study : Study
-    """
-    tables, said = tables_of(study)
-    parts = []
-    for table in tables:
-        parts.append(f"{table.title}\n{aligned((table.header, *table.rows))}")
-    return "\n".join([*parts, *said, ""])
-
-
-def aligned(rows: Sequence[Sequence[str]]) -> str:
-    """Return rows in columns of equal width.
-
-    Parameters
-    ----------
-    rows : sequence of sequence of str
-    """
-    widths = [min(max(map(len, column)), 60) for column in zip(*rows, strict=True)]
-    return "\n".join("  " + "  ".join(
-        cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
-        for row in rows) + "\n"

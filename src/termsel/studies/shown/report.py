@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from html import escape
-from typing import Any
 
 from termsel.errors import TermselError, counted
 from termsel.io.result_folder import read_result
-from termsel.report import page
-from termsel.report.page import Figure, Section
+from termsel.report.blocks import Document, Figure, Section
+from termsel.report.page import page
 from termsel.report.small import small_map
+from termsel.report.text import text_of
 from termsel.report.theme import require_altair
 from termsel.studies.cells.images import IMAGES, folders_of
 from termsel.studies.shown.figures import figures_of
-from termsel.studies.shown.pages import Table, tables_of
+from termsel.studies.shown.pages import tables_of
 from termsel.studies.study import Study
 
 _SMALL = ("Arrows are the residuals of all features: blue of control, orange of check, black of "
@@ -51,20 +52,35 @@ def report(study: Study, charts: list[Figure] | None = None) -> str:
         If the extra `report` is not installed.
     """
     require_altair()
-    charts = charts_of(study) if charts is None else charts
+    return page(_document(study, charts_of(study) if charts is None else charts,
+                          thumbnails(study)))
+
+
+def summary(study: Study) -> str:
+    """Return what may be claimed of a study, and its tables, as text.
+
+    Parameters
+    ----------
+    study : Study
+    """
+    return text_of(_document(study, [], {}))
+
+
+def _document(study: Study, charts: list[Figure], pictures: dict[str, str]) -> Document:
+    """Return what is shown of a study; `pictures` are drawings of images by the key of the cell."""
     tables, said = tables_of(study)
-    pictures = thumbnails(study)
-    images = [_table(one, pictures) for one in tables if one.cells]
+    images = [replace(one, keys=(), pictures=[pictures.get(key, "") for key in one.keys]
+                      if pictures else ()) for one in tables if one.keys]
     sections = (
         Section("What may be claimed", tuple(said)),
-        Section("Images", (*[_SMALL] * any(one.pictures for one in images), *images)),
-        Section("Tables", tuple(_table(one, {}) for one in tables if not one.cells)),
+        Section("Images", (*[_SMALL] * bool(pictures and images), *images)),
+        Section("Tables", tuple(one for one in tables if not one.keys)),
         Section("Charts", tuple(charts)))
     alike = study.spec.strategies == ("auto",)
     done, number = len(study.records), counted(len(study.cells), "image" if alike else "cell")
-    return page.page(study.spec.title or "Study",
-                     number if study.complete else f"{done} of {number} finished",
-                     [section for section in sections if section.blocks])
+    return Document(study.spec.title or "Study",
+                    number if study.complete else f"{done} of {number} finished", (),
+                    tuple(section for section in sections if section.blocks))
 
 
 def thumbnails(study: Study) -> dict[str, str]:
@@ -90,8 +106,3 @@ def thumbnails(study: Study) -> dict[str, str]:
         except TermselError as error:
             found[key] = escape(error.what)
     return found
-
-
-def _table(table: Table, pictures: dict[str, Any]) -> page.Table:
-    drawn = [pictures.get(key, "") for key in table.cells] if pictures else []
-    return page.Table(table.title, table.header, table.rows, pictures=drawn)

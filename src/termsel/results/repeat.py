@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Iterator, Mapping
-from typing import Any
+from collections.abc import Iterator
 
+from termsel.record.base import Value, plain
+from termsel.record.record import Record
 from termsel.solvers.base import GIVEN
 from termsel.solvers.genetic.ga import GeneticAlgorithm
 from termsel.solvers.genetic.ga_correlation import CorrelationSeededGA
@@ -14,75 +15,76 @@ _BY_NAME = (GeneticAlgorithm, CorrelationSeededGA)
 """Solvers that have other options when they are named."""
 
 
-def command(record: Mapping[str, Any]) -> str:
+def command(record: Record) -> str:
     """Return the command that repeats a run in the folder of its result.
 
     The points and lines there have their roles, so that the files they came from are not needed.
 
     Parameters
     ----------
-    record : mapping
-        The content of result.json, of a run that a command can repeat (`not_by_command`).
+    record : Record
+        Of a run that a command can repeat (`not_by_command`).
     """
     return " \\\n    ".join(["termsel run", *_parts(record)])
 
 
-def not_by_command(record: Mapping[str, Any]) -> str:
+def not_by_command(record: Record) -> str:
     """Return why no command repeats a run; "" if one does.
 
     Parameters
     ----------
-    record : mapping
-        The content of result.json.
+    record : Record
     """
-    made = [f"{part} {one['class']}" for part, one in record["plugins"].items() if "class" in one]
+    made = [f"{part} {one.class_}" for part, one in record.plugins.items() if one.class_]
     if made:
         return (f"No command repeats this run, as no plugin provides its {', '.join(made)}. Call "
                 "termsel.run with the same objects, seed and options.")
-    if record["solver"] == GIVEN:
+    if record.solver == GIVEN:
         return "No command repeats this result, as its genes were given in Python."
     return ""
 
 
-def _parts(record: Mapping[str, Any]) -> Iterator[str]:
-    counts = record["data"]["counts"]
+def _parts(record: Record) -> Iterator[str]:
+    counts = record.data.counts
     yield f"--problem {shlex.quote(_full_name(record, 'problem'))}"
-    if any(counts[role] for role in ("control", "check", "independent", "off")):
+    if counts.control or counts.check or counts.independent or counts.off:
         yield "--points points.csv"
-    if counts["lines"]:
+    if counts.lines:
         yield "--lines lines.csv"
-    yield f"--crs {shlex.quote(record['data']['crs'])}"
-    if record["strategy"]:
+    yield f"--crs {shlex.quote(record.data.crs)}"
+    if record.strategy:
         yield "--strategy auto"
     else:
-        own = record["options"]["solver"]
+        own = record.options.solver
         # A solver that is named takes what its paper says; that of the problem does not.
         published = next((solver.published for solver in _BY_NAME
-                          if solver.name == record["solver"]), {})
+                          if solver.name == record.solver), {})
         named = all(own[name] is not None for name in published)
         for part in ("model", *["solver"] * named, "criterion"):
             yield f"--{part} {shlex.quote(_full_name(record, part))}"
-    names = [name for options in record["options"].values() for name in options]
-    for part, options in record["options"].items():
+    each = plain(record.options)
+    names = [name for options in each.values() for name in options]
+    for part, options in each.items():
         for name, value in options.items():
             if value is not None and not (part == "data" and name in _SETTLED) \
-                    and not (record["strategy"] and part != "data"):
+                    and not (record.strategy and part != "data"):
                 # A name that two parts have must say which.
                 key = f"{part}.{name}" if names.count(name) > 1 else name
-                yield f"--set {shlex.quote(f'{key}={_plain(value)}')}"
-    yield f"--seed {record['seed']}"
-    for name, limit in record["budget"].items():
+                yield f"--set {shlex.quote(f'{key}={_text(value)}')}"
+    yield f"--seed {record.seed}"
+    for name, limit in plain(record.budget).items():
         yield f"--{name} {limit:.12g}"
 
 
-def _full_name(record: Mapping[str, Any], part: str) -> str:
+def _full_name(record: Record, part: str) -> str:
     """Return the name of a part, with its distribution if a plugin provides it."""
-    return str(record["plugins"].get(part, {}).get("name", record[part]))
+    plugin = record.plugins.get(part)
+    return str(getattr(record, part)) if plugin is None else plugin.name
 
 
 _SETTLED = ("roles", "off", "role", "fractions", "split")
 """Options of data that the roles in points.csv have settled."""
 
 
-def _plain(value: Any) -> str:
+def _text(value: Value) -> str:
     return str(value).lower() if isinstance(value, bool) else str(value)

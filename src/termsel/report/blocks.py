@@ -1,0 +1,129 @@
+"""What people read, as blocks: text and pages render the same ones."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+_LONGEST_NUMBER = 24
+"""Characters beyond which a cell of a table is words, and begins at the left."""
+
+
+@dataclass(frozen=True)
+class Note:
+    """What else a reader must know."""
+
+    text: str
+
+
+@dataclass(frozen=True)
+class Statement:
+    """A statement that can be pasted elsewhere as it is."""
+
+    text: str
+
+
+@dataclass(frozen=True)
+class Code:
+    """A command, or other text in which spaces count."""
+
+    text: str
+
+
+@dataclass(frozen=True)
+class Names:
+    """A list of names, such as those of terms, with what they have in common."""
+
+    title: str
+    names: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class TableBlock:
+    """A table, which also serves where a chart cannot be seen.
+
+    Parameters
+    ----------
+    caption : str
+    columns : tuple of str
+    rows : sequence of tuple
+        Numbers as text, already rounded.
+    choice : str
+        Name of the choice that a row makes in the charts; "" where there is none.
+    keys : sequence
+        What each row chooses, or what it is of; of the same length as the rows.
+    folded : bool
+        Whether it is shown only when asked for; a text leaves it out.
+    pictures : sequence of str
+        A drawing of each row as SVG, of the same length as the rows; none by default.
+    marked : int, optional
+        The row that was chosen.
+    page_only : tuple of int
+        Columns that a text leaves out, as they are too wide for it.
+    """
+
+    caption: str
+    columns: tuple[str, ...]
+    rows: Sequence[tuple[str, ...]]
+    choice: str = ""
+    keys: Sequence[Any] = ()
+    folded: bool = False
+    pictures: Sequence[str] = ()
+    marked: int | None = None
+    page_only: tuple[int, ...] = ()
+
+    def has_words(self, column: int) -> bool:
+        """Return whether a column has words, which begin at the left, and not numbers."""
+        return any(len(row[column]) > _LONGEST_NUMBER for row in self.rows) or (
+            column == 0 and not all(row[0].isdigit() for row in self.rows))
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A chart with what to look for; a text leaves it out.
+
+    Parameters
+    ----------
+    name, title, look : str
+    chart : altair.Chart
+        Without title and style.
+    keeps_ratio : bool
+        Whether height follows width, as that of a map.
+    """
+
+    name: str
+    title: str
+    look: str
+    chart: Any
+    keeps_ratio: bool = False
+
+
+Block = str | Note | Statement | Code | Names | TableBlock | Figure
+"""A block; text alone is a paragraph."""
+
+
+@dataclass(frozen=True)
+class Section:
+    """A heading, such as a question, and what follows it."""
+
+    title: str
+    blocks: tuple[Block, ...] = ()
+
+
+@dataclass(frozen=True)
+class Document:
+    """What is shown of a result or a study.
+
+    Parameters
+    ----------
+    title, subtitle : str
+    facts : tuple of Block
+        What stands before the first heading.
+    sections : tuple of Section
+    """
+
+    title: str
+    subtitle: str
+    facts: tuple[Block, ...]
+    sections: tuple[Section, ...]

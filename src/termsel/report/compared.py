@@ -1,0 +1,45 @@
+"""This result among the fits without a search, and what they are called."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from termsel.candidates.compare import WITHOUT_BLUNDERS
+from termsel.candidates.structures import named
+from termsel.record.figures import RmseByRole
+from termsel.record.record import Record
+
+THIS = "this result"
+
+
+def label_of(name: str) -> str:
+    """Return what tables and charts call a fit without a search.
+
+    Parameters
+    ----------
+    name : str
+        Of a baseline, or of a candidate of the strategy auto.
+    """
+    candidate = named(name)
+    return {"all-terms": "all terms", WITHOUT_BLUNDERS: "without blunders"}.get(name, name) \
+        if candidate is None else candidate.label
+
+
+def fits_of(record: Record) -> Iterator[tuple[str, bool, int, RmseByRole]]:
+    """Yield this result, then all fits without a search.
+
+    Parameters
+    ----------
+    record : Record
+
+    Yields
+    ------
+    label : str
+    fitted : bool
+        Whether it was fitted to the check points too.
+    n_terms : int
+    rmse : RmseByRole
+    """
+    yield THIS, bool(record.strategy), record.selection.n_terms, record.rmse
+    for one in record.baselines:
+        yield label_of(one.name), "check" in one.fitted_to, one.n_terms, one.rmse

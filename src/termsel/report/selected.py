@@ -1,0 +1,179 @@
+"""What was selected, and why: the choice or the search, its proofs, its front, its terms."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import cast
+
+from termsel.errors import amount, counted, percent
+from termsel.fits.diagnosis import CORRELATED, SIGNIFICANT
+from termsel.record.figures import RoleRmse
+from termsel.record.record import Record
+from termsel.record.search import Certificate, Member, SizeRow, Strategy
+from termsel.report import sizes
+from termsel.report.blocks import Block, Figure, Names, TableBlock
+from termsel.report.charts import search
+from termsel.report.compared import label_of
+from termsel.report.plots import figure, missing
+from termsel.report.tables import OF_TERMS
+from termsel.report.view import View
+
+
+def selected(record: Record, view: View | None, picture: str) -> Iterator[Block]:
+    """Yield what was selected, from what, and what is known of it.
+
+    Parameters
+    ----------
+    record : Record
+    view : View, optional
+    picture : str
+        The image, smaller, as a data URL.
+    """
+    yield from _choice(record, record.strategy, view) if record.strategy else _search(record)
+    yield from _front(record, view, picture)
+    yield from _coefficients(record)
+    if view is not None:
+        there = [name for name in OF_TERMS if not missing(view, name)]
+        for name in there:
+            yield from figure(view, name)
+        yield from (table(view) for name in there if (table := OF_TERMS[name]) is not None)
+    selection, offered = record.selection, record.offered
+    if selection.n_features < offered.n_features and not record.strategy:
+        yield Names("Features", selection.features)
+    if selection.n_terms < offered.n_terms:
+        yield Names("Terms", selection.terms)
+
+
+def _choice(record: Record, strategy: Strategy, view: View | None) -> Iterator[Block]:
+    """Yield the candidates with their leave-one-out RMSE, the chosen one marked."""
+    candidates = strategy.candidates
+    yield (f"Chosen: {label_of(strategy.chosen)}, fitted to control and check together; "
+           f"{record.seconds:.1f} s")
+    if strategy.reason:  # records of version 0.1 do not say it
+        yield strategy.reason
+    yield from figure(view, "candidates")
+    names = [one.name for one in candidates]
+    yield TableBlock("Candidates", ("candidate", "terms", "effective", "leave-one-out RMSE [px]"), [
+        (label_of(one.name), str(one.n_terms), f"{one.effective:.1f}",
+         "-" if one.predicted is None else f"{one.predicted:.3f}") for one in candidates],
+        marked=names.index(strategy.chosen) if strategy.chosen in names else None)
+
+
+def _search(record: Record) -> Iterator[Block]:
+    """Yield what was selected, how it was searched for, and what is proven."""
+    selection, offered = record.selection, record.offered
+    if stability := record.stability:
+        yield (f"{selection.n_terms} of {offered.n_terms} terms are in at least "
+               f"{stability.threshold:.0%} of {stability.repeats} selections, each with "
+               "other control and check points.")
+    yield (f"Selected: {_share(selection.n_features, offered.n_features)} control features, "
+           f"{_share(selection.n_terms, offered.n_terms)} terms; "
+           f"redundancy {record.adjustment.redundancy}")
+    if parameters := selection.parameters:  # not in older records
+        yield "Parameters: " + ", ".join(
+            f"{name} {value:.6g}" if isinstance(value, float) else f"{name} {value}"
+            for name, value in parameters.items())
+    share = cast("float", record.options.problem.get("max_share", 1.0))
+    if share < 1:
+        yield (f"Terms are {100 * share:.0f} % of their equations at most; --set max_share=1 lifts "
+               "this")
+    yield (f"Search: {counted(record.evaluations, 'evaluation')} ({record.lookups} looked "
+           f"up), {counted(record.generations, 'generation')}, {record.seconds:.1f} s")
+    if refined := record.polish:
+        yield (f"Local refinement: {record.criterion} {refined.found:.4g} as "
+               f"{record.solver} found it, {refined.polished:.4g} after it "
+               f"({counted(refined.evaluations, 'evaluation')})")
+    if record.certificate:
+        exact = "--solver exact" + " --set max_share=1" * (share == 1.0)
+        if record.solver == "exact":  # it has a front once it has decided all
+            exact = "--set recommend=best" if record.front else "a larger budget"
+        yield _certificate(record.certificate, exact)
+
+
+def _share(chosen: int, offered: int) -> str:
+    return f"all {offered}" if chosen == offered else f"{chosen} of {offered}"
+
+
+def _certificate(certificate: Certificate, exact: str) -> str:
+    """Return what a certificate proves; `exact` is what would find the optimum."""
+    decided = f"{amount(certificate.subsets, 'subset')} decided"
+    proven = f"{decided}, {certificate.space}"
+    _, _, limit = certificate.space.partition("selections of ")
+    capped = f" of {limit}" if limit else ""
+    if certificate.claimed_by and certificate.optimal:
+        return (f"{certificate.claimed_by} claims that no selection has a better criterion "
+                f"({proven}); termsel has not proven it")
+    if certificate.optimal:
+        how = [decided]
+        if certificate.bounded:
+            how.append(f"{amount(certificate.bounded)} of them by bounds")
+        return (f"Proven: no selection{capped} has a better criterion "
+                f"({', '.join(how if limit else [*how, certificate.space])})")
+    if isinstance(certificate.optimum, float):
+        if not isinstance(certificate.gap, float):
+            return (f"The proven optimum is {certificate.optimum:.4g}, below this ({proven}); "
+                    f"{exact} finds it")
+        return (f"Gap: {percent(certificate.gap)} above the proven optimum "
+                f"{certificate.optimum:.4g} ({proven}); {exact} finds it")
+    if certificate.feasible is False:
+        return f"Proven: no selection{capped} is feasible ({decided if limit else proven})"
+    done = f"{amount(certificate.subsets)} of {amount(certificate.of, 'subset')} decided"
+    if isinstance(certificate.gap, float):
+        return (f"Not proven: at most {percent(certificate.gap)} above the optimum{capped}, "
+                f"which is {certificate.bound:.4g} or more ({done})")
+    return f"Not proven: {done}" + (
+        "; no lower bound is known yet" if certificate.bound == 0 else "")
+
+
+def _front(record: Record, view: View | None, picture: str) -> Iterator[Block]:
+    """Yield the front, or the best so far of each size, and what is proven of these."""
+    front, by_size = record.front, record.by_size
+    members: Sequence[Member | SizeRow] = front or [one for one in by_size if one.better]
+    if not members:
+        return
+    if front and view is not None:
+        yield from figure(view, "front", search.front(view))
+        yield Figure("members", "Residuals of the chosen member",
+                     "Choose a member in the chart above or in the table below.",
+                     search.members(view, picture), keeps_ratio=True)
+    size, criterion = list(members[0].objectives)[:2]
+    counts, names = sizes.counted_by(members), size.removeprefix("n_")
+    proven = {one.objectives[size]: sizes.proven(one) for one in by_size}
+    yield TableBlock("Front", (
+        counts, *list(members[0].objectives)[1:], "check [px]", "independent [px]",
+        *[sizes.TITLE] * bool(proven), names), [
+            (*("-" if value is None else f"{value:.5g}" for value in one.objectives.values()),
+             _px(one.rmse.check), _px(one.rmse.independent),
+             *[proven.get(one.objectives[size], "")] * bool(proven),
+             " ".join(one.selection[names])) for one in members],
+        choice="member" * bool(front), keys=list(range(len(front))),
+        marked=sizes.recommended(members, record.selection),
+        page_only=(len(members[0].objectives),
+                   len(members[0].objectives) + 2 + bool(proven)))
+    rule = record.options.problem.get("recommend")
+    if rule and (len(record.objectives) > 1 or rule != "best"):
+        yield (f"The marked one is the selection, recommended by the rule {rule} (--set "
+               "recommend=...).")
+    if by_size:
+        yield from sizes.others(by_size, criterion)
+        yield TableBlock("Best selection of each size", (
+            counts, criterion, "lower bound", sizes.TITLE, "independent [px]", names), [
+                (f"{one.objectives[size]:g}", f"{one.objectives[criterion]:.4g}",
+                 "-" if one.bound is None else f"{one.bound:.4g}", sizes.proven(one),
+                 _px(one.rmse.independent), " ".join(one.selection[names])) for one in by_size],
+            folded=True)
+
+
+def _px(rmse: RoleRmse) -> str:
+    return "-" if rmse.total is None else f"{rmse.total:.3f}"
+
+
+def _coefficients(record: Record) -> Iterator[Block]:
+    """Yield which terms are not significant, and how coefficients correlate."""
+    weak = [name for name, one in record.significance.items() if one.p > SIGNIFICANT]
+    if weak:
+        yield Names(f"Not significant ({100 * SIGNIFICANT:.0f} %)", tuple(weak))
+    if pairs := record.correlations:
+        first, second = pairs[0].terms
+        yield (f"Correlations of coefficients of {CORRELATED} or more: {len(pairs)}, highest "
+               f"{pairs[0].correlation:.4f} ({first}, {second})")
