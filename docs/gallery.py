@@ -36,7 +36,7 @@ _TRUE = re.compile(r"^<!-- true: (.+) -->$", re.MULTILINE)
 
 def reached(study: Study, solver: str, evaluations: int) -> float:
     """Return the median of what the runs of a solver reached with so many evaluations."""
-    traces = [study.records[key]["trace"] for key, labels in study.cells.items()
+    traces = [study.records[key].trace for key, labels in study.cells.items()
               if labels["solver"] == solver]
     return median(min((point[1] for point in trace if point[0] <= evaluations),
                       default=float("inf")) for trace in traces)

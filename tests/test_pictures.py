@@ -23,6 +23,7 @@ from termsel.report.plots import KINDS, chart
 from termsel.report.small import small_map
 from termsel.report.theme import styled
 from termsel.results import shown
+from termsel.studies.cells.record import CellRecord
 from termsel.studies.plan.spec import spec_of
 from termsel.studies.shown import figures
 from termsel.studies.shown.figures import figures_of
@@ -86,11 +87,10 @@ def study() -> Study:
                               "strategy": "as-asked", "model": "poly2d",
                               "criterion": "check-rmse", "solver": solver, "seed": seed}
                 best = 1 + 0.1 * i + (0.02, 0.2, 0.5)[s] * seed
-                records[key] = {"cell": key, "state": "done", "reason": "", "front": [],
-                                "trace": [[10, 3 * best, 0.01],
-                                          [40 * (s + 1), best, 0.1 * (s + 1)]],
-                                "figures": {"fitness": best, "evaluations": 200, "optimum": None,
-                                            "independent": best, "cpu_seconds": 0.5}}
+                records[key] = CellRecord(
+                    key, "done", "", {"fitness": best, "evaluations": 200, "optimum": None,
+                                      "independent": best, "cpu_seconds": 0.5},
+                    [[10, 3 * best, 0.01], [40 * (s + 1), best, 0.1 * (s + 1)]], [])
     return Study(spec_of({"problems": ["poly-terms"], "solvers": ["ga", "ica", "pso"],
                           "seeds": 2}), cells, records, None)
 

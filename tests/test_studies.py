@@ -22,6 +22,7 @@ from termsel.formats.readers.csv_tables import write_lines_csv, write_points_csv
 from termsel.solvers.ledger import Progress
 from termsel.studies import compare
 from termsel.studies.cells.images import IMAGES, folders_of
+from termsel.studies.cells.record import CellRecord
 from termsel.studies.cells.table import TIMES
 from termsel.studies.execution import work
 from termsel.studies.plan.places import places_of
@@ -84,7 +85,7 @@ def test_a_cell_is_what_a_run_gives(tmp_path: Path) -> None:
     assert independent is not None
     assert row["independent"] == independent.total
     assert (row["n_terms"], row["evaluations"]) == (len(result.selection.terms), 300)
-    trace = study.records[row["cell"]]["trace"]
+    trace = study.records[row["cell"]].trace
     assert trace[-1][1] == row["fitness"]
     assert all(a[0] <= b[0] and a[1] > b[1] for a, b in itertools.pairwise(trace))
 
@@ -213,8 +214,8 @@ def test_a_dry_run_shows_cells_and_time(call: Call, tmp_path: Path) -> None:
 def test_the_time_of_a_cell_is_that_without_compilation(monkeypatch: pytest.MonkeyPatch) -> None:
     seconds = {"random": iter([8.0, 0.25]), "ga": iter([25.0, 1.0])}
     monkeypatch.setattr(compare, "needs_compilation", lambda: False)
-    monkeypatch.setattr(compare, "do", lambda work, features: SimpleNamespace(record={
-        "figures": {"seconds": next(seconds[work.call["solver"]])}, "reason": ""}))
+    monkeypatch.setattr(compare, "do", lambda work, features: SimpleNamespace(record=CellRecord(
+        "k", "done", "", {"seconds": next(seconds[work.call["solver"]])}, [], [])))
     kinds = list(compare.estimate(problems=["poly-terms"], solvers=["random", "ga"], seeds=7))
     # A cell that takes long is not run twice.
     assert [kind[1:3] for kind in kinds] == [(7, 0.25), (7, 25.0)]

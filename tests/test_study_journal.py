@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import json
 import os
 import random
 import re
@@ -25,6 +24,7 @@ from termsel.files.names import JOURNAL
 from termsel.studies.cells.folder import PLAN
 from termsel.studies.cells.journal import Journal, read_journal
 from termsel.studies.cells.lock import holder, locked
+from termsel.studies.cells.record import CellRecord
 from termsel.studies.cells.table import TIMES
 from termsel.studies.execution.executors import DIED, processes, serial
 from termsel.studies.execution.work import Work
@@ -236,13 +236,13 @@ def test_a_cell_that_ends_its_process_fails_alone() -> None:
     features = {"data": termsel.prepare("poly-terms").features}
     good = [_work(f"good{i}", seed=i) for i in range(4)]
     bad = _work("bad", options=_Deadly())
-    found = {one.record["cell"]: one.record for one in processes(
+    found = {one.record.cell: one.record for one in processes(
         [*good[:2], bad, *good[2:]], features, lambda: False, 2)}
     assert set(found) == {"good0", "good1", "good2", "good3", "bad"}
-    assert (found["bad"]["state"], found["bad"]["reason"]) == ("failed", DIED)
-    alone = {one.record["cell"]: one.record for one in serial(good, features, lambda: False)}
+    assert (found["bad"].state, found["bad"].reason) == ("failed", DIED)
+    alone = {one.record.cell: one.record for one in serial(good, features, lambda: False)}
     for key, record in alone.items():
-        assert found[key]["figures"]["fitness"] == record["figures"]["fitness"]
+        assert found[key].figures["fitness"] == record.figures["fitness"]
 
 
 class _Deadly(dict):  # type: ignore[type-arg]
@@ -260,18 +260,19 @@ def test_a_disk_that_takes_a_few_bytes_at_a_time_gets_all(
     monkeypatch.setattr(os, "write", lambda file, data: write(file, data[:7]))
     journal = Journal(tmp_path / JOURNAL)
     journal.open({"a": "1"})
-    journal.append({"cell": "k", "state": "done"})
+    record = CellRecord("k", "done", "", {}, [], [])
+    journal.append(record)
     journal.close()
     monkeypatch.undo()
     again = read_journal(tmp_path)
     assert not again.remarks
-    assert again.records == {"k": {"cell": "k", "state": "done"}}
+    assert again.records == {"k": record}
 
 
 def test_a_record_survives_the_journal(tmp_path: Path) -> None:
     journal = Journal(tmp_path / JOURNAL)
     journal.open({"a": "1"})
-    record = {"cell": "k", "state": "done", "reason": "ä\u2028\n\"", "figures": {"x": 0.1 + 0.2}}
+    record = CellRecord("k", "infeasible", "ä\u2028\n\"", {"x": 0.1 + 0.2}, [[1.0, 2.5, 0.1]], [])
     journal.append(record)
     journal.close()
-    assert json.loads(json.dumps(read_journal(tmp_path).records["k"])) == record
+    assert read_journal(tmp_path).records["k"] == record

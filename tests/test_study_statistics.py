@@ -10,8 +10,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from msgspec import structs
 
 import termsel
+from termsel.studies.cells.record import CellRecord
 from termsel.studies.shown.ioh import ioh_files
 from termsel.studies.shown.pages import latex, markdown, tables_of
 from termsel.studies.statistics.claims import claims, size_in_words
@@ -162,7 +164,7 @@ def test_no_optimum_is_reached_by_a_run_that_ends_elsewhere() -> None:
     # Both found 1.0; the second recommends another member of its front.
     row = {"optimum": 1.0, "state": "done", "evaluations": 100}
     runs = Runs([row] * 2, [1.0, 2.0], [
-        {"trace": [[40, 1.0, 0.1]], "figures": {"evaluations": 100}}] * 2)
+        CellRecord("k", "done", "", {"evaluations": 100}, [[40, 1.0, 0.1]], [])] * 2)
     (found,) = summaries(Groups("fitness", {"one": {"ga": runs}}, ("ga",)))
     assert (found.optimum, found.reached, found.expected) == (1.0, 1, 40 + 100)
 
@@ -189,7 +191,7 @@ def test_indicators_of_fronts_by_hand() -> None:
 def test_the_reference_is_the_front_that_was_proven_whichever_run_it_was() -> None:
     def runs(*fronts: tuple[bool, list[list[float]]]) -> Runs:
         return Runs([{"proven": proven} for proven, _ in fronts], [0.0] * len(fronts),
-                    [{"front": front} for _, front in fronts])
+                    [CellRecord("k", "done", "", {}, [], front) for _, front in fronts])
 
     best, worse = [[0.0, 10.0], [1.0, 0.0]], [[0.5, 10.0], [1.0, 5.0]]
     found = front_figures(Groups("fitness", {"one": {
@@ -251,7 +253,7 @@ def test_ratios_of_what_is_below_zero_are_not_drawn(study: termsel.Study) -> Non
     pytest.importorskip("altair")
     from termsel.studies.shown.figures import figures_of
 
-    records = {key: {**one, "figures": {**one["figures"], "fitness": -1.0}}
+    records = {key: structs.replace(one, figures={**one.figures, "fitness": -1.0})
                for key, one in study.records.items()}
     below = termsel.Study(study.spec, study.cells, records, None)
     assert "performance-profile" in {one.name for one in figures_of(study)}
@@ -306,7 +308,7 @@ def test_ioh_data_have_the_runs(study: termsel.Study, tmp_path: Path) -> None:
 
 
 def test_methods_of_like_names_have_ioh_data_of_their_own() -> None:
-    record = {"trace": [[10, 0.5]], "figures": {"evaluations": 10}}
+    record = CellRecord("k", "done", "", {"evaluations": 10}, [[10, 0.5]], [])
     methods = ("ga p=1", "ga p 1", "GA_p_1", "ga_p=1-2")
     groups = Groups("fitness", {"one": {name: Runs([], [0.5], [record]) for name in methods}},
                     methods)
@@ -327,7 +329,7 @@ def test_iohinspector_reads_the_data(study: termsel.Study, tmp_path: Path) -> No
     manager.add_folder(str(tmp_path))
     best = sorted(manager.overview["best_y"].to_list())
     # Of a front the run may recommend another member than that of least fitness.
-    assert best == sorted(record["trace"][-1][1] for record in study.records.values())
+    assert best == sorted(record.trace[-1][1] for record in study.records.values())
     table = manager.load(monotonic=True)
     assert table["raw_y"].min() == best[0]
 

@@ -111,7 +111,7 @@ def compare(
         waiting = [cell for cell in cells if cell.key not in finished]
         stopped = stack.enter_context(deferred(lambda: log.warning(FINISHING)))
         for outcome in _outcomes(waiting, stopped, workers, scheduler, plugins):
-            key = outcome.record["cell"]
+            key = outcome.record.cell
             if out is not None and outcome.files:
                 write_files(place / IMAGES / folders[key], outcome.files)
             journal.append(outcome.record)
@@ -206,10 +206,10 @@ def estimate(study: Path | str | Mapping[str, Any] | None = None, **keys: Any
             yield kind, len(cells), None, cells[0].data.reason
             continue
         record = do(works[0], features[works[0].data]).record
-        if cold or record["figures"].get("seconds", LONG) < LONG:
+        if cold or record.figures.get("seconds", LONG) < LONG:
             # The first run of a kind also loads or compiles what it needs.
             record = do(works[0], features[works[0].data]).record
-        yield kind, len(cells), record["figures"].get("seconds"), record["reason"]
+        yield kind, len(cells), record.figures.get("seconds"), record.reason
 
 
 def _begun(stack: ExitStack, place: Path, now: Mapping[str, str]) -> Journal:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from termsel.display import Glance
 from termsel.errors import TermselError, counted
+from termsel.studies.cells.record import CellRecord
 from termsel.studies.cells.table import Row, columns_of, rows_of
 from termsel.studies.plan.spec import Spec
 
@@ -70,7 +71,7 @@ class Study(Glance):
 
     spec: Spec
     cells: Mapping[str, Mapping[str, Any]]
-    records: Mapping[str, Mapping[str, Any]]
+    records: Mapping[str, CellRecord]
     folder: Path | None
 
     @property

@@ -14,6 +14,7 @@ from termsel.formats.base import located, parse_json, read_text
 from termsel.studies.cells.cell import LABELS, Cell
 from termsel.studies.cells.journal import read_journal
 from termsel.studies.cells.lock import holder
+from termsel.studies.cells.record import CellRecord
 from termsel.studies.execution.progress import Progress, Tally, tally_of
 from termsel.studies.plan.spec import FILES, PARTS, READING, Part, Source, Spec, spec_of
 from termsel.studies.study import Study
@@ -42,7 +43,7 @@ class Plan:
     workers: int
     cells: Mapping[str, Mapping[str, Any]]
 
-    def tally(self, records: Mapping[str, Mapping[str, Any]]) -> Tally:
+    def tally(self, records: Mapping[str, CellRecord]) -> Tally:
         """Return how far the study is.
 
         Parameters

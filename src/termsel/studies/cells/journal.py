@@ -15,8 +15,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, BinaryIO
 
+from msgspec import ValidationError, convert
+
 from termsel.errors import TermselError, counted
 from termsel.files.names import JOURNAL
+from termsel.record.base import plain
+from termsel.studies.cells.record import CellRecord
 
 SCHEMA = "termsel-study-1"
 
@@ -40,7 +44,7 @@ class Journal:
     """
 
     path: Path
-    records: dict[str, Mapping[str, Any]] = field(default_factory=dict)
+    records: dict[str, CellRecord] = field(default_factory=dict)
     versions: Mapping[str, str] = field(default_factory=dict)
     remarks: list[str] = field(default_factory=list)
     _file: BinaryIO | None = None
@@ -77,7 +81,7 @@ class Journal:
             self.versions = dict(versions)
             self._write({"schema": SCHEMA, "versions": self.versions})
 
-    def append(self, record: Mapping[str, Any]) -> None:
+    def append(self, record: CellRecord) -> None:
         """Add the record of a cell.
 
         Raises
@@ -85,8 +89,8 @@ class Journal:
         TermselError
             If the disk does not take it; the journal is then as it was.
         """
-        self._write(record)
-        self.records[record["cell"]] = record
+        self._write(plain(record))
+        self.records[record.cell] = record
 
     def close(self) -> None:
         """Wait until all is on the disk."""
@@ -153,7 +157,12 @@ def read_journal(folder: Path) -> Journal:
                                    hint="Use the version of termsel that wrote it.")
             journal.versions = record["versions"]
         else:
-            journal.records[record["cell"]] = record
+            try:
+                cell = convert(record, CellRecord)
+            except ValidationError:
+                damaged.append(number)
+            else:
+                journal.records[cell.cell] = cell
         journal._end += len(line)
     if journal._end < len(content):
         journal.remarks.append(f"The last line of {journal.path} was torn and is cut off.")

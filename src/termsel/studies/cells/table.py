@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from termsel.studies.cells.cell import LABELS
+from termsel.studies.cells.record import CellRecord
 
 WAITING = "waiting"
 """State of a cell that is not finished."""
@@ -36,7 +37,7 @@ def columns_of(strategies: Sequence[str]) -> tuple[str, ...]:
             *(_SEARCH if "as-asked" in strategies else ()), *_BOTH, *_LAST)
 
 
-def rows_of(cells: Mapping[str, Mapping[str, Any]], records: Mapping[str, Mapping[str, Any]],
+def rows_of(cells: Mapping[str, Mapping[str, Any]], records: Mapping[str, CellRecord],
             strategies: Sequence[str]) -> list[Row]:
     """Return one row a cell, in the order of the cells; of the strategy auto alone worst first.
 
@@ -51,9 +52,10 @@ def rows_of(cells: Mapping[str, Mapping[str, Any]], records: Mapping[str, Mappin
     columns = columns_of(strategies)
     rows = []
     for key, labels in cells.items():
-        record = records.get(key, {"state": WAITING, "reason": "", "figures": {}})
-        values = {**labels, **record["figures"], "cell": key, "state": record["state"],
-                  "reason": record["reason"]}
+        record = records.get(key)
+        values = {**labels, "cell": key, "state": WAITING, "reason": ""} if record is None else {
+            **labels, **record.figures, "cell": key, "state": record.state,
+            "reason": record.reason}
         rows.append({name: values.get(name) for name in columns})
     return sorted(rows, key=_badness) if tuple(strategies) == ("auto",) else rows
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from termsel.studies.cells.cell import LABELS, kind_of
+from termsel.studies.cells.record import CellRecord
 from termsel.studies.cells.table import WAITING
 from termsel.studies.execution.work import STATES
 
@@ -88,10 +89,10 @@ class Tally:
     def __post_init__(self) -> None:
         self._left = Counter(self.kinds.values())
 
-    def count(self, record: Mapping[str, Any]) -> None:
+    def count(self, record: CellRecord) -> None:
         """Count the record of a cell of the study."""
-        kind, figures = self.kinds[record["cell"]], record["figures"]
-        self._states[record["state"]] += 1
+        kind, figures = self.kinds[record.cell], record.figures
+        self._states[record.state] += 1
         self._left[kind] -= 1
         if "seconds" in figures:
             count, total = self._times.get(kind, (0, 0.0))
@@ -99,7 +100,7 @@ class Tally:
         value = next((figures[name] for name in ("predicted", "independent", "check")
                       if figures.get(name) is not None), None)
         if value is not None and value > self._worst[0]:
-            self._worst = (value, f"{self.names[record['cell']]}: {value:.3g} px")
+            self._worst = (value, f"{self.names[record.cell]}: {value:.3g} px")
 
     def progress(self) -> Progress:
         """Return the state of the study."""
@@ -118,7 +119,7 @@ class Tally:
 
 
 def tally_of(cells: Mapping[str, Mapping[str, Any]], workers: int,
-             records: Mapping[str, Mapping[str, Any]]) -> Tally:
+             records: Mapping[str, CellRecord]) -> Tally:
     """Return the tally of a study from its cells and its journal.
 
     Parameters

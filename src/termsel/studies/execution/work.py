@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any
+from typing import Any, Final
 
 from termsel.errors import TermselError
 from termsel.files.atomic import private_folder
@@ -28,9 +28,12 @@ from termsel.solvers.ledger import Progress
 from termsel.solvers.proofs.exact import gap
 from termsel.solvers.proofs.proof import TIE, count
 from termsel.solvers.search import Search
+from termsel.studies.cells.record import CellRecord, State
 from termsel.threads import one_blas_thread
 
-DONE, INFEASIBLE, FAILED = "done", "infeasible", "failed"
+DONE: Final = "done"
+INFEASIBLE: Final = "infeasible"
+FAILED: Final = "failed"
 STATES = (DONE, INFEASIBLE, FAILED)
 
 _OF_SEARCH = {option.name for option in SEARCH_OPTIONS}
@@ -66,13 +69,13 @@ class Outcome:
 
     Parameters
     ----------
-    record : mapping
-        For the journal: key, state, reason, figures, trace and front.
+    record : CellRecord
+        For the journal.
     files : mapping
         Content of the files of a result by name; of the strategy auto.
     """
 
-    record: Mapping[str, Any]
+    record: CellRecord
     files: Mapping[str, bytes] = field(default_factory=dict)
 
 
@@ -87,8 +90,7 @@ def failed(key: str, reason: str) -> Outcome:
     ----------
     key, reason : str
     """
-    return Outcome({"cell": key, "state": FAILED, "reason": reason, "figures": {}, "trace": [],
-                    "front": []})
+    return Outcome(CellRecord(key, FAILED, reason, {}, [], []))
 
 
 @contextmanager
@@ -130,8 +132,7 @@ def _done(work: Work, features: FeatureSet) -> Outcome:
     except TermselError as error:
         return failed(work.key, str(error))
     reason = "no selection satisfies all conditions" if state == INFEASIBLE else ""
-    return Outcome({"cell": work.key, "state": state, "reason": reason, "figures": figures,
-                    "trace": trace.points, "front": front}, files)
+    return Outcome(CellRecord(work.key, state, reason, figures, trace.points, front), files)
 
 
 class _Trace:
@@ -182,7 +183,7 @@ class _Trace:
 
 
 def _as_asked(work: Work, features: FeatureSet, trace: _Trace) -> tuple[
-        str, dict[str, Any], list[list[float]], dict[str, bytes]]:
+        State, dict[str, Any], list[list[float]], dict[str, bytes]]:
     """Return state, figures and front of a search.
 
     Only the figures of a table are computed. A run also compares its selection with all plain
@@ -272,7 +273,7 @@ def _optimum(work: Work, task: Task, found: Search) -> float | None:
 
 
 def _auto(work: Work, features: FeatureSet, trace: _Trace) -> tuple[
-        str, dict[str, Any], list[list[float]], dict[str, bytes]]:
+        State, dict[str, Any], list[list[float]], dict[str, bytes]]:
     """Return state and figures of a choice by the strategy auto, and the files of its result."""
     with private_folder() as folder:
         out = folder / "result"

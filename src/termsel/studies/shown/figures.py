@@ -43,7 +43,7 @@ def figures_of(study: Study) -> list[Figure]:
     """
     groups = group(study.rows, study.records, study.spec.measure)
     found = []
-    if any(record["trace"] for by_method in groups.instances.values()
+    if any(record.trace for by_method in groups.instances.values()
            for runs in by_method.values() for record in runs.records):
         found += [running_times(groups, 0), running_times(groups, 2), convergence(groups)]
     values = medians_of(groups)
@@ -69,7 +69,7 @@ def running_times(groups: Groups, column: int) -> Figure:
     alt = require_altair()
     rows, last = [], 0.0
     for method in groups.methods:
-        hits = [hit(record["trace"], target, column)
+        hits = [hit(record.trace, target, column)
                 for by_method in groups.instances.values() if method in by_method
                 for target in targets_of(optimum_of(by_method.values(), groups.measure),
                                          by_method.values())
@@ -104,10 +104,10 @@ def convergence(groups: Groups) -> Figure:
     rows = []
     for instance in list(groups.instances)[:_MOST_PANELS]:
         runs_of = groups.instances[instance]
-        most = max(length(record["figures"]) for runs in runs_of.values()
+        most = max(length(record.figures) for runs in runs_of.values()
                    for record in runs.records)
         for method, runs in runs_of.items():
-            traces = [record["trace"] for record in runs.records]
+            traces = [record.trace for record in runs.records]
             first = min((trace[0][0] for trace in traces if trace), default=most)
             budgets = np.unique(np.geomspace(max(first, 1), max(most, first, 1), _STEPS).round())
             rows += [{"instance": instance, "method": method, "evaluations": budget, "low": low,

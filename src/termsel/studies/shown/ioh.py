@@ -5,10 +5,11 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from itertools import chain, count
 from typing import Any
 
+from termsel.studies.cells.record import CellRecord
 from termsel.studies.statistics.groups import Groups
 from termsel.studies.statistics.summaries import length
 from termsel.version import __version__
@@ -39,7 +40,7 @@ def ioh_files(groups: Groups) -> Iterator[tuple[str, str]]:
         dimension = max([1, *(row.get("n_terms") or 0 for runs in by_method.values()
                               for row in runs.rows)])
         for method, runs in by_method.items():
-            kept = [record for record in runs.records if record["trace"]]
+            kept = [record for record in runs.records if record.trace]
             if not kept:
                 continue
             folder, stem = folders[method], f"IOHprofiler_f{number}_{_word(instance)}"
@@ -49,11 +50,11 @@ def ioh_files(groups: Groups) -> Iterator[tuple[str, str]]:
                 _description(number, instance, method, dimension, kept, data), indent=1) + "\n"
 
 
-def _data(records: list[Mapping[str, Any]]) -> str:
+def _data(records: list[CellRecord]) -> str:
     """Return the improvements of all runs, each run from evaluation 1 to its last one."""
     lines = ["evaluations raw_y"]
     for record in records:
-        trace, last = record["trace"], length(record["figures"])
+        trace, last = record.trace, length(record.figures)
         # Before the end of the first generation nothing is known of the best value.
         points = {1: math.inf, **{int(point[0]): point[1] for point in trace}}
         points.setdefault(int(max(last, *points)), trace[-1][1])
@@ -62,7 +63,7 @@ def _data(records: list[Mapping[str, Any]]) -> str:
 
 
 def _description(number: int, instance: str, method: str, dimension: int,
-                 kept: list[Mapping[str, Any]], data: str) -> dict[str, Any]:
+                 kept: list[CellRecord], data: str) -> dict[str, Any]:
     return {
         "version": FORMAT, "suite": "termsel", "function_id": number, "function_name": instance,
         "maximization": False,
@@ -70,10 +71,10 @@ def _description(number: int, instance: str, method: str, dimension: int,
         "attributes": ["evaluations", "raw_y"],
         "scenarios": [{
             "dimension": dimension, "path": data,
-            "runs": [{"instance": 1, "evals": int(max(length(record["figures"]), 1)),
-                      "best": {"evals": int(record["trace"][-1][0]), "y": record["trace"][-1][1],
+            "runs": [{"instance": 1, "evals": int(max(length(record.figures), 1)),
+                      "best": {"evals": int(record.trace[-1][0]), "y": record.trace[-1][1],
                                "x": []}} for record in kept if math.isfinite(
-                                   record["trace"][-1][1])]}]}
+                                   record.trace[-1][1])]}]}
 
 
 def _folders(methods: Iterable[str]) -> dict[str, str]:

@@ -99,7 +99,7 @@ def thumbnails(study: Study) -> dict[str, str]:
         return {}
     found = {}
     for key, name in folders_of(study.cells).items():
-        if study.records.get(key, {}).get("state") != "done":
+        if key not in study.records or study.records[key].state != "done":
             continue
         try:
             found[key] = small_map(read_result(study.folder / IMAGES / name).view)

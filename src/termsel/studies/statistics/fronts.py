@@ -45,15 +45,15 @@ def front_figures(groups: Groups) -> list[FrontFigures]:
     """
     found = []
     for instance, by_method in groups.instances.items():
-        fronts = {method: [np.array(one["front"], dtype=float) for one in runs.records
-                           if one["front"]] for method, runs in by_method.items()}
+        fronts = {method: [np.array(one.front, dtype=float) for one in runs.records
+                           if one.front] for method, runs in by_method.items()}
         fronts = {method: several for method, several in fronts.items() if several}
         widths = {front.shape[1] for several in fronts.values() for front in several}
         if len(fronts) < 2 or len(widths) != 1:  # nothing to compare, or different objectives
             continue
-        exact = [np.array(record["front"], dtype=float) for method in fronts
+        exact = [np.array(record.front, dtype=float) for method in fronts
                  for row, record in zip(by_method[method].rows, by_method[method].records,
-                                        strict=True) if row.get("proven") and record["front"]]
+                                        strict=True) if row.get("proven") and record.front]
         known = exact or [front for several in fronts.values() for front in several]
         reference = non_dominated(np.vstack(known))
         for method, several in fronts.items():

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
+from termsel.studies.cells.record import CellRecord
 from termsel.studies.cells.table import WAITING, Row
 
 METHOD = ("strategy", "model", "criterion", "solver")
@@ -28,7 +28,7 @@ class Runs:
 
     rows: list[Row] = field(default_factory=list)
     values: list[float] = field(default_factory=list)
-    records: list[Mapping[str, Any]] = field(default_factory=list)
+    records: list[CellRecord] = field(default_factory=list)
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ class Groups:
                 if set(by_method) == set(self.methods)]
 
 
-def group(rows: Sequence[Row], records: Mapping[str, Mapping[str, Any]],
+def group(rows: Sequence[Row], records: Mapping[str, CellRecord],
           measure: str | None = None) -> Groups:
     """Return the runs of a study by what they are compared on.
 

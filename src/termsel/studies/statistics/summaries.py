@@ -92,9 +92,9 @@ def _summary(instance: str, method: str, runs: Runs, optimum: float | None) -> S
         target = reachable(optimum)
         reached = sum(value <= target for value in runs.values)
         low, high = wilson(reached, len(runs.values))
-        hits = [hit(one["trace"], target) if value <= target else math.inf
+        hits = [hit(one.trace, target) if value <= target else math.inf
                 for one, value in zip(runs.records, runs.values, strict=True)]
-        expected = expected_running_time(hits, [length(one["figures"]) for one in runs.records])
+        expected = expected_running_time(hits, [length(one.figures) for one in runs.records])
     return Summary(
         instance, method, len(runs.values), sum(row["state"] == "done" for row in runs.rows),
         best, lower, median, upper, worst, optimum, reached, low, high, expected,
