@@ -27,7 +27,7 @@ from termsel.solvers.regression.nested_regression import (
 )
 from termsel.solvers.regression.ridge_lasso import (
     Lasso,
-    Piece,
+    PathPiece,
     Ridge,
     lasso_path,
     shrink,
@@ -285,7 +285,7 @@ def test_residuals_of_nested_regression_are_those_of_the_quotient() -> None:
 
 # Lasso
 
-def conditions_hold(columns: np.ndarray, target: np.ndarray, piece: Piece, share: float,
+def conditions_hold(columns: np.ndarray, target: np.ndarray, piece: PathPiece, share: float,
                     ) -> None:
     """Assert the conditions of Karush, Kuhn and Tucker somewhere on a piece."""
     x = piece.start + share * (piece.end - piece.start)

@@ -10,7 +10,7 @@ import pytest
 
 from termsel.enumeration import stack as subset_stack
 from termsel.enumeration import subsets
-from termsel.enumeration.bounds.residuals import _order, node_bound
+from termsel.enumeration.bounds.poles import node_bound, order_columns
 from termsel.enumeration.columns.system import Piece, SubsetSystem
 from termsel.enumeration.stack import Stack, stack
 from termsel.enumeration.subsets import SubsetResult, search
@@ -113,12 +113,12 @@ def test_bounds_without_a_column_hold_whatever_weights_a_node_inherits() -> None
         ready = stack(system, "rss", (), None)
         tree = ready._tree(Piece(np.arange(0), np.arange(k), k))[0]
         m = min(len(tree.least), 12)
-        tree.state[0, 4], tree.point[0, :m] = m, np.arange(m)
+        tree.weights[0], tree.point[0, :m] = m, np.arange(m)
         tree.weight[0, :m] = tree.rss[0] * 10.0 ** rng.uniform(-2, 3, size=m)
         bound = node_bound(tree, 0, 1.0)
         assert bound >= tree.rss[0]
-        lowered += tree.state[0, 4] == 0
-        _order(tree, 0, bound)
+        lowered += tree.weights[0] == 0
+        order_columns(tree, 0, bound)
         for i, value in zip(tree.order[0, :k], tree.bound[0, :k], strict=True):
             piece = Piece(np.arange(0), np.delete(np.arange(k), i), k - 1)
             least = ready.walk(piece, np.full(9, np.inf), np.zeros(9, dtype=np.uint64)).best.min()

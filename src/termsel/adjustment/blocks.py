@@ -62,7 +62,7 @@ def blocks_of(source: FloatArray, feature: IntArray, triangle: FloatArray) -> Fl
     if (len(source) - BLOCK_COST * n < GAIN * k or 8 * (n + 1) * width > _BYTES
             or not len(diagonal) == k > 0 or (diagonal <= _DETERMINED * lengths).any()):
         return None
-    # Not by LAPACK, whose rounding varies from machine to machine.
+    # Q = A R^-1, column by column. Not by LAPACK, whose rounding varies from machine to machine.
     Q = source.T[:k].copy()
     for j in range(k):
         for i in range(j):
@@ -76,6 +76,7 @@ def blocks_of(source: FloatArray, feature: IntArray, triangle: FloatArray) -> Fl
 
 @compiled
 def _fill(Q: FloatArray, b: FloatArray, feature: IntArray, blocks: FloatArray) -> None:
+    # Row x of the lower triangle of Q'Q, then its entry of Q'b: as `_reduce` reads them.
     for row in range(len(Q)):
         block, at = blocks[feature[row]], 0
         for x in range(Q.shape[1]):
@@ -123,6 +124,7 @@ def _reduce(total: FloatArray, triangle: FloatArray, lower: FloatArray,
     The condition is tr(G) tr(G^-1), which is at least that of G.
     """
     k = len(triangle)
+    # Cholesky's triangle of G, row by row as the blocks are packed; L^-1 of the right-hand side.
     at, trace, back = 0, 0.0, 0.0
     for x in range(k):
         for z in range(x):
@@ -135,7 +137,7 @@ def _reduce(total: FloatArray, triangle: FloatArray, lower: FloatArray,
         for c in range(x):
             value -= lower[x, c] * lower[x, c]
             right -= lower[x, c] * source[c, k]
-        if not value > 0.0:
+        if not value > 0.0:  # fewer rows than terms, or rounding
             return np.inf
         lower[x, x] = np.sqrt(value)
         source[x, k] = right / lower[x, x]
@@ -149,6 +151,7 @@ def _reduce(total: FloatArray, triangle: FloatArray, lower: FloatArray,
                 value -= lower[x, c] * source[z, c]
             source[z, x] = value / lower[x, x]
             back += source[z, x] * source[z, x]
+    # L'R, which overwrites the inverse.
     for x in range(k):
         for j in range(k):
             value = 0.0
@@ -211,6 +214,7 @@ def reduced(blocks: FloatArray, triangle: FloatArray, features: BoolArray, those
         some = mine[start:start + _SUMMED]
         total = np.empty((len(some), blocks.shape[1]))
         _sum(blocks, np.ascontiguousarray(features[some, :n]), total)
+        # One system serves all: each is used before the next is made.
         for one, summed in zip(some.tolist(), total, strict=True):
             safe = _reduce(summed, triangle, lower, system) <= SAFE
             yield slice(one, one + 1), system if safe else None

@@ -17,6 +17,7 @@ def distinct(columns: BoolArray, rows: BoolArray) -> tuple[IntArray, IntArray]:
     It takes some hundredths of a solution's time, and a converging population is full of twins.
     """
     p, k, f = len(columns), columns.shape[1], rows.shape[1]
+    # Bits of a mask in words; the table has at least twice as many places as masks.
     words = np.zeros((p, k // 64 + f // 64 + 2), dtype=np.uint64)
     table = np.full(1 << max(2, (2 * p - 1).bit_length()), -1, dtype=np.intp)
     first, copies = np.empty(p, dtype=np.intp), np.empty(p, dtype=np.intp)
@@ -44,7 +45,7 @@ def _distinct(columns: BoolArray, rows: BoolArray, words: NDArray[np.uint64], ta
             key = (key ^ word[w]) * np.uint64(0x9E3779B97F4A7C15)
             key ^= key >> np.uint64(29)
         place = np.intp(key & np.uint64(last))
-        while table[place] >= 0:
+        while table[place] >= 0:  # linear probing: the table is never full
             twin = words[first[table[place]]]
             same = 0
             while same < len(word) and twin[same] == word[same]:

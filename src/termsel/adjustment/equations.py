@@ -47,7 +47,7 @@ class Equations:
         """Return design matrix and right-hand side with the pseudo-observations as last rows."""
         if self.prior is None:
             return self.A, self.b
-        rows = np.diag(self.prior)[self.prior > 0]
+        rows = np.diag(self.prior)[self.prior > 0]  # weight times coefficient is 0
         return np.concatenate([self.A, rows]), np.concatenate([self.b, np.zeros(len(rows))])
 
 
@@ -59,6 +59,7 @@ def line_normals(lines: Lines) -> tuple[FloatArray, FloatArray]:
     Parameters
     ----------
     lines : Lines
+        n of them; their ground plays no part.
 
     Returns
     -------
@@ -82,6 +83,7 @@ def row_axes(A: FloatArray, axis: IntArray) -> IntArray:
     axis : ndarray of int, shape (k,)
         Axis of each term, in the same code.
     """
+    # A term of both axes counts for each of them.
     line = (A[:, axis != 1] != 0).any(axis=1)
     sample = (A[:, axis != 0] != 0).any(axis=1)
     return np.where(line & sample, 2, np.where(sample, 1, 0)).astype(np.intp)

@@ -97,6 +97,7 @@ def _eliminate(
     vectors, beta, gram, stop = work
     rank = 0
     for c in range(n // LANES + 1):
+        # Left-looking: the panel takes all earlier reflections while it is in the cache.
         known = rank
         for t in range(0, known - 1, 2):
             apply_two(panels, vectors, beta, gram, c, t, stop[t + 1])
@@ -104,7 +105,7 @@ def _eliminate(
             apply_one(panels, vectors, beta, gram, c, known - 1, stop[known - 1])
         for lane in range(min(LANES, n - LANES * c)):
             height = heights[LANES * c + lane]
-            if rank >= height:
+            if rank >= height:  # no entry is left to eliminate: the column is dependent
                 continue
             column = panels[c, :height, lane]
             v = vectors[rank, rank:height]
@@ -120,7 +121,7 @@ def _eliminate(
             beta[rank] = 0.0
             if len(v) > 1 and norm > 0.0:
                 beta[rank] = 1.0 / (norm * (norm + abs(diagonal)))
-                norm = -norm if diagonal > 0.0 else norm
+                norm = -norm if diagonal > 0.0 else norm  # so that nothing cancels in v[0]
                 v[0] -= norm
                 diagonal = norm
             stop[rank] = height
@@ -158,6 +159,7 @@ def _lower(panels: FloatArray, n: int, shift: int) -> None:
     for c in range(n // LANES + 1):
         for i in range(n - 1, -1, -1):
             for lane in range(LANES):
+                # Reflections are kept apart: what is below the diagonal are remains.
                 inside = LANES * c + lane >= i
                 panels[c, i + shift, lane] = panels[c, i, lane] if inside else 0.0
 
@@ -179,10 +181,12 @@ def _factor(
         if kept:
             _lower(panels, n, block)
         for s in range(n):
+            # A shared triangle has zeros below the diagonal of each original column.
             reach = min(block, np.intp(columns[s]) + 1) if triangular else block
             heights[s] = reach + min(kept, s + 1)
         _gather(panels, source, rows[start:start + block], columns, heights, n)
         start += block
+        # Complete if all rows were in one block, or if this round had none of its own.
         complete = start == m and (kept == 0 or block == 0)
         rank = _eliminate(panels, work, heights, n, tolerance if complete else -1.0, longest)
         if complete:
@@ -197,7 +201,7 @@ def _substitute(
     """Solve the triangle of n columns into the coefficients of those columns."""
     for i in range(n):
         right[i] = panels[n // LANES, i, n % LANES]
-    for s in range(n - 1, -1, -1):
+    for s in range(n - 1, -1, -1):  # backwards, by columns as they lie in the panels
         column = panels[s // LANES, :s + 1, s % LANES]
         x = right[s] / column[s]
         for i in range(s):
@@ -225,7 +229,7 @@ def _solve(
         for j in range(n + 1, len(columns)):
             columns[j] = k + 1
         m = 0
-        for i in range(len(feature)):
+        for i in range(len(feature)):  # the same for rows
             rows[m] = i
             m += features[one, feature[i]]
         violation[one] = n - _factor(panels, work, source, triangular, rows[:m], columns,
@@ -262,23 +266,13 @@ def _triangle(source: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class _Prepared:
-    """Data common to all populations over the same equations.
+    """Data common to all populations over the same equations."""
 
-    Parameters
-    ----------
-    source : ndarray, shape (m, k + 2)
-        Design matrix, right-hand side, and a column of zeros that fills up the last panel.
-    feature : ndarray of int, shape (m,)
-    triangle : ndarray, shape (min(m, k), k + 2)
-        The same after reduction to a triangle by QR.
-    longest : float
-        Length of the longest column.
-    """
-
+    # (m, k + 2): design matrix, right-hand side, and zeros that fill up the last panel.
     source: FloatArray
-    feature: IntArray
-    triangle: FloatArray
-    longest: float
+    feature: IntArray  # (m,)
+    triangle: FloatArray  # (min(m, k), k + 2): the same after reduction to a triangle by QR
+    longest: float  # length of the longest column
 
     @cached_property
     def blocks(self) -> FloatArray | None:
@@ -297,7 +291,7 @@ def _prepared(equations: Equations) -> _Prepared:
         source = np.column_stack([A, b, np.zeros(len(b))])
         source = np.ascontiguousarray(source, dtype=np.float64)
         feature = np.full(len(b), ALWAYS, dtype=np.intp)
-        feature[:len(equations.feature)] = equations.feature
+        feature[:len(equations.feature)] = equations.feature  # pseudo-observations come last
         known = _Prepared(source, feature, _triangle(source),
                           float(np.linalg.norm(source[:, :-2], axis=0).max(initial=0.0)))
         _PREPARED[equations] = known

@@ -62,6 +62,7 @@ def _factor(panels: FloatArray, q: FloatArray, n: int, m: int, work: Work,
             square += column[i] ** 2
         if norm <= tolerance * np.sqrt(square):
             return False
+        # Away from v[0], so that nothing cancels.
         if v[0] > 0.0:
             norm = -norm
         v[0] -= norm
@@ -73,8 +74,10 @@ def _factor(panels: FloatArray, q: FloatArray, n: int, m: int, work: Work,
         for i in range(m):
             for lane in range(LANES):
                 q[c, i, lane] = 1.0 if LANES * c + lane == i else 0.0
+    # Q'b without its first n entries, turned back by Q, is b - A x.
     for i in range(m):
         q[last, i, n % LANES] = panels[last, i, n % LANES] if i >= n else 0.0
+    # Backwards: reflection j does not reach the columns of the identity before j.
     for j in range(n - 1, -1, -1):
         for c in range(j // LANES, last + 1):
             apply_one(q, vectors, beta, gram, c, j, m)
@@ -106,7 +109,7 @@ def _weigh(q: FloatArray, n: int, start: int, errors: FloatArray, block: FloatAr
             if i > j:
                 block[i, j] = value / block[j, j]
                 errors[i] -= block[i, j] * errors[j]
-            elif value <= tolerance:
+            elif value <= tolerance:  # the others do not determine the terms
                 return False
             else:
                 block[i, i] = np.sqrt(value)
@@ -145,7 +148,7 @@ def _leave_out(
                     m += 1
                 count += 1
         start[count] = m
-        if count and used[count - 1] == len(solutions):
+        if count and used[count - 1] == len(solutions):  # pseudo-observations, never held out
             count -= 1
         determined[one] = n < m and _factor(system, other, n, m, work, tolerance)
         if not determined[one]:
@@ -159,7 +162,7 @@ def _leave_out(
         # Right-hand sides of the triangle: one per feature, and at the end that of the solution.
         for s in range(n - 1, -1, -1):
             target = right[s, :count + 1]
-            for g in range(count):
+            for g in range(count):  # Q_i' (I - Q_i Q_i')^-1 (b_i - A_i x)
                 total = 0.0
                 for i in range(start[g], start[g + 1]):
                     total += columns[s, i] * columns[n, i]
@@ -171,6 +174,7 @@ def _leave_out(
                 target[g] /= system[s // LANES, s, s % LANES]
         for g in range(count):
             for s in range(n):
+                # x less the change by the feature, which went through the same triangle.
                 solutions[used[g], one, chosen[s]] = right[s, count] - right[s, g]
 
 

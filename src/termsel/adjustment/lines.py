@@ -32,12 +32,13 @@ def approximate_image(features: FeatureSet, *, heights: bool = True) -> FloatArr
                         [*linear, x * y, x * z, y * z, x * x, y * y, z * z], axis=1)
 
     points, lines = features.points, features.lines
-    degree = 2 if 2 * len(features) >= 2 * 20 else 1
+    degree = 2 if len(features) >= 20 else 1  # two equations of each; 20 unknowns
     vertices = lines.ground.reshape(-1, 3)
     normal, rho = line_normals(lines)
     normal, rho = np.repeat(normal, 2, axis=0), np.repeat(rho, 2)
     on_lines, on_points = columns(vertices, degree), columns(points.ground, degree)
     nothing = np.zeros_like(on_points)
+    # A vertex lies on its image line; a point has its line and its sample.
     A = np.concatenate([
         np.concatenate([normal[:, :1] * on_lines, normal[:, 1:] * on_lines], axis=1),
         np.concatenate([on_points, nothing], axis=1),
@@ -49,10 +50,6 @@ def approximate_image(features: FeatureSet, *, heights: bool = True) -> FloatArr
 
 def relative_deviations(features: FeatureSet) -> FloatArray:
     """Return the standard deviations of points, then of lines, relative to the median one.
-
-    Parameters
-    ----------
-    features : FeatureSet
 
     Returns
     -------
@@ -98,6 +95,7 @@ def row_weights(features: FeatureSet, *, heights: bool = True) -> FloatArray:
         along = lines.image[:, 1] - lines.image[:, 0]
         length = np.linalg.norm(along, axis=1)[:, None]
         vertices = approximate_image(features, heights=heights).reshape(-1, 2, 2)
+        # t of each vertex, in image units along the line.
         place = np.einsum("ia,iva->iv", along / length,
                           vertices - lines.image.mean(axis=1)[:, None])
         deviation[len(points):] *= np.sqrt(0.5 + 2.0 * (place / length) ** 2)

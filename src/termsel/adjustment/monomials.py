@@ -42,10 +42,6 @@ def double_sum_exponents(degree: int) -> Exponents:
     In the order of Valadan Zoej et al. 2002, eq. 6: by the higher power, then by the lower, that
     of X first.
 
-    Parameters
-    ----------
-    degree : int
-
     Examples
     --------
     >>> [monomial_name(e) for e in double_sum_exponents(2)]
@@ -69,7 +65,9 @@ def monomials(ground: FloatArray, exponents: Exponents) -> FloatArray:
     Parameters
     ----------
     ground : ndarray, shape (n, 3)
+        X, Y and Z.
     exponents : k exponents of X, Y, Z
+        One for each monomial.
 
     Returns
     -------

@@ -25,6 +25,7 @@ def orthogonal(columns: FloatArray) -> tuple[FloatArray, FloatArray]:
     Parameters
     ----------
     columns : ndarray, shape (n, k)
+        Columns of any rank; n may be less than k.
 
     Returns
     -------
@@ -37,6 +38,7 @@ def orthogonal(columns: FloatArray) -> tuple[FloatArray, FloatArray]:
     method twice is as exact as Householder's.
     """
     n, k = columns.shape
+    # The product of both triangles is that of the columns; the second Q is orthogonal to rounding.
     if n >= TALL * k and k >= WIDE:
         first = _step(columns)
         if first is not None:

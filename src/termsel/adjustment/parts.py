@@ -12,22 +12,14 @@ from termsel.measurements.features import BoolArray, FloatArray, IntArray
 
 
 @dataclass(frozen=True, eq=False)
-class Part:
-    """Terms that are determined together, apart from all others.
+class IndependentPart:
+    """Terms that are determined together, apart from all others."""
 
-    Parameters
-    ----------
-    columns : ndarray of bool, shape (k,)
-        Terms of the part.
-    equations : Equations
-        Over these terms alone.
-    """
-
-    columns: BoolArray
-    equations: Equations
+    columns: BoolArray  # (k,): terms of the part
+    equations: Equations  # over these terms alone
 
 
-def independent_parts(equations: Equations, axis: IntArray) -> tuple[Part, ...]:
+def independent_parts(equations: Equations, axis: IntArray) -> tuple[IndependentPart, ...]:
     """Split a system by image axis, unless a row or a term belongs to both.
 
     Parameters
@@ -36,20 +28,21 @@ def independent_parts(equations: Equations, axis: IntArray) -> tuple[Part, ...]:
     axis : ndarray of int, shape (k,)
         Image axis of each term: 0 line, 1 sample, 2 both.
     """
+    # A control line has equations of both axes, and a shared denominator is a term of both.
     rows = row_axes(equations.A, axis)
     if (rows == 2).any() or (axis == 2).any():
-        return (Part(np.ones(len(axis), dtype=bool), equations),)
-    return tuple(Part(axis == side, equations.take(rows == side, axis == side))
+        return (IndependentPart(np.ones(len(axis), dtype=bool), equations),)
+    return tuple(IndependentPart(axis == side, equations.take(rows == side, axis == side))
                  for side in (0, 1))
 
 
-def solve_parts(parts: tuple[Part, ...], terms: BoolArray, features: BoolArray | None,
+def solve_parts(parts: tuple[IndependentPart, ...], terms: BoolArray, features: BoolArray | None,
                 ) -> tuple[FloatArray, FloatArray]:
     """Solve a population part by part.
 
     Parameters
     ----------
-    parts : tuple of Part
+    parts : tuple of IndependentPart
     terms : ndarray of bool, shape (p, k)
         Selected terms.
     features : ndarray of bool, shape (p, n_features), optional

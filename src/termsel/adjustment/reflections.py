@@ -66,6 +66,7 @@ def _reflector(count: int) -> Any:
         panels, vectors, beta, gram = array
         c, t, stop = args[4:]
         height = builder.extract_value(panels.shape, 1)
+        # A row of a panel is one vector; panel c begins after c times the height of all.
         data = builder.bitcast(panels.data, row_of_lanes.as_pointer())
         panel = builder.gep(data, [builder.mul(c, height)])
         index = [builder.add(t, t.type(i)) for i in range(count)]
@@ -74,6 +75,7 @@ def _reflector(count: int) -> Any:
 
         def load(row: Any) -> tuple[Any, Any, list[Any]]:
             where = builder.gep(panel, [row])
+            # No more than numpy promises: panels of some callers begin anywhere.
             return where, builder.load(where, align=8), [
                 spread(builder, builder.load(builder.gep(one, [row]))) for one in v]
 
@@ -86,11 +88,14 @@ def _reflector(count: int) -> Any:
             return new
 
         zero = ir.Constant(row_of_lanes, [0.0] * LANES)
+        # Four sums that do not wait for each other: of 4 rows, or of 2 rows and both reflections.
         row, sums = over_rows(builder, t, stop, 4 // count, [zero] * 4, accumulate)
+        # Rows that are left over go to the first sum of each reflection.
         _, first_sums = over_rows(builder, row, stop, 1, sums[:count], accumulate)
         a = [reduce(builder.fadd, [first, *sums[i + count::count]])
              for i, first in enumerate(first_sums)]
         a[0] = builder.fmul(factors[0], a[0])
+        # The second reflection meets a panel that the first has changed: a2 of the docstring.
         if count == 2:
             product = spread(builder, builder.load(builder.gep(gram.data, [t])))
             a[1] = builder.fmul(factors[1], builder.fsub(a[1], builder.fmul(product, a[0])))

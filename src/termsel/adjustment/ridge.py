@@ -9,30 +9,19 @@ import numpy as np
 from termsel.adjustment.solve import TOLERANCE
 from termsel.measurements.features import FloatArray
 
-LEVEL = 1e-6
+EQUAL = 1e-6
 """Figures that differ relatively by less than this are taken as equal."""
 
 
 @dataclass(frozen=True, eq=False)
 class Spectrum:
-    """A regression in terms of its singular values.
+    """A regression in terms of its singular values."""
 
-    Parameters
-    ----------
-    values : ndarray, shape (p,)
-        Singular values that are not rounding error, from the largest.
-    inner : ndarray, shape (p,)
-        Length of the target, over all its right-hand sides, along each left singular vector.
-    outside : float
-        Square of the target's part that no column reaches.
-    freedom : int
-        Rows less unpenalised columns.
-    """
-
-    values: FloatArray
+    values: FloatArray  # (p,): singular values that are not rounding error, from the largest
+    # (p,): length of the target, over all its right-hand sides, along each left singular vector.
     inner: FloatArray
-    outside: float
-    freedom: int
+    outside: float  # square of the target's part that no column reaches
+    freedom: int  # rows less unpenalised columns
 
     def penalties(self, least: float) -> FloatArray:
         """Return penalties from the largest singular value down to `least` of it."""
@@ -46,9 +35,7 @@ class Spectrum:
     def gcv(self, penalty: FloatArray) -> FloatArray:
         """Return the generalised cross-validation, up to a factor (Golub et al. 1979, eq. 1.4).
 
-        Parameters
-        ----------
-        penalty : ndarray, shape (n,)
+        For penalties of shape (n,).
         """
         left = self._left(penalty)
         square = ((left * self.inner) ** 2).sum(axis=1) + self.outside
@@ -61,9 +48,7 @@ class Spectrum:
         With rho and eta, the squares of residuals and coefficients, it needs only the slope of
         eta, since d rho = -penalty^2 d eta (Hansen 2001, section 3). Positive in a corner.
 
-        Parameters
-        ----------
-        penalty : ndarray, shape (n,)
+        For penalties of shape (n,).
         """
         left = self._left(penalty)
         part = ((1.0 - left) * self.inner / self.values) ** 2
@@ -89,7 +74,7 @@ def choose_penalty(spectrum: Spectrum, choice: str) -> float:
         penalties = spectrum.penalties(TOLERANCE)
         gcv = spectrum.gcv(penalties)
         # GCV is often flat towards no penalty; the first of its least values is reproducible.
-        return float(penalties[np.argmax(gcv <= gcv.min() * (1 + LEVEL))])
+        return float(penalties[np.argmax(gcv <= gcv.min() * (1 + EQUAL))])
     # Below the least singular value the L-curve does not move (Hansen, O'Leary 1993).
     penalties = spectrum.penalties(spectrum.values[-1] / spectrum.values[0])
     curvature = spectrum.curvature(penalties)

@@ -99,6 +99,7 @@ def solve(
     lengths = np.linalg.norm(A, axis=0)
     scaled = A / np.where(lengths > 0, lengths, 1.0)
     triangle = _triangle(scaled, b)
+    # A column is dependent by the rule of the kernels, even if by pivoting none is.
     rank = n_terms if triangle is not None else _lower_rank(scaled)
     coefficients, deviations = np.zeros(k), np.zeros(k)
     condition, sigma0 = float("inf"), float("nan")
@@ -113,10 +114,12 @@ def solve(
             if n_equations > n_terms:
                 v = b - A @ (x / lengths)
                 sigma0 = float(np.sqrt(v @ v / (len(b) - n_terms)))
+            # R^-1 R^-T is the cofactor matrix.
             norms = np.sqrt((inverse**2).sum(axis=1))
             correlations = inverse @ inverse.T / np.outer(norms, norms)
             deviations[columns] = sigma0 * norms / lengths
         else:
+            # Of least norm in columns of one length: not in those that were given.
             x = linalg.lstsq(scaled, b, cond=TOLERANCE)[0]
             deviations[columns] = np.nan
         coefficients[columns] = x / lengths

@@ -154,7 +154,7 @@ class Division:
         noise = unit / weights_of(points) ** 2
         errors = scaled.image - found.predict(scaled.ground)
         statistic = (errors**2 / (variance + noise)).sum(axis=1) / 2
-        freedom = found.parts[0].found.freedom
+        freedom = found.parts[0].posterior.freedom
         rows = np.stack([*np.abs(errors.T), chance_of(statistic, freedom), np.sqrt(statistic),
                          np.sqrt((1 + variance / noise).max(axis=1))], axis=1)
         # A point in use is predicted by the others: its own measurement would hide its error.

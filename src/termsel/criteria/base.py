@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 
 from termsel.adjustment.equations import line_normals
-from termsel.adjustment.parts import Part
+from termsel.adjustment.parts import IndependentPart
 from termsel.criteria.losses import SQUARES, figure
 from termsel.fits.fittable import Fittable
 from termsel.guard.arrays import of_shape
@@ -49,7 +49,7 @@ class Fits:
     coefficients : ndarray, shape (p, k)
     lines : Lines
         Control lines in scaled coordinates.
-    parts : tuple of Part
+    parts : tuple of IndependentPart
         The systems from which the coefficients were solved. Criteria of the check points alone
         need neither these nor what follows.
     used : ndarray of bool, shape (p, n), optional
@@ -65,7 +65,7 @@ class Fits:
     terms: BoolArray
     coefficients: FloatArray
     lines: Lines = field(default_factory=no_lines)
-    parts: tuple[Part, ...] = ()
+    parts: tuple[IndependentPart, ...] = ()
     used: BoolArray | None = None
     gene_of_term: IntArray | None = None
 

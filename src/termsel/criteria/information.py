@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from termsel.adjustment.parts import Part
+from termsel.adjustment.parts import IndependentPart
 from termsel.criteria.base import Criterion, Fits
 from termsel.errors import TermselError
 from termsel.measurements.features import FloatArray, IntArray
@@ -94,7 +94,8 @@ class Ebic(Criterion):
         return np.where(n - k >= least, value, np.inf)
 
 
-def _chosen_together(parts: tuple[Part, ...], genes: IntArray) -> list[tuple[Part, ...]]:
+def _chosen_together(parts: tuple[IndependentPart, ...],
+                     genes: IntArray) -> list[tuple[IndependentPart, ...]]:
     """Return the parts; parts with common genes are joined."""
     of_parts = [set(genes[part.columns].tolist()) for part in parts]
     if len(parts) == 2 and of_parts[0] & of_parts[1]:
@@ -102,6 +103,6 @@ def _chosen_together(parts: tuple[Part, ...], genes: IntArray) -> list[tuple[Par
     return [(part,) for part in parts]
 
 
-def _rss(part: Part, coefficients: FloatArray) -> FloatArray:
+def _rss(part: IndependentPart, coefficients: FloatArray) -> FloatArray:
     """Return residual sums of squares, shape (p,)."""
     return np.asarray(((part.equations.b - coefficients @ part.equations.A.T)**2).sum(axis=1))

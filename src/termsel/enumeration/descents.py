@@ -27,7 +27,7 @@ def descents(stack: Stack) -> Iterator[tuple[FloatArray, Masks]]:
     much as the proof without them: the same on every machine.
     """
     rest, room = stack.everything.rest, stack.everything.room
-    rng = np.random.default_rng(0)
+    rng = np.random.default_rng(0)  # the same on every machine, as the proof is
     best, masks, pieces = _descent(stack, [rest[:0]])
     yield best, masks
     failed = np.zeros(stack.k + 1, dtype=np.intp)  # kicks of each size since its best was found
@@ -44,10 +44,10 @@ def descents(stack: Stack) -> Iterator[tuple[FloatArray, Masks]]:
                 return
             starts = [_kicked(stack, masks[size], rng) for size in kicked]
             failed[kicked] += 1
-        found, at, walked = _descent(stack, [rest[start] for start in starts])
+        reached, at, walked = _descent(stack, [rest[start] for start in starts])
         pieces += walked
-        failed[found < (1.0 - _ROUNDING) * best] = 0
-        best, masks = better(best, masks, found, at)
+        failed[reached < (1.0 - _ROUNDING) * best] = 0
+        best, masks = better(best, masks, reached, at)
         yield best, masks
 
 
@@ -70,6 +70,7 @@ def _descent(stack: Stack, starts: list[IntArray]) -> tuple[FloatArray, Masks, i
     best, masks = np.full(stack.k + 1, np.inf), np.zeros(stack.k + 1, dtype=np.uint64)
     seen, pieces = set(around), 0
     while around:
+        # Each neighbourhood is walked with the best so far, and thus bounded.
         for piece in (piece for mask in around for piece in _changes(stack, mask)):
             walked = stack.walk(piece, best, masks)
             best, masks, pieces = walked.best, walked.masks, pieces + 1
@@ -84,6 +85,7 @@ def _changes(stack: Stack, mask: int) -> list[Piece]:
     inside = (BITS[rest] & np.uint64(mask)) != 0
     mine, others = rest[inside], rest[~inside]
     pieces = [Piece(np.concatenate([used, mine]), others, min(1, room - len(mine)))]
+    # Without column i: with none of the others instead, or one.
     for i in range(len(mine)):
         kept = np.concatenate([used, np.delete(mine, i)])
         pieces.append(Piece(kept, others, 1))

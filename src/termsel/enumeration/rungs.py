@@ -53,6 +53,7 @@ def rungs(stack: Stack, best: FloatArray, masks: Masks, largest: int,
                 return
             # No subset above the limit is recorded, whatever its size: it is ruled out.
             start, at = np.full_like(best, limit), np.zeros_like(masks)
+            # Every piece starts from the rung alone, so that their order does not matter.
             pieces = _pieces(whole, largest)
             piece = next(pieces, None)
             done = 0
@@ -62,8 +63,9 @@ def rungs(stack: Stack, best: FloatArray, masks: Masks, largest: int,
                     piece = next(pieces, None)
                     continue
                 walked = waiting.popleft().result()
-                found = np.where(walked.best < limit, walked.best, np.inf)
-                best, masks = better(best, masks, found, walked.masks)
+                # The limit itself is no subset's score.
+                scores = np.where(walked.best < limit, walked.best, np.inf)
+                best, masks = better(best, masks, scores, walked.masks)
                 done += 1
                 if done % _STATE == 0:
                     yield best, masks, least

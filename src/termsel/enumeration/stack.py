@@ -10,20 +10,24 @@ import numpy as np
 
 from termsel.adjustment.compiled import is_compiled
 from termsel.adjustment.solve import TOLERANCE
-from termsel.enumeration.bounds.check_errors import branch
+from termsel.enumeration.bounds.branch import branch
+from termsel.enumeration.bounds.check_errors import decide_block
 from termsel.enumeration.bounds.closed import first_closed
-from termsel.enumeration.bounds.held_out import branch_held_out, least_held_out
-from termsel.enumeration.bounds.residuals import branch_residuals, node_bound
+from termsel.enumeration.bounds.held_out import least_held_out
+from termsel.enumeration.bounds.poles import node_bound
+from termsel.enumeration.bounds.residuals import branch_residuals
 from termsel.enumeration.bounds.trees import ROUNDING, Tree, tree_of
 from termsel.enumeration.columns.arrays import (
-    Levels,
+    CheckSpace,
     Limits,
     Records,
-    Space,
-    blocks_of,
-    levels_of,
+    Vectors,
+    check_space,
+    place_of,
+    vectors_of,
 )
 from termsel.enumeration.columns.kernels import LINEAR, PRESS, RATIONAL, RSS, walk
+from termsel.enumeration.columns.reduction import by_gain, fewer_rows, triangle_of
 from termsel.enumeration.columns.system import BITS, SCORES, Masks, Piece, SubsetSystem, Walked
 from termsel.errors import TermselError, unknown_name
 from termsel.measurements.features import FloatArray, IntArray
@@ -33,22 +37,12 @@ _HALVINGS = 7  # of the interval in which a bound lies: less than a per cent of 
 
 
 @dataclass(frozen=True, eq=False)
-class Rows:
-    """Rows of one system, by column and, at the end, target.
+class ScoreRows:
+    """Rows of one system, by column and, at the end, target."""
 
-    Parameters
-    ----------
-    control : ndarray, shape (m, k + r)
-        Rows of the adjustment.
-    extra : ndarray, shape (e, k + r)
-        Rows that take part, as in `Levels`.
-    guard : ndarray, shape (g, k + r)
-        Denominators at the guard points.
-    """
-
-    control: FloatArray
-    extra: FloatArray
-    guard: FloatArray
+    control: FloatArray  # (m, k + r): rows of the adjustment
+    extra: FloatArray  # (e, k + r): rows that take part, as in `Vectors`
+    guard: FloatArray  # (g, k + r): denominators at the guard points
 
     @cached_property
     def lengths(self) -> FloatArray:
@@ -58,19 +52,16 @@ class Rows:
 
 @dataclass(frozen=True, eq=False)
 class Stack:
-    """The systems of a score, in lockstep, and the columns to choose from.
+    """The systems of a score, in lockstep, and the columns to choose from."""
 
-    Each row is held out `times` times or more.
-    """
-
-    kind: int
-    k: int
-    systems: list[Rows]
-    margin: float
-    some_of: np.uint64
-    parents: Masks
+    kind: int  # of score: see `columns.kernels`
+    k: int  # columns
+    systems: list[ScoreRows]  # the first has all rows of the adjustment
+    margin: float  # least denominator
+    some_of: np.uint64  # as in `Records`
+    parents: Masks  # as in `Records`
     everything: Piece
-    times: int = 1
+    times: int = 1  # that each row is held out, or more
 
     @property
     def branches(self) -> bool:
@@ -90,7 +81,7 @@ class Stack:
     def needs_compilation(self) -> bool:
         """Whether the first branch spends a while on compilation, once per machine and version."""
         return self.branches and not self.holds_out and not is_compiled(
-            branch_residuals if self.kind == RSS else branch)
+            branch_residuals if self.kind == RSS else decide_block)
 
     @cached_property
     def _targets(self) -> IntArray:
@@ -129,30 +120,23 @@ class Stack:
         prepared = self._prepared(piece)
         if prepared is None:
             return Walked(best, masks, piece.count, 0)
-        levels, limits, guard = prepared
-        depths, _, vectors, height = levels.top.shape
+        vectors, limits, guard = prepared
+        depths, _, height, rows = vectors.top.shape
         n = len(piece.rest)
         best, masks = best.copy(), masks.copy()
         records = Records(best, masks, np.append(BITS[piece.rest], np.uint64(0)),
                           np.array([self.some_of]), self.parents, guard, np.empty(depths),
                           np.empty(guard.shape[1]))
-        cursor, ends = np.zeros((2, depths), dtype=np.intp)
-        mask, used = np.zeros(depths, dtype=np.uint64), BITS[piece.used].sum()
-        counts = _counts(n, limits.room)
+        place = place_of(depths, BITS[piece.used].sum(), _counts(n, limits.room))
         if self.holds_out:
-            infeasible, pruned = branch_held_out(
-                self.kind, levels, limits, records, used, counts, cursor, ends, mask,
-                np.empty((vectors, height)))
+            infeasible, pruned = branch(self.kind, vectors, limits, records, place, None,
+                                        np.empty((height, rows)))
         elif self.branches and self.kind != RSS:
-            space = self._space(levels)
-            infeasible, pruned = branch(
-                self.kind, levels, limits, records, used, counts, cursor, ends, mask,
-                np.empty((depths, space.rows.shape[1])), space,
-                blocks_of(depths, n, space.rows.shape[1] - 1))
+            infeasible, pruned = branch(self.kind, vectors, limits, records, place,
+                                        self._space(vectors), None)
         else:
-            infeasible, pruned = walk(
-                self.kind, levels, limits, records, used, counts, cursor, mask,
-                None if levels.share[0].size == n + 1 else False), 0
+            infeasible, pruned = walk(self.kind, vectors, limits, records, place,
+                                      None if vectors.share[0].size == n + 1 else False), 0
         return Walked(best, masks, infeasible, pruned)
 
     def _walk_residuals(self, piece: Piece, best: FloatArray, masks: Masks) -> Walked:
@@ -180,55 +164,55 @@ class Stack:
         The bound is not below the piece's own. If not of residuals, it is at most the best score so
         far; a piece without any subset that has a score has that best score too.
         """
-        found = float(best.min())
-        if not self.branches or not 0.0 < found < np.inf or (
-                piece.least >= found and self.kind != RSS):
+        lowest = float(best.min())
+        if not self.branches or not 0.0 < lowest < np.inf or (
+                piece.least >= lowest and self.kind != RSS):
             return piece
         if self.kind == RSS:
             size = len(piece.used)
-            largest = best[size:size + min(piece.room, len(piece.rest)) + 1]
-            limit = float(largest[np.isfinite(largest)].max(initial=0.0))
+            of_sizes = best[size:size + min(piece.room, len(piece.rest)) + 1]
+            limit = float(of_sizes[np.isfinite(of_sizes)].max(initial=0.0))
             return replace(piece, least=max(piece.least, node_bound(
                 self._tree(piece)[0], 0, limit) * (1.0 - ROUNDING) - self._slack))
         prepared = self._prepared(piece)
         if prepared is None:
-            return replace(piece, least=found)
-        levels, limits, _ = prepared
+            return replace(piece, least=lowest)
+        vectors, limits, _ = prepared
         if self.holds_out:
-            return replace(piece, least=max(piece.least, min(found, least_held_out(levels))))
-        n, space = len(piece.rest), self._space(levels)
-        errors = levels.extra[0, 0]
+            return replace(piece, least=max(piece.least, min(lowest, least_held_out(vectors))))
+        n, space = len(piece.rest), self._space(vectors)
+        errors = vectors.extra[0, 0]
+        largest = space.upper[0].copy()
+
         def above(value: float) -> bool:
-            upper = np.ones(space.rows.shape[1])
-            if self.kind == RATIONAL:
-                upper[-1] /= limits.margin * (len(upper) - 1)
+            """Return whether all subsets with more columns score more."""
             limit = value + limits.slack - limits.offset
             return limit <= 0.0 or first_closed(
-                levels.top[0, 0], errors, 0, n, limit, upper, self.kind == RATIONAL,
+                vectors.top[0, 0], errors, 0, n, limit, largest.copy(), self.kind == RATIONAL,
                 space) == 0
 
-        low, high = piece.least, found
-        if not n or above(found):
-            low = found
-        for _ in range(_HALVINGS if low < found else 0):
+        low, high = piece.least, lowest
+        if not n or above(lowest):
+            low = lowest
+        # Halved by its root, which is an RMSE but for a factor.
+        for _ in range(_HALVINGS if low < lowest else 0):
             middle = ((low**0.5 + high**0.5) / 2)**2
             low, high = (middle, high) if above(middle) else (low, middle)
         # The bound is of subsets with more columns; that of those in use alone is known.
-        half = space.rows.shape[1] - 1
+        half = len(largest) - 1
         below = -errors[n, half:] if self.kind == RATIONAL else np.ones(half)
         own = limits.offset + float(((errors[n, :half] / below) ** 2).sum())
         if (below < self.margin).any():
             own = np.inf
         return replace(piece, least=max(piece.least, min(low, own)))
 
-    def _space(self, levels: Levels) -> Space:
-        vectors, e = levels.top.shape[2], levels.extra.shape[3] // (
-            2 if self.kind == RATIONAL else 1)
-        gram, triangle = np.empty((2, vectors, vectors))
-        return Space(gram, triangle, np.empty((vectors, e + 1)),
-                     np.empty((3, max(vectors, e + 1))))
+    def _space(self, vectors: Vectors) -> CheckSpace:
+        depths, _, height, _ = vectors.top.shape
+        rational = self.kind == RATIONAL
+        return check_space(depths, height - 1, vectors.extra.shape[3] // (2 if rational else 1),
+                           self.margin if rational else None)
 
-    def _prepared(self, piece: Piece) -> tuple[Levels, Limits, FloatArray] | None:
+    def _prepared(self, piece: Piece) -> tuple[Vectors, Limits, FloatArray] | None:
         """Return the vectors of a piece, or None if the columns in use are dependent.
 
         They are taken out here, by LAPACK; what is left needs fewer rows.
@@ -242,15 +226,17 @@ class Stack:
         leverage = cross = np.zeros(0)
         offset = 0.0
         for rows, least in zip(self.systems, floor, strict=True):
+            # Column n, which is none, keeps the floor 0: it is never dependent.
             least[:n] = (TOLERANCE * rows.lengths[piece.rest]) ** 2
             q, triangle = np.linalg.qr(rows.control[:, np.concatenate([used, kept])])
             if len(triangle) < p or (
                     np.abs(np.diag(triangle)[:p]) <= TOLERANCE * rows.lengths[used]).any():
                 return None
+            # Other rows are freed of the columns in use by the same coefficients.
             share = np.linalg.solve(triangle[:p, :p], triangle[:p, p:])
             extra, guard = (part[:, kept] - part[:, used] @ share
                             for part in (rows.extra, rows.guard))
-            if self.kind == PRESS:
+            if self.kind == PRESS:  # not rotated, as each row is held out
                 top, q = q[:, p:] @ triangle[p:, p:], q[:, :p]
                 leverage = (q**2).sum(axis=1)
                 cross = (q * np.linalg.solve(triangle[:p, :p].T, rows.extra[:, used].T).T).sum(
@@ -261,17 +247,18 @@ class Stack:
                 top = triangle[p:, p:] if whole else triangle[p:p + n, p:]
                 if whole:
                     leverage = cross = np.zeros(len(top))
+            # Below the triangle of all columns are targets alone: that part no subset changes.
             if self.kind == RSS:
                 offset += float((triangle[p + n:, p + n:] ** 2).sum())
             if self.kind == LINEAR:
-                extra, rest = _triangle(extra, n)
+                extra, rest = triangle_of(extra, n)
                 offset += rest
             tops.append(top)
-            extras.append(extra)
+            extras.append(extra[:0] if self.kind == PRESS and self.holds_out else extra)
             guards.append(guard)
-        levels = levels_of(tops, extras, floor, leverage, cross, max(room, 1))
+        vectors = vectors_of(tops, extras, floor, leverage, cross, max(room, 1))
         limits = Limits(self.margin, TOLERANCE, offset, self._slack, len(used), room)
-        return levels, limits, np.ascontiguousarray(guards[0].T)
+        return vectors, limits, np.ascontiguousarray(guards[0].T)
 
 
 @cache
@@ -330,12 +317,14 @@ def stack(system: SubsetSystem, score: str, folds: Sequence[IntArray],
             extra = np.concatenate([errors, blank, denominators, _below(None, blank, k)])
         else:
             extra = below if kind == PRESS else errors
+        # A scaled system has the same solutions; its residuals are those of the bound.
         weight = times**0.5 if kept is everyone and times else 1.0
-        systems.append(Rows(control if kind == PRESS else _fewer(weight * control[kept]),
-                            _fewer(extra) if kind == LINEAR else extra,
-                            guard if kept is everyone else guard[:0]))
+        systems.append(ScoreRows(
+            control if kind == PRESS else fewer_rows(weight * control[kept]),
+            fewer_rows(extra) if kind == LINEAR else extra,
+            guard if kept is everyone else guard[:0]))
     if score != "check":
-        free = _by_gain(control, used, free, k)
+        free = by_gain(control, used, free, k)
     room = len(free) if max_terms is None else min(len(free), max_terms - len(used))
     parents = np.zeros((0, k), dtype=bool) if system.parents is None else system.parents
     return Stack(kind, k, systems, float(system.margin), BITS[:k][some_of].sum(),
@@ -350,46 +339,3 @@ def _below(linear: FloatArray | None, rows: FloatArray, k: int) -> FloatArray:
     if linear is not None:
         below[:, :k] = linear
     return below
-
-
-def _triangle(rows: FloatArray, n: int) -> tuple[FloatArray, float]:
-    """Return n rows with the same inner products of the n columns with all vectors.
-
-    The part of the targets that is orthogonal to all columns is lost; its sum of squares is
-    returned.
-    """
-    triangle = np.asarray(np.linalg.qr(rows, mode="r")) if len(rows) > n else rows
-    return triangle[:n], float((triangle[n:, n:] ** 2).sum())
-
-
-def _fewer(rows: FloatArray) -> FloatArray:
-    """Return as many rows as columns, or fewer, with the same inner products."""
-    return np.asarray(np.linalg.qr(rows, mode="r")) if len(rows) > rows.shape[1] else rows
-
-
-def _by_gain(control: FloatArray, forced: IntArray, free: IntArray, k: int) -> IntArray:
-    """Return columns by how much each explains in addition to those before it.
-
-    Subsets that lack the first of them then have a high bound.
-    """
-    rest = control
-    least = (TOLERANCE * np.linalg.norm(control, axis=0)) ** 2
-    for j in forced:
-        rest = _without(rest, j)
-    waiting = free.tolist()
-    order: list[int] = []
-    while waiting:
-        squares = (rest[:, waiting] ** 2).sum(axis=0)
-        gains = ((rest[:, waiting].T @ rest[:, k:]) ** 2).sum(axis=1)
-        gains = np.divide(gains, squares, out=np.zeros_like(gains), where=squares > least[waiting])
-        order.append(waiting.pop(int(gains.argmax())))
-        rest = _without(rest, order[-1])
-    return np.array(order, dtype=np.intp)
-
-
-def _without(rows: FloatArray, j: int) -> FloatArray:
-    """Return the columns orthogonal to column j."""
-    square = rows[:, j] @ rows[:, j]
-    if square == 0.0:
-        return rows
-    return np.asarray(rows - np.outer(rows[:, j], rows[:, j] @ rows / square))

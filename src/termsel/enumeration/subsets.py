@@ -58,34 +58,21 @@ _AHEAD = 16  # pieces in progress at once, whatever the number of workers
 
 @dataclass(frozen=True, eq=False)
 class SubsetResult:
-    """The best subset of every size among those decided so far.
+    """The best subset of every size among those decided so far."""
 
-    Parameters
-    ----------
-    best : ndarray, shape (k + 1,)
-        Least score of the subsets with 0 to k columns, forced ones included; infinite where
-        none is feasible.
-    masks : ndarray of uint64, shape (k + 1,)
-        The subset itself: bit j is column j. Of exactly equal scores it is the smallest
-        number; 0 where none is feasible.
-    subsets, total : int
-        Subsets decided, and to be decided.
-    infeasible : int
-        Those among the decided that were found to have no score: dependent columns, more
-        columns than rows, a denominator below the margin at a row of the score, or a row that
-        is indispensable to determine the columns (press).
-    pruned : int
-        Those among the decided that a lower bound ruled out.
-    floor : ndarray, shape (k + 1,)
-        No subset of a size scores less; the best score once every subset is decided.
-    """
-
+    # (k + 1,): least score of the subsets of each size, forced columns included; infinite without.
     best: FloatArray
+    # (k + 1,) of uint64: the subset itself: bit j is column j. Of exactly equal scores it is the
+    # smallest number; 0 where none is feasible.
     masks: Masks
-    subsets: int
-    total: int
+    subsets: int  # subsets decided
+    total: int  # subsets to be decided
+    # Those among the decided that were found to have no score: dependent columns, more columns than
+    # rows, a denominator below the margin at a row of the score, or a row that is indispensable to
+    # determine the columns (press).
     infeasible: int
-    pruned: int
+    pruned: int  # those among the decided that a lower bound ruled out
+    # (k + 1,): no subset of a size scores less; the best score once every subset is decided.
     floor: FloatArray
 
     @property
@@ -114,10 +101,9 @@ def search(
     ----------
     system : SubsetSystem
     score : {"check", "rss", "press", "kfold"}
-        "check": sum of squared errors of the check points. "rss": residual sum of squares of
-        the control rows. "press": sum of squared
-        leave-one-out errors of the control rows. "kfold": sum of squared errors of the rows
-        of each fold under the solution from all other rows.
+        "check": sum of squared errors of the check points. "rss": residual sum of squares of the
+        control rows. "press": sum of squared leave-one-out errors of the control rows. "kfold": sum
+        of squared errors of the rows of each fold under the solution from all other rows.
     folds : sequence of ndarray of int
         For "kfold": the control rows held out together.
     max_terms : int, optional
@@ -169,7 +155,7 @@ def search(
     for start in systems.starts:
         walked = systems.walk(start, best, masks)
         best, masks = walked.best, walked.masks
-    looked = infeasible = pruned = 0
+    scored = infeasible = pruned = 0
     branch = _BRANCH if score in ("check", "rss") else _BRANCH // _LOOSER
     largest = branch if systems.branches else _PIECE
     if score != "rss" or total <= _DESCEND_FROM:
@@ -177,8 +163,8 @@ def search(
     limits = _limits(cost, best, systems.largest)
     todo = [systems.everything]
     climbs = score == "check" and total > _DESCEND_FROM
-    for found in rungs(systems, best, masks, largest, workers) if climbs else ():
-        best, masks, least = found
+    for rung in rungs(systems, best, masks, largest, workers) if climbs else ():
+        best, masks, least = rung
         todo = [replace(systems.everything, least=least)]
         yield SubsetResult(best, masks, 0, total, 0, 0, _floor(best, todo, settled))
     waiting: deque[tuple[Piece, Future[Walked]]] = deque()
@@ -196,7 +182,7 @@ def search(
                 elif piece.count:
                     known = np.where(limits < best, np.uint64(0), masks)
                     waiting.append((piece, pool.submit(systems.walk, piece, limits, known)))
-                if piece.count == whole.count:
+                if piece.count == whole.count:  # nothing is decided yet
                     continue
             else:
                 piece, future = waiting.popleft()
@@ -208,11 +194,11 @@ def search(
                 best, masks = better(best, masks, scores, walked.masks)
                 if improves:
                     limits = _limits(cost, best, systems.largest)
-                looked += piece.count - walked.pruned
+                scored += piece.count - walked.pruned
                 infeasible += walked.infeasible
                 pruned += walked.pruned
             open_ = (*todo, *(piece for piece, _ in waiting))
-            yield SubsetResult(best, masks, looked + pruned, total, infeasible, pruned,
+            yield SubsetResult(best, masks, scored + pruned, total, infeasible, pruned,
                                _floor(best, open_, settled, limits))
     finally:
         pool.shutdown(cancel_futures=True)
@@ -231,14 +217,9 @@ def estimate_seconds(
     max_terms: int | None = None,
     workers: int = 1,
 ) -> float:
-    """Return the estimated time of `search` [s], from the time of one piece.
+    """Return the estimated time of `search` [s], which takes the same, from the time of one piece.
 
     Where bounds rule subsets out (`is_bounded`), this is the time without them.
-
-    Parameters
-    ----------
-    system, score, folds, max_terms, workers
-        As for `search`.
     """
     systems = stack(system, score, folds, max_terms)
     piece = systems.everything
@@ -267,6 +248,7 @@ def _floor(best: FloatArray, pieces: Sequence[Piece], settled: int,
 
     All subsets with less than `settled` columns are decided; others only below the limits.
     """
+    # A subset that was ruled out scores no less than the limit or the best of its size.
     floor = np.minimum(best, limits)
     floor[:settled] = best[:settled]
     for piece in pieces:
@@ -286,10 +268,11 @@ def _limits(cost: Callable[[FloatArray], FloatArray] | None, best: FloatArray,
     if cost is None:
         return best
     known = cost(best)
+    # The lowest figure up to each size; NaN where no subset is feasible.
     least = np.minimum.accumulate(np.where(np.isnan(known), np.inf, known))
     low, high = np.full_like(best, largest * 1e-30), np.minimum(best, largest)
     for _ in range(_BISECTIONS):
-        middle = np.sqrt(low * high)
+        middle = np.sqrt(low * high)  # half of the interval in logarithms
         above = cost(middle) > least
         low, high = np.where(above, low, middle), np.where(above, middle, high)
     return np.where(known > least, high, best)

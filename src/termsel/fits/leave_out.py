@@ -5,17 +5,17 @@ from __future__ import annotations
 import numpy as np
 
 from termsel.adjustment.leave_out import leave_one_out
-from termsel.adjustment.parts import Part
+from termsel.adjustment.parts import IndependentPart
 from termsel.measurements.features import BoolArray, FloatArray
 
 
-def solutions_without_each(parts: tuple[Part, ...], terms: BoolArray,
+def solutions_without_each(parts: tuple[IndependentPart, ...], terms: BoolArray,
                            used: BoolArray) -> FloatArray | None:
     """Return the least-squares solutions without each feature, in closed form.
 
     Parameters
     ----------
-    parts : tuple of Part
+    parts : tuple of IndependentPart
         Of the equations of n features.
     terms : ndarray of bool, shape (k,)
     used : ndarray of bool, shape (n,)

@@ -50,29 +50,31 @@ def blunder_odds(parts: Iterable[tuple[float, Posterior, bool]], points: IntArra
         Natural logarithm of the density of each as a blunder by that as a right point.
     """
     wrong, right = [], []
-    for probability, found, local in parts:
-        share, form = np.log(probability * found.cells.share), FORM if local else 1.0
-        wrong.append(share + _log_density(found, points, form, SIZES))
-        right.append(share + _log_density(found, points, form, np.ones(1)))
+    for probability, posterior, local in parts:
+        share, form = np.log(probability * posterior.cells.share), FORM if local else 1.0
+        wrong.append(share + _log_density(posterior, points, form, SIZES))
+        right.append(share + _log_density(posterior, points, form, np.ones(1)))
     return np.asarray(_total(wrong) - _total(right))
 
 
-def _log_density(found: Posterior, points: IntArray, form: float,
+def _log_density(posterior: Posterior, points: IntArray, form: float,
                  sizes: FloatArray) -> FloatArray:
     """Return the logarithm of how likely errors of some sizes, each as likely, are at each point.
 
     By what each solution says of the point itself, shape (m, c).
     """
     left, errors = (np.stack([getattr(side, name)[:, points].T.take(side.cell, axis=1)
-                              for side in found.sides]) for name in ("left", "errors"))
+                              for side in posterior.sides]) for name in ("left", "errors"))
+    # The error without the point is e / l, of the variance 1 / l by that of the noise.
     squares = (errors / left) ** 2
-    here = (squares * left).sum(axis=0)
-    others = np.maximum(found.square - here, found.noise + TINY * found.square)
+    here = (squares * left).sum(axis=0)  # e^2 / l, what the point adds to the sum of squares
+    others = np.maximum(posterior.square - here, posterior.noise + TINY * posterior.square)
     each = []
     for size in sizes:
         variance = size**2 + form * (1.0 / left - 1.0)
+        # By the density of the point as measured, which the solution's probability contains.
         nearer = np.log((others + here) / (others + (squares / variance).sum(axis=0)))
-        each.append((found.freedom * nearer - np.log(left * variance).sum(axis=0)) / 2)
+        each.append((posterior.freedom * nearer - np.log(left * variance).sum(axis=0)) / 2)
     return np.asarray(np.logaddexp.reduce(each) - np.log(len(sizes)))
 
 

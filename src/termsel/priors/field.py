@@ -69,52 +69,26 @@ decomposed."""
 
 
 @dataclass(frozen=True, eq=False)
-class Part:
-    """All solutions with one pair of lengths, or without a field.
+class FieldPart:
+    """All solutions with one pair of lengths, or without a field."""
 
-    Parameters
-    ----------
-    found : Posterior
-    log : float
-        Logarithm of the evidence, up to what all parts share.
-    lengths : tuple of float, or None
-        None without a field.
-    inverse : ndarray, shape (k, k)
-        Of the lower triangle of the knots' covariance; empty without a field.
-    columns : ndarray, shape (n, c)
-        Monomials at the points, and what spans the field.
-    """
-
-    found: Posterior
-    log: float
-    lengths: tuple[float, float] | None
+    posterior: Posterior
+    log: float  # logarithm of the evidence, up to what all parts share
+    lengths: tuple[float, float] | None  # None without a field
+    # (k, k): of the lower triangle of the knots' covariance; empty without a field.
     inverse: FloatArray
-    columns: FloatArray
+    columns: FloatArray  # (n, c): monomials at the points, and what spans the field
 
 
 @dataclass(frozen=True, eq=False)
 class Collocation:
-    """What control points predict, averaged over all parts.
+    """What control points predict, averaged over all parts."""
 
-    Parameters
-    ----------
-    points : Points
-        Scaled.
-    exponents : k exponents of X, Y, Z
-        Affine ones first.
-    turn : ndarray, shape (f, 2)
-        Affine coefficients that bring ground positions into the image.
-    knots : ndarray, shape (k, 2)
-        Places in the image.
-    parts : tuple of Part
-        The first without a field.
-    """
-
-    points: Points
-    exponents: Exponents
-    turn: FloatArray
-    knots: FloatArray
-    parts: tuple[Part, ...]
+    points: Points  # scaled
+    exponents: Exponents  # affine ones first
+    turn: FloatArray  # (f, 2): affine coefficients that bring ground positions into the image
+    knots: FloatArray  # (k, 2): places in the image
+    parts: tuple[FieldPart, ...]  # the first without a field
 
     @cached_property
     def shares(self) -> FloatArray:
@@ -129,7 +103,7 @@ class Collocation:
     @property
     def effective(self) -> float:
         """Effective parameters of line and sample together."""
-        return float(sum(share * part.found.mean(axis)[1]
+        return float(sum(share * part.posterior.mean(axis)[1]
                          for share, part in self._likely for axis in (0, 1)))
 
     @cached_property
@@ -141,7 +115,7 @@ class Collocation:
         return self.left_out.errors / weights_of(self.points)
 
     @cached_property
-    def _likely(self) -> list[tuple[float, Part]]:
+    def _likely(self) -> list[tuple[float, FieldPart]]:
         """Parts that matter, with their probabilities."""
         highest = max(part.log for part in self.parts)
         return [(share, part) for share, part in zip(self.shares, self.parts, strict=True)
@@ -151,9 +125,9 @@ class Collocation:
     def left_out(self) -> Prediction:
         """What all points but one predict for it, for each point, under all parts."""
         parts = [part for _, part in self._likely]
-        each = [part.found.left_out for part in parts]
+        each = [part.posterior.left_out for part in parts]
         # What is known of a part beforehand is its logarithm without that of its points.
-        logs = np.array([part.log - part.found.cells.log + one.log
+        logs = np.array([part.log - part.posterior.cells.log + one.log
                          for part, one in zip(parts, each, strict=True)])
         shares = _normalised(logs)                                                    # (p, n)
 
@@ -166,7 +140,7 @@ class Collocation:
 
     def blunder_odds(self, points: IntArray) -> FloatArray:
         """Return how much likelier points are as blunders (see `blunder_odds`)."""
-        return blunder_odds([(share, part.found, part.lengths is not None)
+        return blunder_odds([(share, part.posterior, part.lengths is not None)
                              for share, part in self._likely], points)
 
     def predict(self, ground: FloatArray) -> FloatArray:
@@ -195,7 +169,7 @@ class Collocation:
             # Away from the knots the field has a variance that their covariances do not span.
             missing = None if part.lengths is None else np.square(np.tile(RATIOS, len(FALLS)))[
                 :, None] * np.maximum(1.0 - (field**2).sum(axis=1), 0.0)
-            each.append(foresee(part.found, columns[:, :lead], spanned[:, lead:], missing))
+            each.append(foresee(part.posterior, columns[:, :lead], spanned[:, lead:], missing))
         shares = [share for share, _ in likely]
         mean = sum(share * one.image for share, one in zip(shares, each, strict=True))
         variance = sum((share * (one.variance + (one.image - mean) ** 2)
@@ -211,12 +185,13 @@ class Collocation:
         terms, weights = len(self.exponents), weights_of(self.points)
         total, rest, fields = np.zeros((terms, 2)), np.zeros_like(self.points.image), []
         for share, part in self._likely:
-            shrunk = np.stack([part.found.mean(axis)[0] for axis in (0, 1)], axis=1)
+            shrunk = np.stack([part.posterior.mean(axis)[0] for axis in (0, 1)], axis=1)
             rest += share * (self.points.image - part.columns[:, lead:] @ shrunk)
             total[lead:] += share * shrunk[:terms - lead]
             if part.lengths and share > NEGLIGIBLE:
                 fields.append((part.lengths, share * part.inverse.T @ shrunk[terms - lead:]))
         affine = self.parts[0].columns[:, :lead]
+        # Those of each part fit what its other terms leave: their mean fits the mean of that.
         for axis, w in enumerate(weights.T):
             total[:lead, axis] = np.linalg.lstsq(affine * w[:, None], rest[:, axis] * w)[0]
         return total, fields
@@ -260,21 +235,24 @@ def _collocated(image: bytes, ground: bytes, sigma: bytes | None,
     there = columns[:, :variables + 1] @ turn
     knots = _spread_out(there)
     rules = [fall ** (order[order > 1] - 2.0) * RELIEF ** shrunk[:, 2] for fall in FALLS]
+    # Every fall with every ratio; the columns of the field share one scale.
     mixed = np.array([[*rule, *np.full(len(knots), ratio)] for rule in rules for ratio in RATIOS])
     parts, weights = [], None if sigma is None else weights_of(points)
     for lengths in (None, *LENGTHS):
+        # By the inverse triangle the field's coefficients become uncorrelated, of one variance.
         inverse = np.empty((0, 0)) if lengths is None else np.asarray(lapack.dtrtri(
             np.linalg.cholesky(_matern(knots, knots, lengths) + JITTER * np.eye(len(knots))),
             lower=1)[0])
         bare = _with_field(columns, there, knots, lengths, inverse)
         orders = np.concatenate([order, np.full(bare.shape[1] - len(order), DEGREE)])
-        found = polynomial_posterior(points.ground, points.image, exponents, weights) \
+        solutions = polynomial_posterior(points.ground, points.image, exponents, weights) \
             if lengths is None else posterior(bare, points.image, orders, weights, mixed,
                                               len(points), len(shrunk))
-        if found is None:
+        if solutions is None:
             return None
-        parts.append(Part(found, found.cells.log + np.log(_belief(lengths) / len(found.scales)),
-                          lengths, inverse, bare))
+        parts.append(FieldPart(
+            solutions, solutions.cells.log + np.log(_belief(lengths) / len(solutions.scales)),
+            lengths, inverse, bare))
     return Collocation(points, exponents, turn, knots, tuple(parts))
 
 
@@ -314,16 +292,17 @@ def _with_field(columns: FloatArray, places: FloatArray, knots: FloatArray,
 def _matern(a: FloatArray, b: FloatArray, lengths: tuple[float, float]) -> FloatArray:
     """Return the correlations between places, shape (len(a), len(b))."""
     r = cdist(a * np.sqrt(3.0) / lengths, b * np.sqrt(3.0) / lengths)
-    found: FloatArray = np.exp(-r)
-    r += 1.0
-    found *= r
-    return found
+    correlation: FloatArray = np.exp(-r)
+    r += 1.0  # in place, as these are the largest arrays
+    correlation *= r
+    return correlation
 
 
 def _spread_out(places: FloatArray) -> FloatArray:
     """Return the places, of many KNOTS that are far apart, whatever their order."""
     if len(places) <= KNOTS:
         return places
+    # From the place nearest to the middle, always the place farthest from those taken.
     taken = [int(np.argmin(np.linalg.norm(places - places.mean(axis=0), axis=1)))]
     columns, apart = np.ascontiguousarray(places.T), np.full(len(places), np.inf)
     while len(taken) < KNOTS:

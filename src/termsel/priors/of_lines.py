@@ -34,68 +34,35 @@ RATIOS = 10.0 ** np.array([-1.0, 0.0, 1.0])
 
 @dataclass(frozen=True, eq=False)
 class Predictions:
-    """Each of n features as the others predict it, averaged over the solutions.
+    """Each of n features as the others predict it, averaged over the solutions."""
 
-    Parameters
-    ----------
-    errors : ndarray, shape (m,)
-        Measured minus predicted of all rows.
-    chance : ndarray, shape (n,)
-        Of errors as large.
-    strain : ndarray, shape (n,)
-        Error in standard deviations, root mean square over the rows.
-    spread : ndarray, shape (n,)
-        Largest standard deviation of a row's error by that of the noise.
-    """
-
-    errors: FloatArray
-    chance: FloatArray
-    strain: FloatArray
-    spread: FloatArray
+    errors: FloatArray  # (m,): measured minus predicted of all rows
+    chance: FloatArray  # (n,): of errors as large
+    strain: FloatArray  # (n,): error in standard deviations, root mean square over the rows
+    spread: FloatArray  # (n,): largest standard deviation of a row's error by that of the noise
 
 
 @dataclass(frozen=True, eq=False)
-class Rows:
-    """Features that have the same number of rows.
+class RowGroup:
+    """Features that have the same number of rows."""
 
-    Parameters
-    ----------
-    feature : ndarray of int, shape (f,)
-    rows : ndarray of int, shape (f, r)
-    left : ndarray, shape (c, f, r, r)
-        1 minus the leverage of their rows.
-    """
-
-    feature: IntArray
-    rows: IntArray
-    left: FloatArray
+    feature: IntArray  # (f,)
+    rows: IntArray  # (f, r)
+    left: FloatArray  # (c, f, r, r): 1 minus the leverage of their rows
 
 
 @dataclass(frozen=True, eq=False)
 class Coupled:
-    """All solutions that matter.
+    """All solutions that matter."""
 
-    Parameters
-    ----------
-    evidence, square : ndarray, shape (c,)
-        Prior and marginal likelihood are square^-freedom/2 exp(evidence).
-    errors : ndarray, shape (c, m)
-        What the fit leaves of each row.
-    features : tuple of Rows
-    coefficients : ndarray, shape (c, j)
-        The shrunken ones.
-    effective : ndarray, shape (c,)
-    freedom : int
-        Equations in use less the terms that are not shrunk.
-    """
-
-    evidence: FloatArray
-    square: FloatArray
-    errors: FloatArray
-    features: tuple[Rows, ...]
-    coefficients: FloatArray
-    effective: FloatArray
-    freedom: int
+    # Prior and marginal likelihood are square^-freedom/2 exp(evidence).
+    evidence: FloatArray  # (c,)
+    square: FloatArray  # (c,)
+    errors: FloatArray  # (c, m): what the fit leaves of each row
+    features: tuple[RowGroup, ...]
+    coefficients: FloatArray  # (c, j): the shrunken ones
+    effective: FloatArray  # (c,)
+    freedom: int  # equations in use less the terms that are not shrunk
 
     @cached_property
     def share(self) -> FloatArray:
@@ -120,32 +87,36 @@ class Coupled:
             By which the rows of features are multiplied. Those with another weight than 1, too
             small to matter, do not count as others.
         """
-        n = sum(len(one.feature) for one in self.features)
+        n = sum(len(group.feature) for group in self.features)
         weights = np.broadcast_to(np.asarray(weights, dtype=np.float64), n)
         errors = np.empty(self.errors.shape[1])
         chance, strain, spread = np.empty((3, n))
-        for part in self.features:
+        for group in self.features:
             for on in (True, False):
-                some = (weights[part.feature] == 1.0) == on
-                feature, rows = part.feature[some], part.rows[some]
-                left, fitted = part.left[:, some], self.errors[:, rows]
-                found = _times(_inverse(left), fitted)
+                some = (weights[group.feature] == 1.0) == on
+                feature, rows = group.feature[some], group.rows[some]
+                left, fitted = group.left[:, some], self.errors[:, rows]
+                # (I - H)^-1 e: the errors without the feature, all of its rows held out.
+                held_out = _times(_inverse(left), fitted)
                 if on:
-                    quadratic, freedom = (found * fitted).sum(axis=2), self.freedom - rows.shape[1]
+                    # Without the feature: sum of squares, degrees of freedom and evidence.
+                    quadratic = (held_out * fitted).sum(axis=2)
+                    freedom = self.freedom - rows.shape[1]
                     rest = np.maximum(self.square[:, None] - quadratic,
                                       TINY * self.square[:, None])
                     share, _ = shares(self.evidence[:, None] - 0.5 * np.log(_determinant(left))
                                       - freedom / 2 * np.log(rest))
                     variance, widest = rest / freedom, 1.0 / _eigenvalue(left, least=True)
                 else:
-                    weight, one = weights[feature][:, None, None], np.eye(rows.shape[1])
-                    found /= weight[:, :, 0]
-                    covariance = one + (one - left) / weight**2
-                    quadratic = (found * _times(_inverse(covariance), found)).sum(axis=2)
+                    weight, identity = weights[feature][:, None, None], np.eye(rows.shape[1])
+                    # Its rows are multiplied by a tiny weight: back to the unit of the others.
+                    held_out /= weight[:, :, 0]
+                    covariance = identity + (identity - left) / weight**2
+                    quadratic = (held_out * _times(_inverse(covariance), held_out)).sum(axis=2)
                     share, freedom = self.share[:, None], self.freedom
                     variance, widest = self.square[:, None] / freedom, _eigenvalue(covariance)
                 statistic = quadratic / rows.shape[1] / variance
-                errors[rows] = (share[:, :, None] * found).sum(axis=0)
+                errors[rows] = (share[:, :, None] * held_out).sum(axis=0)
                 chance[feature] = (share * fdtrc(rows.shape[1], freedom, statistic)).sum(axis=0)
                 strain[feature] = np.sqrt((share * statistic).sum(axis=0))
                 spread[feature] = np.sqrt((share * widest).sum(axis=0))
@@ -211,13 +182,16 @@ def coupled(equations: Equations, exponents: Exponents, draws: int,
     if freedom - max(rows.shape[1] for _, rows in alike) < 2 or len(A) <= count:
         return None
     q, r = np.linalg.qr(np.concatenate([A[:, free], A[:, ~free]], axis=1))
+    # Without any one feature the affine terms are still to be determined.
     lead = q[:, :count]
     if (np.abs(np.diag(r))[:count] <= TOLERANCE * np.linalg.norm(A[:, free], axis=0)).any() or min(
             _eigenvalue(_left(lead, rows), least=True).min() for _, rows in alike) < TOLERANCE:
         return None
+    # The geometric mean of both sizes is that of the grid.
     sides = np.stack([np.sqrt(RATIOS), 1 / np.sqrt(RATIOS)])               # line, sample
     grid = np.concatenate([(scales * side[:, None, None]).reshape(-1, scales.shape[1])
                            for side in sides], axis=1)                     # (g, 2 j)
+    # Everything is worked out in the basis of what the shrunken columns add to the affine ones.
     u, values, vt = np.linalg.svd(r[count:, count:] * grid[:, None, :], full_matrices=False)
     inner = q[:, count:].T @ b
     along = inner @ u                                                       # (g, q)
@@ -237,7 +211,7 @@ def coupled(equations: Equations, exponents: Exponents, draws: int,
     errors = np.empty((len(group), len(b)))
     left = [np.empty((len(group), *rows.shape, rows.shape[1])) for _, rows in alike]
     coefficients = np.empty((len(group), int((~free).sum())))
-    for one in np.unique(group):
+    for one in np.unique(group):  # all sizes of a group have its singular vectors
         of = group == one
         directions = basis @ u[one]
         errors[of] = outside + part[of] @ directions.T
@@ -247,7 +221,7 @@ def coupled(equations: Equations, exponents: Exponents, draws: int,
             some[of] = (keep[of] @ products.reshape(-1, products.shape[3]).T).reshape(
                 -1, *products.shape[:3])
     return Coupled(evidence[group, size], square[group, size], errors,
-                   tuple(Rows(feature, rows, some + _left(q, rows))
+                   tuple(RowGroup(feature, rows, some + _left(q, rows))
                          for (feature, rows), some in zip(alike, left, strict=True)),
                    coefficients, count + (1.0 - keep).sum(axis=1), freedom)
 

@@ -51,13 +51,13 @@ NEVER = 30.0
 
 @dataclass(frozen=True, eq=False)
 class Odds:
-    """How likely all solutions of one axis are, groups of scales by sizes, shape (g s,).
+    """How likely all solutions of one axis are, groups of scales by sizes.
 
     Both make up prior and marginal likelihood, square^-nu/2 exp(evidence).
     """
 
-    evidence: FloatArray
-    square: FloatArray
+    evidence: FloatArray  # (g s,)
+    square: FloatArray  # (g s,)
 
 
 def scales_of(exponents: FloatArray, draws: int | None = None) -> FloatArray:
@@ -67,7 +67,7 @@ def scales_of(exponents: FloatArray, draws: int | None = None) -> FloatArray:
     reliefs, falls = RELIEFS if height.any() else (1.0,), FALLS if order.max() > 2 else (1.0,)
     rule = np.array([fall ** (order - 2.0) * relief ** height
                      for fall in falls for relief in reliefs])
-    rng = np.random.default_rng(0)
+    rng = np.random.default_rng(0)  # a prior is the same for all data
     own = np.exp(SPREAD * rng.standard_normal((draws // len(rule), *rule.shape)))
     return np.concatenate([rule, (rule * own).reshape(-1, rule.shape[1])])
 
@@ -119,20 +119,18 @@ def _mixed(design: Design, along: FloatArray) -> tuple[FloatArray, FloatArray] |
 
 
 @dataclass(frozen=True, eq=False)
-class Cells:
-    """The points of the grid that matter: which solutions of line and of sample, and how likely.
+class GridCells:
+    """The points of the grid that matter."""
 
-    `log` is the logarithm of the evidence of all together, up to what the measurements alone say.
-    """
-
-    which: tuple[IntArray, IntArray]
-    share: FloatArray
-    log: float
+    which: tuple[IntArray, IntArray]  # (c,) each: which solution of line and which of sample
+    share: FloatArray  # (c,): how likely
+    log: float  # evidence of all, as a logarithm, up to what the measurements alone say
 
 
-def _cells(odds: Sequence[Odds], freedom: int, noise: float) -> Cells:
+def _cells(odds: Sequence[Odds], freedom: int, noise: float) -> GridCells:
     """Return what is on the grid of group, size of line and size of sample, and not NEVER."""
-    line, sample = (np.arange(len(one.square)).reshape(-1, len(SIZES)) for one in odds)
+    # Scales are those of both axes; sizes are each axis' own.
+    line, sample = (np.arange(len(of_axis.square)).reshape(-1, len(SIZES)) for of_axis in odds)
     shape = (*line.shape, len(SIZES))
     first = np.broadcast_to(line[:, :, None], shape).ravel()
     second = np.broadcast_to(sample[:, None, :], shape).ravel()
@@ -140,7 +138,7 @@ def _cells(odds: Sequence[Odds], freedom: int, noise: float) -> Cells:
         odds[0].square[first] + odds[1].square[second] + noise))
     kept = logarithm > logarithm.max() - NEVER
     share, log = shares(logarithm[kept])
-    return Cells((first[kept], second[kept]), share, float(log))
+    return GridCells((first[kept], second[kept]), share, float(log))
 
 
 def shares(logarithm: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -155,36 +153,16 @@ def shares(logarithm: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 @dataclass(frozen=True, eq=False)
 class Posterior:
-    """All solutions for both axes.
+    """All solutions for both axes."""
 
-    Parameters
-    ----------
-    odds : tuple of Odds
-        Of line and of sample.
-    cells : Cells
-        Which solutions matter, and their probabilities.
-    freedom : int
-        Equations in use less the terms that are not shrunk.
-    noise : float
-        Sum of squares that counts as none.
-    designs : tuple of Design
-        Of line and of sample.
-    scales : ndarray, shape (g, k)
-        Of the shrunken coefficients for size 1.
-    targets : ndarray, shape (n, 2)
-        Weighted measurements.
-    in_use : int
-        Points whose weight matters; they come first.
-    """
-
-    odds: tuple[Odds, Odds]
-    cells: Cells
-    freedom: int
-    noise: float
-    designs: tuple[Design, Design]
-    scales: FloatArray
-    targets: FloatArray
-    in_use: int
+    odds: tuple[Odds, Odds]  # of line and of sample
+    cells: GridCells  # which solutions matter, and their probabilities
+    freedom: int  # equations in use less the terms that are not shrunk
+    noise: float  # sum of squares that counts as none
+    designs: tuple[Design, Design]  # of line and of sample
+    scales: FloatArray  # (g, k): of the shrunken coefficients for size 1
+    targets: FloatArray  # (n, 2): weighted measurements
+    in_use: int  # points whose weight matters; they come first
 
     @cached_property
     def sides(self) -> tuple[Side, Side]:
@@ -214,12 +192,9 @@ class Posterior:
     @cached_property
     def left_out(self) -> Prediction:
         """What all points but one predict for it, for each point in use."""
-        line, sample = self.sides
         square = self.square
-        return leave_each_out((line.left, sample.left), (line.errors, sample.errors),
-                              (line.cell, sample.cell), square, self.noise + TINY * square,
-                              self.cells.share, self.cells.log, self.freedom // 2 - 1,
-                              self.in_use)
+        return leave_each_out(self.sides, square, self.noise + TINY * square, self.cells.share,
+                              self.cells.log, self.freedom // 2 - 1, self.in_use)
 
     def beyond(self, weight: float) -> Prediction:
         """Return what the points in use predict for the others.

@@ -29,38 +29,22 @@ them."""
 
 @dataclass(frozen=True, eq=False)
 class Design:
-    """Columns, those that are shrunken without the free ones.
+    """Columns, those that are shrunken without the free ones."""
 
-    Parameters
-    ----------
-    basis : ndarray, shape (n, m)
-        What some column, and no free one, explains.
-    explained : ndarray, shape (n, l)
-        What the columns explain, free ones with them; the rest is left by every solution.
-    rest : ndarray, shape (m, k)
-        The shrunken columns in the basis.
-    scales : ndarray, shape (g, k)
-        Of their coefficients for size 1.
-    lead : ndarray, shape (f, f)
-        Triangle of the free columns.
-    cross : ndarray, shape (f, k)
-        What the shrunken columns have in common with them.
-    few : int
-        Shrunken columns after which all have one scale in each group.
-    """
-
-    basis: FloatArray
+    basis: FloatArray  # (n, m): what some column, and no free one, explains
+    # (n, l): what the columns explain, free ones with them; the rest is left by every solution.
     explained: FloatArray
-    rest: FloatArray
-    scales: FloatArray
-    lead: FloatArray
-    cross: FloatArray
-    few: int
+    rest: FloatArray  # (m, k): the shrunken columns in the basis
+    scales: FloatArray  # (g, k): of their coefficients for size 1
+    lead: FloatArray  # (f, f): triangle of the free columns
+    cross: FloatArray  # (f, k): what the shrunken columns have in common with them
+    few: int  # shrunken columns after which all have one scale in each group
 
     @cached_property
     def many(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """U, shape (m, m), S, shape (m,), and V' of all shrunken columns but the first few, bare.
         """
+        # U is complete: the few columns are not within the span of the others.
         u, values, vt = np.linalg.svd(self.rest[:, self.few:])
         strength = np.zeros(len(u))
         strength[:len(values)] = values
@@ -82,14 +66,14 @@ class Design:
 
     def decomposed(self, groups: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return U, S and V' of some groups; each is found once."""
-        known, *found = self._known
+        known, *kept = self._known
         new = groups[~known[groups]]
         if new.size:
             parts = np.linalg.svd(self.rest * self.scales[new, None], full_matrices=False)
-            for every, part in zip(found, parts, strict=True):
+            for every, part in zip(kept, parts, strict=True):
                 every[new] = part
             known[new] = True
-        u, values, vt = (every[groups] for every in found)
+        u, values, vt = (every[groups] for every in kept)
         return u, values, vt
 
     def beyond(self, target: FloatArray) -> FloatArray:
@@ -121,6 +105,7 @@ def design_of(columns: FloatArray, free: BoolArray, scales: FloatArray,
     f = lead.shape[1]
     if len(lead) <= f:
         return None
+    # Free columns first: q of the others is then without them.
     q, r = orthogonal(np.concatenate([lead, columns[:, ~free]], axis=1))
     if (np.abs(np.diag(r))[:f] <= TOLERANCE * np.linalg.norm(lead, axis=0)).any() \
             or (1.0 - (q[:, :f]**2).sum(axis=1)).min() < TOLERANCE:
@@ -130,20 +115,14 @@ def design_of(columns: FloatArray, free: BoolArray, scales: FloatArray,
 
 @dataclass(frozen=True, eq=False)
 class Side:
-    """The u solutions of one axis.
+    """The u solutions of one axis."""
 
-    `cell`, shape (c,), is that of each cell of the posterior. `left` is 1 minus the leverage of
-    each point, `errors` are what the fit leaves, shape (u, n); `effective`, shape (u,), are
-    effective parameters. `coefficients` are the shrunken ones, shape (u, k), and `free` what is
-    measured along the free columns.
-    """
-
-    cell: IntArray
-    left: FloatArray
-    errors: FloatArray
-    effective: FloatArray
-    coefficients: FloatArray
-    free: FloatArray
+    cell: IntArray  # (c,): that of each cell of the posterior
+    left: FloatArray  # (u, n): 1 minus the leverage of each point
+    errors: FloatArray  # (u, n): what the fit leaves
+    effective: FloatArray  # (u,): effective parameters
+    coefficients: FloatArray  # (u, k): the shrunken ones
+    free: FloatArray  # (f,): what is measured along the free columns
 
 
 class Shrinkage:
@@ -169,7 +148,7 @@ class Shrinkage:
         some = sizes[least:most + 1, None]
         ratio = some * values[:, None]                                            # (g, s, m)
         self._keep = 1.0 / (1.0 + ratio**2)
-        self._grown = some * ratio * self._keep
+        self._grown = some * ratio * self._keep  # of s^2 S / (1 + (s S)^2), for the coefficients
         self._effective = design.explained.shape[1] - self._mine(self._keep).sum(axis=1)
 
     def _mine(self, every: FloatArray) -> FloatArray:
@@ -183,6 +162,7 @@ class Shrinkage:
         places = np.ascontiguousarray(design.basis.T)
         n = places.shape[1]
         left = np.empty((count, sizes, n))
+        # (U' basis')^2 by what each direction leaves, and what no column explains.
         step = max(1, AT_ONCE // max(n * m, 1))
         for start in range(0, count, step):
             some = slice(start, start + step)
@@ -229,6 +209,7 @@ class SharedShrinkage:
         self._keep = 1.0 / (1.0 + self._ratio**2)
         self._columns = self._own[:, :few, None] * (design.rest[:, :few].T @ u)  # C', (u, f, m)
         weighted = self._columns * self._keep[:, None]
+        # L^-1 of I + C'W C = L L'.
         self._inverse = np.linalg.inv(np.linalg.cholesky(
             np.eye(few) + weighted @ self._columns.swapaxes(1, 2)))
         self._turned = self._inverse @ weighted
@@ -237,6 +218,7 @@ class SharedShrinkage:
     @cached_property
     def left(self) -> FloatArray | None:
         """1 minus the leverage of each point, shape (u, n); None where rounding errors matter."""
+        # Diagonal of W less that of W C (I + C'W C)^-1 C'W, of which hardly anything may remain.
         whole = self._keep @ self._along**2 + self._design.unexplained
         count, few, m = self._turned.shape
         less = (self._turned.reshape(-1, m) @ self._along).reshape(count, few, -1)

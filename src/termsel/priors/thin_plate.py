@@ -40,38 +40,22 @@ AT_ONCE = 2000
 
 @dataclass(frozen=True, eq=False)
 class Axis:
-    """The splines of one axis for each of s smoothings.
+    """The splines of one axis for each of s smoothings."""
 
-    `w` are the kernels' weights, `own` the diagonal of M, shape (s, n); `criterion` is that of
-    all points, shape (s,), and `without` that of all but each, shape (s, n).
-    """
-
-    w: FloatArray
-    own: FloatArray
-    criterion: FloatArray
-    without: FloatArray
+    w: FloatArray  # (s, n): the kernels' weights
+    own: FloatArray  # (s, n): the diagonal of M
+    criterion: FloatArray  # (s,): of all points
+    without: FloatArray  # (s, n): of all but each
 
 
 @dataclass(frozen=True, eq=False)
 class ThinPlates:
-    """The splines of line and sample.
+    """The splines of line and sample."""
 
-    Parameters
-    ----------
-    points : Points
-        Scaled.
-    units : tuple of 2 floats
-        By which X and Y are multiplied before distances are taken.
-    smoothings : ndarray, shape (s,)
-        To choose from.
-    axes : tuple of Axis
-        Of line and of sample.
-    """
-
-    points: Points
-    units: tuple[float, float]
-    smoothings: FloatArray
-    axes: tuple[Axis, Axis]
+    points: Points  # scaled
+    units: tuple[float, float]  # by which X and Y are multiplied before distances are taken
+    smoothings: FloatArray  # (s,): to choose from
+    axes: tuple[Axis, Axis]  # of line and of sample
 
     @cached_property
     def chosen(self) -> IntArray:
@@ -124,6 +108,7 @@ class ThinPlates:
         for axis, (best, w) in enumerate(zip(self.chosen, weights_of(self.points).T,
                                              strict=True)):
             smoothing, one = self.smoothings[best], self.axes[axis]
+            # Universal kriging: the kernel at distance 0, which is 0, less right' system^-1 right.
             system = np.zeros((n + f, n + f))
             system[:n, :n] = _kernel(self._places, self._places) + np.diag(smoothing / w**2)
             system[:n, n:], system[n:, :n] = lead, lead.T
@@ -141,13 +126,14 @@ class ThinPlates:
     def _affine(self) -> FloatArray:
         """Coefficients of the affine functions, shape (3, 2)."""
         columns, kernels = monomials(self.points.ground, PLANE), _kernel(self._places, self._places)
-        found = np.empty((len(PLANE), 2))
+        coefficients = np.empty((len(PLANE), 2))
         for axis, (one, best, smoothing, w) in enumerate(zip(
                 self.axes, self.chosen, self.smoothing, weights_of(self.points).T, strict=True)):
+            # What kernels and smoothing leave of the measurements is affine.
             rest = w * (self.points.image[:, axis] - kernels @ (w * one.w[best])) \
                 - smoothing * one.w[best]
-            found[:, axis] = np.linalg.lstsq(columns * w[:, None], rest)[0]
-        return found
+            coefficients[:, axis] = np.linalg.lstsq(columns * w[:, None], rest)[0]
+        return coefficients
 
 
 def thin_plates(points: Points, units: tuple[float, float], smoothing: float | None,
@@ -206,7 +192,7 @@ def _basis(lead: FloatArray, kernels: FloatArray) -> tuple[FloatArray, FloatArra
     if np.linalg.matrix_rank(lead, TOLERANCE) < f or \
             (1.0 - (q[:, :f] ** 2).sum(axis=1)).min() < TOLERANCE:
         return None
-    rest = q[:, f:]
+    rest = q[:, f:]  # what affine functions leave: the kernel is positive there alone
     values, u = np.linalg.eigh(rest.T @ kernels @ rest)
     u = rest @ u
     # Rounding makes values of points at one place a little negative.
@@ -221,10 +207,12 @@ def _axis(basis: tuple[FloatArray, FloatArray], target: FloatArray, smoothings: 
     w, own = (below * along) @ u.T, below @ (u**2).T
     freedom = len(values)
     if criterion == "reml":
+        # Without point i, y'M y is lower by w_i^2 / M_ii, and |M| by the factor M_ii.
         square, log = (below * along**2).sum(axis=1), -np.log(below).sum(axis=1)
         others = np.maximum(square[:, None] - w**2 / own, np.finfo(float).tiny)
         return Axis(w, own, freedom * np.log(np.maximum(square, np.finfo(float).tiny)) + log,
                     (freedom - 1) * np.log(others) + log[:, None] + np.log(own))
+    # n |M y|^2 / tr(M)^2
     square, trace = (w**2).sum(axis=1), below.sum(axis=1)
     # M without a point is M less the product of its column by itself, over the diagonal.
     twice, again = below**2 @ (u**2).T, (below**2 * along) @ u.T

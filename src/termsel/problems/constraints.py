@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from termsel.adjustment.parts import Part
+from termsel.adjustment.parts import IndependentPart
 from termsel.errors import TermselError, unknown_name
 from termsel.measurements.features import BoolArray, FloatArray, IntArray
 from termsel.models.terms import Term
@@ -112,13 +112,13 @@ def most_terms(equations: IntArray, share: float, least: int = 1) -> IntArray:
     return np.asarray(np.minimum(supported, equations - least))
 
 
-def excess(parts: tuple[Part, ...], terms: BoolArray, features: BoolArray | None, share: float,
-           least: int = 1) -> FloatArray:
+def excess(parts: tuple[IndependentPart, ...], terms: BoolArray, features: BoolArray | None,
+           share: float, least: int = 1) -> FloatArray:
     """Return how many terms are in use in excess of what the equations in use support, shape (p,).
 
     Parameters
     ----------
-    parts : tuple of Part
+    parts : tuple of IndependentPart
         Each supports its own terms.
     terms : ndarray of bool, shape (p, k)
     features : ndarray of bool, shape (p, f), optional
@@ -136,7 +136,7 @@ def excess(parts: tuple[Part, ...], terms: BoolArray, features: BoolArray | None
     return total
 
 
-def capped(segments: Iterable[Bits], gene_of_term: IntArray, parts: tuple[Part, ...],
+def capped(segments: Iterable[Bits], gene_of_term: IntArray, parts: tuple[IndependentPart, ...],
            share: float) -> list[Bits]:
     """Return the segments of terms with a maximum that no selection without excess is above.
 
@@ -148,7 +148,7 @@ def capped(segments: Iterable[Bits], gene_of_term: IntArray, parts: tuple[Part, 
     segments : iterable of Bits
         All those of terms, in the order of the genes.
     gene_of_term : ndarray of int, shape (k,)
-    parts : tuple of Part
+    parts : tuple of IndependentPart
     share : float
 
     Raises

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from termsel.adjustment.parts import Part
+from termsel.adjustment.parts import IndependentPart
 from termsel.criteria.base import CheckRmse
 from termsel.enumeration.features.walk import RowSystem
 from termsel.measurements.features import BoolArray, FloatArray
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from termsel.problems.base import Inputs
 
 
-def row_systems(inputs: Inputs, parts: tuple[Part, ...], terms: BoolArray, share: float,
+def row_systems(inputs: Inputs, parts: tuple[IndependentPart, ...], terms: BoolArray, share: float,
                 freedom: int) -> tuple[RowSystem, ...]:
     """Return the systems of a selection of features; none where no selection can be scored.
 
@@ -26,7 +26,7 @@ def row_systems(inputs: Inputs, parts: tuple[Part, ...], terms: BoolArray, share
     Parameters
     ----------
     inputs : Inputs
-    parts : tuple of Part
+    parts : tuple of IndependentPart
         Of the control, with all terms of the model.
     terms : ndarray of bool, shape (k,)
         Terms in use.

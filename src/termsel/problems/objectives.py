@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from termsel.adjustment.equations import Equations
-from termsel.adjustment.parts import Part
+from termsel.adjustment.parts import IndependentPart
 from termsel.guard.arrays import of_shape
 from termsel.guard.faults import blamed, wrong
 from termsel.measurements.coordinates.places import centres
@@ -24,7 +24,7 @@ class PopulationSelection:
     ----------
     equations : Equations
         Of all terms and all control features.
-    parts : tuple of Part
+    parts : tuple of IndependentPart
         The independent systems they fall into, such as line and sample.
     control : FeatureSet
     terms : ndarray of bool, shape (p, k)
@@ -32,7 +32,7 @@ class PopulationSelection:
     """
 
     equations: Equations
-    parts: tuple[Part, ...]
+    parts: tuple[IndependentPart, ...]
     control: FeatureSet
     terms: BoolArray
     features: BoolArray

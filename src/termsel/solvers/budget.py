@@ -77,6 +77,7 @@ class Budget:
         shares = [value / limit for value, limit in (
             (generation.index, self.generations), (ledger.count, self.evaluations),
             (elapsed, self.seconds)) if limit is not None]
+        # Without limits a solver that ends by itself may say how far it is.
         known = generation.details.get("share")
         return min(1.0, max(shares)) if shares else known
 
@@ -120,6 +121,6 @@ class Patience:
 
     def _gained(self, ledger: Ledger) -> bool:
         assert self.least is not None
-        known = np.isfinite(self.least)
+        known = np.isfinite(self.least)  # the first feasible individual is a gain, whatever it has
         margin = self.tolerance * np.abs(np.where(known, self.least, 0.0))
         return bool((ledger.least < self.least - margin).any())

@@ -107,6 +107,7 @@ class Ledger(Problem):
         if fault := self.genome.fault(genes):
             raise wrong(self.solver or type(self), "generations",
                         f"asks for an evaluation of {fault}")
+        # A population that exceeds the budget is evaluated as far as it goes, then the search ends.
         allowed = len(genes) if self.limit is None else self.limit - self.count
         evaluation = self._look_up(genes[:allowed])
         self.after_evaluation()
@@ -159,10 +160,11 @@ class Ledger(Problem):
         return [_genes(keys[row], self.genome) for row in kept]
 
     def _look_up(self, genes: Genes) -> Evaluation:
+        # A front is made of all individuals; of one objective the best is remembered apart.
         if len(self.objectives) == 1 and len(self._row_of) > _KNOWN:
             self._row_of, self._objectives, self._violation = {}, [], []
         keys = _keys(genes)
-        new: dict[bytes, int] = {}
+        new: dict[bytes, int] = {}  # twins within the population are evaluated once
         for i, key in enumerate(keys):
             if key not in self._row_of and key not in new:
                 new[key] = i
@@ -176,7 +178,7 @@ class Ledger(Problem):
             self._objectives.extend(evaluation.objectives)
             self._violation.extend(evaluation.violation.tolist())
             self._remember(genes[rows], evaluation)
-        self.count += len(genes)
+        self.count += len(genes)  # looked up or not, so that budgets mean the same for all solvers
         self.lookups += len(genes) - len(new)
         where = [self._row_of[key] for key in keys]
         return Evaluation(
@@ -187,9 +189,10 @@ class Ledger(Problem):
         feasible = evaluation.objectives[evaluation.violation == 0]
         self.least = np.minimum(self.least, feasible.min(axis=0, initial=np.inf))
         first = int(evaluation.order()[0])
-        found = (float(evaluation.violation[first]), float(evaluation.objectives[first, 0]))
-        if found < self.best:
-            self.best = found
+        # The violation comes first: any feasible individual is better than an infeasible one.
+        rank = (float(evaluation.violation[first]), float(evaluation.objectives[first, 0]))
+        if rank < self.best:
+            self.best = rank
             self.best_genes = genes[first].copy()
             self.best_objectives = evaluation.objectives[first].copy()
 

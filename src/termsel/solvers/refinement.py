@@ -68,7 +68,7 @@ def refine(ledger: Ledger, rng: np.random.Generator, generation: Generation | No
         if len(ledger.objectives) == 1:
             start = ledger.best_genes[None]
             for _ in climb(ledger, start, ledger.evaluate(start), rng):
-                ledger.limit = most
+                ledger.limit = most  # only the first descent may take more
                 if ledger.count >= most:
                     break
         else:

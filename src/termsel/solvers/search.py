@@ -170,6 +170,7 @@ def search(
     _require_declared(problem)
     require_able(problem, solver)
     part = 1 + POLISH_SHARE if polish else 1
+    # A refinement has three quarters; the solver gets the rest.
     own = None if evaluations is None else max(evaluations // part, 1)
     if not solver.ends_by_itself and not any((generations, evaluations, seconds, patience)):
         own = EVALUATIONS
@@ -191,8 +192,10 @@ def search(
 
     running = heard(solver.generations(ledger, rng), solver, ledger, tell)
     try:
+        # Closing lets a solver that is not run to its end free what it holds.
         with closing(_until_spent(running)) as yielded:
             for generation in yielded:
+                # Without evaluations a budget of these would never be spent.
                 idle = 0 if not history or ledger.count > history[-1].evaluations else idle + 1
                 progress = ledger.progress(generation, budget.share(generation, ledger))
                 history.append(ledger.tally(generation))
@@ -204,10 +207,11 @@ def search(
                     notes = (f"The search ended after {IDLE:,} generations in which solver "
                              f"{solver.name!r} evaluated nothing.",)
                     break
+        # The refinement has what is left of the whole budget of time.
         if polish and ledger.best_genes is not None:
             ledger.deadline = None if seconds is None else start + seconds
             refined = refine(ledger, rng, generation, evaluations, observers)
-    except KeyboardInterrupt:
+    except KeyboardInterrupt:  # what is known by now is the result
         if ledger.best_genes is None:
             raise
         answered()
@@ -228,16 +232,12 @@ def search(
 def begin(problem: Problem, solver: Solver) -> None:
     """Begin a search and end it before anything is evaluated, so that a solver may refuse it.
 
-    Parameters
-    ----------
-    problem : Problem
-    solver : Solver
-
     Raises
     ------
     TermselError
         That of the solver.
     """
+    # With no evaluation left the ledger ends the search at the first one.
     unevaluated = Ledger(problem, evaluations=0, solver=solver)
     with closing(_until_spent(solver.generations(unevaluated, np.random.default_rng(0)))) as begun:
         next(begun, None)

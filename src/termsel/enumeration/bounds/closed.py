@@ -32,7 +32,7 @@ from functools import partial
 import numpy as np
 
 from termsel.adjustment.compiled import compiled
-from termsel.enumeration.columns.arrays import Space
+from termsel.enumeration.columns.arrays import CheckSpace
 from termsel.measurements.features import FloatArray
 
 _compiled = partial(compiled, _nrt=False, fastmath={"reassoc", "contract", "arcp", "nsz"})
@@ -46,7 +46,7 @@ _SPHERE, _SCALE = 0.15, 0.1  # weights of facts 3 and 1; the rest is of fact 4
 
 @_compiled
 def first_closed(top: FloatArray, extra: FloatArray, first: int, n: int, limit: float,
-                 upper: FloatArray, rational: bool, space: Space) -> int:
+                 upper: FloatArray, rational: bool, space: CheckSpace) -> int:
     """Return a column from which on no subset scores `limit` or less.
 
     Parameters
@@ -61,7 +61,7 @@ def first_closed(top: FloatArray, extra: FloatArray, first: int, n: int, limit: 
         U and tau, lowered in place; 1 for scores without denominators.
     rational : bool
         Whether there are denominators.
-    space : Space
+    space : CheckSpace
 
     Returns
     -------
@@ -89,12 +89,13 @@ def first_closed(top: FloatArray, extra: FloatArray, first: int, n: int, limit: 
             total = 0.0
             for k in range(top.shape[1]):
                 total += top[n - i, k] * top[n - j, k]
+            # Fact 2 halves the target: 1/2 in products with it, 1/4 in its own.
             gram[i, j] = 4.0 / square * total * (1.0 if j > 0 else 0.5 if i > 0 else 0.25)
-    closed = 0
+    closed = 0  # last columns of which no subset scores that little
     for _ in range(_STEPS):
         tau = upper[c]
         sphere, scale = _SPHERE / (tau * tau), _SCALE / (tau * tau)
-        if not rational:
+        if not rational:  # t is 1, so that fact 1 says nothing
             sphere, scale = 0.5, 0.0
         for k in range(c):
             weight[k] = (1.0 - (sphere + scale) * tau * tau) / (limit * upper[k] * upper[k])
@@ -111,10 +112,10 @@ def first_closed(top: FloatArray, extra: FloatArray, first: int, n: int, limit: 
             total = 0.0
             for k in range(c, extra.shape[1]):
                 total += extra[n - i, k]
-            if not rational:
+            if not rational:  # the constraint is t = 1
                 total = 1.0 if i == 0 else 0.0
             if i == 0:
-                triangle[0, 0] += scale
+                triangle[0, 0] += scale  # fact 1: of t alone
             pivot = triangle[i, i]
             least = _PIVOT * pivot
             for j in range(i):
@@ -126,7 +127,7 @@ def first_closed(top: FloatArray, extra: FloatArray, first: int, n: int, limit: 
                 pivot -= ratio * ratio
                 total -= ratio * h[j]
             if not pivot > least:
-                failed = True
+                failed = True  # the minimum has no digits left from here on
                 break
             triangle[i, i] = np.sqrt(pivot)
             h[i] = total / triangle[i, i]
@@ -135,7 +136,7 @@ def first_closed(top: FloatArray, extra: FloatArray, first: int, n: int, limit: 
                 closed = i
         if failed or closed == count - 1 or not rational:
             return n - closed
-        gained = _lowered(extra, n, count, upper, minimum, triangle, h, space.rows, weight, y)
+        gained = _lowered(extra, n, count, upper, minimum, space)
         if gained < 0:
             return first
         if gained == 0:
@@ -145,8 +146,7 @@ def first_closed(top: FloatArray, extra: FloatArray, first: int, n: int, limit: 
 
 @_compiled
 def _lowered(extra: FloatArray, n: int, count: int, upper: FloatArray, inverse: float,
-             triangle: FloatArray, h: FloatArray, rows: FloatArray, along: FloatArray,
-             length: FloatArray) -> int:
+             space: CheckSpace) -> int:
     """Lower the limits to their maxima on an ellipsoid.
 
     With z = L'(-t, x) and h = L^-1 s its points are |z|^2 <= 1 and h'z = 1. The maximum of a linear
@@ -157,13 +157,14 @@ def _lowered(extra: FloatArray, n: int, count: int, upper: FloatArray, inverse: 
     int
         1 if a limit is lower by some share, 0 if none is, -1 if one is negative.
     """
-    c = len(upper) - 1
+    c, triangle, rows = len(upper) - 1, space.triangle, space.rows
+    along, h, length = space.x[0], space.x[1], space.x[2]
     for k in range(c + 1):
         along[k] = length[k] = 0.0
     for i in range(count):
         for k in range(c):
             rows[i, k] = extra[n - i, c + k]
-        rows[i, c] = 0.0 if i > 0 else -1.0
+        rows[i, c] = 0.0 if i > 0 else -1.0  # t is a function to maximise as well
         for j in range(i):
             ratio = triangle[i, j]
             for k in range(c + 1):
@@ -173,6 +174,7 @@ def _lowered(extra: FloatArray, n: int, count: int, upper: FloatArray, inverse: 
             rows[i, k] *= ratio
             along[k] += rows[i, k] * h[i]
             length[k] += rows[i, k] * rows[i, k]
+    # Rounding may make either factor a little negative; limits are a little too high instead.
     radius = max(0.0, 1.0 - 1.0 / inverse) + _ROUNDING
     gained = 0
     for k in range(c + 1):

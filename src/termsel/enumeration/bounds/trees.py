@@ -1,13 +1,17 @@
-"""Arrays for the branch and bound of residual sums of squares."""
+"""Arrays for the branch and bound of residual sums of squares, and Gram-Schmidt on their rows."""
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from termsel.adjustment.compiled import compiled
 from termsel.adjustment.solve import TOLERANCE
 from termsel.measurements.features import FloatArray
+
+_compiled = partial(compiled, fastmath={"reassoc", "contract", "arcp", "nsz"})
 
 DEPENDENT = 1e-7  # part of its length that a column keeps, below which weights are left at zero
 ROUNDING = 1e-6  # of bounds, relative; they are accurate to 1e-16 / DEPENDENT
@@ -15,59 +19,41 @@ _POINTS = 12  # guard points with a weight at once, at most
 
 
 class Tree(NamedTuple):
-    """The branch and bound of residual sums of squares, at every depth.
+    """The branch and bound of residual sums of squares, at every depth."""
 
-    Parameters
-    ----------
-    triangle, target : ndarray, shape (depths, k, k) and (depths, r, k)
-        Triangular factor R of the columns left, of length 1 at depth 0, and Q'y.
-    rss : ndarray, shape (depths,)
-        Residuals of all columns left.
-    column, fixed : ndarray of int and bool, shape (depths, k)
-        The columns left, and whether they are in use for good.
-    state : ndarray of int, shape (depths, 5)
-        Number of columns left, and in use; next child, largest open size; number of guard points
-        with a weight, -1 for dependent columns.
-    point, weight : ndarray, shape (depths, a)
-        Those guard points and weights.
-    order, bound, ceiling : ndarray, shape (depths, k + 1)
-        Columns not in use, the highest bound without one of them first; the largest score of
-        interest of each size and above.
-    guard, least : ndarray, shape (k, g) and (g,)
-        G' and h.
-    floor, floors : ndarray, shape (1,) and (1, k + 1)
-        A column whose squared length is at most this is dependent.
-    W, square, shifted, b, below, inverse, work, eliminated, last, cursor, mask : ndarray
-        Space: (a, k), (a,), (k,), (k,), (g,), (k, k), (k + r, k + 1), (k + 1, g), (r,), and of
-        integers (k + 1,) and of uint64 (k + 1,).
-    """
-
-    triangle: FloatArray
-    target: FloatArray
-    rss: FloatArray
-    column: Any
-    fixed: Any
-    state: Any
-    point: Any
-    weight: FloatArray
-    order: Any
-    bound: FloatArray
-    ceiling: FloatArray
-    guard: FloatArray
-    least: FloatArray
-    floor: FloatArray
-    floors: FloatArray
-    W: FloatArray
-    square: FloatArray
-    shifted: FloatArray
-    b: FloatArray
-    below: FloatArray
-    inverse: FloatArray
-    work: FloatArray
-    eliminated: FloatArray
-    last: FloatArray
-    cursor: Any
-    mask: Any
+    # Filled in at depth 0. Of a child at depth + 1 `bounds.residuals` writes them.
+    triangle: FloatArray  # (depths, k, k): factor R of the columns left, of length 1 at depth 0
+    target: FloatArray  # (depths, r, k): Q'y
+    rss: FloatArray  # (depths,): residuals of all columns left
+    column: Any  # (depths, k) of int: the columns left
+    fixed: Any  # (depths, k) of bool: whether they are in use for good
+    count: Any  # (depths,) of int: how many are left
+    used: Any  # (depths,) of int: how many of these are in use
+    # Of the node at each depth.
+    child: Any  # (depths,) of int: the next child
+    largest: Any  # (depths,) of int: largest open size of its children
+    weights: Any  # (depths,) of int: guard points with a weight; -1 for dependent columns
+    point: Any  # (depths, a) of int: those guard points
+    weight: FloatArray  # (depths, a): their weights u
+    order: Any  # (depths, k + 1) of int: columns not in use, that of the highest bound first
+    bound: FloatArray  # (depths, k + 1): of the subsets without each of these
+    ceiling: FloatArray  # (depths, k + 1): largest score of interest of each size and above
+    # Of the whole tree.
+    guard: FloatArray  # (k, g): G'
+    least: FloatArray  # (g,): h
+    floors: FloatArray  # (1, k + 1): a column whose squared length is at most this is dependent
+    # Space.
+    W: FloatArray  # (a, k): R^-T G' of the guard points with a weight
+    square: FloatArray  # (a,): squared lengths of these
+    shifted: FloatArray  # (k,): q + W u
+    b: FloatArray  # (k,)
+    below: FloatArray  # (g,): G b - h
+    inverse: FloatArray  # (k, k): R^-1
+    work: FloatArray  # (k + r, k + 1)
+    eliminated: FloatArray  # (k + 1, g)
+    last: FloatArray  # (r,)
+    cursor: Any  # (k + 1,) of int
+    mask: Any  # (k + 1,) of uint64
 
 
 def tree_of(control: FloatArray, guard: FloatArray, lengths: FloatArray, margin: float,
@@ -96,9 +82,9 @@ def tree_of(control: FloatArray, guard: FloatArray, lengths: FloatArray, margin:
     R, target = np.zeros((depths, k, k)), np.zeros((depths, r, k))
     R[0], target[0] = triangle[:k, :k], triangle[:k, k:].T
     rss = np.full(depths, (triangle[k:, k:] ** 2).sum())
-    state = np.zeros((depths, 5), dtype=np.intp)
+    count, in_use, child, largest, weights = np.zeros((5, depths), dtype=np.intp)
     column, fixed = np.tile(np.arange(k), (depths, 1)), np.tile(np.arange(k) < used, (depths, 1))
-    state[0, :2] = k, used
+    count[0], in_use[0] = k, used
     floors = np.full((1, k + 1), TOLERANCE**2)
     least = margin + guard[k]
     least -= ROUNDING * (1.0 + abs(least))  # those that a rounding error keeps out may pass
@@ -106,9 +92,46 @@ def tree_of(control: FloatArray, guard: FloatArray, lengths: FloatArray, margin:
     bound, ceiling = np.zeros((2, depths, k + 1))
     shifted, b = np.zeros((2, k))
     tree = Tree(
-        R, target, rss, column, fixed, state, point, np.zeros((depths, _POINTS)), order, bound,
-        ceiling, guard[:k].copy(), least, floors[0, :1], floors, np.zeros((_POINTS, k)),
-        np.zeros(_POINTS), shifted, b, np.zeros(g), np.zeros((k, k)), np.zeros((k + r, k + 1)),
-        np.zeros((k + 1, g)), np.zeros(r), np.zeros(k + 1, dtype=np.intp),
+        R, target, rss, column, fixed, count, in_use, child, largest, weights, point,
+        np.zeros((depths, _POINTS)), order, bound, ceiling, guard[:k].copy(), least, floors,
+        np.zeros((_POINTS, k)), np.zeros(_POINTS), shifted, b, np.zeros(g), np.zeros((k, k)),
+        np.zeros((k + r, k + 1)), np.zeros((k + 1, g)), np.zeros(r), np.zeros(k + 1, dtype=np.intp),
         np.zeros(k + 1, dtype=np.uint64))
     return tree, guard
+
+
+@_compiled
+def write(tree: Tree, d: int, all_in_use: bool) -> None:
+    """Write the columns to `tree.work`, those in use first, then targets; order in `cursor`."""
+    n, place = tree.count[d], 0
+    for fixed in (True, False):
+        for i in range(n):
+            if (all_in_use or tree.fixed[d, i]) == fixed:
+                for t in range(n):
+                    tree.work[place, t] = tree.triangle[d, t, i] if t <= i else 0.0
+                tree.cursor[place] = i
+                place += 1
+    for j in range(tree.target.shape[1]):
+        tree.work[n + j, :n] = tree.target[d, j, :n]
+
+
+@_compiled
+def eliminate(work: FloatArray, i: int, stop: int, n: int, square: float) -> None:
+    """Remove row i from the rows below it, and write its share of each to column n there."""
+    for j in range(i + 1, stop):
+        ratio = 0.0
+        for t in range(n):
+            ratio += work[i, t] * work[j, t]
+        ratio /= square
+        for t in range(n):
+            work[j, t] -= ratio * work[i, t]
+        work[j, n] = ratio
+
+
+@_compiled
+def square(work: FloatArray, i: int, n: int) -> float:
+    """Return the squared length of a row."""
+    total = 0.0
+    for t in range(n):
+        total += work[i, t] * work[i, t]
+    return total

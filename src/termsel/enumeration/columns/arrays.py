@@ -1,4 +1,4 @@
-"""Arrays for the enumeration of all subsets."""
+"""Arrays for the enumeration of all subsets of columns."""
 
 from __future__ import annotations
 
@@ -9,159 +9,110 @@ import numpy as np
 from termsel.measurements.features import FloatArray
 
 
-class Levels(NamedTuple):
-    """The vectors of f systems in lockstep at every depth; depth 0 is given, the rest is space.
+class Vectors(NamedTuple):
+    """The vectors of f systems in lockstep at every depth; depth 0 is filled in, the rest is space.
 
-    Column n, of infinite length and without a share, stands for no column.
-
-    Parameters
-    ----------
-    top : ndarray, shape (depths, f, n + r, rows)
-        Control rows, which span the inner products; columns, then targets.
-    extra : ndarray, shape (depths, f, n + r, rows)
-        Rows that take part. LINEAR: errors. RATIONAL: as many errors and denominators, these
-        with a minus sign, -1 - denominator x. PRESS: such denominators of the control rows.
-        RSS: none.
-    square : ndarray, shape (depths, f, n + 1)
-        Squared length of each column.
-    share : ndarray, shape (depths, f, n + 1, r)
-        Coefficient of each column in each target.
-    floor : ndarray, shape (f, n + 1)
-        A column whose squared length is at most this is dependent.
-    leverage, cross : ndarray, shape (depths, rows)
-        For PRESS: leverages of the rows, and their counterpart with the denominator.
+    Of each system there are n columns, then r targets. Column n of `square` and `share`, of
+    infinite length and without a share, stands for no column.
     """
+
+    top: FloatArray  # (depths, f, n + r, rows): control rows, which span the inner products
+    # (depths, f, n + r, rows): rows that take part. LINEAR: errors. RATIONAL: as many errors and
+    # denominators, these with a minus sign, -1 - denominator x. PRESS: such denominators of the
+    # control rows. RSS: none.
+    extra: FloatArray
+    square: FloatArray  # (depths, f, n + 1): squared length of each column
+    share: FloatArray  # (depths, f, n + 1, r): coefficient of each column in each target
+    floor: FloatArray  # (f, n + 1): a column whose squared length is at most this is dependent
+    leverage: FloatArray  # (depths, rows): for PRESS, of the rows under the columns in use
+    cross: FloatArray  # (depths, rows): for PRESS, its counterpart with the denominator
+
+
+class Depth(NamedTuple):
+    """One depth of `Vectors`."""
 
     top: FloatArray
     extra: FloatArray
     square: FloatArray
     share: FloatArray
-    floor: FloatArray
     leverage: FloatArray
     cross: FloatArray
 
 
 class Limits(NamedTuple):
-    """Constants of a piece.
+    """Constants of a piece."""
 
-    Parameters
-    ----------
-    margin, tolerance : float
-        Least denominator, least 1 - leverage.
-    offset, slack : float
-        Part of the score that no column can change, and rounding error of a residual sum of
-        squares.
-    size, room : int
-        Size of the subset in use already, and most columns to add.
-    """
+    margin: float  # least denominator
+    tolerance: float  # least 1 - leverage
+    offset: float  # part of the score that no column can change
+    slack: float  # rounding error of a residual sum of squares
+    size: int  # of the subset in use already
+    room: int  # most columns to add
 
-    margin: float
-    tolerance: float
-    offset: float
-    slack: float
-    size: int
-    room: int
+
+class Place(NamedTuple):
+    """Where a walk over the tree is; `mask[0]` and `counts` are filled in, the rest is space."""
+
+    cursor: Any  # (depths,) of int: the column at each depth, the next to join
+    ends: Any  # (depths,) of int: bounds have closed the columns from here on
+    mask: Any  # (depths,) of uint64: columns in use at each depth
+    counts: Any  # (n + 1, room + 1) of int: subsets of so many columns, of at most so many members
 
 
 class Records(NamedTuple):
-    """Best subsets so far, and conditions on them.
+    """Best subsets so far, and conditions on them."""
 
-    Parameters
-    ----------
-    best, masks : ndarray, shape (sizes,)
-        Best score and mask of each size, updated in place. Of equal scores the smallest mask
-        as a number is kept.
-    bits : ndarray of uint64, shape (n + 1,)
-        Mask of each column.
-    some_of : ndarray of uint64, shape (1,)
-        Columns of which a best subset has at least one; 0 for no such condition.
-    parents : ndarray of uint64, shape (k,) or (0,)
-        Mask of the columns that a best subset must have to have a column; none for no such
-        condition.
-    guard : ndarray, shape (n + 1, g)
-        Minus the denominators at guard points, of columns and target.
-    x, sums : ndarray, shape (depths,) and (g,)
-        Space for coefficients and denominators.
-    """
-
-    best: FloatArray
-    masks: Any
-    bits: Any
-    some_of: Any
-    parents: Any
-    guard: FloatArray
-    x: FloatArray
-    sums: FloatArray
-
-
-class Space(NamedTuple):
-    """Space for a bound of n columns and e rows of the score.
-
-    Parameters
-    ----------
-    gram, triangle : ndarray, shape (n + 1, n + 1)
-    rows : ndarray, shape (n + 1, e + 1)
-    x : ndarray, shape (3, max(n, e) + 1)
-    """
-
-    gram: FloatArray
-    triangle: FloatArray
-    rows: FloatArray
-    x: FloatArray
+    best: FloatArray  # (sizes,): least score of each size, updated in place
+    masks: Any  # (sizes,) of uint64: its subset; of equal scores the smallest number
+    bits: Any  # (n + 1,) of uint64: mask of each column
+    some_of: Any  # (1,) of uint64: a best subset has one of these columns; 0 for no such condition
+    parents: Any  # (k,) or (0,) of uint64: columns that a best subset must have to have a column
+    guard: FloatArray  # (n + 1, g): minus the denominators at guard points, of columns and target
+    x: FloatArray  # (depths,): space for coefficients
+    sums: FloatArray  # (g,): space for denominators
 
 
 class Products(NamedTuple):
-    """Inner products of few columns and the target, at every level of their elimination.
+    """Inner products of few columns and the target, at every level of their elimination."""
 
-    Parameters
-    ----------
-    M : ndarray, shape (levels, n, n)
-        Of the columns; only above the diagonal.
-    own, f : ndarray, shape (levels, n)
-        The diagonal, and the products with the target.
-    total : ndarray, shape (levels,)
-        Of the target with itself.
-    """
-
-    M: FloatArray
-    own: FloatArray
-    f: FloatArray
-    total: FloatArray
+    M: FloatArray  # (levels, n, n): of the columns; only above the diagonal
+    own: FloatArray  # (levels, n): the diagonal
+    f: FloatArray  # (levels, n): of the columns with the target
+    total: FloatArray  # (levels,): of the target with itself
 
 
-class Blocks(NamedTuple):
-    """What a block of subsets is decided from.
+class SubsetBlock(NamedTuple):
+    """What a block of subsets is decided from, n columns at most."""
 
-    Parameters
-    ----------
-    control, errors : Products
-        In the control rows, and of the errors of the score.
-    sums, whole : ndarray, shape (levels, n) and (levels,)
-        Sums over the denominators' rows, with a minus sign for columns; for the target.
-    inverse, a, u, row, weight : ndarray
-        Inverse squared lengths before any elimination, (n,), and space: (n,) twice and
-        (max(n, rows),) twice.
-    share, cursor : ndarray, shape (levels,)
-        Product of the shares of length that were left; columns in use.
-    """
-
-    control: Products
-    errors: Products
-    sums: FloatArray
-    whole: FloatArray
-    inverse: FloatArray
-    a: FloatArray
-    u: FloatArray
-    row: FloatArray
-    weight: FloatArray
-    share: FloatArray
-    cursor: Any
+    control: Products  # in the control rows
+    errors: Products  # of the errors of the score
+    sums: FloatArray  # (levels, n): minus the sums of a column over the denominators' rows
+    whole: FloatArray  # (levels,): the same of the target, that is of the denominators themselves
+    inverse: FloatArray  # (n,): inverse squared lengths before any elimination; 0 if dependent
+    a: FloatArray  # (n,): space for shares of a column
+    u: FloatArray  # (n,): space for products less a share
+    row: FloatArray  # (max(n, rows),): space for one row of products, or of figures to compare
+    weight: FloatArray  # (rows,): of the errors
+    share: FloatArray  # (levels,): product of the shares of length that were left
+    cursor: Any  # (levels,) of int: columns in use
 
 
-def levels_of(tops: list[FloatArray], extras: list[FloatArray], floor: FloatArray,
-              leverage: FloatArray, cross: FloatArray, depths: int) -> Levels:
+class CheckSpace(NamedTuple):
+    """Space for bounds of errors in e rows of the score, n columns at most."""
+
+    gram: FloatArray  # (n + 1, n + 1): products in the control rows
+    triangle: FloatArray  # (n + 1, n + 1): Cholesky's of the quadratic form
+    rows: FloatArray  # (n + 1, e + 1): denominators, and t, in the basis of the triangle
+    x: FloatArray  # (3, max(n, e) + 1)
+    upper: FloatArray  # (depths, e + 1): U and tau of `first_closed`; filled in at depth 0
+    block: SubsetBlock
+
+
+def vectors_of(tops: list[FloatArray], extras: list[FloatArray], floor: FloatArray,
+               leverage: FloatArray, cross: FloatArray, depths: int) -> Vectors:
     """Return the vectors at depth 0, and room for the other depths."""
     n = floor.shape[1] - 1
+    # Systems of fewer rows are filled up with zeros, which change no inner product.
     top, extra = (np.zeros((depths, len(blocks), blocks[0].shape[1], max(map(len, blocks))))
                   for blocks in (tops, extras))
     for room, blocks in ((top, tops), (extra, extras)):
@@ -175,16 +126,34 @@ def levels_of(tops: list[FloatArray], extras: list[FloatArray], floor: FloatArra
               where=square[0, :, :n, None] > 0)
     grown = np.zeros((2, depths, len(leverage)))
     grown[:, 0] = leverage, cross
-    return Levels(top, extra, square, share, floor, grown[0], grown[1])
+    return Vectors(top, extra, square, share, floor, grown[0], grown[1])
 
 
-def blocks_of(levels: int, n: int, e: int) -> Blocks:
-    """Return space for blocks of n columns and e rows of the score."""
+def place_of(depths: int, used: np.uint64, counts: Any) -> Place:
+    """Return the beginning of a walk from the columns in use."""
+    cursor, ends = np.zeros((2, depths), dtype=np.intp)
+    mask = np.zeros(depths, dtype=np.uint64)
+    mask[0] = used
+    return Place(cursor, ends, mask, counts)
+
+
+def check_space(depths: int, n: int, e: int, least: float | None) -> CheckSpace:
+    """Return space for bounds of n columns and e rows of the score.
+
+    `least` is the least denominator, None if there are none. No positive denominator is above its
+    sum with the others, U = 1, and no such sum below e times the least, tau = 1 / (e least).
+    """
     def products() -> Products:
-        own, f = np.empty((2, levels, n))
-        return Products(np.empty((levels, n, n)), own, f, np.empty(levels))
+        own, f = np.empty((2, depths, n))
+        return Products(np.empty((depths, n, n)), own, f, np.empty(depths))
 
-    sums, whole = np.empty((levels, n)), np.empty(levels)
+    sums, whole = np.empty((depths, n)), np.empty(depths)
     inverse, a, u = np.empty((3, n))
-    return Blocks(products(), products(), sums, whole, inverse, a, u, np.empty(max(n, e)),
-                  np.empty(e), np.empty(levels), np.empty(levels, dtype=np.intp))
+    block = SubsetBlock(products(), products(), sums, whole, inverse, a, u, np.empty(max(n, e)),
+                        np.empty(e), np.empty(depths), np.empty(depths, dtype=np.intp))
+    gram, triangle = np.empty((2, n + 1, n + 1))
+    upper = np.ones((depths, e + 1))
+    if least is not None:
+        upper[0, e] /= least * e
+    return CheckSpace(gram, triangle, np.empty((n + 1, e + 1)), np.empty((3, max(n, e) + 1)), upper,
+                      block)

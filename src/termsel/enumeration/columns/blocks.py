@@ -23,7 +23,7 @@ from functools import partial
 import numpy as np
 
 from termsel.adjustment.compiled import compiled
-from termsel.enumeration.columns.arrays import Blocks, Products
+from termsel.enumeration.columns.arrays import Products, SubsetBlock
 from termsel.measurements.features import FloatArray
 
 _compiled = partial(compiled, _nrt=False, fastmath={"reassoc", "contract", "arcp", "nsz"})
@@ -35,7 +35,7 @@ _SLACK = _ACCURACY * 1000.0  # of errors, relative to |r|: _ACCURACY (e / SHARE)
 
 @_compiled
 def prepare(top: FloatArray, extra: FloatArray, first: int, n: int, upper: FloatArray,
-            floor: FloatArray, b: Blocks) -> tuple[float, float]:
+            floor: FloatArray, b: SubsetBlock) -> tuple[float, float]:
     """Write the inner products of columns first, ..., n - 1, and sums of their denominators.
 
     The share of a column that depends on those in use, to the floor of its square, is zero.
@@ -69,7 +69,7 @@ def prepare(top: FloatArray, extra: FloatArray, first: int, n: int, upper: Float
 
 @_compiled
 def _products(rows: FloatArray, start: int, stop: int, weighted: bool, first: int, n: int,
-              to: Products, b: Blocks) -> float:
+              to: Products, b: SubsetBlock) -> float:
     """Write the inner products of columns at level 0; return the target's with itself."""
     count = n - first
     for i in range(count + 1):
@@ -91,15 +91,17 @@ def _products(rows: FloatArray, start: int, stop: int, weighted: bool, first: in
 
 
 @_compiled
-def eliminate(i: int, level: int, count: int, b: Blocks) -> None:
+def eliminate(i: int, level: int, count: int, b: SubsetBlock) -> None:
     """Remove column i from those to its right and from the target, from one level to the next."""
     c, of, to = b.control, b.errors, level + 1
     inverse, own = 1.0 / c.own[level, i], of.own[level, i]
     share = c.f[level, i] * inverse
+    # |e - s v|^2 = ee - s (2 ev - s vv): the share s leaves both sides of a product.
     left = of.f[level, i] - share * own
     of.total[to] = of.total[level] - share * (left + of.f[level, i])
     b.whole[to] = b.whole[level] - share * b.sums[level, i]
     for j in range(i + 1, count):
+        # Column j loses a of column i; u is what then is left of its product with it.
         b.a[j] = c.M[level, i, j] * inverse
         b.u[j] = of.M[level, i, j] - b.a[j] * own
     for j in range(i + 1, count):
@@ -109,6 +111,7 @@ def eliminate(i: int, level: int, count: int, b: Blocks) -> None:
         of.f[to, j] = of.f[level, j] - a * left - share * product
         of.own[to, j] = of.own[level, j] - a * (b.u[j] + product)
         b.sums[to, j] = b.sums[level, j] - a * b.sums[level, i]
+    # Only control products decide what is removed; those of errors follow.
     for j in range(i + 1, count - 1):
         a, product = b.a[j], of.M[level, i, j]
         for k in range(j + 1, count):
@@ -117,18 +120,20 @@ def eliminate(i: int, level: int, count: int, b: Blocks) -> None:
 
 
 @_compiled
-def single(i: int, level: int, least: float, errors: float, below: float, b: Blocks) -> bool:
+def single(i: int, level: int, least: float, errors: float, below: float, b: SubsetBlock) -> bool:
     """Return whether with one more column the root of the score is certainly above `least`."""
     of = b.errors
     share = b.control.f[level, i] / b.control.own[level, i]
     squares = of.total[level] - share * (2.0 * of.f[level, i] - share * of.own[level, i])
+    # The score is at least the squares over the squared sum of denominators, each as accurate as it
+    # is known.
     root = least * (abs(b.whole[level] - share * b.sums[level, i]) + below) + errors
     return bool(squares > root * root)
 
 
 @_compiled
 def pairs(i: int, level: int, count: int, share: float, least: float, errors: float,
-          below: float, b: Blocks) -> int:
+          below: float, b: SubsetBlock) -> int:
     """Return how many subsets with column i and one to its right may score `least` squared.
 
     Where b.row is positive the score is certainly higher.
@@ -148,6 +153,7 @@ def pairs(i: int, level: int, count: int, share: float, least: float, errors: fl
                    + more * more * (of.own[level, k] - a * (2.0 * product - a * own)))
         root = least * (abs(whole - more * (b.sums[level, k] - a * sum_i)) + below) + errors
         value = squares - root * root
+        # Too badly conditioned for inner products: the vectors decide.
         value = value if length * b.inverse[k] * share > SHARE else -1.0
         b.row[k] = value
         open_ += not value > 0.0

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from termsel.adjustment.compiled import compiled
-from termsel.enumeration.columns.arrays import Levels, Limits, Records
+from termsel.enumeration.columns.arrays import Depth, Limits, Place, Records, Vectors
 from termsel.measurements.features import FloatArray, IntArray
 
 LINEAR, RATIONAL, PRESS, RSS = range(4)
@@ -26,7 +26,6 @@ leave-one-out errors, or of residuals."""
 # are not counted (_nrt=False: nothing may be allocated here) and calls are inlined.
 _compiled = partial(compiled, _nrt=False, forceinline=True,
                     fastmath={"reassoc", "contract", "arcp", "nsz"})
-
 
 @_compiled
 def dot(a: FloatArray, b: FloatArray) -> float:
@@ -58,7 +57,8 @@ def less_measured(out: FloatArray, a: FloatArray, b: FloatArray, ratio: float,
 
 
 @_compiled
-def _squares(t: FloatArray, v: FloatArray, ratio: float) -> float:
+def squares(t: FloatArray, v: FloatArray, ratio: float) -> float:
+    """Return the squared length of t - ratio v."""
     total = 0.0
     for row in range(len(t)):
         error = t[row] - ratio * v[row]
@@ -75,27 +75,29 @@ def _rational_squares(t: FloatArray, v: FloatArray, t_below: FloatArray, v_below
     for row in range(len(t)):
         denominator = ratio * v_below[row] - t_below[row]
         error = (t[row] - ratio * v[row]) / denominator
-        poles += denominator < margin
+        poles += denominator < margin  # counted, as a branch would keep the loop from SIMD
         total += error * error
     return np.inf if poles else total
 
 
 @_compiled
-def _press_squares(t: FloatArray, v: FloatArray, t_below: FloatArray, v_below: FloatArray,
-                   ratio: float, per_square: float, leverage: FloatArray, cross: FloatArray,
-                   limits: Limits) -> float:
+def _press_squares(at: Depth, n: int, c: int, j: int, limits: Limits) -> float:
     """Return the sum of squared leave-one-out errors, or infinity if there is none.
 
     With residual e, leverage h and the denominator's cross-leverage g, a row's leave-one-out
     error is e / (1 - h), and its denominator is lower by g e / (1 - h).
     """
+    t, v, t_below, v_below = at.top[0, n + j], at.top[0, c], at.extra[0, n + j], at.extra[0, c]
+    ratio, per_square = at.share[0, c, j], 1.0 / at.square[0, c]
     total = 0.0
     bad = 0
     for row in range(len(t)):
         residual = t[row] - ratio * v[row]
-        rest = 1.0 - leverage[row] - per_square * v[row] * v[row]
+        # The column's own part of h and g is added here; the depth holds that of those in use.
+        rest = 1.0 - at.leverage[row] - per_square * v[row] * v[row]
+        # Error and denominator are both taken times 1 - h, which may be 0.
         denominator = ((ratio * v_below[row] - t_below[row]) * rest
-                       - (cross[row] + per_square * v[row] * v_below[row]) * residual)
+                       - (at.cross[row] + per_square * v[row] * v_below[row]) * residual)
         error = residual / denominator
         bad += (rest <= limits.tolerance) | (denominator < limits.margin * rest)
         total += error * error
@@ -103,32 +105,34 @@ def _press_squares(t: FloatArray, v: FloatArray, t_below: FloatArray, v_below: F
 
 
 @_compiled
-def score_of(kind: int, top: FloatArray, extra: FloatArray, square: FloatArray, share: FloatArray,
-           leverage: FloatArray, cross: FloatArray, c: int, systems: int, r: int,
-           limits: Limits) -> float:
+def at_depth(vectors: Vectors, depth: int) -> Depth:
+    return Depth(vectors.top[depth], vectors.extra[depth], vectors.square[depth],
+                 vectors.share[depth], vectors.leverage[depth], vectors.cross[depth])
+
+
+@_compiled
+def score_of(kind: int, at: Depth, c: int, systems: int, r: int, limits: Limits) -> float:
     """Return the score of one depth's column c."""
-    n = top.shape[1] - r
-    half = extra.shape[2] // 2
+    n = at.top.shape[1] - r
+    half = at.extra.shape[2] // 2
     total = limits.offset
     for f in range(systems):
         for j in range(r):
             if kind == LINEAR:
-                total += _squares(extra[f, n + j], extra[f, c], share[f, c, j])
+                total += squares(at.extra[f, n + j], at.extra[f, c], at.share[f, c, j])
             elif kind == RSS:
-                total += _squares(top[f, n + j], top[f, c], share[f, c, j])
+                total += squares(at.top[f, n + j], at.top[f, c], at.share[f, c, j])
             elif kind == RATIONAL:
                 total += _rational_squares(
-                    extra[f, n + j, :half], extra[f, c, :half], extra[f, n + j, half:],
-                    extra[f, c, half:], share[f, c, j], limits.margin)
-            else:
-                total += _press_squares(
-                    top[f, n + j], top[f, c], extra[f, n + j], extra[f, c], share[f, c, j],
-                    1.0 / square[f, c], leverage, cross, limits)
+                    at.extra[f, n + j, :half], at.extra[f, c, :half], at.extra[f, n + j, half:],
+                    at.extra[f, c, half:], at.share[f, c, j], limits.margin)
+            else:  # of one system
+                total += _press_squares(at, n, c, j, limits)
     return total
 
 
 @_compiled
-def _keeps_guard(levels: Levels, depth: int, cursor: IntArray, records: Records,
+def _keeps_guard(vectors: Vectors, depth: int, cursor: IntArray, records: Records,
                  margin: float) -> bool:
     """Solve for the coefficients of the subset and test the guard points' denominators.
 
@@ -140,15 +144,16 @@ def _keeps_guard(levels: Levels, depth: int, cursor: IntArray, records: Records,
     for i in range(len(sums)):
         sums[i] = -guard[n, i]
     for q in range(depth, -1, -1):
-        v = levels.top[q, 0, cursor[q]]
-        product = dot(v, levels.top[q, 0, n])
+        v = vectors.top[q, 0, cursor[q]]
+        product = dot(v, vectors.top[q, 0, n])
         for s in range(q + 1, depth + 1):
-            product -= dot(v, levels.top[q, 0, cursor[s]]) * x[s]
-        x[q] = product / levels.square[q, 0, cursor[q]]
+            product -= dot(v, vectors.top[q, 0, cursor[s]]) * x[s]
+        # No column, n, is of infinite length: its coefficient is 0.
+        x[q] = product / vectors.square[q, 0, cursor[q]]
         less(sums, sums, guard[cursor[q]], -x[q])
     poles = 0
     for i in range(len(sums)):
-        poles += not sums[i] >= margin
+        poles += not sums[i] >= margin  # NaN is a pole, too
     return poles == 0
 
 
@@ -163,24 +168,45 @@ def _has_parents(mask: Any, parents: Any) -> bool:
 
 
 @_compiled
-def record(score: float, size: int, mask: Any, levels: Levels, depth: int, cursor: IntArray,
-            records: Records, margin: float) -> None:
+def record(score: float, size: int, mask: Any, vectors: Vectors, depth: int, cursor: IntArray,
+           records: Records, margin: float) -> None:
     """Keep a subset that is the best of its size; in a tie the smaller mask."""
     best, masks, some_of = records.best, records.masks, records.some_of[0]
+    # The guard costs most and comes last: few subsets are that good.
     if (
         (score < best[size] or (score == best[size] and mask < masks[size]))
         and (some_of == 0 or (mask & some_of) != 0)
         and _has_parents(mask, records.parents)
-        and _keeps_guard(levels, depth, cursor, records, margin)
+        and _keeps_guard(vectors, depth, cursor, records, margin)
     ):
         best[size] = score
         masks[size] = mask
 
 
 @_compiled
-def _open_leverage(v: FloatArray, w: FloatArray, square: float, leverage: FloatArray,
-                   cross: FloatArray, depth: int) -> None:
-    """Add the column's part to the leverages, from one depth to the next."""
+def remove(vectors: Vectors, depth: int, f: int, i: int, c: int, n: int, r: int) -> None:
+    """Remove column i from vector c of system f, from one depth to the next; the target n first."""
+    top, extra = vectors.top, vectors.extra
+    if c >= n:
+        ratio = vectors.share[depth, f, i, c - n]
+        less(top[depth + 1, f, c], top[depth, f, c], top[depth, f, i], ratio)
+    else:
+        ratio = dot(top[depth, f, i], top[depth, f, c]) / vectors.square[depth, f, i]
+        length, product = less_measured(top[depth + 1, f, c], top[depth, f, c], top[depth, f, i],
+                                        ratio, top[depth + 1, f, n])
+        vectors.square[depth + 1, f, c] = length
+        vectors.share[depth + 1, f, c, 0] = product / length
+        for j in range(1, r):
+            vectors.share[depth + 1, f, c, j] = dot(top[depth + 1, f, c],
+                                                    top[depth + 1, f, n + j]) / length
+    less(extra[depth + 1, f, c], extra[depth, f, c], extra[depth, f, i], ratio)
+
+
+@_compiled
+def _open_leverage(vectors: Vectors, depth: int, i: int) -> None:
+    """Add the part of column i to the leverages, from one depth to the next."""
+    v, w, square = vectors.top[depth, 0, i], vectors.extra[depth, 0, i], vectors.square[depth, 0, i]
+    leverage, cross = vectors.leverage, vectors.cross
     for row in range(len(v)):
         part = v[row] / square
         leverage[depth + 1, row] = leverage[depth, row] + part * v[row]
@@ -188,23 +214,16 @@ def _open_leverage(v: FloatArray, w: FloatArray, square: float, leverage: FloatA
 
 
 @_compiled
-def walk(kind: int, levels: Levels, limits: Limits, records: Records, used: Any,
-         counts: IntArray, cursor: IntArray, mask: Any, single: bool | None) -> int:
+def walk(kind: int, vectors: Vectors, limits: Limits, records: Records, place: Place,
+         single: bool | None) -> int:
     """Enumerate all subsets of n columns in addition to those in use already.
 
     Parameters
     ----------
     kind : int
         LINEAR, RATIONAL, PRESS or RSS.
-    levels : Levels
-    limits : Limits
-    records : Records
-    used : uint64
-        Mask of the subset in use already.
-    counts : ndarray of int, shape (n + 1, room + 1)
-        Number of subsets of so many columns with at most so many members.
-    cursor, mask
-        Space for integers (depths,) and uint64 (depths,).
+    vectors, limits, records, place
+        What their types say.
     single : bool, optional
         None if f = r = 1: a type of its own, for which faster code is compiled.
 
@@ -216,50 +235,48 @@ def walk(kind: int, levels: Levels, limits: Limits, records: Records, used: Any,
     if single is None:
         systems, r = 1, 1
     else:
-        systems, r = levels.top.shape[1], levels.share.shape[3]
-    n = levels.top.shape[2] - r
+        systems, r = vectors.top.shape[1], vectors.share.shape[3]
+    n = vectors.top.shape[2] - r
     size, room = limits.size, limits.room
+    cursor, mask, counts = place.cursor, place.mask, place.counts
     infeasible, depth = 0, 0
-    mask[0] = used
+    # At depth 0 column n is scored as well, which is none: the subset in use already.
     first, last = 0 if room > 0 else n, n + 1
     while True:
-        top, extra = levels.top[depth], levels.extra[depth]
-        square, share = levels.square[depth], levels.share[depth]
-        leverage, cross = levels.leverage[depth], levels.cross[depth]
-        before = max(depth - 1, 0)
-        top0, extra0 = levels.top[before], levels.extra[before]
-        square0, share0 = levels.square[before], levels.share[before]
-        i = first - 1
+        here, before = at_depth(vectors, depth), at_depth(vectors, max(depth - 1, 0))
+        i = first - 1  # the column that joined last
         if depth > 0:
             for f in range(systems):
                 for j in range(r):
-                    less(top[f, n + j], top0[f, n + j], top0[f, i], share0[f, i, j])
-                    less(extra[f, n + j], extra0[f, n + j], extra0[f, i], share0[f, i, j])
+                    less(here.top[f, n + j], before.top[f, n + j], before.top[f, i],
+                         before.share[f, i, j])
+                    less(here.extra[f, n + j], before.extra[f, n + j], before.extra[f, i],
+                         before.share[f, i, j])
+        # Each column is freed of the one that joined and scored at once, while it is in the cache.
         for c in range(first, last):
             dependent = False
             for f in range(systems):
                 if depth > 0:
-                    ratio = dot(top0[f, i], top0[f, c]) / square0[f, i]
-                    length, product = less_measured(top[f, c], top0[f, c], top0[f, i], ratio,
-                                                     top[f, n])
-                    less(extra[f, c], extra0[f, c], extra0[f, i], ratio)
-                    square[f, c] = length
-                    share[f, c, 0] = product / length
+                    ratio = dot(before.top[f, i], before.top[f, c]) / before.square[f, i]
+                    length, product = less_measured(here.top[f, c], before.top[f, c],
+                                                    before.top[f, i], ratio, here.top[f, n])
+                    less(here.extra[f, c], before.extra[f, c], before.extra[f, i], ratio)
+                    here.square[f, c] = length
+                    here.share[f, c, 0] = product / length
                     for j in range(1, r):
-                        share[f, c, j] = dot(top[f, c], top[f, n + j]) / length
-                dependent |= square[f, c] <= levels.floor[f, c]
+                        here.share[f, c, j] = dot(here.top[f, c], here.top[f, n + j]) / length
+                dependent |= here.square[f, c] <= vectors.floor[f, c]
             if dependent:
-                square[0, c] = 0.0
+                here.square[0, c] = 0.0  # a mark not to descend
                 infeasible += counts[n - 1 - c, room - depth - 1]
                 continue
-            score = score_of(kind, top, extra, square, share, leverage, cross, c, systems, r,
-                             limits)
+            score = score_of(kind, here, c, systems, r, limits)
             infeasible += not score < np.inf
             new = size + depth + (c < n)
             if score <= records.best[new]:
                 cursor[depth] = c
-                record(score, new, mask[depth] | records.bits[c], levels, depth, cursor, records,
-                        limits.margin)
+                record(score, new, mask[depth] | records.bits[c], vectors, depth, cursor, records,
+                       limits.margin)
         cursor[depth] = first
         last = n
         while True:
@@ -268,12 +285,11 @@ def walk(kind: int, levels: Levels, limits: Limits, records: Records, used: Any,
                 if depth == 0:
                     return infeasible
                 depth -= 1
-            elif levels.square[depth, 0, i] > 0.0:
+            elif vectors.square[depth, 0, i] > 0.0:
                 break
             cursor[depth] += 1
         if kind == PRESS:
-            _open_leverage(levels.top[depth, 0, i], levels.extra[depth, 0, i],
-                           levels.square[depth, 0, i], levels.leverage, levels.cross, depth)
+            _open_leverage(vectors, depth, i)
         mask[depth + 1] = mask[depth] | records.bits[i]
         depth += 1
         first = i + 1

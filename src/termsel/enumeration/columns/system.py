@@ -106,15 +106,12 @@ def count_subsets(columns: int, max_terms: int | None = None) -> int:
 
 @dataclass(frozen=True, eq=False)
 class Piece:
-    """All subsets that hold the columns `used` and at most `room` of the rest.
+    """Subsets that are decided together."""
 
-    None that a search is still to decide scores less than `least`.
-    """
-
-    used: IntArray
-    rest: IntArray
-    room: int
-    least: float = 0.0
+    used: IntArray  # columns that all of them hold
+    rest: IntArray  # columns that they may hold, in the order of the tree
+    room: int  # how many of these at most
+    least: float = 0.0  # none that is still to be decided scores less
 
     def halves(self) -> list[Piece]:
         """Return the subsets without the first of the rest, and those with it."""
@@ -141,5 +138,6 @@ class Walked:
 def better(best: FloatArray, masks: Masks, other: FloatArray,
            at: Masks) -> tuple[FloatArray, Masks]:
     """Return the better subset of each size; of equal scores the smallest mask."""
+    # The order of pieces must not matter, so that ties have to be broken by the subset itself.
     wins = (other < best) | ((other == best) & (at < masks))
     return np.where(wins, other, best), np.where(wins, at, masks)

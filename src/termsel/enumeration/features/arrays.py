@@ -7,87 +7,68 @@ from typing import Any, NamedTuple
 from termsel.measurements.features import FloatArray, IntArray
 
 
-class Rows(NamedTuple):
-    """The rows of n features in each of several independent parts.
+class FeatureRows(NamedTuple):
+    """The rows of n features in each of several independent parts."""
 
-    Parameters
-    ----------
-    design : ndarray, shape (parts, rows, k)
-    target : ndarray, shape (parts, rows)
-    start : ndarray of int, shape (parts, n + 1)
-        Where the rows of each feature begin.
-    columns, needed : ndarray of int, shape (parts,)
-        Unknowns of each part, and the fewest equations of a selection.
-    single : ndarray of bool, shape (parts,)
-        Whether each feature has one row.
-    bits : ndarray of uint64, shape (n, words)
-        Mask of each feature.
+    design: FloatArray  # (parts, rows, k)
+    target: FloatArray  # (parts, rows)
+    start: IntArray  # (parts, n + 1): where the rows of each feature begin
+    columns: IntArray  # (parts,): unknowns of each part
+    needed: IntArray  # (parts,): fewest equations of a selection
+    single: Any  # (parts,) of bool: whether each feature has one row
+    bits: Any  # (n, words) of uint64: mask of each feature
+
+
+class Carried(NamedTuple):
+    """What is known of the selection at every depth; `normal` to `mask` are filled in at depth 0.
+
+    Of h, q, e and g see `termsel.enumeration.features.kernels`.
     """
 
-    design: FloatArray
-    target: FloatArray
-    start: IntArray
-    columns: IntArray
-    needed: IntArray
-    single: Any
-    bits: Any
+    normal: FloatArray  # (depths, parts, k, k): normal matrix, its lower triangle
+    right: FloatArray  # (depths, parts, k)
+    equations: IntArray  # (depths, parts): how many of features
+    mask: Any  # (depths, words) of uint64
+    cursor: IntArray  # (depths,): the feature that enters next
+    state: IntArray  # (depths,): OPEN, UNKNOWN, SCORED or CARRIED
+    h: FloatArray  # (depths, parts, rows, rows): upper triangle
+    q: FloatArray  # (depths, parts, rows, rows): upper triangle
+    own_h: FloatArray  # (depths, parts, rows): the diagonal of h
+    own_q: FloatArray  # (depths, parts, rows): the diagonal of q
+    e: FloatArray  # (depths, parts, rows): misfits
+    g: FloatArray  # (depths, parts, rows)
+    square: FloatArray  # (depths, parts): y'y
 
 
-class Levels(NamedTuple):
-    """What is known of the selection at every depth; row 0 of the first three is given.
+class Wanted(NamedTuple):
+    """Which selections remain."""
 
-    Parameters
-    ----------
-    normal, right : ndarray, shape (depths, parts, k, k) and (depths, parts, k)
-    equations : ndarray of int, shape (depths, parts)
-        How many of features.
-    h, q : ndarray, shape (depths, parts, rows, rows)
-        Upper triangles.
-    own_h, own_q, e, g : ndarray, shape (depths, parts, rows)
-        The diagonals of h and q; misfits; and their counterpart.
-    square : ndarray, shape (depths, parts)
-        y'y.
-    """
-
-    normal: FloatArray
-    right: FloatArray
-    equations: IntArray
-    h: FloatArray
-    q: FloatArray
-    own_h: FloatArray
-    own_q: FloatArray
-    e: FloatArray
-    g: FloatArray
-    square: FloatArray
+    least: int  # features of a selection
+    most: int
+    limits: FloatArray  # (n + 1,): y'y up to which selections of each size remain
+    floor: float  # squared errors that no selection is below
 
 
-class Space(NamedTuple):
-    """Work space.
+class Kept(NamedTuple):
+    """Selections that remain, with y'y; minus infinity where that is not known."""
 
-    Parameters
-    ----------
-    factor, inverse : ndarray, shape (parts, k, k)
-    y : ndarray, shape (parts, k)
-    w : ndarray, shape (rows, k)
-    rows, share, half : ndarray, shape (most rows of a feature, rows)
-        Of the feature that enters: products h, these over 1 + h, and q less half of its change.
-    e, g : ndarray, shape (rows,)
-    small_h, small_q : ndarray, shape (most rows of a feature, most rows of a feature)
-    small : ndarray, shape (4, most rows of a feature)
-    total : ndarray, shape (n,)
-        y'y with each feature as the next.
-    """
+    masks: Any  # (selections, words) of uint64
+    scores: FloatArray  # (selections,)
 
-    factor: FloatArray
-    inverse: FloatArray
-    y: FloatArray
-    w: FloatArray
-    rows: FloatArray
-    share: FloatArray
-    half: FloatArray
-    e: FloatArray
-    g: FloatArray
-    small_h: FloatArray
+
+class EntrySpace(NamedTuple):
+    """Space for a feature that enters."""
+
+    factor: FloatArray  # (parts, k, k)
+    inverse: FloatArray  # (parts, k, k)
+    y: FloatArray  # (parts, k)
+    w: FloatArray  # (rows, k)
+    rows: FloatArray  # (most rows of a feature, rows): products h of its rows
+    share: FloatArray  # the same over 1 + h
+    half: FloatArray  # the same shape: q less half of its change
+    e: FloatArray  # (rows,)
+    g: FloatArray  # (rows,)
+    small_h: FloatArray  # (most rows of a feature, most rows of a feature)
     small_q: FloatArray
-    small: FloatArray
-    total: FloatArray
+    small: FloatArray  # (4, most rows of a feature)
+    total: FloatArray  # (n,): y'y with each feature as the next

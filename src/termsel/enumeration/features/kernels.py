@@ -17,8 +17,8 @@ from typing import Any
 import numpy as np
 
 from termsel.adjustment.compiled import compiled
-from termsel.enumeration.features.arrays import Levels, Rows, Space
-from termsel.measurements.features import FloatArray, IntArray
+from termsel.enumeration.features.arrays import Carried, EntrySpace, FeatureRows, Kept, Wanted
+from termsel.measurements.features import FloatArray
 
 _compiled = partial(compiled, _nrt=False)
 
@@ -36,69 +36,57 @@ FAR = 1e6
 
 
 @_compiled
-def walk(rows: Rows, levels: Levels, space: Space, first: int, size: int, least: int, most: int,
-         masks: Any, limits: FloatArray, least_square: float, cursor: IntArray, state: IntArray,
-         found: Any, scores: FloatArray) -> int:
-    """Decide a selection and all with features from `first` on in addition; return how many remain.
+def walk(rows: FeatureRows, carried: Carried, space: EntrySpace, first: int, size: int,
+         wanted: Wanted, kept: Kept) -> int:
+    """Decide a selection of some size and all with features from `first` on in addition.
 
-    Parameters
-    ----------
-    rows, levels, space : Rows, Levels and Space
-    first, size : int
-    least, most : int
-        Sizes that are asked for.
-    masks : ndarray of uint64, shape (depths, words)
-        Of the selection, in row 0; the rest is space.
-    limits : ndarray, shape (n + 1,)
-        y'y up to which selections of each size remain.
-    least_square : float
-        Squared errors that no selection is below.
-    cursor, state : ndarray of int, shape (depths,)
-        Space.
-    found, scores : ndarray of uint64 and float, shape (selections, words) and (selections,)
-        Those that remain, with y'y; minus infinity where that is not known.
+    Returns
+    -------
+    int
+        How many remain: so many first places of `kept` are filled.
     """
-    n = len(rows.bits)
+    n, mask, cursor, state = len(rows.bits), carried.mask, carried.cursor, carried.state
+    least, most, limits = wanted.least, wanted.most, wanted.limits
     # With plain numbers everything below would be compiled for these constants too.
     depth, count, nothing = int(np.intp(0)), int(np.intp(0)), int(np.intp(-1))
     entering = size < most and first < n
-    state[0] = _open(rows, levels, space, depth, first, entering, least_square, limits[size])
-    count = _keep(levels, depth, state[0], size, masks[0], least, limits, found, scores, count)
+    state[0] = _open(rows, carried, space, depth, first, entering, wanted.floor, limits[size])
+    count = _keep(carried, depth, size, wanted, kept, count)
     cursor[0] = first
     while True:
         here = size + depth
+        # A selection that is carried scores all with one more feature at once.
         if entering and state[depth] == CARRIED and here + 1 >= least:
-            _scan(rows, levels, space, depth, nothing, cursor[depth])
-            count = _keep_all(rows, space, cursor[depth], masks[depth], limits[here + 1], found,
-                              scores, count)
+            _scan(rows, carried, space, depth, nothing, cursor[depth])
+            count = _keep_all(rows, space, cursor[depth], mask[depth], limits[here + 1], kept,
+                              count)
         entering = False
         i = cursor[depth]
-        if i >= n or here >= most or here + n - i < least:
+        if i >= n or here >= most or here + n - i < least:  # too few are left to reach the least
             if depth == 0:
                 return count
             depth -= 1
             continue
         cursor[depth] = i + 1
         further = here + 1 < most and i + 1 < n
-        for word in range(masks.shape[1]):
-            masks[depth + 1, word] = masks[depth, word] | rows.bits[i, word]
+        for word in range(mask.shape[1]):
+            mask[depth + 1, word] = mask[depth, word] | rows.bits[i, word]
         if state[depth] == CARRIED:
-            if not further:
+            if not further:  # `_scan` has scored it
                 continue
             if here + 2 == most or i + 2 == n:  # nothing is below those with two more
                 if here + 2 >= least:
-                    _scan(rows, levels, space, depth, i, i + 1)
-                    count = _keep_all(rows, space, i + 1, masks[depth + 1], limits[here + 2], found,
-                                      scores, count)
+                    _scan(rows, carried, space, depth, i, i + 1)
+                    count = _keep_all(rows, space, i + 1, mask[depth + 1], limits[here + 2], kept,
+                                      count)
                 continue
-            _carry(rows, levels, space, depth, i)
+            _carry(rows, carried, space, depth, i)
             state[depth + 1] = CARRIED
         else:
-            _add(rows, levels, depth, i)
-            state[depth + 1] = _open(rows, levels, space, depth + 1, i + 1, further,
-                                     least_square, limits[here + 1])
-            count = _keep(levels, depth + 1, state[depth + 1], here + 1, masks[depth + 1], least,
-                          limits, found, scores, count)
+            _add(rows, carried, depth, i)
+            state[depth + 1] = _open(rows, carried, space, depth + 1, i + 1, further,
+                                     wanted.floor, limits[here + 1])
+            count = _keep(carried, depth + 1, here + 1, wanted, kept, count)
         if further:
             depth += 1
             cursor[depth] = i + 1
@@ -106,86 +94,88 @@ def walk(rows: Rows, levels: Levels, space: Space, first: int, size: int, least:
 
 
 @_compiled
-def _keep(levels: Levels, depth: int, state: int, size: int, mask: Any, least: int,
-          limits: FloatArray, found: Any, scores: FloatArray, count: int) -> int:
+def _keep(carried: Carried, depth: int, size: int, wanted: Wanted, kept: Kept, count: int) -> int:
     """Take down a selection that is within its limit, or has no score; return the number."""
-    if state == OPEN or size < least:
+    state = carried.state[depth]
+    if state == OPEN or size < wanted.least:
         return count
     score = -np.inf
     if state != UNKNOWN:
         score = 0.0
-        for p in range(levels.square.shape[1]):
-            score += levels.square[depth, p]
-        if score > limits[size]:
+        for p in range(carried.square.shape[1]):
+            score += carried.square[depth, p]
+        if score > wanted.limits[size]:
             return count
-    for word in range(len(mask)):
-        found[count, word] = mask[word]
-    scores[count] = score
+    for word in range(carried.mask.shape[1]):
+        kept.masks[count, word] = carried.mask[depth, word]
+    kept.scores[count] = score
     return count + 1
 
 
 @_compiled
-def _keep_all(rows: Rows, space: Space, first: int, mask: Any, limit: float, found: Any,
-              scores: FloatArray, count: int) -> int:
+def _keep_all(rows: FeatureRows, space: EntrySpace, first: int, mask: Any, limit: float, kept: Kept,
+              count: int) -> int:
+    """Take down what is within its limit of a selection with each feature from `first` on."""
     for j in range(first, len(rows.bits)):
         if space.total[j] <= limit:
             for word in range(len(mask)):
-                found[count, word] = mask[word] | rows.bits[j, word]
-            scores[count] = space.total[j]
+                kept.masks[count, word] = mask[word] | rows.bits[j, word]
+            kept.scores[count] = space.total[j]
             count += 1
     return count
 
 
 @_compiled
-def _add(rows: Rows, levels: Levels, depth: int, i: int) -> None:
+def _add(rows: FeatureRows, carried: Carried, depth: int, i: int) -> None:
     """Add the rows of a feature to the normal equations."""
     for p in range(len(rows.columns)):
         k = rows.columns[p]
-        normal, right = levels.normal[depth + 1, p], levels.right[depth + 1, p]
+        normal, right = carried.normal[depth + 1, p], carried.right[depth + 1, p]
         for x in range(k):
-            right[x] = levels.right[depth, p, x]
+            right[x] = carried.right[depth, p, x]
             for z in range(x + 1):
-                normal[x, z] = levels.normal[depth, p, x, z]
+                normal[x, z] = carried.normal[depth, p, x, z]
         for t in range(rows.start[p, i], rows.start[p, i + 1]):
             a = rows.design[p, t]
             for x in range(k):
                 right[x] += a[x] * rows.target[p, t]
                 for z in range(x + 1):
                     normal[x, z] += a[x] * a[z]
-        levels.equations[depth + 1, p] = (levels.equations[depth, p]
-                                      + rows.start[p, i + 1] - rows.start[p, i])
+        carried.equations[depth + 1, p] = (carried.equations[depth, p]
+                                           + rows.start[p, i + 1] - rows.start[p, i])
 
 
 @_compiled
-def _open(rows: Rows, levels: Levels, space: Space, depth: int, first: int, further: bool,
-          least_square: float, limit: float) -> int:
+def _open(rows: FeatureRows, carried: Carried, space: EntrySpace, depth: int, first: int,
+          further: bool, floor: float, limit: float) -> int:
     """Solve the selection at a depth by Cholesky; return OPEN, UNKNOWN, SCORED or CARRIED."""
     worst, total, pivot = 0.0, 0.0, 1.0
     for p in range(len(rows.columns)):
-        if levels.equations[depth, p] < rows.needed[p]:
+        if carried.equations[depth, p] < rows.needed[p]:
             return OPEN
     for p in range(len(rows.columns)):
         k, y = rows.columns[p], space.y[p]
-        pivot = min(pivot, _solve(levels.normal[depth, p], levels.right[depth, p], k,
+        pivot = min(pivot, _solve(carried.normal[depth, p], carried.right[depth, p], k,
                                   space.factor[p], y))
         if not pivot > 0.0:
             return UNKNOWN
         square = 0.0
         for x in range(k):
             square += y[x] * y[x]
-        levels.square[depth, p] = square
+        carried.square[depth, p] = square
         total += square
     if not further and pivot > 1e-6 and total > 4.0 * limit:
         return SCORED  # however wrong that is, it is not within the limit
+    # The inverse tells the condition, and all that is carried is made of it.
     for p in range(len(rows.columns)):
-        worst = max(worst, _invert(levels.normal[depth, p], rows.columns[p], space.factor[p],
+        worst = max(worst, _invert(carried.normal[depth, p], rows.columns[p], space.factor[p],
                                    space.inverse[p]))
     if not worst <= TRUSTED:
         return UNKNOWN
-    if not further or worst > CARRY or total > FAR * least_square:
+    if not further or worst > CARRY or total > FAR * floor:
         return SCORED
     for p in range(len(rows.columns)):
-        _products(rows, levels, space, depth, p, first)
+        _products(rows, carried, space, depth, p, first)
     return CARRIED
 
 
@@ -209,13 +199,14 @@ def _solve(normal: FloatArray, right: FloatArray, k: int, factor: FloatArray,
         for c in range(x):
             value -= factor[x, c] * factor[x, c]
             own -= factor[x, c] * y[c]
+        # Pivots below this are rounding: the matrix counts as singular.
         least = min(least, value / trace)
         if not value > 1e-14 * trace:
             return 0.0
         factor[x, x] = 1.0 / np.sqrt(value)
         y[x] = own * factor[x, x]
     for x in range(k - 1, -1, -1):
-        y[x] *= factor[x, x]
+        y[x] *= factor[x, x]  # backwards, column by column
         for z in range(x):
             y[z] -= factor[x, z] * y[x]
     return least
@@ -239,7 +230,8 @@ def _invert(normal: FloatArray, k: int, factor: FloatArray, inverse: FloatArray)
 
 
 @_compiled
-def _products(rows: Rows, levels: Levels, space: Space, depth: int, p: int, first: int) -> None:
+def _products(rows: FeatureRows, carried: Carried, space: EntrySpace,
+              depth: int, p: int, first: int) -> None:
     """Fill h, q, e and g of a part at a depth, for the rows of the features from `first` on."""
     k, inverse, y, w = rows.columns[p], space.inverse[p], space.y[p], space.w
     start, stop = rows.start[p, first], rows.start[p, len(rows.bits)]
@@ -252,35 +244,38 @@ def _products(rows: Rows, levels: Levels, space: Space, depth: int, p: int, firs
             for z in range(x + 1):
                 value += inverse[x, z] * a[z]
             for z in range(x + 1):
-                w[t, z] += inverse[x, z] * value
+                w[t, z] += inverse[x, z] * value  # M a = L^-T L^-1 a
         e, g = rows.target[p, t], 0.0
         for x in range(k):
             e -= a[x] * y[x]
             g += w[t, x] * y[x]
-        levels.e[depth, p, t], levels.g[depth, p, t] = e, g
+        carried.e[depth, p, t], carried.g[depth, p, t] = e, g
     for t in range(start, stop):
         for u in range(t, stop):
-            h, q = 0.0, 0.0
+            h, q = 0.0, 0.0  # a M a' and a M M a'
             for x in range(k):
                 h += w[t, x] * rows.design[p, u, x]
                 q += w[t, x] * w[u, x]
-            levels.h[depth, p, t, u], levels.q[depth, p, t, u] = h, q
-        levels.own_h[depth, p, t] = levels.h[depth, p, t, t]
-        levels.own_q[depth, p, t] = levels.q[depth, p, t, t]
+            carried.h[depth, p, t, u], carried.q[depth, p, t, u] = h, q
+        carried.own_h[depth, p, t] = carried.h[depth, p, t, t]
+        carried.own_q[depth, p, t] = carried.q[depth, p, t, t]
 
 
 @_compiled
-def _enter(rows: Rows, levels: Levels, space: Space, depth: int, p: int, i: int) -> float:
+def _enter(rows: FeatureRows, carried: Carried, space: EntrySpace,
+           depth: int, p: int, i: int) -> float:
     """Let the rows of feature i enter, one by one; return y'y.
 
     Fills `rows`, `share` and `half`, by which h becomes h - share' rows and q becomes q - share'
     half - half' share, and e and g.
     """
     start, middle, stop = rows.start[p, i], rows.start[p, i + 1], rows.start[p, len(rows.bits)]
-    h, q, square = levels.h[depth, p], levels.q[depth, p], levels.square[depth, p]
+    h, q, square = carried.h[depth, p], carried.q[depth, p], carried.square[depth, p]
     e, g = space.e, space.g
     for a in range(start, stop):
-        e[a], g[a] = levels.e[depth, p, a], levels.g[depth, p, a]
+        e[a], g[a] = carried.e[depth, p, a], carried.g[depth, p, a]
+    # Row t of the feature enters after those before it: what these change of its products is taken
+    # off first, then Sherman and Morrison's formula applies to a single row.
     for t in range(start, middle):
         row, share, half = space.rows[t - start], space.share[t - start], space.half[t - start]
         for a in range(t, stop):
@@ -290,7 +285,7 @@ def _enter(rows: Rows, levels: Levels, space: Space, depth: int, p: int, i: int)
             for a in range(t, stop):
                 row[a] -= own * space.rows[s, a]
                 half[a] -= own * space.half[s, a] + own_half * space.share[s, a]
-        d = 1.0 / (1.0 + row[t])
+        d = 1.0 / (1.0 + row[t])  # h is not negative
         own_e, own_g, own_q = e[t], g[t], half[t]
         v = own_e * d
         square += v * (2.0 * own_g + v * own_q)
@@ -299,20 +294,21 @@ def _enter(rows: Rows, levels: Levels, space: Space, depth: int, p: int, i: int)
             e[a] -= u * own_e
             g[a] += v * half[a] - u * (own_g + own_q * v)
             share[a] = u
-            half[a] -= 0.5 * u * own_q
+            half[a] -= 0.5 * u * own_q  # half of it in each of the two products that q loses
     return float(square)
 
 
 @_compiled
-def _carry(rows: Rows, levels: Levels, space: Space, depth: int, i: int) -> None:
+def _carry(rows: FeatureRows, carried: Carried, space: EntrySpace, depth: int, i: int) -> None:
     """Carry everything to the next depth, with feature i."""
     for p in range(len(rows.columns)):
-        levels.square[depth + 1, p] = _enter(rows, levels, space, depth, p, i)
+        carried.square[depth + 1, p] = _enter(rows, carried, space, depth, p, i)
         start, stop = rows.start[p, i + 1], rows.start[p, len(rows.bits)]
         for a in range(start, stop):
-            levels.e[depth + 1, p, a], levels.g[depth + 1, p, a] = space.e[a], space.g[a]
-            h, q = levels.h[depth + 1, p, a], levels.q[depth + 1, p, a]
-            old_h, old_q = levels.h[depth, p, a], levels.q[depth, p, a]
+            carried.e[depth + 1, p, a], carried.g[depth + 1, p, a] = space.e[a], space.g[a]
+            h, q = carried.h[depth + 1, p, a], carried.q[depth + 1, p, a]
+            old_h, old_q = carried.h[depth, p, a], carried.q[depth, p, a]
+            # The first row of the feature copies on its way; the others change in place.
             row, share, half = space.rows[0], space.share[0], space.half[0]
             u, c = share[a], half[a]
             for b in range(a, stop):
@@ -324,41 +320,44 @@ def _carry(rows: Rows, levels: Levels, space: Space, depth: int, i: int) -> None
                 for b in range(a, stop):
                     h[b] -= u * row[b]
                     q[b] -= u * half[b] + c * share[b]
-            levels.own_h[depth + 1, p, a], levels.own_q[depth + 1, p, a] = h[a], q[a]
+            carried.own_h[depth + 1, p, a], carried.own_q[depth + 1, p, a] = h[a], q[a]
 
 
 @_compiled
-def _scan(rows: Rows, levels: Levels, space: Space, depth: int, i: int, first: int) -> None:
+def _scan(rows: FeatureRows, carried: Carried, space: EntrySpace,
+          depth: int, i: int, first: int) -> None:
     """Score the selection at a depth, with feature i unless it is -1, with each one after."""
     n = len(rows.bits)
     for j in range(first, n):
         space.total[j] = 0.0
     for p in range(len(rows.columns)):
         if rows.single[p] and i >= 0:
-            _scan_single(levels.h[depth, p, i], levels.q[depth, p, i], levels.own_h[depth, p],
-                         levels.own_q[depth, p], levels.e[depth, p], levels.g[depth, p],
-                         levels.square[depth, p], i, first, n, space.total)
+            _scan_single(carried, depth, p, i, first, space.total)
             continue
-        square, e, g, entered = levels.square[depth, p], levels.e[depth, p], levels.g[depth, p], 0
+        square, entered = carried.square[depth, p], 0
+        e, g = carried.e[depth, p], carried.g[depth, p]
         if i >= 0:
-            square, e, g = _enter(rows, levels, space, depth, p, i), space.e, space.g
+            square, e, g = _enter(rows, carried, space, depth, p, i), space.e, space.g
             entered = rows.start[p, i + 1] - rows.start[p, i]
         for j in range(first, n):
             space.total[j] += _with_feature(rows.start[p, j], rows.start[p, j + 1], entered,
-                                            levels.h[depth, p], levels.q[depth, p], e, g, square,
+                                            carried.h[depth, p], carried.q[depth, p], e, g, square,
                                             space)
 
 
 @_compiled
-def _scan_single(row: FloatArray, products: FloatArray, own_h: FloatArray, own_q: FloatArray,
-                 e: FloatArray, g: FloatArray, square: float, i: int, first: int, n: int,
+def _scan_single(carried: Carried, depth: int, p: int, i: int, first: int,
                  total: FloatArray) -> None:
     """Add y'y with feature i and each later one, all of one row: `_enter` and `_with_feature`."""
+    row, products = carried.h[depth, p, i], carried.q[depth, p, i]
+    own_h, own_q = carried.own_h[depth, p], carried.own_q[depth, p]
+    e, g = carried.e[depth, p], carried.g[depth, p]
     d, own = 1.0 / (1.0 + row[i]), products[i]
     v = e[i] * d
-    square += v * (2.0 * g[i] + v * own)
+    square = carried.square[depth, p] + v * (2.0 * g[i] + v * own)
     own_e, own_g = e[i], g[i] + own * v
-    for a in range(first, n):
+    for a in range(first, len(total)):
+        # What the row of feature i leaves of h, q, e and g of row a; then row a enters.
         u = row[a] * d
         half = products[a] - 0.5 * u * own
         w = (e[a] - u * own_e) / (1.0 + own_h[a] - u * row[a])
@@ -368,10 +367,11 @@ def _scan_single(row: FloatArray, products: FloatArray, own_h: FloatArray, own_q
 
 @_compiled
 def _with_feature(start: int, stop: int, entered: int, h: FloatArray, q: FloatArray,
-                  e: FloatArray, g: FloatArray, square: float, space: Space) -> float:
+                  e: FloatArray, g: FloatArray, square: float, space: EntrySpace) -> float:
     """Return y'y with the rows from start to stop, after `entered` rows of another feature."""
     small_h, small_q, m = space.small_h, space.small_q, stop - start
     own_e, own_g, share, half = space.small
+    # h and q among its own rows, less what those of the other feature have changed.
     for x in range(m):
         own_e[x], own_g[x] = e[start + x], g[start + x]
         for z in range(x, m):
@@ -382,6 +382,7 @@ def _with_feature(start: int, stop: int, entered: int, h: FloatArray, q: FloatAr
                 value_q -= (u * space.half[t, start + z]
                             + space.half[t, start + x] * space.share[t, start + z])
             small_h[x, z], small_q[x, z] = value_h, value_q
+    # They enter one by one, as in `_enter`; nothing but y'y is needed of the last.
     for x in range(m):
         d, own = 1.0 / (1.0 + small_h[x, x]), small_q[x, x]
         v = own_e[x] * d

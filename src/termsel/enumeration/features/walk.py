@@ -24,7 +24,7 @@ import numpy as np
 from scipy import linalg
 
 from termsel.adjustment.compiled import is_compiled
-from termsel.enumeration.features.arrays import Levels, Rows, Space
+from termsel.enumeration.features.arrays import Carried, EntrySpace, FeatureRows, Kept, Wanted
 from termsel.enumeration.features.kernels import walk
 from termsel.errors import TermselError
 from termsel.measurements.features import BoolArray, FloatArray, IntArray
@@ -45,25 +45,15 @@ _DETERMINED = 1e-6  # least ratio of the check points' singular values for score
 
 @dataclass(frozen=True, eq=False)
 class RowSystem:
-    """Rows of features and of check points for some unknowns.
+    """Rows of features and of check points for some unknowns."""
 
-    Parameters
-    ----------
-    design, target : ndarray, shape (m, k) and (m,)
-    feature : ndarray of int, shape (m,)
-        The feature of each row, ascending; -1 for rows that are in every selection.
-    check_design, check_target : ndarray, shape (c, k) and (c,)
-        The errors of the check points are check_target - check_design x.
-    needed : int
-        Fewest rows of features in a selection; by default as many as there are unknowns.
-    """
-
-    design: FloatArray
-    target: FloatArray
-    feature: IntArray
-    check_design: FloatArray
-    check_target: FloatArray
-    needed: int = 0
+    design: FloatArray  # (m, k)
+    target: FloatArray  # (m,)
+    feature: IntArray  # (m,): of each row, ascending; -1 for rows that are in every selection
+    # The errors of the check points are check_target - check_design x.
+    check_design: FloatArray  # (c, k)
+    check_target: FloatArray  # (c,)
+    needed: int = 0  # fewest rows of features in a selection; 0 for as many as unknowns
 
     @property
     def determined(self) -> bool:
@@ -86,16 +76,6 @@ class Branch:
 class Selections:
     """All selections of least to most of n features.
 
-    Parameters
-    ----------
-    n : int
-    least, most : int
-    on, off : ndarray of bool, shape (n,)
-        Features in every selection, and in none.
-    systems : tuple of RowSystem
-        Independent parts whose squared errors of check points add up. Without any, no selection is
-        scored.
-
     Raises
     ------
     TermselError
@@ -105,8 +85,9 @@ class Selections:
     n: int
     least: int
     most: int
-    on: BoolArray
-    off: BoolArray
+    on: BoolArray  # (n,): features in every selection
+    off: BoolArray  # (n,): features in none
+    # Independent parts, whose squared errors add up. Without any, no selection is scored.
     systems: tuple[RowSystem, ...] = ()
 
     def __post_init__(self) -> None:
@@ -144,7 +125,7 @@ class Selections:
     @cached_property
     def floor(self) -> float:
         """Squared errors of the check points that no solution is below; 0 without systems."""
-        return sum(one.least for one in self._parts)
+        return sum(part.least for part in self._parts)
 
     @property
     def needs_compilation(self) -> bool:
@@ -153,7 +134,8 @@ class Selections:
 
     def reach(self, squares: FloatArray) -> FloatArray:
         """Return the scores up to which squared errors may be below these, given rounding."""
-        rounding = 1e-13 * sum(float(one.check_target @ one.check_target) for one in self.systems)
+        rounding = 1e-13 * sum(float(system.check_target @ system.check_target)
+                               for system in self.systems)
         return np.asarray(squares * (1.0 + MARGIN) + rounding)
 
     def walk(self, branch: Branch, limits: FloatArray) -> tuple[BoolArray, FloatArray]:
@@ -177,21 +159,16 @@ class Selections:
         size = self.count(branch)
         if not size:
             return np.zeros((0, self.n), dtype=bool), np.zeros(0)
-        found, scores = np.empty((size, _WORDS), dtype=np.uint64), np.empty(size)
-        levels, space = self._levels(branch)
+        kept = Kept(np.empty((size, _WORDS), dtype=np.uint64), np.empty(size))
+        carried, space = self._carried(branch)
         free, fixed = len(self.free), int(self.on.sum())
         of_free = (self.reach(limits) - self.floor)[fixed:fixed + free + 1]
-        depths = len(levels.equations)
-        masks = np.zeros((depths, _WORDS), dtype=np.uint64)
-        masks[0] = np.bitwise_or.reduce(self._rows.bits[list(branch.used)], axis=0)
-        kept = walk(self._rows, levels, space, branch.first, len(branch.used),
-                    max(self.least - fixed, 0), min(self.most - fixed, free), masks,
-                    np.ascontiguousarray(of_free), self.floor,
-                    np.zeros(depths, dtype=np.intp), np.zeros(depths, dtype=np.intp),
-                    found, scores)
-        chosen = np.tile(self.on, (kept, 1))
-        chosen[:, self.free] = (found[:kept, None] & self._rows.bits != 0).any(axis=2)
-        return chosen, scores[:kept] + self.floor
+        wanted = Wanted(max(self.least - fixed, 0), min(self.most - fixed, free),
+                        np.ascontiguousarray(of_free), self.floor)
+        count = walk(self._rows, carried, space, branch.first, len(branch.used), wanted, kept)
+        chosen = np.tile(self.on, (count, 1))
+        chosen[:, self.free] = (kept.masks[:count, None] & self._rows.bits != 0).any(axis=2)
+        return chosen, kept.scores[:count] + self.floor
 
     def _every(self, branch: Branch) -> BoolArray:
         fixed, used = int(self.on.sum()), len(branch.used)
@@ -206,26 +183,27 @@ class Selections:
         return chosen
 
     @cached_property
-    def _parts(self) -> tuple[_Part, ...]:
-        return tuple(_Part.of(one, self.free, self.on) for one in self.systems)
+    def _parts(self) -> tuple[_InErrorUnits, ...]:
+        return tuple(_InErrorUnits.of(system, self.free, self.on) for system in self.systems)
 
     @cached_property
-    def _rows(self) -> Rows:
+    def _rows(self) -> FeatureRows:
         height = max(len(part.target) for part in self._parts)
         width = max(part.design.shape[1] for part in self._parts)
         design = np.zeros((len(self._parts), height, width))
         target = np.zeros((len(self._parts), height))
+        # Parts of fewer rows or unknowns are filled up with zeros that nothing reads.
         for p, part in enumerate(self._parts):
             design[p, :len(part.target), :part.design.shape[1]] = part.design
             target[p, :len(part.target)] = part.target
         start = np.array([part.start for part in self._parts], dtype=np.intp)
-        return Rows(design, target, start,
+        return FeatureRows(design, target, start,
                     np.array([part.design.shape[1] for part in self._parts], dtype=np.intp),
                     np.array([part.needed for part in self._parts], dtype=np.intp),
                     (np.diff(start, axis=1) == 1).all(axis=1),
                     _bits(len(self.free)))
 
-    def _levels(self, branch: Branch) -> tuple[Levels, Space]:
+    def _carried(self, branch: Branch) -> tuple[Carried, EntrySpace]:
         """Return the arrays of a walk, with the normal equations of its first selection."""
         rows = self._rows
         parts, height, width = rows.design.shape
@@ -233,10 +211,13 @@ class Selections:
         wide = int(np.diff(rows.start, axis=1).max(initial=1))
         shape = depths, parts
         square, flat = (*shape, height, height), (*shape, height)
-        levels = Levels(np.zeros((*shape, width, width)), np.zeros((*shape, width)),
-                        np.zeros(shape, dtype=np.intp), np.empty(square), np.empty(square),
-                        np.empty(flat), np.empty(flat), np.empty(flat), np.empty(flat),
-                        np.zeros(shape))
+        mask = np.zeros((depths, _WORDS), dtype=np.uint64)
+        mask[0] = np.bitwise_or.reduce(rows.bits[list(branch.used)], axis=0)
+        carried = Carried(np.zeros((*shape, width, width)), np.zeros((*shape, width)),
+                          np.zeros(shape, dtype=np.intp), mask, np.zeros(depths, dtype=np.intp),
+                          np.zeros(depths, dtype=np.intp), np.empty(square), np.empty(square),
+                          np.empty(flat), np.empty(flat), np.empty(flat), np.empty(flat),
+                          np.zeros(shape))
         for p, part in enumerate(self._parts):
             k = part.design.shape[1]
             A, b = part.always
@@ -244,54 +225,42 @@ class Selections:
                 here = slice(part.start[i], part.start[i + 1])
                 A = np.concatenate([A, part.design[here]])
                 b = np.concatenate([b, part.target[here]])
-            levels.normal[0, p, :k, :k], levels.right[0, p, :k] = A.T @ A, A.T @ b
-            levels.equations[0, p] = part.of_features + len(b) - len(part.always[1])
+            carried.normal[0, p, :k, :k], carried.right[0, p, :k] = A.T @ A, A.T @ b
+            carried.equations[0, p] = part.of_features + len(b) - len(part.always[1])
         of_part, of_feature = (parts, width, width), (wide, height)
-        space = Space(np.empty(of_part), np.empty(of_part), np.empty((parts, width)),
-                      np.empty((height, width)), np.empty(of_feature), np.empty(of_feature),
-                      np.empty(of_feature), np.empty(height), np.empty(height),
-                      np.empty((wide, wide)), np.empty((wide, wide)), np.empty((4, wide)),
-                      np.empty(len(self.free)))
-        return levels, space
+        space = EntrySpace(np.empty(of_part), np.empty(of_part), np.empty((parts, width)),
+                           np.empty((height, width)), np.empty(of_feature), np.empty(of_feature),
+                           np.empty(of_feature), np.empty(height), np.empty(height),
+                           np.empty((wide, wide)), np.empty((wide, wide)), np.empty((4, wide)),
+                           np.empty(len(self.free)))
+        return carried, space
 
 
 @dataclass(frozen=True, eq=False)
-class _Part:
-    """A system in the unknowns y, of which the check points' squared errors are least + y'y.
+class _InErrorUnits:
+    """A system in the unknowns y, of which the check points' squared errors are least + y'y."""
 
-    Parameters
-    ----------
-    design, target : ndarray, shape (m, k) and (m,)
-        Of the free features.
-    start : ndarray of int, shape (f + 1,)
-        Where their rows begin.
-    always : tuple of ndarray, shape (a, k) and (a,)
-        Rows of every selection.
-    of_features : int
-        How many of these are of features.
-    needed : int
-        Fewest rows of features in a selection.
-    least : float
-    """
-
-    design: FloatArray
-    target: FloatArray
-    start: IntArray
-    always: tuple[FloatArray, FloatArray]
-    of_features: int
-    needed: int
+    design: FloatArray  # (m, k): rows of the free features
+    target: FloatArray  # (m,)
+    start: IntArray  # (f + 1,): where the rows of each begin
+    always: tuple[FloatArray, FloatArray]  # (a, k) and (a,): rows of every selection
+    of_features: int  # how many of these are of features
+    needed: int  # fewest rows of features in a selection
     least: float
 
     @classmethod
-    def of(cls, system: RowSystem, free: IntArray, on: BoolArray) -> _Part:
+    def of(cls, system: RowSystem, free: IntArray, on: BoolArray) -> _InErrorUnits:
         k = system.design.shape[1]
+        # With C = Q R of the check points and y = R x - Q'c, errors are a constant part and -Q y.
         q, r = linalg.qr(system.check_design, mode="economic")
         along = q.T @ system.check_target
         rest = system.check_target - q @ along
         design = linalg.solve_triangular(r, system.design.T, trans="T").T
         target = system.target - design @ along
+        # A feature of many rows needs no more than there are unknowns.
         blocks = [_condensed(design[system.feature == i], target[system.feature == i], k)
                   for i in free]
+        # Forced features are in every selection, as rows of none are.
         kept = (system.feature < 0) | np.isin(system.feature, np.flatnonzero(on))
         heights = [len(b) for _, b in blocks]
         return cls(np.concatenate([np.zeros((0, k)), *(A for A, _ in blocks)]),

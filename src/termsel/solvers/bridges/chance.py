@@ -51,6 +51,7 @@ def _taken(generator: np.random.Generator | None) -> np.random.Generator | None:
     """Set the generator of this thread, None for that of numpy; return the one there was."""
     global _others_rng
     with _lock:
+        # The first thread that enters replaces numpy's function, the last one to leave restores it.
         before = _inside.pop(get_ident(), None)
         if generator is not None:
             if not _inside and np.random.default_rng is not _of_this_thread:

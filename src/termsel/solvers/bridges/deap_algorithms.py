@@ -71,6 +71,7 @@ class Deap(Solver):
         for role in ("select", "mate", "mutate"):
             register(box, role, o[role], problem.genome)
         loop = _loop(o["algorithm"])
+        # eaSimple crosses and mutates each child, the others do one of both, or neither.
         alone = o["algorithm"] == "eaSimple"
         chances = {"cxpb": o["cxpb"] if o["cxpb"] is not None else 0.9 if alone else 0.7,
                    "mutpb": o["mutpb"] if o["mutpb"] is not None else 1.0 if alone else 0.3}
@@ -99,14 +100,14 @@ def _loop(said: str) -> Callable[..., Any]:
                                 "module:function.")
     sys.path.insert(0, os.getcwd())  # as with `python -m`; the command's own folder is there
     try:
-        found = getattr(import_module(module), name)
-        inspect.signature(found)
+        loop = getattr(import_module(module), name)
+        inspect.signature(loop)
     except (ImportError, AttributeError, NameError, SyntaxError, TypeError, ValueError) as error:
         raise TermselError(f"the loop {said!r} cannot be imported: {error}",
                            hint="Give module:function, importable from where you run.") from None
     finally:
         sys.path.pop(0)
-    return found  # type: ignore[no-any-return]
+    return loop  # type: ignore[no-any-return]
 
 
 def evolved(box: base.Toolbox, loop: Callable[..., Any], rng: np.random.Generator, population: int,
@@ -141,6 +142,7 @@ def evolved(box: base.Toolbox, loop: Callable[..., Any], rng: np.random.Generato
     chance = OwnChance(rng)
     with chance:
         people = box.population(n=population)
+    # A generator function that takes no ngen runs on; it is read step by step.
     steps = loop(people, box, **named) if "ngen" not in takes else None
     index = 0
     while True:
@@ -148,6 +150,7 @@ def evolved(box: base.Toolbox, loop: Callable[..., Any], rng: np.random.Generato
             if steps is not None:
                 people = next(steps, None)
             else:
+                # At first for no generation: the loop only evaluates the population.
                 people, _log = loop(people, box, ngen=min(index, 1), **named)
             if people is None and steps is not None:
                 return

@@ -25,7 +25,9 @@ class Individual(list[Any]):
     Parameters
     ----------
     genes : iterable
+        Numbers or bools.
     fitness : deap.base.Fitness
+        Its own; DEAP writes to it.
 
     Attributes
     ----------
@@ -42,6 +44,7 @@ class Individual(list[Any]):
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Individual:
         copied = Individual(self, deepcopy(self.fitness))
+        # Nobody changes an evaluation: it needs no copy.
         copied.objectives, copied.violation = self.objectives, self.violation
         return copied
 
@@ -59,6 +62,7 @@ def to_deap(problem: Problem) -> base.Toolbox:
     Parameters
     ----------
     problem : Problem
+        Such as that of a task that `termsel.prepare` returns.
 
     Returns
     -------
@@ -81,6 +85,7 @@ def to_deap(problem: Problem) -> base.Toolbox:
     def population(n: int) -> list[Individual]:
         return [Individual(genes, fitness()) for genes in genome.random(_rng(), n).tolist()]
 
+    # It decorates an evaluation; this one only returns what is known of the individual.
     objectives = tools.DeltaPenalty(
         lambda one: one.violation == 0, WORST, lambda one: one.violation)(
         lambda one: tuple(one.objectives.tolist()))
@@ -92,6 +97,7 @@ def to_deap(problem: Problem) -> base.Toolbox:
         evaluation = problem.evaluate(genes)
         for one, row, values, violation in zip(individuals, genes.tolist(), evaluation.objectives,
                                                evaluation.violation.tolist(), strict=True):
+            # In place, as loops hold the individual: its genes are the repaired ones from now on.
             one[:], one.objectives, one.violation = row, values, violation
         return [objectives(one) for one in individuals]
 
@@ -145,6 +151,7 @@ def register(box: base.Toolbox, role: str, said: str | None, genome: Genome) -> 
     takes = list(inspect.signature(function).parameters)
     if role == "mutate" and "indpb" in takes:
         given.setdefault("indpb", 1.0 / genome.size)
+    # Individuals come first, and how many to select; the rest are arguments.
     free = {"select": 2, "mate": 2, "mutate": 1}[role]
     if not set(given) <= set(takes[free:]):
         wrong = min(set(given) - set(takes[free:]))

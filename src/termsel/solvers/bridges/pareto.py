@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from abc import abstractmethod
 from collections.abc import Iterator
 from typing import Any, ClassVar
 
@@ -63,6 +62,7 @@ class _Mate(Crossover):  # type: ignore[misc]
 
     def _do(self, problem: PymooProblem, X: Genes, *_: Any, random_state: np.random.Generator,
             **__: Any) -> Genes:
+        # pymoo has (parent, mating, gene); `crossover` takes parents in turn.
         pairs = X.swapaxes(0, 1).reshape(-1, self.genome.size)
         children = crossover(pairs, self.genome, 1.0, random_state)
         return children.reshape(-1, 2, self.genome.size).swapaxes(0, 1)
@@ -98,6 +98,14 @@ def operators(genome: Genome, rate: float | None, rng: np.random.Generator) -> d
             "repair": _Keep(genome, rng)}
 
 
+OPTIONS = (
+    # pymoo compares all pairs of twice as many.
+    Option("population", 100, "Number of selections.", int, 4, 5000),
+    Option("mutation", None, "Chance that a gene changes; by default 1 over the number of genes.",
+           float, 0.0, 1.0))
+"""Options of all algorithms of pymoo."""
+
+
 class PymooSolver(Solver):
     """Base of the solvers that use pymoo: they differ in the survival.
 
@@ -109,16 +117,13 @@ class PymooSolver(Solver):
     min_objectives: ClassVar[int] = 2
     max_objectives: ClassVar[int] = 8
     segments: ClassVar[tuple[type[AnySegment], ...]] = SEGMENTS
-    declared_options = (
-        # pymoo compares all pairs of twice as many.
-        Option("population", 100, "Number of selections.", int, 4, 5000),
-        Option("mutation", None, "Chance that a gene changes; by default 1 over the number of "
-               "genes.", float, 0.0, 1.0),
-    )
+    declared_options = OPTIONS
+    made_of: ClassVar[type[Algorithm]]
+    """The pymoo algorithm."""
 
-    @abstractmethod
     def algorithm(self, **common: Any) -> Algorithm:
         """Return the pymoo algorithm; `common` holds population and operators."""
+        return self.made_of(**common)
 
     def generations(self, problem: Problem, rng: np.random.Generator) -> Iterator[Generation]:
         """Yield generations without end (see `Solver.generations`)."""
@@ -131,10 +136,7 @@ class Nsga2(PymooSolver):
     """NSGA-II: non-dominated sorting and crowding distance (Deb et al. 2002)."""
 
     name = "nsga2"
-
-    def algorithm(self, **common: Any) -> Algorithm:
-        """Return pymoo's NSGA2."""
-        return NSGA2(**common)
+    made_of = NSGA2
 
 
 class _AgeSurvival(AGEMOEA2Survival):  # type: ignore[misc]
@@ -184,12 +186,7 @@ class _Ranges(HyperplaneNormalization):  # type: ignore[misc]
 
 
 class RveaSurvival(APDSurvival):  # type: ignore[misc]
-    """pymoo's, whose angles are undefined by rounding, and if all are equal in an objective.
-
-    Parameters
-    ----------
-    directions : ndarray, shape (n, objectives)
-    """
+    """pymoo's, whose angles are undefined by rounding, and if all are equal in an objective."""
 
     V: FloatArray
     nadir: Any
@@ -229,10 +226,7 @@ class SmsEmoa(PymooSolver):
     """SMS-EMOA: survival by contribution to the dominated hypervolume (Beume et al. 2007)."""
 
     name = "sms-emoa"
-
-    def algorithm(self, **common: Any) -> Algorithm:
-        """Return pymoo's SMSEMOA."""
-        return SMSEMOA(**common)
+    made_of = SMSEMOA
 
 
 class Spea2(PymooSolver):

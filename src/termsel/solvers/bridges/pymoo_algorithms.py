@@ -17,7 +17,7 @@ from termsel.options import COUNT, Option
 from termsel.problems.base import Problem
 from termsel.problems.segments import SEGMENTS, AnySegment
 from termsel.solvers.base import Generation, Solver
-from termsel.solvers.bridges.pareto import SURVIVALS, RveaSurvival, operators
+from termsel.solvers.bridges.pareto import OPTIONS, SURVIVALS, RveaSurvival, operators
 from termsel.solvers.bridges.pymoo_problem import steps
 
 ALGORITHMS = {
@@ -70,9 +70,7 @@ class Pymoo(Solver):
     declared_options = (
         Option("algorithm", "nsga2", "The algorithm, as pymoo names its module.",
                choices=tuple(ALGORITHMS)),
-        Option("population", 100, "Number of selections.", int, 4, 5000),
-        Option("mutation", None, "Chance that a gene changes; by default 1 over the number of "
-               "genes.", float, 0.0, 1.0),
+        *OPTIONS,
         Option("horizon", None, "Generations over which rvea shifts its weight from convergence "
                "to spread; by default as many as the usual budget has.", int, 1, COUNT),
     )
@@ -112,7 +110,7 @@ class Pymoo(Solver):
             given["eliminate_duplicates"] = False
         if name != "ctaea":  # which has as many as there are directions
             given["pop_size"] = population
-        made = algorithm(**given)
+        made = algorithm(**given)  # then its survival is replaced: not all classes take one
         if name in SURVIVALS:
             made.survival = SURVIVALS[name]()
         yield from steps(made, problem, rng, self.options["horizon"])
@@ -127,6 +125,7 @@ def directions(objectives: int, most: int) -> np.ndarray[Any, np.dtype[np.float6
         Number of objectives, and of directions at most.
     """
     partitions = 1
+    # There are comb(partitions + objectives - 1, objectives - 1) of them: as many as are allowed.
     while comb(partitions + objectives, objectives - 1) <= most:
         partitions += 1
     return np.asarray(get_reference_directions("das-dennis", objectives, n_partitions=partitions))

@@ -44,6 +44,7 @@ class _Posed(PymooProblem):  # type: ignore[misc]
         broken = np.zeros(len(X))
         if genome.dtype == np.bool_:
             genes: Genes = np.asarray(X, dtype=bool)
+            # pymoo's own operators know of no forced genes and counts.
             broken = _broken(self.problem, genes)
         else:  # numbers are rounded to what their genes allow
             genes = genome.repair(np.asarray(X, dtype=float), np.random.default_rng(0))
@@ -95,6 +96,7 @@ def to_pymoo(problem: Problem) -> PymooProblem:
     Parameters
     ----------
     problem : Problem
+        Such as that of a task that `termsel.prepare` returns.
 
     Returns
     -------
@@ -146,6 +148,7 @@ def steps(algorithm: Algorithm, problem: Problem, rng: np.random.Generator,
     # By default pymoo gives all algorithms of a class one survival, with what an earlier run left.
     if survival := getattr(algorithm, "survival", None):
         algorithm.survival = deepcopy(survival)
+    # RVEA alone asks how long a run will be.
     expected = horizon or max(EVALUATIONS // (getattr(algorithm, "pop_size", None) or 1), 1)
     with chance:
         algorithm.setup(_Posed(problem), termination=_Horizon(expected))
@@ -162,9 +165,10 @@ def steps(algorithm: Algorithm, problem: Problem, rng: np.random.Generator,
         evaluation = problem.evaluate(genes)
         asked.set("F", evaluation.objectives)
         asked.set("G", evaluation.violation[:, None])
-        for one in asked:
+        for one in asked:  # else pymoo would evaluate them again
             one.evaluated.update({"F", "G"})
         with chance:
+            # The repaired genes are those that survive or not.
             algorithm.tell(infills=asked)
         people = algorithm.pop
         yield Generation(index, people.get("X").astype(genome.dtype),

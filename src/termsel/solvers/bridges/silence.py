@@ -16,7 +16,7 @@ log = logging.getLogger(__name__)
 LONG = 10.0
 """Seconds without a generation and an evaluation after which a solver counts as silent."""
 
-_EVERY = 0.5
+_EVERY = 0.5  # seconds between two looks
 
 
 class _Silence:

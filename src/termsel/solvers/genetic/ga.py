@@ -27,6 +27,7 @@ def tournament(order: IntArray, n: int, size: int, rng: np.random.Generator) -> 
         Number of tournaments, and of individuals drawn for each.
     rng : numpy.random.Generator
     """
+    # Places in the order: the least of those drawn is the winner.
     drawn: IntArray = rng.integers(0, len(order), (n, size)).min(axis=1)
     return order[drawn]
 

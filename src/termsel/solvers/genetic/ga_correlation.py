@@ -32,6 +32,7 @@ def correlation_sums(design: FloatArray) -> FloatArray:
     Parameters
     ----------
     design : ndarray, shape (m, g)
+        A row of each equation, a column of each gene.
 
     Returns
     -------
@@ -41,7 +42,7 @@ def correlation_sums(design: FloatArray) -> FloatArray:
     centred = design - design.mean(axis=0)
     lengths = np.linalg.norm(centred, axis=0)
     size = np.linalg.norm(design, axis=0)
-    varies = lengths > _CONSTANT * size
+    varies = lengths > _CONSTANT * size  # else it is constant but for rounding
     unit = centred[:, varies] / lengths[varies]
     sums = np.ones(design.shape[1])
     if varies.any():
@@ -68,7 +69,7 @@ def activation_probabilities(sums: FloatArray, scale: float, offset: float) -> F
     TermselError
         If a probability is outside 0 to 1; names the permitted scales and offsets.
     """
-    freedom = 1.0 - sums / sums.max()
+    freedom = 1.0 - sums / sums.max()  # 0 for the most correlated gene
     probability = scale * freedom + offset
     if probability.max() > 1.0 + _ROUNDING:
         widest = float(freedom.max())
@@ -96,7 +97,7 @@ def seeded_population(probability: FloatArray, n: int, rng: np.random.Generator)
         Draws in which chromosomes.
     """
     on = np.arange(n)[:, None] < np.rint(probability * n)
-    return rng.permuted(on, axis=0)
+    return rng.permuted(on, axis=0)  # each gene's column by itself
 
 
 class CorrelationSeededGA(GeneticAlgorithm):

@@ -24,26 +24,14 @@ class Coding:
     """Selections as tuples of the numbers of free genes.
 
     If a selection may have fewer than m, blank numbers fill its tuple.
-
-    Parameters
-    ----------
-    free : ndarray of int, shape (n,)
-        Which label each of the first n numbers stands for; forced ones have none.
-    m : int
-        How many of them are on at most.
-    blanks : int
-        How many fewer there may be: the number of blank numbers, which start at n.
-    forced : ndarray of bool, shape (n of all,)
-        Labels that are always on.
-    subset : Subset, optional
-        The segment, where its genes are tuples themselves.
     """
 
+    # (n,): which label each of the first n numbers stands for; forced ones have none.
     free: IntArray
-    m: int
-    blanks: int
-    forced: BoolArray
-    subset: Subset | None = None
+    m: int  # how many of them are on at most
+    blanks: int  # how many fewer there may be: the number of blank numbers, which start at n
+    forced: BoolArray  # (n of all,): labels that are always on
+    subset: Subset | None = None  # the segment, where its genes are tuples themselves
 
     @property
     def numbers(self) -> int:
@@ -53,13 +41,14 @@ class Coding:
     def tuples(self, genes: Genes) -> IntArray:
         """Return chromosomes, shape (p, m), each row ascending, from genes (p, size)."""
         on = (self.subset.mask(genes) if self.subset else genes)[:, self.free]
+        # As many blanks as there are fewer than m, the first ones: each set has one tuple.
         blank = np.arange(self.blanks) < self.m - on.sum(axis=1, keepdims=True)
         return np.nonzero(np.concatenate([on, blank], axis=1))[1].reshape(len(genes), self.m)
 
     def genes(self, tuples: IntArray) -> Genes:
         """Return genes, shape (p, size), from chromosomes (p, m)."""
         size = len(self.forced)
-        chosen = np.zeros((len(tuples), size + 1), dtype=bool)
+        chosen = np.zeros((len(tuples), size + 1), dtype=bool)  # blanks write to the last place
         label = np.concatenate([self.free, np.full(self.blanks, size)])
         np.put_along_axis(chosen, label[tuples], True, axis=1)
         chosen = chosen[:, :size] | self.forced
@@ -148,6 +137,7 @@ class SteadyStateGA(GeneticAlgorithm):
     def survivors(self, genes: Genes, evaluation: Evaluation) -> IntArray:
         """Return which chromosomes survive: the best that differ from each other."""
         order = evaluation.order()
+        # Twins are those of equal genes: the first of each stays, in order.
         first = np.sort(np.unique(genes[order], axis=0, return_index=True)[1])
         return order[first][:min(round(self.options["overlap"] * len(genes)), len(genes) - 1)]
 

@@ -27,7 +27,9 @@ def qualification(genes: BoolArray, evaluation: Evaluation) -> FloatArray:
     Parameters
     ----------
     genes : ndarray of bool, shape (p, g)
+        Chromosomes.
     evaluation : Evaluation
+        Of these.
 
     Returns
     -------
@@ -42,8 +44,8 @@ def qualification(genes: BoolArray, evaluation: Evaluation) -> FloatArray:
     ties = float((count**3 - count).sum()) / (p * (p - 1)) if p > 1 else 0.0
     variance = on * (p - on) / 12.0 * (p + 1 - ties)
     surplus = on * (p + 1) / 2.0 - rank @ genes
-    told = variance > _LEAST
-    return np.where(told, surplus, 0.0) / np.sqrt(np.where(told, variance, 1.0))
+    tested = variance > _LEAST  # else all or none have the gene, or all rank alike
+    return np.where(tested, surplus, 0.0) / np.sqrt(np.where(tested, variance, 1.0))
 
 
 class TransgenicGA(GeneticAlgorithm):

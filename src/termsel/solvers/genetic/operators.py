@@ -50,6 +50,7 @@ def crossover(genes: Genes, genome: Genome, probability: float,
     """
     if genome.dtype == np.bool_:
         return uniform_crossover(genes, probability, rng)
+    # An odd individual at the end stays as it is.
     pairs = len(genes) // 2
     first, second = slice(0, 2 * pairs, 2), slice(1, 2 * pairs, 2)
     mates = rng.random((pairs, 1)) < probability
@@ -72,8 +73,11 @@ def mutation(genes: Genes, genome: Genome, probability: float,
     Parameters
     ----------
     genes : ndarray, shape (p, g)
+        Valid ones.
     genome : Genome
+        Theirs.
     probability : float
+        That a gene changes.
     rng : numpy.random.Generator
     """
     if genome.dtype == np.bool_:
@@ -93,6 +97,7 @@ def _crossed(segment: AnySegment, one: Genes, other: Genes,
         case Permutation():
             return _ordered(one, other, rng)
         case Subset():
+            # Parents in turn, as `set_crossover` takes them; who mates is decided by its caller.
             both = np.stack([one, other], axis=1).reshape(2 * len(one), segment.m)
             children = set_crossover(both, 1.0, rng)
             return children[::2], children[1::2]
@@ -130,6 +135,7 @@ def _mutated(segment: AnySegment, genes: Genes, probability: float,
         case Bits():
             return flip_bits(genes.astype(bool), probability, rng)
         case Categories():
+            # Any other one: 1 to n - 1 places on, in a circle.
             other = (genes + rng.integers(1, max(len(segment.choices), 2), genes.shape)
                      ) % len(segment.choices)
             return np.where(rng.random(genes.shape) < probability, other, genes)
@@ -151,6 +157,7 @@ def _polynomial(segment: Integers | Reals, genes: Genes, probability: float,
                      np.array(segment.high, dtype=np.float64), np.full(p, SPREAD_OF_MUTANTS),
                      np.full(p, probability), at_least_once=False, random_state=rng)
     if isinstance(segment, Integers):
+        # A change that rounding would undo is one step in its direction.
         step = np.where(mutants > genes, 1, np.where(mutants < genes, -1, 0))
         whole = np.rint(mutants)
         mutants = np.where(whole == genes, genes + step, whole)
@@ -209,6 +216,7 @@ def set_crossover(tuples: IntArray, probability: float, rng: np.random.Generator
         Each row ascending, without repetition; two children per pair.
     """
     pairs, m = len(tuples) // 2, tuples.shape[1]
+    # Numbers of both parents stand twice, next to each other.
     both = np.sort(tuples[:2 * pairs].reshape(pairs, 2 * m), axis=1)
     twin = np.zeros(both.shape, dtype=bool)
     twin[:, 1:] = both[:, 1:] == both[:, :-1]
@@ -261,7 +269,9 @@ def steps(segment: AnySegment, genes: Genes) -> Iterator[Genes]:
     Parameters
     ----------
     segment : Integers, Reals, Categories, Permutation or Subset
+        Any but bits.
     genes : ndarray, shape (segment's size,)
+        Valid ones.
 
     Yields
     ------
@@ -277,6 +287,7 @@ def steps(segment: AnySegment, genes: Genes) -> Iterator[Genes]:
                 if isinstance(segment, Integers):
                     reach = np.unique(np.maximum(np.rint(reach), 1))[::-1]
                 values = np.clip(genes[i] + np.concatenate([reach, -reach]), low[i], high[i])
+                # Several reaches end at a bound: each value once, in order of its reach.
                 values = values[np.sort(np.unique(values, return_index=True)[1])]
                 yield _with(genes, i, values[values != genes[i]])
         case Categories():
@@ -284,16 +295,17 @@ def steps(segment: AnySegment, genes: Genes) -> Iterator[Genes]:
                 values = np.arange(len(segment.choices))
                 yield _with(genes, i, values[values != genes[i]])
         case Permutation():
-            for i in range(n - 1):
+            for i in range(n - 1):  # each pair once
                 around = np.repeat(genes[None], n - 1 - i, axis=0)
                 around[:, i] = genes[i + 1:]
                 around[np.arange(n - 1 - i), np.arange(i + 1, n)] = genes[i]
                 yield around
         case Subset():
+            # Members stay sorted: a set has one chromosome.
             others = np.setdiff1d(np.arange(len(segment.labels)), genes)
             for i in range(n):
                 yield np.sort(_with(genes, i, others), axis=1)
-        case Bits():
+        case Bits():  # see `swap.neighbours`
             raise TypeError("the neighbours of bits depend on their cardinality")
 
 
@@ -354,6 +366,7 @@ def _unlocked(segment: AnySegment, keys: FloatArray) -> Genes:
             return segment.repaired(low + keys * (high - low))
         case Integers():
             low, high = np.array(segment.low), np.array(segment.high)
+            # Each whole number has the same share of the keys.
             return segment.repaired(np.floor(low + keys * (high - low + 1)))
         case Categories():
             of_each = keys.reshape(len(keys), segment.size, -1)

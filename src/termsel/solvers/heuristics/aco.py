@@ -26,7 +26,7 @@ def deposit(ants: BoolArray) -> FloatArray:
     ndarray, shape (2, g)
         Shares of the weight on a gene's states off and on; they add up to 1.
     """
-    weights = np.arange(len(ants), 0, -1.0)
+    weights = np.arange(len(ants), 0, -1.0)  # by rank: objectives differ in scale
     on = weights @ ants / weights.sum()
     return np.stack([1.0 - on, on])
 
@@ -53,7 +53,9 @@ def grafts(stock: BoolArray, scion: BoolArray, genome: Genome) -> BoolArray:
     Parameters
     ----------
     stock, scion : ndarray of bool, shape (g,)
+        The one, and the other.
     genome : Genome
+        Of both.
 
     Returns
     -------
@@ -136,12 +138,13 @@ class AntColony(Solver):
             best, of_best = ranked[:1], of_ranked.take(np.arange(1))
             pheromone = renew(pheromone, deposit(ranked), o["evaporation"], o["tau_min"],
                               o["tau_max"])
-            chance = pheromone[1] / pheromone.sum(axis=0)
+            chance = pheromone[1] / pheromone.sum(axis=0)  # limits change their sum
             if settled(chance[problem.genome.free], o["restart"]):
                 champion, of_champion = _best(1, champion, of_champion, best, of_best)
                 grafted = grafts(champion[0], best[0], problem.genome)
                 champion, of_champion = _best(1, champion, of_champion, grafted,
                                               problem.evaluate(grafted))
+                # The next start knows nothing of this one; the champion is not lost to it.
                 best, of_best = best[:0], of_best.take(np.arange(0))
                 pheromone = np.full((2, problem.genome.size), 0.5)
                 chance = pheromone[1]

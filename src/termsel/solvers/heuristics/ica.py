@@ -81,6 +81,7 @@ def sizes(share: FloatArray, colonies: int) -> IntArray:
     """
     wanted = share * colonies
     size = np.floor(wanted).astype(np.intp)
+    # The largest remainders get one more each until all colonies are given.
     size[np.argsort(size - wanted, kind="stable")[:colonies - size.sum()]] += 1
     return size
 
@@ -156,7 +157,7 @@ def normalised_power(power: FloatArray) -> FloatArray:
     least, most = power.min(), power.max()
     if least < 0:
         power, most = power - least + (most - least), 2 * (most - least)
-    if most <= 0:
+    if most <= 0:  # all are 0, and so equal
         return np.ones(len(power))
     return np.asarray(most / np.maximum(power, 1e-12 * most))
 
@@ -168,24 +169,16 @@ def possession(normalised: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class Empires:
-    """The empires: which imperialist rules which countries.
+    """The empires: which imperialist rules which countries."""
 
-    Parameters
-    ----------
-    empire : ndarray of int, shape (p,)
-        To which empire each country belongs, 0 to k - 1.
-    imperialists : ndarray of int, shape (k,)
-        The imperialist of each empire.
-    names : ndarray of int, shape (k,)
-        The number each empire had at first, so that it can be followed when others vanish.
-    """
-
-    empire: IntArray
-    imperialists: IntArray
+    empire: IntArray  # (p,): to which empire each country belongs, 0 to k - 1
+    imperialists: IntArray  # (k,): the imperialist of each empire
+    # (k,): the number each empire had at first, to follow it when others vanish.
     names: IntArray
 
     def crown(self, cost: FloatArray) -> Empires:
         """Return the empires after each best colony has taken over from a worse imperialist."""
+        # In a tie the imperialist stays: colonies come after it.
         ruled = np.ones(len(cost), dtype=bool)
         ruled[self.imperialists] = False
         order = np.lexsort((ruled, cost, self.empire))
@@ -208,14 +201,15 @@ class Empires:
             R, random numbers from (0, 1).
         """
         k = len(self.imperialists)
+        # D = Pr - R: chance decides where powers are about equal.
         winner = int(np.argmax(possession(normalised_power(power)) - drawn))
-        held = np.bincount(self.empire, minlength=k) > 1
+        held = np.bincount(self.empire, minlength=k) > 1  # the imperialist is one of them
         weakest = int(np.argmax(np.where(held, power, -np.inf)))
         taken = self.empire == weakest
         taken[self.imperialists] = False
         empire = self.empire.copy()
         empire[np.argmax(np.where(taken, cost, -np.inf))] = winner
-        alive = np.bincount(empire, minlength=k) > 1
+        alive = np.bincount(empire, minlength=k) > 1  # one that has lost its last colony vanishes
         empire[~alive[empire]] = winner
         renumbered = np.cumsum(alive) - 1
         return Empires(renumbered[empire], self.imperialists[alive], self.names[alive])
@@ -235,7 +229,7 @@ class Empires:
             That share.
         """
         own = genes[self.imperialists]
-        heir = np.arange(len(own))
+        heir = np.arange(len(own))  # who rules each empire now
         better: list[int] = []
         for i in np.argsort(cost[self.imperialists], kind="stable"):
             met = (own[better] != own[i]).mean(axis=1) <= distance
@@ -343,6 +337,7 @@ class ImperialistCompetition(Solver):
             world = world.crown(cost)
             if o["uniting"] is not None:
                 world = world.unite(genes, cost, o["uniting"])
+            # Each contest sees the empires that the one before has left.
             for _ in range(o["contested"]):
                 if len(world.imperialists) == 1:
                     break
@@ -362,7 +357,7 @@ class ImperialistCompetition(Solver):
                        rng.random(shape) < o["redrawn"], rng.random(shape) < 0.5)
         moved = problem.genome.repair(moved, rng)
         judged = problem.evaluate(moved)
-        genes = genes.copy()
+        genes = genes.copy()  # observers keep the generation before
         genes[colonies] = moved
         objectives, violation = evaluation.objectives.copy(), evaluation.violation.copy()
         objectives[colonies], violation[colonies] = judged.objectives, judged.violation
@@ -371,7 +366,7 @@ class ImperialistCompetition(Solver):
     def _generation(self, index: int, genes: BoolArray, evaluation: Evaluation,
                     cost: FloatArray, world: Empires, k: int) -> Generation:
         power = total_power(cost, world.empire, world.imperialists, self.options["alpha"])
-        empire = world.names[world.empire]
+        empire = world.names[world.empire]  # numbered as at first, whatever has vanished
         return Generation(index, genes, evaluation, {
             "empire": empire, "empires": np.bincount(empire, minlength=k),
             "imperialists": world.imperialists,

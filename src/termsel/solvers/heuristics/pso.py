@@ -16,12 +16,12 @@ from termsel.solvers.base import Generation, Solver
 from termsel.solvers.genetic.operators import from_keys, n_keys
 
 
-def improved(found: Evaluation, own: Evaluation) -> BoolArray:
+def improved(new: Evaluation, own: Evaluation) -> BoolArray:
     """Return where individuals are better than those in the same row, feasible ones first."""
     return np.asarray(
-        (found.violation < own.violation)
-        | ((found.violation == own.violation)
-           & (found.objectives[:, 0] < own.objectives[:, 0])))
+        (new.violation < own.violation)
+        | ((new.violation == own.violation)
+           & (new.objectives[:, 0] < own.objectives[:, 0])))
 
 
 def leaders(order: IntArray, reach: int) -> IntArray:
@@ -41,7 +41,7 @@ def leaders(order: IntArray, reach: int) -> IntArray:
     n = len(order)
     if reach == 0 or 2 * reach >= n:
         return np.full(n, order[0])
-    rank = np.argsort(order)
+    rank = np.argsort(order)  # the inverse permutation: the place of each particle
     around = (np.arange(n)[:, None] + np.arange(-reach, reach + 1)) % n
     return np.asarray(order[rank[around].min(axis=1)])
 
@@ -133,13 +133,14 @@ class BinarySwarm(Solver):
         o = {**_FOR_KEYS, **self._given()}
         shape = (o["population"], n_keys(problem.genome))
         keys = rng.random(shape)
-        velocity = (rng.random(shape) - keys) * o["velocity"]
+        velocity = (rng.random(shape) - keys) * o["velocity"]  # towards a random place
         genes = problem.genome.repair(from_keys(keys, problem.genome), rng)
         evaluation = problem.evaluate(genes)
         own, of_own = keys, evaluation
         yield Generation(0, genes, evaluation, {"velocity": velocity})
         for index in itertools.count(1):
             velocity = _moved(o, index, velocity, keys, own, of_own, rng)
+            # Keys are not those of repaired genes: the swarm moves on as if nothing was repaired.
             keys = np.clip(keys + velocity, 0.0, 1.0)
             genes = problem.genome.repair(from_keys(keys, problem.genome), rng)
             evaluation = problem.evaluate(genes)
@@ -165,10 +166,10 @@ def _moved(o: Mapping[str, Any], index: int, velocity: FloatArray, x: FloatArray
     return np.asarray(np.clip(inertia * velocity + pull, -o["velocity"], o["velocity"]))
 
 
-def _best_of_own(own: Genes, of_own: Evaluation, found: Genes,
+def _best_of_own(own: Genes, of_own: Evaluation, new: Genes,
                  evaluation: Evaluation) -> tuple[Genes, Evaluation]:
     """Return the best place of each particle so far, and its evaluation."""
     gain = improved(evaluation, of_own)
-    return np.where(gain[:, None], found, own), Evaluation(
+    return np.where(gain[:, None], new, own), Evaluation(
         np.where(gain[:, None], evaluation.objectives, of_own.objectives),
         np.where(gain, evaluation.violation, of_own.violation))

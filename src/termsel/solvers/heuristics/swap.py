@@ -29,7 +29,9 @@ def neighbours(genes: Genes, genome: Genome) -> Iterator[Genes]:
     Parameters
     ----------
     genes : ndarray, shape (size,)
+        Valid ones.
     genome : Genome
+        Theirs.
 
     Yields
     ------
@@ -65,7 +67,7 @@ def _of_segment(genes: Genes, genome: Genome, segment: AnySegment) -> Iterator[G
 
 def _of_bits(genes: BoolArray, genome: Genome) -> Iterator[BoolArray]:
     """Yield the neighbours in a genome of bits alone."""
-    flips: list[IntArray] = []
+    flips: list[IntArray] = []  # genes that may be switched without leaving the cardinality
     # Pairs of one gene of the first and one of the second, of which there may be very many: they
     # are numbered, and made when their batch is. A flip is a pair of the gene with itself.
     pairs: list[tuple[IntArray, IntArray]] = []
@@ -89,6 +91,7 @@ def _of_bits(genes: BoolArray, genome: Genome) -> Iterator[BoolArray]:
             first[here] = on[(number[here] - begin) // max(len(off), 1)]
             second[here] = off[(number[here] - begin) % max(len(off), 1)]
         around = np.repeat(genes[None], len(first), axis=0)
+        # In a flip both are one gene, which the second write leaves inverted.
         around[np.arange(len(first)), first] ^= True
         around[np.arange(len(first)), second] = ~genes[second]
         yield around
@@ -125,6 +128,7 @@ def descend(problem: Problem, genes: Genes, evaluation: Evaluation, index: int =
         better = False
         for around in neighbours(genes[0], problem.genome):
             judged = problem.evaluate(around)
+            # The first batch with a better one is enough: further ones may be very many.
             if _rank(judged.take(judged.order()[:1])) < _rank(evaluation):
                 genes, evaluation = _combined(problem, genes, evaluation, around, judged)
                 better = True
@@ -161,12 +165,14 @@ def climb(problem: Problem, genes: Genes, evaluation: Evaluation,
     for start in itertools.count():
         best = climbed[-1]
         yield climbed
+        # In turn from the neighbourhood of the best and from anywhere.
         if start % 2:
             elsewhere = genome.repair(_shaken(best.genes, genome, rng), rng)
         else:
             elsewhere = genome.random(rng, 1)
         climbed = list(descend(problem, elsewhere, problem.evaluate(elsewhere), best.index + 1))
         reached = climbed[-1]
+        # A segment of its end may improve the best even if all of it does not.
         parts = np.repeat(best.genes, len(genome.segments) + 1, axis=0)
         for i, where in enumerate(genome.slices().values()):
             parts[i, where] = reached.genes[0, where]
@@ -188,6 +194,7 @@ def _combined(problem: Problem, genes: Genes, evaluation: Evaluation, around: Ge
     """Return the best of a selection, its neighbours, and the best change of each segment."""
     order = judged.order()
     best = _better(genes, evaluation, around[order[:1]], judged.take(order[:1]))
+    # Changes of single segments are improvements alone; together they are so where these add up.
     together, changes = genes.copy(), 0
     for where in problem.genome.slices().values():
         changed = order[(around[order, where] != genes[0, where]).any(axis=1)][:1]

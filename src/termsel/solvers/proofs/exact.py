@@ -33,13 +33,13 @@ _REPORT_STATES = 4
 """States between two reports at most: a budget of time ends at a report."""
 
 
-def gap(problem: Problem, found: float) -> dict[str, Any] | None:
+def gap(problem: Problem, reached: float) -> dict[str, Any] | None:
     """Return the gap between a solution and the proven optimum, if that is known quickly.
 
     Parameters
     ----------
     problem : Problem
-    found : float
+    reached : float
         First objective of the solution.
 
     Returns
@@ -55,10 +55,10 @@ def gap(problem: Problem, found: float) -> dict[str, Any] | None:
     if proven is None:
         return None
     optimum, decided, space = proven
-    if found < optimum - TIE * abs(optimum):  # what was enumerated is not this criterion
+    if reached < optimum - TIE * abs(optimum):  # what was enumerated is not this criterion
         return None
-    return {"optimal": found <= optimum + TIE * abs(optimum), "subsets": decided, "of": decided,
-            "space": space, **gap_of(found, optimum)}
+    return {"optimal": reached <= optimum + TIE * abs(optimum), "subsets": decided, "of": decided,
+            "space": space, **gap_of(reached, optimum)}
 
 
 def _quick_optimum(problem: Problem) -> tuple[float, int, str] | None:
@@ -68,7 +68,7 @@ def _quick_optimum(problem: Problem) -> tuple[float, int, str] | None:
         return quick_optimum(problem, systems)
     if count(problem) > QUICK:
         return None
-    *_, proof = prove(problem)
+    *_, proof = prove(problem)  # the last state, which is complete
     front = proof.front()
     if not front:
         return None
@@ -79,9 +79,9 @@ def _quick_optimum(problem: Problem) -> tuple[float, int, str] | None:
             space_of(problem, proof.parts, None))
 
 
-def gap_of(found: float, optimum: float) -> dict[str, float | None]:
+def gap_of(reached: float, optimum: float) -> dict[str, float | None]:
     """Return the optimum, and the relative gap of a solution."""
-    return {"optimum": optimum, "gap": max(0.0, found / optimum - 1) if optimum > 0 else None}
+    return {"optimum": optimum, "gap": max(0.0, reached / optimum - 1) if optimum > 0 else None}
 
 
 class Exact(Solver):
@@ -90,8 +90,8 @@ class Exact(Solver):
     Branch and bound over all term selections, line and sample separately where they are
     independent; or a walk over all selections of control features. It begins with a descent from
     several starts. At any time it has the best selection, a lower bound of all, and the gap.
-    termsel's own formulation; see the modules subsets, subset_bounds, subset_residuals and
-    row_subsets.
+    termsel's own formulation; see `termsel.enumeration.subsets` and
+    `termsel.enumeration.features.walk`.
     """
 
     name = "exact"
@@ -137,6 +137,7 @@ class Exact(Solver):
         front = proof.front()
         if not front and not proof.complete:
             return None
+        # The best of every size once all is proven; the best of all until then.
         genes = (np.array(front) if proof.complete else np.array(front[-1:])) if front \
             else np.zeros((1, problem.genome.size), dtype=bool)
         evaluation = problem.evaluate(genes)
@@ -167,11 +168,11 @@ def _require_unbeaten(problem: Problem, proof: Proof, optimum: BoolArray,
         return
     values = [front.objectives[front.violation == 0, 0]]
     for genes in neighbours(optimum, problem.genome):
-        if most is not None:
+        if most is not None:  # larger ones are outside of the space that is proven
             sizes = [genes[:, part.genes].sum(axis=1) for part in proof.parts]
             genes = genes[np.all(np.array(sizes) <= most, axis=0)]
-        found = problem.evaluate(genes)
-        values.append(found.objectives[found.violation == 0, 0])
+        around = problem.evaluate(genes)
+        values.append(around.objectives[around.violation == 0, 0])
     least = float(np.concatenate(values).min())
     if least < best - TIE * abs(best):
         raise TermselError(

@@ -40,26 +40,14 @@ _TIMED = 1 << 16  # selections of which the time of all is estimated
 
 @dataclass(frozen=True, eq=False)
 class FeatureProof:
-    """State of a proof.
+    """State of a proof."""
 
-    Parameters
-    ----------
-    best : ndarray, shape (n + 1,)
-        Least objective of the selections of 0 to n features so far; infinite where none is
-        feasible.
-    genes : dict of int to ndarray
-        The selection itself, by its size.
-    decided, total : int
-        Selections decided, and to be decided.
-    floor : float
-        A lower bound of the objective of all selections; 0 if none is known.
-    """
-
+    # (n + 1,): least objective of the selections of each size so far; infinite without any.
     best: FloatArray
-    genes: dict[int, Genes]
-    decided: int
-    total: int
-    floor: float
+    genes: dict[int, Genes]  # the selection itself, by its size
+    decided: int  # selections decided
+    total: int  # selections to be decided
+    floor: float  # a lower bound of the objective of all selections; 0 if none is known
 
     @property
     def complete(self) -> bool:
@@ -82,6 +70,7 @@ class FeatureProof:
             return []
         values, _ = each_of(problem, np.array([self.genes[size] for size in sizes]))
         better = values < np.minimum.accumulate(np.append(np.inf, values))[:-1]
+        # Until then nothing is known of single sizes but the floor of all selections.
         bounds = values if self.complete else np.minimum(values, self.floor)
         return [SizeProof(self.genes[size], *of_size) for size, *of_size in zip(
             sizes, values.tolist(), bounds.tolist(), (values <= bounds).tolist(), better.tolist(),
@@ -306,6 +295,7 @@ class _Records:
     def take(self, genes: Genes, evaluation: Evaluation) -> None:
         """Remember what is feasible and better than what is known of its size."""
         sizes = self.problem.genome.chosen(genes).sum(axis=1)
+        # From the best on: of each size only the first can be better than what is known.
         good = np.flatnonzero(evaluation.violation == 0)
         for row in good[np.argsort(evaluation.objectives[good, 0], kind="stable")]:
             size, value = int(sizes[row]), float(evaluation.objectives[row, 0])

@@ -24,26 +24,14 @@ TIE = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class SizeProof:
-    """The best selection of one number of genes, and what is proven of it.
+    """The best selection of one number of genes, and what is proven of it."""
 
-    Parameters
-    ----------
-    genes : ndarray, shape (size,)
-    objective : float
-        Its first objective.
-    bound : float or None
-        No selection with as many genes has a smaller one; None if nothing is known.
-    optimal : bool
-        Whether it is proven that none is better.
-    better : bool
-        Whether it is better than all selections with fewer genes.
-    """
-
-    genes: Genes
-    objective: float
+    genes: Genes  # (size,)
+    objective: float  # its first objective
+    # No selection with as many genes has a smaller one; None if nothing is known.
     bound: float | None
-    optimal: bool
-    better: bool
+    optimal: bool  # whether it is proven that none is better
+    better: bool  # whether it is better than all selections with fewer genes
 
     @property
     def gap(self) -> float | None:
@@ -55,23 +43,12 @@ class SizeProof:
 
 @dataclass(frozen=True, eq=False)
 class Proof:
-    """State of an enumeration of all parts.
-
-    Parameters
-    ----------
-    parts : tuple of EnumerablePart
-    results : tuple of SubsetResult
-        One per part.
-    minimum : tuple of int
-        Fewest genes of each part.
-    size : int
-        Number of genes of the problem.
-    """
+    """State of an enumeration of all parts."""
 
     parts: tuple[EnumerablePart, ...]
-    results: tuple[SubsetResult, ...]
-    minimum: tuple[int, ...]
-    size: int
+    results: tuple[SubsetResult, ...]  # one per part
+    minimum: tuple[int, ...]  # fewest genes of each part
+    size: int  # number of genes of the problem
 
     @property
     def decided(self) -> int:
@@ -111,9 +88,10 @@ class Proof:
         def rmse(cost: float) -> float:
             return float(part.pixels * np.sqrt(max(cost, 0.0) / rows))
 
-        found = sum(float(cost.min()) for cost in self._costs())
+        # Which it is the objective of the best selection tells.
+        total = sum(float(cost.min()) for cost in self._costs())
         for objective in (float, rmse):
-            if abs(objective(found) - best) <= 1e-6 * abs(best):
+            if abs(objective(total) - best) <= 1e-6 * abs(best):
                 return objective
         return None
 
@@ -197,9 +175,9 @@ def each_of(problem: Problem, genes: Genes) -> tuple[FloatArray, BoolArray]:
 
     One by one, as sums over a population round otherwise, and a bound is to equal what it proves.
     """
-    found = [problem.evaluate(one[None]) for one in genes]
-    return (np.array([one.objectives[0, 0] for one in found]),
-            np.array([one.violation[0] == 0 for one in found]))
+    each = [problem.evaluate(one[None]) for one in genes]
+    return (np.array([evaluation.objectives[0, 0] for evaluation in each]),
+            np.array([evaluation.violation[0] == 0 for evaluation in each]))
 
 
 def _cost(scores: FloatArray, part: EnumerablePart, least: int) -> FloatArray:
@@ -218,6 +196,7 @@ def _joint(costs: Sequence[FloatArray]) -> tuple[FloatArray, IntArray]:
     for cost in costs:
         joint = np.full(len(total) + len(cost) - 1, np.inf)
         split = np.zeros((len(joint), sizes.shape[1] + 1), dtype=np.intp)
+        # In a tie the split of fewer genes in this part stays.
         for here in np.flatnonzero(cost < np.inf):
             reached = total + cost[here]
             better = np.flatnonzero(reached < joint[here:here + len(total)])
@@ -310,5 +289,3 @@ def space_of(problem: Problem, parts: tuple[EnumerablePart, ...], most: int | No
                 for part in parts)
     return (f"{ALL if whole else 'selections'} of up to {sizes}"
             + " an axis" * (len(parts) > 1))
-
-

@@ -40,6 +40,7 @@ class NestedRegression(TermRegression):
         chosen = part.kept.copy()
         errors = rational_errors(part, chosen)
         while chosen.sum() < part.most:
+            # By the errors of the quotient itself, not by those of the linear equations.
             share = explained_share(part, chosen, errors)
             best = int(share.argmax())
             if share[best] <= 0.0:
@@ -74,6 +75,7 @@ def rational_errors(part: Regression, chosen: BoolArray) -> FloatArray:
     errors = part.target - part.columns @ x
     if part.denominator is not None:
         below = 1.0 + part.denominator @ x
+        # A pole on a point: its error is huge, and finite.
         errors = errors / np.where(below == 0.0, EXPLAINED, below)
     return np.asarray(errors)
 

@@ -24,25 +24,16 @@ from termsel.solvers.regression.stepwise import (
 
 
 @dataclass(frozen=True, eq=False)
-class Standard:
-    """A regression without the columns that are not penalised, the others at unit length.
+class Standardised:
+    """A regression without the columns that are not penalised, the others at unit length."""
 
-    Parameters
-    ----------
-    columns : ndarray, shape (m, j)
-        Orthogonal to the unpenalised ones; 0 for columns that depend on those.
-    target : ndarray, shape (m, r)
-        Orthogonal to the unpenalised ones as well.
-    lengths : ndarray, shape (j,)
-        Lengths of the columns before they were brought to unit length.
-    """
-
+    # (m, j): orthogonal to the unpenalised ones; 0 for columns that depend on those.
     columns: FloatArray
-    target: FloatArray
-    lengths: FloatArray
+    target: FloatArray  # (m, r): orthogonal to the unpenalised ones as well
+    lengths: FloatArray  # (j,): lengths of the columns before they were brought to unit length
 
 
-def standardise(columns: FloatArray, target: FloatArray, unpenalised: FloatArray) -> Standard:
+def standardise(columns: FloatArray, target: FloatArray, unpenalised: FloatArray) -> Standardised:
     """Return columns and target orthogonal to the unpenalised columns.
 
     Parameters
@@ -56,32 +47,22 @@ def standardise(columns: FloatArray, target: FloatArray, unpenalised: FloatArray
     rest = columns - q @ (q.T @ columns)
     lengths = np.linalg.norm(rest, axis=0)
     live = lengths > TOLERANCE * np.linalg.norm(columns, axis=0)
-    lengths = np.where(live, lengths, np.inf)
-    return Standard(rest / lengths, target - q @ (q.T @ target), lengths)
+    lengths = np.where(live, lengths, np.inf)  # a column that depends on those becomes 0
+    return Standardised(rest / lengths, target - q @ (q.T @ target), lengths)
 
 
 @dataclass(frozen=True, eq=False)
-class Piece:
-    """A piece of the path on which the same columns are in use.
+class PathPiece:
+    """A piece of the path on which the same columns are in use."""
 
-    Parameters
-    ----------
-    above, below : float
-        Penalties at its ends.
-    active : ndarray of int
-        The columns in use.
-    start, end : ndarray, shape (k, r)
-        Coefficients at its ends; between them they are linear in the penalty.
-    """
-
-    above: float
-    below: float
-    active: IntArray
-    start: FloatArray
-    end: FloatArray
+    above: float  # penalty at its start
+    below: float  # penalty at its end
+    active: IntArray  # the columns in use
+    start: FloatArray  # (k, r): coefficients, which are linear in the penalty between both ends
+    end: FloatArray  # (k, r)
 
 
-def lasso_path(columns: FloatArray, target: FloatArray, most: int) -> list[Piece]:
+def lasso_path(columns: FloatArray, target: FloatArray, most: int) -> list[PathPiece]:
     """Return the path of the lasso from the largest penalty downwards.
 
     Minimises ||y - X b||^2 / 2 + penalty sum |b| for every penalty: least angle regression in
@@ -102,14 +83,15 @@ def lasso_path(columns: FloatArray, target: FloatArray, most: int) -> list[Piece
     least = TOLERANCE * np.linalg.norm(columns, axis=0)
     lengths = np.linalg.norm(columns.T @ target, axis=1)
     top = penalty = float(lengths.max(initial=0.0))
-    pieces: list[Piece] = []
+    pieces: list[PathPiece] = []
     if most < 1 or top == 0.0:
         return pieces
     active = [int(lengths.argmax())]
-    gone = -1
+    gone = -1  # the column that has just left: by rounding it might enter again
     # Many more pieces than columns would be steps of rounding size.
     while active and penalty > EXPLAINED * top and len(pieces) < 20 * k:
         rest = target - columns @ x
+        # Along this step the columns in use keep equal correlations with what is left.
         q, triangle = np.linalg.qr(columns[:, active])
         step = linalg.solve_triangular(triangle, q.T @ rest)
         enters = _shares_to_enter(columns.T @ rest, columns.T @ (q @ (q.T @ rest)), penalty)
@@ -118,7 +100,7 @@ def lasso_path(columns: FloatArray, target: FloatArray, most: int) -> list[Piece
         if gone >= 0:
             enters[gone] = np.inf
         leaves = np.full(len(active), np.inf)
-        if r == 1:
+        if r == 1:  # with several targets no column leaves
             turns = x[active, 0] * step[:, 0] < 0.0
             leaves[turns] = -x[active, 0][turns] / step[turns, 0]
         share = min(1.0, float(enters.min()), float(leaves.min()))
@@ -129,8 +111,8 @@ def lasso_path(columns: FloatArray, target: FloatArray, most: int) -> list[Piece
         if share == leaves.min():
             gone = active.pop(int(leaves.argmin()))
             x[gone] = 0.0
-        pieces.append(Piece(above, penalty, here, start, x.copy()))
-        if gone < 0 and share < 1.0:
+        pieces.append(PathPiece(above, penalty, here, start, x.copy()))
+        if gone < 0 and share < 1.0:  # at 1 the least-squares solution of those in use is reached
             if len(active) == most:
                 break
             active.append(int(enters.argmin()))
@@ -142,6 +124,7 @@ def _shares_to_enter(c: FloatArray, a: FloatArray, penalty: float) -> FloatArray
 
     The first root of |c - share a| = (1 - share) penalty, which lies between 0 and 1.
     """
+    # p share^2 - 2 q share + s = 0; the form that does not cancel.
     p = penalty**2 - (a**2).sum(axis=1)
     q = penalty**2 - (c * a).sum(axis=1)
     s = np.maximum(penalty**2 - (c**2).sum(axis=1), 0.0)
@@ -183,6 +166,7 @@ class Lasso(TermRegression):
         pieces = _path(part, np.ones(len(part.target), dtype=bool))
         if not pieces:
             return part.kept
+        # The middle of each piece, in logarithms.
         penalties = np.array([np.sqrt(max(piece.above * piece.below, 0.0)) for piece in pieces])
         square = np.zeros(len(pieces))
         fold = np.arange(len(part.target)) % min(self.options["folds"], len(part.target))
@@ -191,15 +175,16 @@ class Lasso(TermRegression):
         return _selection(part, pieces[int(square.argmin())])
 
 
-def _path(part: Regression, rows: BoolArray) -> list[Piece]:
+def _path(part: Regression, rows: BoolArray) -> list[PathPiece]:
     """Return the path of the free columns over some of the rows."""
     unit = part.unit[rows]
     standard = standardise(unit[:, part.free], part.target[rows], unit[:, part.kept])
+    # A redundancy of 1 is left within a fold, too.
     room = min(part.most, int(rows.sum()) - 1) - int(part.kept.sum())
     return lasso_path(standard.columns, standard.target, room)
 
 
-def _selection(part: Regression, piece: Piece) -> BoolArray:
+def _selection(part: Regression, piece: PathPiece) -> BoolArray:
     """Return the columns in use on a piece, with the kept ones."""
     chosen = part.kept.copy()
     chosen[np.flatnonzero(part.free)[piece.active]] = True
@@ -298,6 +283,7 @@ def shrink(part: Regression, on: BoolArray, choice: str) -> tuple[FloatArray, fl
     x = np.zeros((len(on), part.target.shape[1]))
     penalty = 0.0
     if len(s):
+        # A target that is explained leaves rounding, which must not choose the penalty.
         outside = float(((standard.target - u @ inner) ** 2).sum())
         spectrum = Spectrum(s, np.linalg.norm(inner, axis=1),
                             0.0 if part.explained(outside) else outside,

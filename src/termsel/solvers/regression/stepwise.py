@@ -30,37 +30,20 @@ class Regression:
 
     With one mask for line and sample there are two targets; their sums of squares and
     degrees of freedom are pooled, as for one adjustment of both.
-
-    Parameters
-    ----------
-    genes : ndarray of int, shape (k,)
-        The genes that switch the columns.
-    columns : ndarray, shape (m, k)
-        As in the adjustment.
-    target : ndarray, shape (m, r)
-    denominator : ndarray, shape (m, k), optional
-        Linear form of the denominator without its 1: the error of the image coordinate is
-        (target - columns x) / (1 + denominator x).
-    constant : ndarray of bool, shape (k,)
-        The column of the constant, if there is one.
-    kept, free : ndarray of bool, shape (k,)
-        Columns that are always chosen, and those to choose from.
-    least, most : int
-        How many columns may be chosen; `most` leaves a redundancy of at least 1.
-    pixels : float
-        px per unit of the target.
     """
 
-    genes: IntArray
-    columns: FloatArray
-    target: FloatArray
+    genes: IntArray  # (k,): the genes that switch the columns
+    columns: FloatArray  # (m, k): as in the adjustment
+    target: FloatArray  # (m, r)
+    # (m, k): linear form of the denominator without its 1: the error of the image coordinate is
+    # (target - columns x) / (1 + denominator x).
     denominator: FloatArray | None
-    constant: BoolArray
-    kept: BoolArray
-    free: BoolArray
-    least: int
-    most: int
-    pixels: float
+    constant: BoolArray  # (k,): the column of the constant, if there is one
+    kept: BoolArray  # (k,): columns that are always chosen
+    free: BoolArray  # (k,): those to choose from
+    least: int  # fewest columns
+    most: int  # most columns, which leave a redundancy of at least 1
+    pixels: float  # px per unit of the target
 
     @cached_property
     def unit(self) -> FloatArray:
@@ -83,10 +66,6 @@ def regressions(problem: Problem) -> list[Regression]:
 
     The constant is kept unless it is forbidden, like the intercept in textbooks and in Long et
     al. 2014.
-
-    Parameters
-    ----------
-    problem : Problem
 
     Raises
     ------
@@ -112,7 +91,7 @@ def _regression(problem: Problem, part: EnumerablePart) -> Regression:
                    if slices[s.name].start <= part.genes[0] < slices[s.name].stop)
     assert isinstance(segment, Bits)  # what the solver declares
     kept = forced | constant
-    most = min(k if segment.maximum is None else segment.maximum, m - 1)
+    most = min(k if segment.maximum is None else segment.maximum, m - 1)  # a redundancy of 1
     return Regression(part.genes, system.design, system.target, system.denominator, constant,
                       kept, ~(kept | forbidden), max(1, segment.minimum), most,
                       part.pixels)
@@ -128,7 +107,7 @@ def _constant(system: SubsetSystem) -> BoolArray:
     for rows in (system.design, system.check_design):
         if rows is not None and not constant.any():
             same = (np.ptp(rows, axis=0) == 0) & (rows[0] != 0)
-            constant = same & (np.cumsum(same) == 1)
+            constant = same & (np.cumsum(same) == 1)  # the first of them alone
     return constant
 
 
@@ -175,6 +154,7 @@ def gains(part: Regression, chosen: BoolArray) -> tuple[FloatArray, float]:
     ----------
     part : Regression
     chosen : ndarray of bool, shape (k,)
+        Columns in use.
 
     Returns
     -------
@@ -187,6 +167,7 @@ def gains(part: Regression, chosen: BoolArray) -> tuple[FloatArray, float]:
     q = np.linalg.qr(unit[:, chosen])[0]
     rest = part.target - q @ (q.T @ part.target)
     unit = unit - q @ (q.T @ unit)
+    # What a column adds is the target's part along what it does not share with the chosen ones.
     lengths = np.linalg.norm(unit, axis=0)
     ready = (lengths > TOLERANCE) & ~chosen
     share = np.where(ready[:, None], unit.T @ rest, 0.0) / np.where(ready, lengths, 1.0)[:, None]
@@ -212,6 +193,7 @@ def losses(part: Regression, chosen: BoolArray) -> tuple[FloatArray, float]:
     # The solution through the pseudo-inverse also survives kept columns that are dependent.
     inverse = np.linalg.pinv(part.unit[:, chosen], rcond=TOLERANCE)
     x = inverse @ part.target
+    # Without column j the sum rises by x_j^2 over the diagonal of the cofactor matrix.
     variance = (inverse**2).sum(axis=1)
     loss = np.full(len(chosen), np.inf)
     loss[chosen] = (x**2).sum(axis=1) / np.where(variance > 0.0, variance, np.inf)
@@ -235,7 +217,7 @@ def significance(part: Regression, change: float, square: float, chosen: BoolArr
         The columns in use, this one among them.
     """
     r, freedom = part.target.shape[1], part.freedom(chosen)
-    if part.explained(square):
+    if part.explained(square):  # F is a quotient of rounding errors
         return 1.0 if part.explained(change) else 0.0
     return float(special.fdtrc(r, freedom, (change / r) / (square / freedom)))
 
@@ -292,7 +274,7 @@ class Stepwise(TermRegression):
             if grown is None:
                 return chosen
             grown = _drop(part, grown, alpha_out)
-            if grown.tobytes() in seen:
+            if grown.tobytes() in seen:  # entering and leaving would go on for ever
                 return chosen
             seen.add(grown.tobytes())
             chosen = grown
@@ -306,7 +288,7 @@ class Stepwise(TermRegression):
         if count >= part.most or gain[best] == 0.0:
             return None
         grown = with_column(chosen, best, True)
-        needed = count < part.least
+        needed = count < part.least  # whatever its significance
         if not needed and (part.explained(square) or
                            significance(part, gain[best], max(square - gain[best], 0.0), grown)
                            >= alpha):

@@ -1,0 +1,53 @@
+"""Fewer rows with the same inner products, and columns in an order that suits bounds."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from termsel.adjustment.solve import TOLERANCE
+from termsel.measurements.features import FloatArray, IntArray
+
+
+def triangle_of(rows: FloatArray, n: int) -> tuple[FloatArray, float]:
+    """Return n rows with the same inner products of the n columns with all vectors.
+
+    The part of the targets that is orthogonal to all columns is lost; its sum of squares is
+    returned.
+    """
+    triangle = np.asarray(np.linalg.qr(rows, mode="r")) if len(rows) > n else rows
+    # Below row n of the triangle there are targets alone.
+    return triangle[:n], float((triangle[n:, n:] ** 2).sum())
+
+
+def fewer_rows(rows: FloatArray) -> FloatArray:
+    """Return as many rows as columns, or fewer, with the same inner products."""
+    return np.asarray(np.linalg.qr(rows, mode="r")) if len(rows) > rows.shape[1] else rows
+
+
+def by_gain(control: FloatArray, forced: IntArray, free: IntArray, k: int) -> IntArray:
+    """Return columns by how much each explains in addition to those before it.
+
+    Subsets that lack the first of them then have a high bound.
+    """
+    rest = control
+    # A column that depends on those chosen explains nothing, whatever is left of it by rounding.
+    least = (TOLERANCE * np.linalg.norm(control, axis=0)) ** 2
+    for j in forced:
+        rest = _without(rest, j)
+    waiting = free.tolist()
+    order: list[int] = []
+    while waiting:
+        squares = (rest[:, waiting] ** 2).sum(axis=0)
+        gains = ((rest[:, waiting].T @ rest[:, k:]) ** 2).sum(axis=1)
+        gains = np.divide(gains, squares, out=np.zeros_like(gains), where=squares > least[waiting])
+        order.append(waiting.pop(int(gains.argmax())))
+        rest = _without(rest, order[-1])
+    return np.array(order, dtype=np.intp)
+
+
+def _without(rows: FloatArray, j: int) -> FloatArray:
+    """Return the columns orthogonal to column j."""
+    square = rows[:, j] @ rows[:, j]
+    if square == 0.0:
+        return rows
+    return np.asarray(rows - np.outer(rows[:, j], rows[:, j] @ rows / square))
