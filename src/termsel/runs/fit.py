@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping
 from typing import Any, cast
 
@@ -10,8 +11,13 @@ from termsel.errors import TermselError, unknown_name
 from termsel.fits.fit import Fit
 from termsel.guard.faults import blamed
 from termsel.io.sources import features_of
+from termsel.measurements.features import FeatureSet
+from termsel.measurements.roles import with_roles
 from termsel.models.base import SensorModel
 from termsel.plugins.registry import registry
+from termsel.runs.task.blank_heights import note_on_blank, to_leave_out
+
+log = logging.getLogger(__name__)
 
 
 def fit(features: Any, model: str | type[SensorModel] | SensorModel = "rfm", *,
@@ -59,19 +65,31 @@ def fit(features: Any, model: str | type[SensorModel] | SensorModel = "rfm", *,
     if isinstance(model, str):
         names = registry()
         if (model_type := names.known("models", model)) is not None:
-            return cast(type[SensorModel], model_type)(**options).fit(features)
+            return _fitted(cast(type[SensorModel], model_type)(**options), features)
         candidate: Candidate | None = names.known("candidates", model)
         if candidate is None:
             raise unknown_name("model", model, {*names.names("models"), *names.names("candidates")},
                                names.hint(model, "models", "candidates"))
         _refuse(options, f"candidate {model!r}")
         with blamed(candidate, "fit"):
-            return candidate.fit(features)
+            return candidate.fit(_with_heights(features))
     given = registry().taken("models", model)
     if isinstance(given, SensorModel):
         _refuse(options, f"model {given.name!r}, which has its options already,")
-        return given.fit(features)
-    return cast(type[SensorModel], given)(**options).fit(features)
+        return _fitted(given, features)
+    return _fitted(cast(type[SensorModel], given)(**options), features)
+
+
+def _fitted(model: SensorModel, features: FeatureSet) -> Fit:
+    return model.fit(_with_heights(features) if model.uses_height else features)
+
+
+def _with_heights(features: FeatureSet) -> FeatureSet:
+    """Return the features without those that lack a height, if the others have them; say so."""
+    blank = to_leave_out(features)
+    if blank:
+        log.warning("Note: %s", note_on_blank(blank, features))
+    return with_roles(features, dict.fromkeys(blank, "off"))
 
 
 def _refuse(options: dict[str, Any], what: str) -> None:

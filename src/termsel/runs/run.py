@@ -27,6 +27,7 @@ from termsel.runs.auto.strategy import LEAST, choose_for, wanted
 from termsel.runs.judgement.assess import assessed
 from termsel.runs.notebook import notebook_observer
 from termsel.runs.search.blunders_out import search_without_blunders
+from termsel.runs.task.blank_heights import to_leave_out
 from termsel.runs.task.task import DATA_OPTIONS, Task, ask, loaded, observe, prepare
 from termsel.solvers.base import Solver
 from termsel.solvers.search import Observer
@@ -174,7 +175,8 @@ def problem_for(features: FeatureSet | None, dataset: str | DatasetSpec | None =
                            hint="Give points or lines, or name a problem.")
     if len(features.lines):
         return "owdis-lines"
-    return "poly-terms" if features.without_height() else "rfm-terms"
+    plane = features.without_height() and not to_leave_out(features)
+    return "poly-terms" if plane else "rfm-terms"
 
 
 def _method(asked: Mapping[str, Any], *budgets: float | None) -> dict[str, Any]:

@@ -159,7 +159,8 @@ def choose_for(request: Request, observations: Observations, seed: int,
     watch = _Watch(observers, len(portfolio.offered(observations.pool)),
                    folds_of(observations.pool.features))
     watch.tell("blunders")
-    of_data = tuple(notes_on_data(request.features, observations, heights=True))
+    of_data = tuple(notes_on_data(
+        request.features, observations, heights=True, blank=request.blank))
     clean, outliers, notes = without_blunders(observations, portfolio)
     control, both = clean.pool, clean.pool.features
     choice, errors, interrupted = None, None, False

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from termsel.measurements.features import FeatureSet, FloatArray, Points
 from termsel.measurements.joined import join_points
 from termsel.measurements.roles import Observations
 from termsel.measurements.twins import groups, twins
+from termsel.runs.task.blank_heights import note_on_blank
 
 SOME = 5
 """Number of points from which on heights may be told from errors."""
@@ -25,7 +26,8 @@ NARROW = 0.02
 line."""
 
 
-def notes_on_data(read: FeatureSet, observations: Observations, heights: bool) -> Iterator[str]:
+def notes_on_data(read: FeatureSet, observations: Observations, heights: bool,
+                  blank: Sequence[str] = ()) -> Iterator[str]:
     """Yield what the reader of a result must know of the data.
 
     Parameters
@@ -36,7 +38,11 @@ def notes_on_data(read: FeatureSet, observations: Observations, heights: bool) -
         The same features, each in its role.
     heights : bool
         Whether heights would be used.
+    blank : sequence of str
+        Features that were left out as they have no height.
     """
+    if blank:
+        yield note_on_blank(blank, read)
     if jumps(read):
         yield ("The longitudes jump by a full turn between points. They were made continuous: on "
                "one side they go on beyond 180 degrees.")

@@ -32,6 +32,7 @@ from termsel.problems.base import Inputs, Problem
 from termsel.problems.constraints import MAX_SHARE
 from termsel.problems.parameters import ParameterProblem
 from termsel.problems.recipes import Recipe
+from termsel.runs.task.blank_heights import to_leave_out
 from termsel.runs.task.enough import require_enough
 from termsel.runs.task.fit_crs import FIT_CRS, with_fit_crs
 from termsel.runs.task.given import class_of, objectives_of, second_solver, with_options
@@ -86,6 +87,8 @@ class Request:
         Of the second of two steps, if it is another one.
     set_options : tuple of str
         Names of the options of the model that are given.
+    blank : tuple of str
+        Features that are left out as they have no height.
     """
 
     recipe: Recipe
@@ -97,6 +100,7 @@ class Request:
     options: Mapping[str, Mapping[str, Any]]
     then: Solver | None = None
     set_options: tuple[str, ...] = ()
+    blank: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -116,10 +120,8 @@ class Task(Glance):
         As read, all roles together.
     source : str
         Where the features come from.
-    options : mapping
-        Options by part: problem, data, search.
-    then : Solver, optional
-        Of the second of two steps, if it is another one.
+    options, then, blank
+        As of `Request`.
     """
 
     recipe: Recipe
@@ -133,7 +135,7 @@ class Task(Glance):
     source: str
     options: Mapping[str, Mapping[str, Any]]
     then: Solver | None = None
-
+    blank: tuple[str, ...] = ()
 
     def _glance(self) -> tuple[str, Mapping[str, str]]:
         method = ", ".join(part.name for part in (self.model, self.solver, self.criterion))
@@ -241,10 +243,12 @@ def ask(
         features = loaded(spec)
         source = f"{spec.name} (simulated)" if spec.simulated else spec.name
     features = with_roles(features, named)
+    blank = to_leave_out(features) if made["model"].uses_height else ()
+    features = with_roles(features, dict.fromkeys(blank, "off"))
     return Request(recipe, made["model"], made["criterion"], made["solver"], features,
                    printable(source or "given in Python"),
                    {"problem": of_problem, "data": of_data, "search": of_search},
-                   made.get("then"), set_options)
+                   made.get("then"), set_options, blank)
 
 
 def loaded(spec: DatasetSpec) -> FeatureSet:
@@ -333,7 +337,8 @@ def build(request: Request, observations: Observations, scaling: Scaling,
     data = {**request.options["data"], "check_as": _check_as(request, observations)}
     return Task(request.recipe, problem, inputs.model, request.solver, request.criterion,
                 observations, scaling, request.features, request.source,
-                {**request.options, "problem": inputs.options, "data": data}, request.then)
+                {**request.options, "problem": inputs.options, "data": data}, request.then,
+                request.blank)
 
 
 def _refuse_searched(request: Request, problem: ParameterProblem) -> None:
