@@ -27,7 +27,7 @@ from termsel.formats.readers.csv_tables import write_points_csv
 from termsel.studies.cells.journal import JOURNAL, read_journal
 from termsel.studies.cells.table import TIMES
 from termsel.studies.compare import asked, plan_cells, works_of
-from termsel.studies.execution.progress import Progress
+from termsel.studies.execution.progress import StudyProgress
 
 STUDY = """problems = [{name = "poly-terms", degree = 3}]
 solvers = ["random", "ga"]
@@ -57,7 +57,7 @@ def overhead(cells: int, workers: int) -> None:
     """Print CPU time and memory of a study of very small cells, next to those of its runs."""
     marks: dict[int, float] = {}
 
-    def watch(progress: Progress) -> None:
+    def watch(progress: StudyProgress) -> None:
         if progress.finished % max(cells // 10, 1) == 0:
             marks[progress.finished] = memory()
 

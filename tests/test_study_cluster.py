@@ -19,7 +19,7 @@ import pytest
 import termsel
 from termsel import TermselError
 from termsel.studies.cells.table import TIMES
-from termsel.studies.execution.progress import Progress
+from termsel.studies.execution.progress import StudyProgress
 
 pytest.importorskip("distributed")
 
@@ -87,7 +87,7 @@ def test_a_cluster_gives_what_one_process_gives_whatever_is_lost(cluster: Cluste
     alone = termsel.compare(**asked)
     lost: list[str] = []
 
-    def interfere(progress: Progress) -> None:
+    def interfere(progress: StudyProgress) -> None:
         if progress.finished == 4 and "worker" not in lost:
             lost.append("worker")
             cluster.workers[0].kill()

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from rich.progress import ProgressColumn
 
     from termsel.solvers.ledger import Progress
-    from termsel.studies.execution.progress import Progress as StudyProgress
+    from termsel.studies.execution.progress import StudyProgress
 
 
 @contextmanager

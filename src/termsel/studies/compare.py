@@ -24,7 +24,7 @@ from termsel.studies.cells.journal import Journal, read_journal
 from termsel.studies.cells.lock import locked
 from termsel.studies.execution.executors import processes, serial
 from termsel.studies.execution.interruption import deferred
-from termsel.studies.execution.progress import Progress, Tally
+from termsel.studies.execution.progress import StudyProgress, Tally
 from termsel.studies.execution.work import Outcome, Work, do, failed
 from termsel.studies.plan.data import data_of
 from termsel.studies.plan.spec import Spec, read_spec, spec_of
@@ -33,7 +33,7 @@ from termsel.studies.study import Study
 
 log = logging.getLogger(__name__)
 
-Observer = Callable[[Progress], None]
+Observer = Callable[[StudyProgress], None]
 
 
 def compare(
@@ -59,8 +59,8 @@ def compare(
     scheduler : str, optional
         Address of a dask scheduler, such as "tcp://host:8786"; its workers run the cells.
     observers : tuple of callable
-        Called with `Progress` when the study begins and after every cell. In a notebook one more
-        shows the progress.
+        Called with `StudyProgress` when the study begins and after every cell. In a notebook one
+        more shows the progress.
     **keys
         Keys of a study file, in place of `study` or of what it says: problems, models, solvers,
         criteria, strategies, data, seeds, splits, budget, options, exports, measure, title.

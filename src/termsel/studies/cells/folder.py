@@ -15,7 +15,7 @@ from termsel.studies.cells.cell import LABELS, Cell
 from termsel.studies.cells.journal import read_journal
 from termsel.studies.cells.lock import holder
 from termsel.studies.cells.record import CellRecord
-from termsel.studies.execution.progress import Progress, Tally, tally_of
+from termsel.studies.execution.progress import StudyProgress, Tally, tally_of
 from termsel.studies.plan.spec import FILES, PARTS, READING, Part, Source, Spec, spec_of
 from termsel.studies.study import Study
 
@@ -133,7 +133,7 @@ def read_study(folder: Path | str) -> Study:
                  Path(folder))
 
 
-def status(folder: Path) -> tuple[Progress, str | None]:
+def status(folder: Path) -> tuple[StudyProgress, str | None]:
     """Return how far the study of a folder is, and who is at work on it.
 
     Parameters

@@ -14,7 +14,7 @@ from termsel.studies.execution.work import STATES
 
 
 @dataclass(frozen=True)
-class Progress:
+class StudyProgress:
     """State of a study.
 
     Parameters
@@ -102,10 +102,10 @@ class Tally:
         if value is not None and value > self._worst[0]:
             self._worst = (value, f"{self.names[record.cell]}: {value:.3g} px")
 
-    def progress(self) -> Progress:
+    def progress(self) -> StudyProgress:
         """Return the state of the study."""
         total, waiting = len(self.kinds), sum(self._left.values())
-        return Progress(total, {**self._states, WAITING: waiting}, self._seconds_left(),
+        return StudyProgress(total, {**self._states, WAITING: waiting}, self._seconds_left(),
                         self._worst[1])
 
     def _seconds_left(self) -> float | None:
