@@ -192,6 +192,10 @@ def _infinite_for_nothing(selected: PopulationSelection) -> np.ndarray:
         return np.asarray(1.0 / n_terms(selected))
 
 
+def _of_points(selected: PopulationSelection) -> np.ndarray:
+    return np.asarray(selected.features @ selected.control.points.image[:, 0])
+
+
 def _random(selected: PopulationSelection) -> np.ndarray:
     return n_terms(selected) + np.random.default_rng().random()
 
@@ -211,6 +215,7 @@ def _clears(selected: PopulationSelection) -> np.ndarray:
     (Objective("n", " ", n_terms), "declaration", "it says nothing of itself"),
     (Objective("n", "N.", _column), "figure_each", r"an array of shape \(8, 1\); expected"),
     (Objective("n", "N.", _infinite_for_nothing), "figure_each", "numbers that are not finite"),
+    (Objective("n", "N.", _of_points), "control_kinds", "ValueError was raised"),
     (Objective("n", "N.", _random), "deterministic", "differs from one call or process"),
     (Objective("n", "N.", lambda s: n_terms(s)), "deterministic", "cannot be sent to another"),
     (Objective("n", "N.", _ranks), "one_by_one", "among others an individual gets"),

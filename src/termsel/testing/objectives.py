@@ -43,6 +43,17 @@ def figure_each(objective: Objective) -> None:
         require(what is None, f"score() of {len(selected.terms)} individuals {what}")
 
 
+def control_kinds(objective: Objective) -> None:
+    """It gives figures of selections among lines, and among points and lines, too.
+
+    One that cannot has this check among its expected failures.
+    """
+    for points, lines in ((0, 14), (10, 4)):
+        for selected in _selections(points, lines):
+            what = of_shape(objective.score(selected), (len(selected.terms),))
+            require(what is None, f"score() with {points} points and {lines} lines {what}")
+
+
 def deterministic(objective: Objective) -> None:
     """The same selections get the same figures, here and in another process."""
     for selected in _selections():
@@ -81,17 +92,18 @@ def cases(objective: Objective) -> list[Case]:
     return [Case(objective.name, lambda: objective)]
 
 
-SUITE = Suite((declaration, figure_each, deterministic, one_by_one, inputs_unchanged), cases)
+SUITE = Suite((declaration, figure_each, control_kinds, deterministic, one_by_one,
+               inputs_unchanged), cases)
 
 
-def _selections() -> list[PopulationSelection]:
+def _selections(points: int = 14, lines: int = 0) -> list[PopulationSelection]:
     """Return what problems of terms, and of features, show to an objective.
 
     The individuals select nothing, all, and something between.
     """
     model, rng = Affine(), seeded()
     truth = random_coefficients(model, rng)
-    control = imaged(model, truth, rng, points=10, lines=4)
+    control = imaged(model, truth, rng, points=points, lines=lines)
     check: Points = imaged(model, truth, rng, points=10).points
     recorder = _Recorder()
     inputs = Inputs(model, control, check, 1000.0, CheckRmse(), {},
