@@ -20,13 +20,7 @@ if TYPE_CHECKING:
 
 @contextmanager
 def search_bar(title: str, quiet: bool) -> Iterator[Callable[[Progress], None] | None]:
-    """Yield an observer that shows how far a run is, or None where nobody would see it.
-
-    Parameters
-    ----------
-    title : str
-    quiet : bool
-    """
+    """Yield an observer that shows how far a run is, or None where nobody would see it."""
     if quiet or not sys.stderr.isatty():
         yield None
         return
@@ -58,13 +52,7 @@ def _bound(progress: Progress) -> str:
 
 @contextmanager
 def share_bar(title: str, quiet: bool) -> Iterator[Callable[[float], None] | None]:
-    """Yield a function that shows the fraction done, or None where nobody would see it.
-
-    Parameters
-    ----------
-    title : str
-    quiet : bool
-    """
+    """Yield a function that shows the fraction done, or None where nobody would see it."""
     if quiet or not sys.stderr.isatty():
         yield None
         return
@@ -75,12 +63,7 @@ def share_bar(title: str, quiet: bool) -> Iterator[Callable[[float], None] | Non
 
 @contextmanager
 def study_bar(quiet: bool) -> Iterator[Callable[[StudyProgress], None] | None]:
-    """Yield an observer that shows how far a study is, or None where nobody would see it.
-
-    Parameters
-    ----------
-    quiet : bool
-    """
+    """Yield an observer that shows how far a study is, or None where nobody would see it."""
     if quiet or not sys.stderr.isatty():
         yield None
         return

@@ -11,13 +11,7 @@ from termsel.errors import printable
 
 
 def print_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-    """Print a table.
-
-    Parameters
-    ----------
-    header : sequence of str
-    rows : sequence of sequence of str
-    """
+    """Print a table."""
     if stdout().isatty():
         _draw(header, rows)
         return

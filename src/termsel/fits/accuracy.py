@@ -145,13 +145,7 @@ def distances(kind: Callable[[int, float, float, float, float, float], _Distance
 
 
 def accuracy_of(fitted: Fit, independent: Points) -> Accuracy | None:
-    """Return the accuracy on independent points; None without any.
-
-    Parameters
-    ----------
-    fitted : Fit
-    independent : Points
-    """
+    """Return the accuracy on independent points; None without any."""
     if not len(independent):
         return None
     errors = fitted.errors(independent)

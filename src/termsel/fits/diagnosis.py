@@ -37,10 +37,6 @@ def doubts(fit: Fit) -> Doubts | None:
     distance of a projected vertex from the image line. Yavari et al. 2018 remark that OWDIS
     leaves blunders out; to tell them from superfluous ones is termsel's own.
 
-    Parameters
-    ----------
-    fit : Fit
-
     Returns
     -------
     Doubts or None
@@ -126,12 +122,7 @@ class Diagnosis:
 
 
 def diagnose(fit: Fit) -> Diagnosis:
-    """Return the diagnosis of a fit.
-
-    Parameters
-    ----------
-    fit : Fit
-    """
+    """Return the diagnosis of a fit."""
     lines = fit.control.take(fit.used).lines
     return Diagnosis(significance(fit), tuple(correlations(fit)), doubts(fit),
                      orientation_spread(lines) if len(lines) else None)

@@ -60,11 +60,6 @@ def errors_on_ground(fitted: Fit, residuals: Residuals) -> FloatArray:
 
     Each leads from the feature to the place where the fit sees its measured image position.
 
-    Parameters
-    ----------
-    fitted : Fit
-    residuals : Residuals
-
     Returns
     -------
     ndarray, shape (n, 2)

@@ -180,10 +180,6 @@ def located(error: TermselError, file: Path | None, line: int | None = None,
 def read_text(path: Path) -> str:
     """Return the text of a UTF-8 file, without a byte order mark, line ends as they are.
 
-    Parameters
-    ----------
-    path : pathlib.Path
-
     Raises
     ------
     TermselError
@@ -204,10 +200,6 @@ def read_text(path: Path) -> str:
 
 def read_data(path: Path) -> bytes:
     """Return what a file holds.
-
-    Parameters
-    ----------
-    path : pathlib.Path
 
     Raises
     ------

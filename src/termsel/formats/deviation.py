@@ -22,10 +22,6 @@ _ACROSS = 15  # places along either side of the image at which files are compare
 def places_of(fitted: Fit) -> FloatArray:
     """Return ground places over the image, at the lowest, middle and highest control.
 
-    Parameters
-    ----------
-    fitted : Fit
-
     Returns
     -------
     ndarray, shape (n, 3)

@@ -13,10 +13,6 @@ def in_order(features: FeatureSet) -> FeatureSet:
     """Return features in the order of their ids, in which P2 comes before P10.
 
     What chance or ties decide is then the same, however the rows of a file are ordered.
-
-    Parameters
-    ----------
-    features : FeatureSet
     """
     points, lines = ([i for _, i in sorted((_by_name(name), i) for i, name in enumerate(part.ids))]
                      for part in (features.points, features.lines))

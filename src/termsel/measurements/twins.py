@@ -60,10 +60,6 @@ def firsts(labels: IntArray) -> IntArray:
 def merged(features: FeatureSet) -> FeatureSet:
     """Return features in which twins count as one point, at their mean.
 
-    Parameters
-    ----------
-    features : FeatureSet
-
     Returns
     -------
     FeatureSet

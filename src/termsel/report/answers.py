@@ -97,12 +97,7 @@ def _accuracy(record: Record) -> Iterator[Block]:
 
 
 def statement(record: Record) -> str:
-    """Return the accuracy as a statement that can be pasted.
-
-    Parameters
-    ----------
-    record : Record
-    """
+    """Return the accuracy as a statement that can be pasted."""
     accuracy, predicted = record.accuracy, record.predicted
     if accuracy:
         image, ground = accuracy.image, accuracy.ground

@@ -28,10 +28,6 @@ def label_of(name: str) -> str:
 def fits_of(record: Record) -> Iterator[tuple[str, bool, int, RmseByRole]]:
     """Yield this result, then all fits without a search.
 
-    Parameters
-    ----------
-    record : Record
-
     Yields
     ------
     label : str

@@ -26,10 +26,6 @@ def offline(chart: Any) -> Any:
 
     It remains an Altair chart. So does what is made of it by its methods, such as ``properties``.
     Who enables a renderer of Altair gets that one.
-
-    Parameters
-    ----------
-    chart : altair.Chart
     """
     shown = chart.copy(deep=False)
     kind: Any = type(chart)
@@ -49,12 +45,7 @@ def _offline(kind: Any) -> type:
 
 
 def html_of(chart: Any) -> str:
-    """Return a chart for the output of a cell.
-
-    Parameters
-    ----------
-    chart : altair.Chart
-    """
+    """Return a chart for the output of a cell."""
     global _sent
     import vl_convert
 

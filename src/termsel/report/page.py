@@ -34,10 +34,6 @@ from termsel.report.theme import styled
 def page(document: Document) -> str:
     """Return what is shown of a result or a study as a page of HTML.
 
-    Parameters
-    ----------
-    document : Document
-
     Raises
     ------
     TermselError

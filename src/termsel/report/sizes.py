@@ -52,13 +52,7 @@ def others(by_size: Sequence[SizeRow], criterion: str) -> Iterator[str]:
 
 
 def recommended(members: Sequence[Member | SizeRow], chosen: SelectionRecord) -> int | None:
-    """Return the number of the member that is the selection; None if none is.
-
-    Parameters
-    ----------
-    members : sequence of Member or SizeRow
-    chosen : SelectionRecord
-    """
+    """Return the number of the member that is the selection; None if none is."""
     return next((i for i, one in enumerate(members)
                  if one.selection.terms == chosen.terms
                  and one.selection.features == chosen.features), None)

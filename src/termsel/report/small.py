@@ -22,10 +22,6 @@ def small_map(view: View) -> str:
     """Return residuals as arrows over the outline of the image, as SVG without title and axes.
 
     Each drawing has a scale of its own, which a bar shows.
-
-    Parameters
-    ----------
-    view : View
     """
     top, left, bottom, right = view.image_box
     across, down = max(right - left, 1.0), max(bottom - top, 1.0)

@@ -15,12 +15,7 @@ _WIDEST_COLUMN = 60
 
 
 def text_of(document: Document) -> str:
-    """Return what is shown of a result or a study as text.
-
-    Parameters
-    ----------
-    document : Document
-    """
+    """Return what is shown of a result or a study as text."""
     lines = [document.title, *_wrapped(document.subtitle), *_lines(document.facts)]
     for section in document.sections:
         lines += ["", section.title, *_lines(section.blocks)]

@@ -41,13 +41,7 @@ def require_altair() -> Any:
 
 
 def styled(chart: Any, title: str = "", look: str = "") -> Any:
-    """Return a chart in the common style, with its title and what to look for.
-
-    Parameters
-    ----------
-    chart : altair.Chart
-    title, look : str
-    """
+    """Return a chart in the common style, with its title and what to look for."""
     alt = require_altair()
     if title:
         chart = chart.properties(title=alt.Title(title, subtitle=_wrapped(look)))

@@ -17,12 +17,7 @@ SEALS = "checksums"
 
 
 def of_features(features: FeatureSet) -> str:
-    """Return a checksum of ids, coordinates, roles, standard deviations and CRS.
-
-    Parameters
-    ----------
-    features : FeatureSet
-    """
+    """Return a checksum of ids, coordinates, roles, standard deviations and CRS."""
     digest = hashlib.sha256(features.crs.encode())
     digest.update("\n".join(features.points.roles).encode())
     for sigma in (features.points.sigma, features.lines.sigma):
@@ -40,10 +35,6 @@ def of_attributes(features: FeatureSet) -> str | None:
 
     It is not part of `of_features`, so that earlier versions of termsel, which leave these columns
     out, read results with attributes.
-
-    Parameters
-    ----------
-    features : FeatureSet
     """
     columns = [{name: cells.tolist() for name, cells in part.attributes.items()}
                for part in (features.points, features.lines)]
@@ -51,12 +42,7 @@ def of_attributes(features: FeatureSet) -> str | None:
 
 
 def of_record(record: Mapping[str, Any]) -> str:
-    """Return a checksum of the content of result.json, whatever its layout, without checksums.
-
-    Parameters
-    ----------
-    record : mapping
-    """
+    """Return a checksum of the content of result.json, whatever its layout, without checksums."""
     plain = json.dumps({key: value for key, value in record.items() if key != SEALS},
                        sort_keys=True)
     return hashlib.sha256(plain.encode()).hexdigest()

@@ -28,12 +28,7 @@ from termsel.record.record import FitRecord
 
 
 def fit_record(fitted: Fit) -> FitRecord:
-    """Return how the coefficients of a fit were found.
-
-    Parameters
-    ----------
-    fitted : Fit
-    """
+    """Return how the coefficients of a fit were found."""
     made = fitted.made or fitted
     held_out = None if made.held_out is None else made.held_out.errors.tolist()
     return FitRecord(made.estimator.name, made.estimator.options,

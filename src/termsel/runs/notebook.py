@@ -20,12 +20,7 @@ _inside = ContextVar("_inside", default=False)
 
 
 def notebook_observer(title: str) -> Callable[[Progress], None] | None:
-    """Return an observer that shows how far a run is; None outside a notebook and in a study.
-
-    Parameters
-    ----------
-    title : str
-    """
+    """Return an observer that shows how far a run is; None outside a notebook and in a study."""
     show = _line(title)
     if show is None:
         return None
@@ -43,10 +38,6 @@ def notebook_observer(title: str) -> Callable[[Progress], None] | None:
 @contextmanager
 def line_of_many(title: str) -> Iterator[Callable[[str, bool], None]]:
     """Show one line for many runs, which show none of their own.
-
-    Parameters
-    ----------
-    title : str
 
     Yields
     ------

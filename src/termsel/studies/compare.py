@@ -163,12 +163,7 @@ def plan_cells(spec: Spec, folder: Path) -> list[Cell]:
 
 
 def works_of(cells: list[Cell]) -> tuple[list[Work], dict[str, FeatureSet]]:
-    """Return what workers are given of cells that can run, and the features by their key.
-
-    Parameters
-    ----------
-    cells : list of Cell
-    """
+    """Return what workers are given of cells that can run, and the features by their key."""
     works = [Work(cell.key, cell.call, cell.data.key, cell.data.source, cell.things)
              for cell in cells if cell.data.features is not None]
     return works, {cell.data.key: cell.data.features for cell in cells

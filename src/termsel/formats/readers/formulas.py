@@ -12,21 +12,12 @@ def guarded(text: str) -> str:
 
     A spreadsheet runs text that begins with = + - or @, unless an apostrophe is in front of it.
     Numbers stay as they are.
-
-    Parameters
-    ----------
-    text : str
     """
     return f"'{text}" if _FORMULA.match(text) and not is_number(text) else text
 
 
 def unguarded(text: str) -> str:
-    """Return a cell without the apostrophe that guards it.
-
-    Parameters
-    ----------
-    text : str
-    """
+    """Return a cell without the apostrophe that guards it."""
     return text[1:] if text[:1] == "'" and _FORMULA.match(text) else text
 
 

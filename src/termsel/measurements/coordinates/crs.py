@@ -242,12 +242,7 @@ def height_reference(crs: str) -> str:
 
 
 def vertical_datum(crs: CRS) -> str:
-    """Return the vertical datum of a CRS, "" if it has none.
-
-    Parameters
-    ----------
-    crs : pyproj.CRS
-    """
+    """Return the vertical datum of a CRS, "" if it has none."""
     if len(crs.axis_info) < 3:
         return ""
     vertical = [part for part in crs.sub_crs_list if part.is_vertical]

@@ -43,12 +43,7 @@ def nearest(lon: FloatArray, middle: float) -> FloatArray:
 
 
 def jumps(features: FeatureSet) -> bool:
-    """Return whether longitudes of features jump, whatever independent points and others do.
-
-    Parameters
-    ----------
-    features : FeatureSet
-    """
+    """Return whether longitudes of features jump, whatever independent points and others do."""
     lon = features.ground_vertices()[_deciding(features), 0]
     return bool(len(lon)) and is_geographic(features.crs) and (continuous(lon) != lon).any()
 

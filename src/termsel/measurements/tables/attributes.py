@@ -97,12 +97,7 @@ def joined(first: Attributes, n: int, second: Attributes, m: int) -> dict[str, T
 
 
 def distinct(names: Iterable[str]) -> list[str]:
-    """Return names, of those alike the first: upper and lower case count as the same.
-
-    Parameters
-    ----------
-    names : iterable of str
-    """
+    """Return names, of those alike the first: upper and lower case count as the same."""
     found: dict[str, str] = {}
     for name in names:
         found.setdefault(name.casefold(), name)

@@ -18,10 +18,6 @@ from termsel.measurements.tables.attributes import Attributes
 def frame(columns: Mapping[str, Any]) -> Any:
     """Return columns as a pandas DataFrame.
 
-    Parameters
-    ----------
-    columns : mapping
-
     Raises
     ------
     TermselError

@@ -16,10 +16,6 @@ def refused(name: str) -> str:
 
     An id is printable, without line breaks, and not blank, so that tables keep it and a terminal
     shows it.
-
-    Parameters
-    ----------
-    name : str
     """
     if not name:
         return "is blank"

@@ -90,11 +90,6 @@ def assessed(task: Task, found: Search) -> Result:
     """Return the figures of what a search found.
 
     This is where independent points are looked at, for the first and only time.
-
-    Parameters
-    ----------
-    task : Task
-    found : Search
     """
     observations = task.observations
     selection = task.problem.decode(found.genes)
@@ -180,14 +175,7 @@ def is_feasible(task: Task, found: Search, chosen: Fit) -> bool:
 
 
 def estimated(task: Task, selection: Selection, found: Search) -> Fit:
-    """Return the fit of a selection, by the estimator that the task or the solver asks for.
-
-    Parameters
-    ----------
-    task : Task
-    selection : Selection
-    found : Search
-    """
+    """Return the fit of a selection, by the estimator that the task or the solver asks for."""
     chosen = fit_of(task, selection)
     if task.options["problem"].get("shrink"):
         return RidgeByOrder().fit(chosen.model, chosen.control, task.scaling, chosen.terms,

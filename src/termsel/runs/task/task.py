@@ -285,12 +285,7 @@ def observe(request: Request, least: int = MIN_CONTROL) -> Observations:
 
 
 def all_control(request: Request) -> bool:
-    """Return whether the points are too few to give any away, and nobody asks for it.
-
-    Parameters
-    ----------
-    request : Request
-    """
+    """Return whether the points are too few to give any away, and nobody asks for it."""
     of_data = request.options["data"]
     roles = [role for role in request.features.points.roles if role != "off"]
     return (len(roles) < FEW and not {"control", "check"} & set(roles)
@@ -300,13 +295,7 @@ def all_control(request: Request) -> bool:
 
 
 def scale(request: Request, observations: Observations) -> tuple[Scaling, Inputs]:
-    """Return the scaling of the control, and what a problem is made of in scaled coordinates.
-
-    Parameters
-    ----------
-    request : Request
-    observations : Observations
-    """
+    """Return the scaling of the control, and what a problem is made of in scaled coordinates."""
     scaling = scaling_of(observations.control)
     return scaling, Inputs(
         request.model.prepared(scaling, request.features.crs),
@@ -317,15 +306,7 @@ def scale(request: Request, observations: Observations) -> tuple[Scaling, Inputs
 
 def build(request: Request, observations: Observations, scaling: Scaling,
           inputs: Inputs) -> Task:
-    """Return the task: the recipe's problem, for a solver that can handle it.
-
-    Parameters
-    ----------
-    request : Request
-    observations : Observations
-    scaling : Scaling
-    inputs : Inputs
-    """
+    """Return the task: the recipe's problem, for a solver that can handle it."""
     with blamed(request.recipe.build, "build"):
         problem = request.recipe.build(inputs)
     _require_type(request.recipe.build, "build", problem, Problem)

@@ -55,26 +55,13 @@ class Plan:
 
 
 def plan_of(spec: Spec, cells: Sequence[Cell], workers: int) -> Plan:
-    """Return the plan of a study.
-
-    Parameters
-    ----------
-    spec : Spec
-    cells : sequence of Cell
-    workers : int
-    """
+    """Return the plan of a study."""
     return Plan(spec, {cell.data.label: cell.data.key for cell in cells}, workers,
                 {cell.key: cell.labels for cell in cells})
 
 
 def write_plan(plan: Plan, folder: Path) -> None:
-    """Write a plan into the folder of its study.
-
-    Parameters
-    ----------
-    plan : Plan
-    folder : pathlib.Path
-    """
+    """Write a plan into the folder of its study."""
     write_text(folder / PLAN, json.dumps(
         {"study": table_of(plan.spec), "data": plan.data, "workers": plan.workers,
          "cells": plan.cells}, indent=1) + "\n")
@@ -82,10 +69,6 @@ def write_plan(plan: Plan, folder: Path) -> None:
 
 def read_plan(folder: Path) -> Plan:
     """Return the plan of a study.
-
-    Parameters
-    ----------
-    folder : pathlib.Path
 
     Raises
     ------
@@ -136,10 +119,6 @@ def read_study(folder: Path | str) -> Study:
 def status(folder: Path) -> tuple[StudyProgress, str | None]:
     """Return how far the study of a folder is, and who is at work on it.
 
-    Parameters
-    ----------
-    folder : pathlib.Path
-
     Raises
     ------
     TermselError
@@ -149,12 +128,7 @@ def status(folder: Path) -> tuple[StudyProgress, str | None]:
 
 
 def table_of(spec: Spec) -> dict[str, Any]:
-    """Return what a study asks for as its file would say it; `spec_of` is the inverse.
-
-    Parameters
-    ----------
-    spec : Spec
-    """
+    """Return what a study asks for as its file would say it; `spec_of` is the inverse."""
     table = {
         "title": spec.title, **{kind: list(map(_named, getattr(spec, kind))) for kind in PARTS},
         "strategies": spec.strategies,

@@ -125,10 +125,6 @@ class Journal:
 def read_journal(folder: Path) -> Journal:
     """Return the journal of a folder, empty if there is none. Nothing is changed.
 
-    Parameters
-    ----------
-    folder : pathlib.Path
-
     Raises
     ------
     TermselError

@@ -20,10 +20,6 @@ LOCK = ".lock"
 def locked(folder: Path) -> Iterator[None]:
     """Hold the lock of a folder; the system takes it away from a process that ends.
 
-    Parameters
-    ----------
-    folder : pathlib.Path
-
     Raises
     ------
     TermselError
@@ -48,12 +44,7 @@ def locked(folder: Path) -> Iterator[None]:
 
 
 def holder(folder: Path) -> str | None:
-    """Return who is at work in a folder: process, machine and since when; None if nobody is.
-
-    Parameters
-    ----------
-    folder : pathlib.Path
-    """
+    """Return who is at work in a folder: process, machine and since when; None if nobody is."""
     if not (folder / LOCK).exists():
         return None
     with _opened(folder, "r+b") as file:

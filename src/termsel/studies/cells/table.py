@@ -27,12 +27,7 @@ Row = dict[str, Any]
 
 
 def columns_of(strategies: Sequence[str]) -> tuple[str, ...]:
-    """Return the columns of a study's table.
-
-    Parameters
-    ----------
-    strategies : sequence of str
-    """
+    """Return the columns of a study's table."""
     return (*LABELS, "state", "reason", *(_AUTO if "auto" in strategies else ()),
             *(_SEARCH if "as-asked" in strategies else ()), *_BOTH, *_LAST)
 
@@ -67,13 +62,7 @@ def _badness(row: Row) -> tuple[int, float]:
 
 
 def csv_of(rows: Sequence[Row], columns: Sequence[str]) -> str:
-    """Return rows as CSV; lists have semicolons, and what is not known is blank.
-
-    Parameters
-    ----------
-    rows : sequence of dict
-    columns : sequence of str
-    """
+    """Return rows as CSV; lists have semicolons, and what is not known is blank."""
     page = io.StringIO()
     writer = csv.writer(page, lineterminator="\n")
     writer.writerow(columns)

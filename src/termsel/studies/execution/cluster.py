@@ -151,12 +151,7 @@ def require_alike(needed: Mapping[str, str], found: Mapping[str, str | None], wo
 
 @cache
 def versions_here(names: tuple[str, ...]) -> dict[str, str | None]:
-    """Return the versions of packages and plugins in this process.
-
-    Parameters
-    ----------
-    names : tuple of str
-    """
+    """Return the versions of packages and plugins in this process."""
     own: dict[str, Any] = versions()
     plugins = {plugin.distribution: plugin.version for plugin in registry().plugins}
     return {name: own.get(name, plugins.get(name)) for name in names}

@@ -54,12 +54,7 @@ class StudyProgress:
 
 
 def duration(seconds: float) -> str:
-    """Return a time in words, to the nearest second, minute or tenth of an hour.
-
-    Parameters
-    ----------
-    seconds : float
-    """
+    """Return a time in words, to the nearest second, minute or tenth of an hour."""
     if seconds < 90:
         return f"{max(seconds, 1):.0f} s"
     return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"

@@ -84,12 +84,7 @@ class _OutOfTime(TermselError):
 
 
 def failed(key: str, reason: str) -> Outcome:
-    """Return the outcome of a cell that has no result.
-
-    Parameters
-    ----------
-    key, reason : str
-    """
+    """Return the outcome of a cell that has no result."""
     return Outcome(CellRecord(key, FAILED, reason, {}, [], []))
 
 
@@ -109,11 +104,6 @@ def _quiet() -> Iterator[None]:
 @_quiet()
 def do(work: Work, features: FeatureSet) -> Outcome:
     """Run a cell.
-
-    Parameters
-    ----------
-    work : Work
-    features : FeatureSet
 
     Returns
     -------

@@ -32,10 +32,6 @@ _STEPS = 60
 def figures_of(study: Study) -> list[Figure]:
     """Return the charts of a study, those that its runs allow.
 
-    Parameters
-    ----------
-    study : Study
-
     Raises
     ------
     TermselError
@@ -94,12 +90,7 @@ def running_times(groups: Groups, column: int) -> Figure:
 
 
 def convergence(groups: Groups) -> Figure:
-    """Return the best value by evaluations, median and quartiles, a panel an instance.
-
-    Parameters
-    ----------
-    groups : Groups
-    """
+    """Return the best value by evaluations, median and quartiles, a panel an instance."""
     alt = require_altair()
     rows = []
     for instance in list(groups.instances)[:_MOST_PANELS]:
@@ -130,12 +121,7 @@ def convergence(groups: Groups) -> Figure:
 
 
 def profile(groups: Groups) -> Figure:
-    """Return the performance profile of the methods over the instances.
-
-    Parameters
-    ----------
-    groups : Groups
-    """
+    """Return the performance profile of the methods over the instances."""
     alt = require_altair()
     values = medians_of(groups)
     ratios = np.geomspace(1, 10, 100)

@@ -21,10 +21,6 @@ FORMAT = "0.3.5"
 def ioh_files(groups: Groups) -> Iterator[tuple[str, str]]:
     """Yield the files of a study for IOHprofiler: a folder a method, two files an instance.
 
-    Parameters
-    ----------
-    groups : Groups
-
     Yields
     ------
     name, content : str

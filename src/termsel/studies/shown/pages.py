@@ -17,12 +17,7 @@ from termsel.studies.study import Study
 
 
 def tables_of(study: Study) -> tuple[list[TableBlock], list[str]]:
-    """Return the tables of a study, and what may be claimed.
-
-    Parameters
-    ----------
-    study : Study
-    """
+    """Return the tables of a study, and what may be claimed."""
     rows = study.rows
     tables = [_images([row for row in rows if row["strategy"] == "auto"])]
     if study.spec.strategies == ("auto",):
@@ -121,12 +116,7 @@ def shown(value: float | None, digits: int) -> str:
 
 
 def markdown(study: Study) -> str:
-    """Return all tables of a study, and what may be claimed, as Markdown.
-
-    Parameters
-    ----------
-    study : Study
-    """
+    """Return all tables of a study, and what may be claimed, as Markdown."""
     tables, said = tables_of(study)
     parts = [f"# {study.spec.title or 'Study'}\n", *map(section, tables)]
     if said:
@@ -168,12 +158,7 @@ _LATEX = {"\\": r"\textbackslash{}", "&": r"\&", "%": r"\%", "$": r"\$", "#": r"
 
 
 def latex(study: Study) -> str:
-    """Return all tables of a study as LaTeX, for the package booktabs.
-
-    Parameters
-    ----------
-    study : Study
-    """
+    """Return all tables of a study as LaTeX, for the package booktabs."""
     parts = []
     for table in tables_of(study)[0]:
         columns = "".join("r" if i and _numeric(table, i) else "l"

@@ -24,10 +24,6 @@ _SMALL = ("Arrows are the residuals of all features: blue of control, orange of 
 def charts_of(study: Study) -> list[Figure]:
     """Return the charts of a study: none of the strategy auto alone, which searches nothing.
 
-    Parameters
-    ----------
-    study : Study
-
     Raises
     ------
     TermselError
@@ -57,12 +53,7 @@ def report(study: Study, charts: list[Figure] | None = None) -> str:
 
 
 def summary(study: Study) -> str:
-    """Return what may be claimed of a study, and its tables, as text.
-
-    Parameters
-    ----------
-    study : Study
-    """
+    """Return what may be claimed of a study, and its tables, as text."""
     return text_of(_document(study, [], {}))
 
 
@@ -85,10 +76,6 @@ def _document(study: Study, charts: list[Figure], pictures: dict[str, str]) -> D
 
 def thumbnails(study: Study) -> dict[str, str]:
     """Return the residuals of each image that has a result as a small drawing.
-
-    Parameters
-    ----------
-    study : Study
 
     Returns
     -------

@@ -38,10 +38,6 @@ def front_figures(groups: Groups) -> list[FrontFigures]:
 
     A front that was proven is the reference where there is one; else the non-dominated members of
     all runs are.
-
-    Parameters
-    ----------
-    groups : Groups
     """
     found = []
     for instance, by_method in groups.instances.items():

@@ -77,10 +77,6 @@ class Comparison:
 def medians_of(groups: Groups) -> FloatArray:
     """Return the median of every method on every instance that all methods were run on.
 
-    Parameters
-    ----------
-    groups : Groups
-
     Returns
     -------
     ndarray, shape (instances, methods)
@@ -158,10 +154,6 @@ def signed_rank(one: FloatArray, other: FloatArray) -> tuple[float, bool]:
 def holm(p_values: Sequence[float]) -> list[float]:
     """Return p-values corrected for their number.
 
-    Parameters
-    ----------
-    p_values : sequence of float
-
     References
     ----------
     Holm 1979, Scand. J. Stat. 6(2).
@@ -176,11 +168,6 @@ def holm(p_values: Sequence[float]) -> list[float]:
 def critical_difference(methods: int, instances: int, level: float = LEVEL) -> float:
     """Return by how much mean ranks must differ, by Nemenyi's test.
 
-    Parameters
-    ----------
-    methods, instances : int
-    level : float
-
     References
     ----------
     Demšar 2006, J. Mach. Learn. Res. 7, section 3.2.2.
@@ -193,10 +180,6 @@ def critical_difference(methods: int, instances: int, level: float = LEVEL) -> f
 
 def effect_size(one: Sequence[float], other: Sequence[float]) -> float:
     """Return how probably a run of one method is lower than one of the other; ties count half.
-
-    Parameters
-    ----------
-    one, other : sequence of float
 
     References
     ----------

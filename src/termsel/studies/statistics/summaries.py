@@ -62,25 +62,14 @@ class Summary:
 
 
 def summaries(groups: Groups) -> list[Summary]:
-    """Return the figures of every method on every instance.
-
-    Parameters
-    ----------
-    groups : Groups
-    """
+    """Return the figures of every method on every instance."""
     return [_summary(instance, method, runs, optimum_of(by_method.values(), groups.measure))
             for instance, by_method in groups.instances.items()
             for method, runs in by_method.items()]
 
 
 def optimum_of(runs: Any, measure: str) -> float | None:
-    """Return the proven optimum of an instance, if one of its runs knows it.
-
-    Parameters
-    ----------
-    runs : iterable of Runs
-    measure : str
-    """
+    """Return the proven optimum of an instance, if one of its runs knows it."""
     known = [row["optimum"] for one in runs for row in one.rows if row.get("optimum") is not None]
     return min(known) if known and measure == "fitness" else None
 
@@ -127,11 +116,6 @@ def quantiles(values: Sequence[float], shares: Sequence[float]) -> list[float]:
 
 def wilson(successes: int, runs: int, level: float = 0.95) -> tuple[float, float]:
     """Return the interval of a share of successes.
-
-    Parameters
-    ----------
-    successes, runs : int
-    level : float
 
     References
     ----------
