@@ -109,8 +109,8 @@ def judge_choice(chosen: Candidate, predicted: float | None, rmse: Mapping[str, 
     sentences = [start, f"The RMSE of {counted(mine.n, 'independent point')}, which took no part, "
                         f"is {_px(mine.total)}."]
     others = [(b.predicted, b, other) for b in baselines if b.predicted is not None
-              and (other := registry().known("candidates", b.name)) and other.is_plain
-              and other is not chosen]
+              and (other := registry().known("candidates", b.name))
+              and other.is_plain and other is not chosen]
     if others:
         _, best, other = min(others, key=lambda one: one[0])
         sentences.append(_compare("That is", mine.total, best, f"{other.title}, the best "
