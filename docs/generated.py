@@ -18,7 +18,7 @@ from termsel.options import Option
 from termsel.plugins.kinds import KINDS
 from termsel.plugins.registry import Entry, registry
 from termsel.record.schema import json_schema
-from termsel.runs.task.task import DATA_OPTIONS
+from termsel.runs.task.request import DATA_OPTIONS
 from termsel.solvers.budget import SEARCH_OPTIONS
 
 OF_EVERY_RUN = {"data": DATA_OPTIONS, "search": SEARCH_OPTIONS}

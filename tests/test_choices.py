@@ -29,7 +29,8 @@ from termsel.problems.genome import Genome
 from termsel.problems.segments import Bits
 from termsel.results.checksums import of_features
 from termsel.runs.search.recommend import recommended
-from termsel.runs.task.task import ask, observe, prepare
+from termsel.runs.task.request import Request
+from termsel.runs.task.task import observe, prepare
 from termsel.solvers.base import Generation
 from termsel.solvers.budget import Budget
 from termsel.solvers.ledger import Ledger
@@ -290,7 +291,8 @@ def test_how_many_points_a_search_needs(n_control: int, n_check: int, message: s
     away = photograph(0.2, 14).points.take(np.arange(13, -1, -1))  # no corners, which are in line
     features = set_of(away.ground, away.image,
                       (*roles, *("independent",) * (14 - len(roles))))
-    request = ask("owdis-points", features=features, model="affine", criterion="check-rmse")
+    request = Request(problem="owdis-points", features=features, model="affine",
+                      criterion="check-rmse").setup()
     if message is None:
         assert len(observe(request).check) == n_check
         return

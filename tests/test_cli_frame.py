@@ -18,7 +18,7 @@ from termsel.plugins import registry as manager
 from termsel.plugins.commands import COMMANDS
 from termsel.plugins.kinds import KINDS
 from termsel.plugins.registry import Registry
-from termsel.runs.task.task import DATA_OPTIONS
+from termsel.runs.task.request import DATA_OPTIONS
 
 PLUGIN = """
     import click

@@ -22,7 +22,7 @@ from termsel.plugins import hookspecs
 from termsel.plugins.kinds import KINDS
 from termsel.plugins.loading import HOOKS
 from termsel.plugins.registry import registry
-from termsel.runs.task.task import DATA_OPTIONS
+from termsel.runs.task.request import DATA_OPTIONS
 
 ROOT = Path(__file__).parents[1]
 DOCS = sorted(page for page in ROOT.glob("docs/**/*.md") if "_build" not in page.parts)

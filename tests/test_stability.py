@@ -21,7 +21,8 @@ from termsel.measurements.joined import join_points
 from termsel.models.polynomial import Polynomial3D
 from termsel.runs import stability as module
 from termsel.runs.stability import stability
-from termsel.runs.task.task import prepare
+from termsel.runs.task.request import Setup
+from termsel.runs.task.task import prepared
 from termsel.solvers.search import search
 
 QUICK = {"model": "poly3d", "solver": "exact", "criterion": "press", "repeats": 4,
@@ -221,11 +222,11 @@ def test_twins_share_a_role_in_every_repetition(monkeypatch: pytest.MonkeyPatch)
                    points.ground + 1e-6, None, points.roles)
     drawn = []
 
-    def prepared(*words: Any, **how: Any) -> Any:
-        drawn.append(dict(zip(how["features"].ids, how["features"].points.roles, strict=True)))
-        return prepare(*words, **how)
+    def recorded(setup: Setup) -> Any:
+        drawn.append(dict(zip(setup.features.ids, setup.features.points.roles, strict=True)))
+        return prepared(setup)
 
-    monkeypatch.setattr(module, "prepare", prepared)
+    monkeypatch.setattr(module, "prepared", recorded)
     stability("rfm-terms", features=FeatureSet(join_points(points, twins)), **QUICK)
     assert len(drawn) == 5
     for roles in drawn:

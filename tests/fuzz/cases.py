@@ -26,7 +26,7 @@ from termsel.formats.heights import with_heights
 from termsel.measurements.features import FeatureSet
 from termsel.plugins.registry import registry
 from termsel.results.checksums import SEALS, of_record
-from termsel.runs.task.task import DATA_OPTIONS
+from termsel.runs.task.request import DATA_OPTIONS
 from termsel.simulate import read_geometry
 from tests.fuzz.mutate import NUMBERS, TEXTS, mutated
 from tests.fuzz.seeds import Seed, seeds

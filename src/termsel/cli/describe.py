@@ -48,7 +48,7 @@ def describe(name: str) -> None:
 
 
 def _describe_problem(entry: Entry) -> None:
-    from termsel.runs.task.task import DATA_OPTIONS
+    from termsel.runs.task.request import DATA_OPTIONS
 
     recipe = entry.object
     echo(f"\n{recipe.summary}")

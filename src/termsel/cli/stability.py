@@ -112,7 +112,7 @@ def _for_stable(problem: str, asked: Asked, options: Mapping[str, str],
                 off: Sequence[str]) -> dict[str, str]:
     """Return the options of a fit without some terms: not those of the searches alone."""
     from termsel.plugins.registry import registry
-    from termsel.runs.task.task import DATA_OPTIONS
+    from termsel.runs.task.request import DATA_OPTIONS
 
     names = registry()
     recipe = names.get("problems", problem)

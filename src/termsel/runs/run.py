@@ -28,7 +28,8 @@ from termsel.runs.judgement.assess import assessed
 from termsel.runs.notebook import notebook_observer
 from termsel.runs.search.blunders_out import search_without_blunders
 from termsel.runs.task.blank_heights import to_leave_out
-from termsel.runs.task.task import DATA_OPTIONS, Task, ask, loaded, observe, prepare
+from termsel.runs.task.request import Request, loaded
+from termsel.runs.task.task import Task, observe, prepared
 from termsel.solvers.base import Solver
 from termsel.solvers.search import Observer
 from termsel.threads import one_blas_thread
@@ -119,32 +120,30 @@ def run(
     elif crs is not None or columns is not None:
         raise TermselError("crs and columns are for features that are read",
                            hint="Give features, such as the name of a file.")
-    given: dict[str, Any] = {
-        "features": features, "dataset": dataset, "source": source, "model": model,
-        "solver": solver, "criterion": criterion, "options": options}
-    asked = {name: value for name, value in given.items() if value is not None}
-    unnamed = problem is None
-    if problem is None:
-        problem = problem_for(features, dataset)
-    shown = notebook_observer(problem.recipe.name if isinstance(problem, Task) else
-                              str(problem))
-    if shown is not None:
-        observers = (*observers, shown)
-    if isinstance(problem, Task):
-        if asked:
-            raise TermselError(f"a prepared task takes no {', '.join(sorted(asked))}",
-                               hint="Give them to termsel.prepare.")
-        task = problem
-    elif wanted(strategy, registry().taken("problems", problem), _method(
-            asked, generations, evaluations, seconds, patience), unnamed=unnamed):
-        return _chosen(problem, asked, seed, observers, out, overwrite)
-    else:
-        task = prepare(problem, **asked)
-    if all(one is None for one in (generations, evaluations, seconds, patience)):
-        generations, patience = task.recipe.generations, task.recipe.patience
-    _begin(out, overwrite, SEARCH_COMPILES if kernels.needs_compilation() else 0)
     limits = {"generations": generations, "evaluations": evaluations, "seconds": seconds,
               "patience": patience}
+    limited = any(limit is not None for limit in limits.values())
+    task = problem if isinstance(problem, Task) else None
+    request = Request(
+        problem=None if isinstance(problem, Task) else problem, features=features,
+        dataset=dataset, source=source, model=model, solver=solver, criterion=criterion,
+        options=options)
+    if problem is None:
+        request = replace(request, problem=problem_for(features, dataset))
+    shown = notebook_observer(task.recipe.name if task else str(request.problem))
+    if shown is not None:
+        observers = (*observers, shown)
+    if task is None:
+        if wanted(strategy, registry().taken("problems", request.problem),
+                  [*request.method(), *["a budget"] * limited], unnamed=problem is None):
+            return _chosen(request, seed, observers, out, overwrite)
+        task = prepared(request.setup())
+    elif request.named():
+        raise TermselError(f"a prepared task takes no {', '.join(sorted(request.named()))}",
+                           hint="Give them to termsel.prepare.")
+    if not limited:
+        limits |= {"generations": task.recipe.generations, "patience": task.recipe.patience}
+    _begin(out, overwrite, SEARCH_COMPILES if kernels.needs_compilation() else 0)
     found = search_without_blunders(task, seed=seed, **limits, observers=observers)
     # As plain numbers, for the record.
     budget = convert({
@@ -179,32 +178,22 @@ def problem_for(features: FeatureSet | None, dataset: str | DatasetSpec | None =
     return "poly-terms" if plane else "rfm-terms"
 
 
-def _method(asked: Mapping[str, Any], *budgets: float | None) -> dict[str, Any]:
-    """Return what is asked for of a method, which the strategy "auto" would choose itself."""
-    of_data = {option.name for option in DATA_OPTIONS}
-    return {**{key: asked.get(key) for key in ("model", "solver", "criterion")},
-            **{f"the option {key}": True for key in asked.get("options", ())
-               if key not in of_data},
-            "a budget": any(budget is not None for budget in budgets)}
-
-
-def _chosen(problem: str | Recipe, asked: Mapping[str, Any], seed: int,
-            observers: Iterable[Observer], out: Path | str | None, overwrite: bool) -> Result:
+def _chosen(request: Request, seed: int, observers: Iterable[Observer], out: Path | str | None,
+            overwrite: bool) -> Result:
     """Return the result of the strategy "auto", which builds no problem."""
     # It fits to check points as to control, and yet shows their figures; points go with lines.
-    options = {"check_as": "judge", **asked.get("options", {})}
-    if registry().taken("problems", problem).control == "lines":
+    options = {"check_as": "judge", **(request.options or {})}
+    if registry().taken("problems", request.problem).control == "lines":
         options["mixed"] = True
-    request = ask(problem, **{**asked, "criterion": "press", "solver": "all-terms",
-                              "options": options})
-    if request.recipe.search_first and request.features.without_height():
+    setup = replace(request, criterion="press", solver="all-terms", options=options).setup()
+    if setup.recipe.search_first and setup.features.without_height():
         # The model of the search is not asked for, so that it asks for no heights.
-        request = replace(request, model=registry().get("models", "poly2d")())
-    observations = observe(request, LEAST)
+        setup = replace(setup, model=registry().get("models", "poly2d")())
+    observations = observe(setup, LEAST)
     # Whether a search of lines follows, which compiles more, is not known yet.
     compiles = len(observations.together) > LEAST and leave_out.needs_compilation()
     _begin(out, overwrite, AUTO_COMPILES if compiles else 0)
-    return _finished(choose_for(request, observations, seed, observers), out)
+    return _finished(choose_for(setup, observations, seed, observers), out)
 
 
 def _begin(out: Path | str | None, overwrite: bool, longer: int) -> None:

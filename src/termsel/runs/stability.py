@@ -21,7 +21,8 @@ from termsel.problems.segments import Bits
 from termsel.record.base import plain
 from termsel.runs.notebook import notebook_observer
 from termsel.runs.search.recommend import recommended
-from termsel.runs.task.task import Task, prepare
+from termsel.runs.task.request import Request
+from termsel.runs.task.task import Task, prepared
 from termsel.solvers.ledger import Progress
 from termsel.solvers.search import Observer, search
 from termsel.threads import one_blas_thread
@@ -145,8 +146,9 @@ def stability(
     if repeats < 2 or not 0 < threshold <= 1:
         raise TermselError(f"{repeats} repetitions with the threshold {threshold} say nothing",
                            hint="Give at least 2 repetitions and a threshold above 0, up to 1.")
-    task = prepare(problem, features=features, dataset=dataset, model=model, solver=solver,
-                   criterion=criterion, options=options)
+    request = Request(problem=problem, features=features, dataset=dataset, model=model,
+                      solver=solver, criterion=criterion, options=options)
+    task = prepared(request.setup())
     others = {"features" if segment.name == "features" else "other values than terms"
               for segment in task.problem.genome.segments
               if segment.name == "features" or not isinstance(segment, Bits)}
@@ -164,9 +166,8 @@ def stability(
     interrupted = False
     for repetition in range(repeats):
         try:
-            again = prepare(problem, features=_with_drawn_roles(task, rng), model=model,
-                            solver=solver, criterion=criterion,
-                            options={**given, "roles": "file"})
+            again = prepared(replace(request, features=_with_drawn_roles(task, rng), options={
+                **given, "roles": "file"}).setup())
             found = search(again.problem, again.solver, seed=seed + repetition,
                            generations=generations, evaluations=evaluations, seconds=seconds,
                            patience=patience, **again.options["search"],

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
@@ -34,7 +33,8 @@ from termsel.runs.judgement.judge import judge_choice
 from termsel.runs.task.data_notes import notes_on_data
 from termsel.runs.task.given import all_candidates
 from termsel.runs.task.provenance import data_of, plugins_of, versions
-from termsel.runs.task.task import FEW, Request, all_control
+from termsel.runs.task.request import Setup
+from termsel.runs.task.task import FEW, all_control
 from termsel.solvers.base import Generation
 from termsel.solvers.ledger import Progress
 from termsel.solvers.search import Observer
@@ -48,7 +48,7 @@ LEAST = 2
 """Control points without which there is no answer."""
 
 
-def wanted(strategy: str | None, recipe: Recipe, asked: Mapping[str, Any], *,
+def wanted(strategy: str | None, recipe: Recipe, method: Sequence[str] = (), *,
            unnamed: bool = False) -> bool:
     """Return whether a run is to choose its method by itself.
 
@@ -58,9 +58,8 @@ def wanted(strategy: str | None, recipe: Recipe, asked: Mapping[str, Any], *,
         None means "auto" for problems that a portfolio can answer, but for those whose search comes
         first, where nothing of a method is asked for.
     recipe : Recipe
-    asked : mapping
-        What the user has named of a method, by what it is called; None or empty counts as not
-        named.
+    method : sequence of str
+        What the user has named of a method, in words.
     unnamed : bool
         Whether nobody named the problem: then "auto" comes before its own search.
 
@@ -72,17 +71,16 @@ def wanted(strategy: str | None, recipe: Recipe, asked: Mapping[str, Any], *,
     if strategy is not None and strategy not in NAMES:
         raise TermselError(f"there is no strategy {strategy!r}",
                            hint=f"Choose {' or '.join(NAMES)}.")
-    named = [name for name, value in asked.items() if value]
     if strategy != "auto":
         return (strategy is None and recipe.portfolio and (unnamed or not recipe.search_first)
-                and not named)
+                and not method)
     if not recipe.portfolio:
         raise TermselError(f"the strategy auto is not for the problem {recipe.name}",
                            hint="It chooses among models of points and lines: rfm-terms, "
                                 "poly-terms, owdis-lines.")
-    if named:
+    if method:
         raise TermselError(
-            f"the strategy auto chooses the method itself, and {named[0]} is asked for",
+            f"the strategy auto chooses the method itself, and {method[0]} is asked for",
             hint="Leave one of them out; --strategy as-asked runs a method as it is.")
     return True
 
@@ -130,13 +128,13 @@ class _Watch:
                   self.count / self.candidates / (1 + self._folds))
 
 
-def choose_for(request: Request, observations: Observations, seed: int,
+def choose_for(setup: Setup, observations: Observations, seed: int,
                observers: Iterable[Observer] = ()) -> Result:
     """Return the choice from the portfolio as a result.
 
     Parameters
     ----------
-    request : Request
+    setup : Setup
         Its model and solver take no part.
     observations : Observations
     seed : int
@@ -159,8 +157,7 @@ def choose_for(request: Request, observations: Observations, seed: int,
     watch = _Watch(observers, len(portfolio.offered(observations.pool)),
                    folds_of(observations.pool.features))
     watch.tell("blunders")
-    of_data = tuple(notes_on_data(
-        request.features, observations, heights=True, blank=request.blank))
+    of_data = tuple(notes_on_data(setup.features, observations, heights=True, blank=setup.blank))
     clean, outliers, notes = without_blunders(observations, portfolio)
     control, both = clean.pool, clean.pool.features
     choice, errors, interrupted = None, None, False
@@ -201,17 +198,17 @@ def choose_for(request: Request, observations: Observations, seed: int,
     said = INTERRUPTED.format(min(watch.count, watch.candidates), watch.candidates) \
         if interrupted else ""
     return Result(
-        problem=request.recipe.name, model=model.name, solver="auto", criterion="press", seed=seed,
-        options={"problem": {}, "data": request.options["data"], "model": model.options,
+        problem=setup.recipe.name, model=model.name, solver="auto", criterion="press", seed=seed,
+        options={"problem": {}, "data": setup.options["data"], "model": model.options,
                  "solver": {}, "criterion": {}, "search": {}},
-        data=data_of(request.features, request.source, observations),
+        data=data_of(setup.features, setup.source, observations),
         selection=Selection(select(model.terms, fitted.terms),
                             select(observations.control.ids, fitted.used)),
         feasible=True, rmse=rmse, baselines=baselines,
         judgement=judge_choice(chosen.candidate, predicted, rmse, baselines,
-                               request.features.noise),
-        notes=(*_few(request), *of_data,
-               *_notes(request.model, clean, errors, said, plane=not model.uses_height),
+                               setup.features.noise),
+        notes=(*_few(setup), *of_data,
+               *_notes(setup.model, clean, errors, said, plane=not model.uses_height),
                *notes, *_lines(fitted), *more, *portfolio.notes),
         outliers=(*outliers, *contradicting), predicted=expected,
         accuracy=accuracy_of(fitted, observations.independent), final=final,
@@ -222,7 +219,7 @@ def choose_for(request: Request, observations: Observations, seed: int,
         # Blunders are those that were left out, by a test of their own.
         diagnosis=replace(diagnose(fitted), doubts=None),
         features=observations.features, versions=versions(),
-        plugins=plugins_of(request, model=type(model), candidate=chosen.candidate),
+        plugins=plugins_of(setup, model=type(model), candidate=chosen.candidate),
         strategy=Strategy("auto", chosen.name, choice.reason, predicted, folds,
                           ("control", "check"), tuple(CandidateRow(
                               one.name, one.fit.model.name, int(one.fit.terms.sum()),
@@ -237,8 +234,8 @@ def _lines(fitted: Fit) -> list[str]:
     return [f"None of the {counted(lines, 'line')} is used: the points alone predict better."]
 
 
-def _few(request: Request) -> list[str]:
-    if not all_control(request):
+def _few(setup: Setup) -> list[str]:
+    if not all_control(setup):
         return []
     return [f"With fewer than {FEW} points and no roles, all points are control. --set "
             "fractions=2:1:1 assigns roles all the same."]

@@ -16,7 +16,7 @@ from termsel.record.record import Counts, DataRecord, IdsByRole
 from termsel.results.checksums import of_features
 
 if TYPE_CHECKING:
-    from termsel.runs.task.task import Request, Task
+    from termsel.runs.task.request import Setup
 
 
 def data_of(features: FeatureSet, source: str, observations: Observations) -> DataRecord:
@@ -46,14 +46,14 @@ def versions() -> dict[str, str]:
     return {"python": platform.python_version(), **{name: version(name) for name in packages}}
 
 
-def plugins_of(asked: Request | Task, **chosen: Any) -> dict[str, dict[str, str]]:
+def plugins_of(setup: Setup, **chosen: Any) -> dict[str, dict[str, str]]:
     """Return the parts of a run that plugins provide, for the record.
 
     A name alone does not identify them: two packages may use the same one.
 
     Parameters
     ----------
-    asked : Request or Task
+    setup : Setup
     **chosen
         What the strategy "auto" chose in the place of what was asked for: model and candidate.
 
@@ -65,10 +65,10 @@ def plugins_of(asked: Request | Task, **chosen: Any) -> dict[str, dict[str, str]
         left out. What no plugin provides has the distribution "session" and its ``class``, as
         "module.Class".
     """
-    parts = {"problem": asked.recipe, "model": type(asked.model), "solver": type(asked.solver),
-             "criterion": type(asked.criterion), **chosen}
-    if asked.then is not None:
-        parts["then"] = type(asked.then)
+    parts = {"problem": setup.recipe, "model": type(setup.model), "solver": type(setup.solver),
+             "criterion": type(setup.criterion), **chosen}
+    if setup.then is not None:
+        parts["then"] = type(setup.then)
     return {word: found for word, thing in parts.items() if (found := _origin(thing))}
 
 

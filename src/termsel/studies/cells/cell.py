@@ -13,7 +13,8 @@ from termsel.options import Configurable, Option
 from termsel.plugins.registry import registry
 from termsel.runs.auto.strategy import LEAST, wanted
 from termsel.runs.run import problem_for
-from termsel.runs.task.task import DATA_OPTIONS, Request, ask, build, observe, scale
+from termsel.runs.task.request import DATA_OPTIONS, Request, Setup
+from termsel.runs.task.task import build, observe, scale
 from termsel.solvers.base import Solver
 from termsel.solvers.budget import SEARCH_OPTIONS
 from termsel.studies.plan.data import Data, of_dataset
@@ -205,7 +206,7 @@ class _Kinds:
             named.path if named else (), first.what, first.hint))
 
     def _asked(self, strategy: str, parts: Mapping[str, Part | None], data: Data,
-               options: Mapping[str, Any]) -> Request:
+               options: Mapping[str, Any]) -> Setup:
         problem = parts["problem"]
         assert problem is not None
         names: dict[str, Any] = {word: part.thing or part.name for word, part in parts.items()
@@ -214,10 +215,10 @@ class _Kinds:
         try:
             if strategy == "auto":
                 recipe = registry().taken("problems", problem.thing or problem.name)
-                wanted("auto", recipe, {f"the option {key}": True for key in problem.options})
+                wanted("auto", recipe, [f"the option {key}" for key in problem.options])
                 method = {"criterion": "press", "solver": "all-terms"}
-            return ask(**{**names, **method}, features=data.features, source=data.source,
-                       options=options)
+            return Request(**{**names, **method}, features=data.features, source=data.source,
+                           options=options).setup()
         except TermselError as error:
             raise self._at_fault(parts, error) from error
 
@@ -234,7 +235,7 @@ class _Kinds:
         return self._spec.places.error(problem.path if problem else (), error.what, error.hint)
 
     def _options(self, strategy: str, parts: Mapping[str, Part | None],
-                 request: Request) -> dict[str, Any]:
+                 request: Setup) -> dict[str, Any]:
         """Return the options of each part, and those for every cell that some part has."""
         declared: dict[str, tuple[Option, ...]] = {"data": DATA_OPTIONS}
         if strategy != "auto":

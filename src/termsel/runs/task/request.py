@@ -1,0 +1,208 @@
+"""What is asked of a run: one value, from the command line, Python and studies."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, fields
+from typing import Any
+
+from termsel.criteria import Criterion
+from termsel.errors import TermselError, printable
+from termsel.guard.arrays import of_type
+from termsel.guard.faults import blamed, wrong
+from termsel.measurements.datasets import DatasetSpec
+from termsel.measurements.features import FeatureSet
+from termsel.measurements.roles import asked_roles, with_roles
+from termsel.models.base import SensorModel
+from termsel.models.interpolating import Interpolating
+from termsel.options import SEED, Option, by_part, resolve
+from termsel.plugins.registry import registry
+from termsel.problems.constraints import MAX_SHARE
+from termsel.problems.recipes import Recipe
+from termsel.runs.task.blank_heights import to_leave_out
+from termsel.runs.task.fit_crs import FIT_CRS
+from termsel.runs.task.given import class_of, second_solver, with_options
+from termsel.solvers.base import Solver
+from termsel.solvers.budget import SEARCH_OPTIONS
+
+ALIKE = "1:1:1"
+"""Shares of control, check and independent points by default."""
+
+DATA_OPTIONS = (
+    Option("roles", "file", "Roles of points: those of the file, with blank ones assigned by "
+           "place; or all assigned by place or at random.",
+           choices=("file", "stratified", "random")),
+    Option("off", None, "Ids of features that take no part, with commas between them (--off)."),
+    Option("role", None, "Roles of single points, whatever the file says, as ID=ROLE with commas "
+           "between them (--role)."),
+    Option("fractions", ALIKE, "Shares of control, check and independent points among those "
+           "that are assigned a role."),
+    Option("split", 0, "Seed by which roles are assigned.", int, 0, SEED),
+    Option("check_as", None, "What check points are: judges of each selection, or further control. "
+           "By default judges; where points are the control and the criterion needs no check "
+           "points, control.", choices=("judge", "control")),
+    FIT_CRS,
+)
+
+@dataclass(frozen=True, eq=False)
+class Setup:
+    """What a run is made with: names resolved, options checked, features read.
+
+    Parameters
+    ----------
+    recipe : Recipe
+    model : SensorModel
+    criterion : Criterion
+    solver : Solver
+    features : FeatureSet
+        As read, all roles together.
+    source : str
+        Where the features come from.
+    options : mapping
+        Options by part: problem, data, search.
+    then : Solver, optional
+        Of the second of two steps, if it is another one.
+    set_options : tuple of str
+        Names of the options of the model that are given.
+    blank : tuple of str
+        Features that are left out as they have no height.
+    """
+
+    recipe: Recipe
+    model: SensorModel
+    criterion: Criterion
+    solver: Solver
+    features: FeatureSet
+    source: str
+    options: Mapping[str, Mapping[str, Any]]
+    then: Solver | None = None
+    set_options: tuple[str, ...] = ()
+    blank: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Request:
+    """What a user asks for, by names or by the things themselves; None where nothing is said.
+
+    Parameters
+    ----------
+    problem, features, dataset, source, model, solver, criterion, options
+        As for `termsel.prepare`.
+    """
+
+    problem: str | Recipe | None = None
+    features: FeatureSet | None = None
+    dataset: str | DatasetSpec | None = None
+    source: str | None = None
+    model: str | type[SensorModel] | SensorModel | None = None
+    solver: str | type[Solver] | Solver | None = None
+    criterion: str | type[Criterion] | Criterion | None = None
+    options: Mapping[str, Any] | None = None
+
+    def named(self) -> list[str]:
+        """Return the words for what is asked for next to the problem."""
+        return [one.name for one in fields(self)
+                if one.name != "problem" and getattr(self, one.name) is not None]
+
+    def method(self) -> list[str]:
+        """Return the words for what is asked for of a method, which "auto" would choose itself."""
+        of_data = {option.name for option in DATA_OPTIONS}
+        return [*(word for word in ("model", "solver", "criterion") if getattr(self, word)),
+                *(f"the option {key}" for key in self.options or () if key not in of_data)]
+
+    def setup(self) -> Setup:
+        """Return what is asked for, with every name resolved and every option checked.
+
+        Raises
+        ------
+        TermselError
+            For unknown names or options.
+        """
+        names = registry()
+        recipe: Recipe = names.taken("problems", self.problem)
+        the_model = names.taken("models", recipe.model if self.model is None else self.model)
+        # Where terms have no influence there is nothing to search.
+        usual = "all-terms" if issubclass(class_of(the_model), Interpolating) else recipe.solver
+        parts = {"model": the_model,
+                 "criterion": names.taken("criteria", recipe.criterion if self.criterion is None
+                                          else self.criterion),
+                 "solver": names.taken("solvers", usual if self.solver is None else self.solver)}
+        given = self.options or {}
+        if (then := second_solver(recipe, given)) is not None:
+            parts["then"] = names.get("solvers", then)
+        chosen = by_part(given, {
+            "problem": recipe.options, "data": DATA_OPTIONS, "search": SEARCH_OPTIONS,
+            **{word: part.declared_options for word, part in parts.items()}})
+        set_options = tuple(chosen["model"]) if isinstance(the_model, type) else tuple(
+            one.name for one in the_model.declared_options
+            if the_model.options[one.name] != one.default)
+        if self.model in (None, recipe.model):
+            chosen["model"] = {**recipe.model_options, **chosen["model"]}
+        # As the recipe has a solver, or else, where it is named, as its paper does.
+        for word, is_named in (("solver", self.solver is not None), ("then", True)):
+            if isinstance(part := parts.get(word), type) and issubclass(part, Solver):
+                usual_options = recipe.solver_options.get(
+                    part.name, part.published if is_named else {})
+                chosen[word] = {**usual_options, **chosen[word]}
+        made = {word: with_options(word, part, chosen[word]) for word, part in parts.items()}
+        of_problem = _of_problem(recipe, chosen["problem"], made["criterion"], made["solver"])
+        own_run = recipe.refined and self.solver is None and not made["solver"].ends_by_itself
+        of_search = resolve(SEARCH_OPTIONS, {"polish": own_run, **chosen["search"]})
+        of_data = resolve(DATA_OPTIONS, chosen["data"])
+        named = asked_roles(of_data["off"], of_data["role"])
+        if of_data["roles"] != "file" and of_data["role"]:
+            raise TermselError(f"the options role and roles={of_data['roles']} exclude each other",
+                               hint="Leave one of them out; off goes with both.")
+        features, source = self.features, self.source
+        if features is None:
+            spec = names.taken("datasets", recipe.dataset if self.dataset is None else self.dataset)
+            features = loaded(spec)
+            source = f"{spec.name} (simulated)" if spec.simulated else spec.name
+        features = with_roles(features, named)
+        blank = to_leave_out(features) if made["model"].uses_height else ()
+        return Setup(recipe, made["model"], made["criterion"], made["solver"],
+                     with_roles(features, dict.fromkeys(blank, "off")),
+                     printable(source or "given in Python"),
+                     {"problem": of_problem, "data": of_data, "search": of_search},
+                     made.get("then"), set_options, blank)
+
+
+def loaded(spec: DatasetSpec) -> FeatureSet:
+    """Return the features of a data set; an error names the plugin it is of."""
+    with blamed(spec.load, "load"):
+        features = spec.load()
+    require_type(spec.load, "load", features, FeatureSet)
+    return features
+
+
+def require_type(function: Callable[..., Any], name: str, value: Any, wanted: type) -> None:
+    """Refuse what a function of a plugin must not return."""
+    what = of_type(value, wanted)
+    if what is not None:
+        raise wrong(function, name, what)
+
+
+def _of_problem(recipe: Recipe, given: Mapping[str, Any], criterion: Criterion,
+                solver: Solver) -> dict[str, Any]:
+    """Return the options of a problem, those decided that depend on criterion and solver."""
+    options = resolve(recipe.options, given)
+    if solver.max_objectives > 1 and "objectives" in options:
+        options["objectives"] = options["objectives"] or recipe.second
+    if "max_share" in options and options["max_share"] is None:
+        options["max_share"] = 1.0 if solver.uses_all else MAX_SHARE
+    if options.get("steps") == "joint" and "then" in options:
+        options["then"] = None
+    if "recommend" in options:
+        options["recommend"] = _rule(options["recommend"], criterion, solver)
+    return options
+
+
+def _rule(asked: str | None, criterion: Criterion, solver: Solver) -> str:
+    """Return the rule by which a member of a front is recommended."""
+    if asked == "one-standard-error" and not criterion.is_rmse:
+        raise TermselError(f"criterion {criterion.name!r} is no RMSE, so it has no standard error "
+                           "to recommend a selection by",
+                           hint="Choose --set recommend=knee or best, or --criterion check-rmse, "
+                                "press or kfold, these with loss=squares.")
+    return asked or ("one-standard-error" if solver.max_objectives > 1 and criterion.is_rmse
+                     else "best")
