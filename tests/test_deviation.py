@@ -12,7 +12,7 @@ import pytest
 
 import termsel
 from termsel.formats.deviation import places_of
-from termsel.measurements.features import FeatureSet
+from termsel.measurements.features import FeatureSet, Points
 from termsel.plugins.registry import registry
 from termsel.simulate import scene_truth, simulate_scene
 
@@ -41,27 +41,119 @@ def said(result: termsel.Result, to: str, path: Path, caplog: pytest.LogCaptureF
     return found
 
 
-def by_gdal(path: Path, ground: np.ndarray) -> np.ndarray:
-    """Return line and sample that GDAL's thin plate spline gives, from pixel centres."""
+def by_gdal(path: Path, ground: np.ndarray, tps: bool = True) -> np.ndarray:
+    """Return line and sample that GDAL's spline or polynomial gives, from pixel centres."""
     rasterio = pytest.importorskip("rasterio")
     from rasterio.transform import GCPTransformer
 
-    with rasterio.open(path) as raster, GCPTransformer(raster.gcps[0], tps=True) as transformer:
+    with rasterio.open(path) as raster, GCPTransformer(raster.gcps[0], tps=tps) as transformer:
         rows, columns = transformer.rowcol(ground[:, 0], ground[:, 1], op=np.asarray)
     return np.column_stack([rows, columns]) - 0.5
 
 
-def test_the_deviation_of_gcps_is_that_of_gdal(relief: termsel.Result, tmp_path: Path,
-                                               caplog: pytest.LogCaptureFixture) -> None:
-    (level, px, metres), = said(relief, "gcp-vrt", tmp_path / "s.vrt", caplog)
-    places = places_of(relief.fit)
-    apart = np.hypot(*(by_gdal(tmp_path / "s.vrt", places) - relief.project(places)).T)
-    assert px == pytest.approx(apart.max(), rel=0.05)
-    assert px > 10
-    assert level == logging.WARNING
-    assert metres == pytest.approx(px, rel=0.2)  # a pixel of 1 m
-    assert "ignores heights" in caplog.text
-    assert said(relief, "qgis-points", tmp_path / "s.points", caplog) == [(level, px, metres)]
+def flat(degree: int = 2, noise: float = 0.3, along: float = 1800.0) -> FeatureSet:
+    """Return control of a scanned sheet that is bent as a polynomial of this degree.
+
+    It is stretched along the lines, but for ``along=1400``.
+    """
+    rng = np.random.default_rng(degree)
+    east, north = u = rng.uniform(-1.0, 1.0, (2, 30))
+    bent = sum(rng.normal(0.0, 40.0, (2, 1)) * east**i * north ** (degree - i)
+               for i in range(degree + 1))
+    image = (np.array([[2000.0], [1500.0]]) + [-along * north, 1400.0 * east]
+             + (bent if degree > 1 else 0.0) + noise * rng.standard_normal((2, 30)))
+    ground = np.column_stack([*(600_000.0 + 1500.0 * u), np.full(30, np.nan)])
+    return FeatureSet(Points(tuple(map(str, range(30))), image.T, ground, None,
+                             ("control",) * 30), crs="EPSG:32633", image_size=(4000, 3000))
+
+
+@pytest.mark.parametrize(("model", "options", "to", "label"), [
+    ("poly2d", {"degree": 2}, "gcp-vrt", "by gdalwarp -order 2."),
+    ("poly2d", {"degree": 2}, "qgis-points", "has the transformation type Polynomial 2."),
+    ("poly2d", {"degree": 1}, "qgis-points", "has the transformation type Polynomial 1."),
+    ("poly2d", {"degree": 3}, "qgis-points", "has the transformation type Polynomial 3."),
+    ("helmert2d", {}, "qgis-points", "has the transformation type Helmert."),
+    ("projective2d", {}, "qgis-points", "has the transformation type Projective."),
+    ("tps", {"smoothing": 0.0}, "qgis-points", "has the transformation type Thin Plate Spline."),
+    ("tps", {"smoothing": 0.0}, "gcp-vrt", "by gdalwarp -tps.")])
+def test_the_transformation_that_makes_the_model_again_is_named(
+        model: str, options: dict[str, object], to: str, label: str, tmp_path: Path,
+        caplog: pytest.LogCaptureFixture) -> None:
+    features = flat()
+    if model == "projective2d":
+        features = flat(1, noise=0.5)
+    elif model == "helmert2d" or options.get("degree") == 1:
+        features = flat(1, noise=2.0, along=1400.0 if model == "helmert2d" else 1800.0)
+    result = termsel.run("poly-terms", features=features, model=model, options=options,
+                         solver="all-terms", criterion="press")
+    (level, px, _), = said(result, to, tmp_path / "s.points", caplog)
+    assert label in caplog.text
+    assert level == logging.INFO
+    assert px < 0.2
+
+
+@pytest.mark.parametrize("model", ["helmert2d", "projective2d"])
+def test_qgis_fits_from_the_image_to_the_map_and_comes_as_near(
+        model: str, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    features = flat(1, along=1400.0 if model == "helmert2d" else 1800.0)
+    result = termsel.run("poly-terms", features=features, model=model, solver="all-terms",
+                         criterion="press")
+    (_, px, _), = said(result, "qgis-points", tmp_path / "s.points", caplog)
+    rows = np.genfromtxt(tmp_path / "s.points", delimiter=",", skip_header=2)
+    rows = rows[rows[:, 4] == 1]
+    middle = rows[:, :2].mean(axis=0)
+    x, y = ((rows[:, :2] - middle) / 1e3).T
+    u, v = rows[:, 2:4].T / 1e3
+    one, none = np.ones(len(u)), np.zeros(len(u))
+    if model == "helmert2d":  # x = a u - b v + c, y = b u + a v + d
+        a, b, c, d = np.linalg.lstsq(np.concatenate([
+            np.column_stack([u, -v, one, none]), np.column_stack([v, u, none, one])]),
+            np.concatenate([x, y]), rcond=None)[0]
+        to_map = np.array([[a, -b, c], [b, a, d], [0.0, 0.0, 1.0]])
+    else:
+        rows = np.concatenate([
+            np.column_stack([u, v, one, none, none, none, -x * u, -x * v, -x]),
+            np.column_stack([none, none, none, u, v, one, -y * u, -y * v, -y])])
+        to_map = np.linalg.svd(rows)[2][-1].reshape(3, 3)
+    places = places_of(result.fit)
+    source = np.linalg.inv(to_map) @ np.column_stack(
+        [(places[:, :2] - middle) / 1e3, np.ones(len(places))]).T
+    across, up = 1e3 * source[:2] / source[2]
+    apart = np.column_stack([-up - 0.5, across - 0.5]) - result.project(places)
+    assert px == pytest.approx(np.hypot(*apart.T).max(), rel=0.05, abs=0.01)
+    assert px < 0.2
+
+
+@pytest.mark.parametrize(("model", "options", "tps"), [
+    ("projective2d", {}, False), ("tps", {"smoothing": 0.05}, True)])
+def test_the_deviation_of_gcps_is_that_of_gdal(
+        model: str, options: dict[str, object], tps: bool, tmp_path: Path,
+        caplog: pytest.LogCaptureFixture) -> None:
+    features = flat(3)
+    if not tps:  # nine points of a tilted photo are too few for the order 3
+        points = flat(1, noise=0.0).points.take(np.arange(9))
+        east = (points.ground[:, :1] - 600_000.0) / 1500.0
+        features = features.with_(points=replace(points, image=points.image / (1 + 0.06 * east)))
+    result = termsel.run("poly-terms", features=features, model=model, options=options,
+                         solver="all-terms", criterion="press")
+    (_, px, metres), = said(result, "gcp-vrt", tmp_path / "s.vrt", caplog)
+    assert ("-tps." if tps else "-order 2.") in caplog.text
+    places = places_of(result.fit)
+    near, far = (np.hypot(*(by_gdal(tmp_path / "s.vrt", places, one) - result.project(places)).T)
+                 for one in (tps, not tps))  # GDAL's polynomial is of the order 2
+    assert px == pytest.approx(near.max(), rel=0.06)
+    assert far.max() > px > 0.05
+    assert metres == pytest.approx(px, rel=0.4)  # a pixel of about 1 m
+
+
+def test_heights_that_a_transformation_ignores_are_told(
+        relief: termsel.Result, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    for to in ("gcp-vrt", "qgis-points"):
+        (level, px, metres), = said(relief, to, tmp_path / to, caplog)
+        assert level == logging.WARNING
+        assert px > 10
+        assert metres == pytest.approx(px, rel=0.2)  # a pixel of 1 m
+        assert ", and ignores heights." in caplog.text
 
 
 def test_the_deviation_of_a_grid_is_that_of_gdal(relief: termsel.Result, tmp_path: Path,

@@ -3,19 +3,33 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 import numpy as np
 
 from termsel.fits.fit import Fit
+from termsel.fits.least_squares import fit
 from termsel.measurements.coordinates.metres import in_metres
-from termsel.measurements.features import FloatArray
+from termsel.measurements.features import FeatureSet, FloatArray, Points
+from termsel.measurements.scaling import scaling_of
+from termsel.models.polynomial import Polynomial2D
 
 log = logging.getLogger(__name__)
 
 CLOSE = 1.0
 """Deviation from the model [px] above which an export warns."""
 
+Transformation = Callable[[FloatArray], FloatArray]
+"""From ground places (n, 3), whose heights are not used, to line and sample (n, 2)."""
+
+QGIS = {"similarity": "Helmert", "order 1": "Polynomial 1", "order 2": "Polynomial 2",
+        "order 3": "Polynomial 3", "projective": "Projective", "spline": "Thin Plate Spline"}
+"""What QGIS's georeferencer calls them."""
+
+GDALWARP = {"order 1": "-order 1", "order 2": "-order 2", "order 3": "-order 3", "spline": "-tps"}
+"""Options of gdalwarp that choose them."""
+
+_ALIKE = 0.01  # px
 _ACROSS = 15  # places along either side of the image at which files are compared
 
 
@@ -37,7 +51,7 @@ def places_of(fitted: Fit) -> FloatArray:
     return np.asarray(ground[np.isfinite(ground[:, :2]).all(axis=1)])
 
 
-def by_splines(xy: FloatArray, image: FloatArray) -> Callable[[FloatArray], FloatArray]:
+def by_splines(xy: FloatArray, image: FloatArray) -> Transformation:
     """Return the thin plate spline from ground to image through GCPs, as GDAL computes it.
 
     Parameters
@@ -92,23 +106,90 @@ def say_measured(name: str) -> None:
     log.info("%s holds the measurements and their residuals, not the model.", name)
 
 
-def say_splines(name: str, fitted: Fit, xy: FloatArray, image: FloatArray) -> None:
-    """Log how far the spline through measured GCPs is from the model, as their heights are ignored.
+def say_nearest(name: str, fitted: Fit, xy: FloatArray, image: FloatArray,
+                labels: Mapping[str, str], where: str) -> None:
+    """Log which transformation through measured GCPs is nearest to the model, and how near.
 
     Parameters
     ----------
     name : str
+        The format.
     fitted : Fit
     xy, image : ndarray, shape (n, 2)
         Of the GCPs.
+    labels : mapping of str to str
+        What the program calls the transformations that it offers, as `QGIS` and `GDALWARP`; the
+        simplest first.
+    where : str
+        The rest of the sentence, with ``{}`` for the label.
     """
-    if len(xy) < 3:
-        return
     ground = places_of(fitted)
-    ignored = ", and ignores heights" * fitted.model.uses_height
+    exact = fitted.project(ground)
+    made = {key: by_gcps for key in labels
+            if (by_gcps := _by_gcps(key, xy, image, fitted.control.crs)) is not None}
     if len(np.unique(xy, axis=0)) < len(xy):
         log.warning("Warning: %s: no thin plate spline goes through these GCPs, as some are above "
                     "each other.", name)
+    if not made or not len(ground):
         return
-    say_deviation(name, fitted, ground, by_splines(xy, image)(ground),
-                  f", where a program fits a thin plate spline (gdalwarp -tps){ignored}")
+    places = {key: transformation(ground) for key, transformation in made.items()}
+    worst = {key: float(np.nan_to_num(np.hypot(*(place - exact).T), nan=np.inf).max())
+             for key, place in places.items()}
+    # The simplest of those that are as near, which the order of the labels tells.
+    nearest = next(key for key in labels if worst.get(key, np.inf) <= min(worst.values()) + _ALIKE)
+    ignored = ", and ignores heights" * fitted.model.uses_height
+    say_deviation(name, fitted, ground, places[nearest],
+                  f", {where.format(labels[nearest])}{ignored}")
+
+
+def _by_gcps(key: str, xy: FloatArray, image: FloatArray, crs: str) -> Transformation | None:
+    """Return a transformation by least squares of GCPs, or None if they do not determine it."""
+    n = len(xy)
+    if not n or min(np.linalg.matrix_rank(at - at.mean(axis=0)) for at in (xy, image)) < 2:
+        return None  # all on a line
+    if key == "spline":
+        return by_splines(xy, image) if len(np.unique(xy, axis=0)) == n else None
+    if key == "similarity":
+        return _similarity(xy, image)
+    if key == "projective":
+        return _projective(xy, image) if n >= 4 else None
+    # Heights of no meaning: GCPs above each other are not the same place.
+    points = Points(tuple(map(str, range(n))), image, np.column_stack([xy, np.arange(float(n))]))
+    gcps = FeatureSet(points, crs=crs)
+    fitted = fit(Polynomial2D(degree=int(key[-1])), gcps, scaling_of(gcps))
+    return fitted.project if fitted.determined else None
+
+
+def _similarity(xy: FloatArray, image: FloatArray) -> Transformation:
+    """Return the similarity that fits the ground to the image best on the ground, as in QGIS."""
+    place, pixel = xy @ [1, 1j], image @ [-1j, 1]  # samples to the right, lines down
+    away = pixel - pixel.mean()
+    turn = np.vdot(away, place - place.mean()) / np.vdot(away, away)
+
+    def project(ground: FloatArray) -> FloatArray:
+        at = pixel.mean() + (ground[:, :2] @ [1, 1j] - place.mean()) / turn
+        return np.column_stack([-at.imag, at.real])
+
+    return project
+
+
+def _projective(xy: FloatArray, image: FloatArray) -> Transformation:
+    """Return the projective transformation by the direct linear transformation of QGIS."""
+    def normalised(places: FloatArray) -> tuple[FloatArray, FloatArray]:
+        middle = places.mean(axis=0)
+        unit = np.sqrt(2.0) / np.linalg.norm(places - middle, axis=1).mean()
+        matrix = np.array([[unit, 0, -unit * middle[0]], [0, unit, -unit * middle[1]], [0, 0, 1]])
+        return np.column_stack([places, np.ones(len(places))]) @ matrix.T, matrix
+
+    (source, of_image), (target, of_ground) = normalised(image), normalised(xy)
+    # Each GCP crosses the ground place that is computed with the one that is known: 0.
+    rows = [np.hstack([source, 0 * source, -target[:, :1] * source]),
+            np.hstack([0 * source, source, -target[:, 1:2] * source])]
+    to_ground = np.linalg.svd(np.concatenate(rows))[2][-1].reshape(3, 3)
+    to_image = np.linalg.inv(of_image) @ np.linalg.inv(to_ground) @ of_ground
+
+    def project(ground: FloatArray) -> FloatArray:
+        above = np.column_stack([ground[:, :2], np.ones(len(ground))]) @ to_image.T
+        return np.asarray(above[:, :2] / above[:, 2:])
+
+    return project

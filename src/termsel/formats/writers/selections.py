@@ -12,7 +12,7 @@ import numpy as np
 from termsel.errors import TermselError, printable
 from termsel.files.atomic import write_text
 from termsel.formats.base import Writer
-from termsel.formats.deviation import say_measured, say_splines
+from termsel.formats.deviation import GDALWARP, QGIS, say_measured, say_nearest
 from termsel.formats.readers.csv_tables import line_columns, write_table
 from termsel.formats.vrt import IMAGE, Gcp, picture_for, vrt_text
 from termsel.measurements.coordinates.crs import LOCAL, horizontal, normalise, to_wgs84
@@ -85,7 +85,8 @@ class QgisPoints(SelectionWriter):
         write_text(path, "\n".join([
             *declared, "mapX,mapY,sourceX,sourceY,enable,dX,dY,residual", *rows, ""]))
         used = points.take(_chosen(result))
-        say_splines(self.name, result.fit, used.ground[:, :2], used.image)
+        say_nearest(self.name, result.fit, used.ground[:, :2], used.image, QGIS,
+                    "where QGIS has the transformation type {}")
 
 
 class OrthorityGeojson(SelectionWriter):
@@ -148,7 +149,8 @@ class GcpVrt(SelectionWriter):
             points.ids, points.image.tolist(), np.nan_to_num(ground).tolist(), strict=True)]
         write_text(path, vrt_text(picture_for(result, self.options["image"]), path.parent,
                                   gcps=gcps, crs=crs))
-        say_splines(self.name, result.fit, points.ground[:, :2], points.image)
+        say_nearest(self.name, result.fit, points.ground[:, :2], points.image, GDALWARP,
+                    "by gdalwarp {}")
 
 
 class PointsTable(SelectionWriter):
