@@ -14,6 +14,7 @@ from click.testing import CliRunner
 
 import termsel
 from termsel.cli.main import cli
+from termsel.io.project import project_table
 from termsel.io.result_folder import read_result, write_result
 from termsel.results.checksums import of_record
 from termsel.testing import example_results
@@ -278,6 +279,17 @@ def test_project_says_which_rays_meet_no_ground(folder: Path, tmp_path: Path) ->
                        "--dem", dem)
     first = ", ".join(f"corner{i}" for i in range(10))
     assert err == f"Warning: no position was found for 12 points: {first} ...\n"
+
+
+def test_a_plane_model_locates_without_heights(tmp_path: Path) -> None:
+    run = termsel.run("poly-terms", model="poly2d", solver="all-terms", criterion="press",
+                      options={"degree": 1, "max_share": 1.0})
+    (tmp_path / "pixels.csv").write_text("id,line,sample\na,2000,1000\n")
+    text, _ = project_table(run, tmp_path / "pixels.csv", inverse=True)
+    row = dict(zip(*(line.split(",") for line in text.splitlines()[-2:]), strict=True))
+    assert row["z"] == ""
+    place = np.array([[float(row["x"]), float(row["y"]), np.nan]])
+    np.testing.assert_allclose(run.project(place), [[2000.0, 1000.0]], atol=1e-3)
 
 
 @pytest.mark.parametrize(("text", "arguments", "message"), [

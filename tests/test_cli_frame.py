@@ -200,6 +200,15 @@ def test_describe_tells_terms_of_models_and_defaults_of_problems(call, built_in)
     for default in (recipe.model, recipe.dataset, recipe.criterion, recipe.solver, recipe.source):
         assert f" {default}\n" in problem
     assert "Measurements: simulated" in call("describe", "spot-isfahan").stdout
+    assert re.search(r"^mixed +false +true \| false ", problem, re.MULTILINE)
+
+
+def test_describe_tells_options_of_the_solver_and_of_others(call):
+    shown = call("describe", "zakaryaie-2015").stdout
+    assert re.search(r"^Solver: +ica --set population=100 ", shown, re.MULTILINE)
+    assert re.search(r"^With ga: +--set population=50$", shown, re.MULTILINE)
+    assert re.search(r"^With pso: +--set population=30$", shown, re.MULTILINE)
+    assert "With ica:" not in shown
 
 
 def test_describe_of_a_model_whose_terms_fail(call, built_in, monkeypatch):

@@ -672,6 +672,16 @@ def test_all_failures_are_reported() -> None:
     assert {"axis", "exact_recovery", "recovery_from_lines"} <= set(failed)
 
 
+def test_a_default_that_is_read_as_something_else_is_named() -> None:
+    class Wordy(RationalFunctions):
+        """Declares a number as text."""
+
+        name = "wordy"
+        declared_options = (*RationalFunctions.declared_options, Option("many", "3", "A.", int))
+
+    assert_found(checks(Wordy), "declaration", "the default '3' of option 'many' is read as 3")
+
+
 def test_options_are_named() -> None:
     assert_found(checks(WrongLines, options=[{"denominators": "shared"}]),
                  "recovery_from_lines", "rfm with denominators=shared: ")

@@ -14,9 +14,12 @@ from termsel.measurements.coordinates.crs import (
     horizontal,
     is_geographic,
     normalise,
+    short,
     to_wgs84,
 )
+from termsel.measurements.coordinates.metres import in_metres
 from termsel.measurements.coordinates.plausible import check_ground
+from termsel.measurements.coordinates.utm import for_warping
 from termsel.measurements.features import FeatureSet, Lines, Points, no_points
 
 
@@ -61,6 +64,34 @@ def test_pyproj_knows_which_codes_exist() -> None:
         normalise("EPSG:5773")
     with pytest.raises(TermselError, match="cannot be read"):
         normalise('PROJCS["half"]')
+
+
+def test_a_long_crs_is_shortened_in_messages() -> None:
+    assert short("EPSG:4326+5773") == "EPSG:4326+5773"
+    assert short("x" * 41) == "x" * 40 + "..."
+
+
+def test_offsets_in_metres_are_those_of_the_ellipsoid() -> None:
+    pyproj = pytest.importorskip("pyproj")
+    places = np.array([[10.0, 0.0, 0.0], [10.0, 50.0, 0.0], [179.9999, -70.0, 0.0]])
+    offsets = np.array([[1e-4, 0.0], [0.0, 1e-4], [1e-4 - 360.0, 2e-4]])
+    geod = pyproj.Geod(ellps="WGS84")
+    for place, offset in zip(places, offsets, strict=True):
+        azimuth, _, length = geod.inv(*place[:2], *(place[:2] + offset))
+        expected = length * np.array([np.sin(np.radians(azimuth)), np.cos(np.radians(azimuth))])
+        found = in_metres("EPSG:4979", place[None], offset[None])
+        np.testing.assert_allclose(found, expected[None], rtol=1e-4, atol=1e-4)
+
+
+@pytest.mark.parametrize(("lon", "zone"), [(179.0, "EPSG:4326"), (181.0, "EPSG:32601"),
+                                           (-181.0, "EPSG:32660")])
+def test_what_goes_on_beyond_the_antimeridian_is_warped_in_its_zone(lon: float, zone: str) -> None:
+    pytest.importorskip("pyproj")
+    ground = np.array([[lon, 10.0, 5.0], [lon + 0.1, 10.1, np.nan]])
+    there, crs = for_warping(ground, "EPSG:4979")
+    assert crs == zone
+    np.testing.assert_array_equal(there[:, 2], [5.0, np.nan])
+    assert (np.abs(there[:, :2]) > 1000).all() == (zone != "EPSG:4326")
 
 
 def test_heights_of_their_own() -> None:

@@ -302,6 +302,18 @@ def test_the_command_for_a_table_without_header_is_right(kind: str, order: str, 
     agree(termsel.read(path, crs="EPSG:4979", columns=caught.value.columns))
 
 
+@pytest.mark.parametrize("numbered", [True, False])
+def test_bare_numbers_without_heights_are_advised_on(numbered: bool, tmp_path: Path) -> None:
+    path = tmp_path / "points.txt"
+    columns = np.column_stack([*[np.arange(1, len(IDS) + 1)] * numbered, LON, LAT, LINE, SAMPLE])
+    path.write_text("\n".join(" ".join(f"{value:.9g}" for value in row) for row in columns))
+    with pytest.raises(TermselError, match="no header that names its columns") as caught:
+        termsel.read(path, crs="EPSG:4979")
+    points = termsel.read(path, crs="EPSG:4979", columns=caught.value.columns).points
+    np.testing.assert_allclose(points.image, np.column_stack([LINE, SAMPLE]), rtol=1e-8)
+    assert points.ids[:2] == (("1", "2") if numbered else ("P1", "P2"))
+
+
 def test_the_command_holds_what_was_recognised(tmp_path: Path) -> None:
     path = tmp_path / "points.csv"
     path.write_bytes(table("Nr|Länge|Breite|Höhe|bild v|bild u"))

@@ -16,6 +16,7 @@ from termsel.problems.base import WORST, Evaluation, Problem
 from termsel.problems.genome import Genome
 from termsel.problems.segments import Bits, random_subsets
 from termsel.solvers.base import Solver
+from termsel.solvers.genetic import ga_transgenic
 from termsel.solvers.genetic.ga import GeneticAlgorithm
 from termsel.solvers.genetic.ga_correlation import (
     CorrelationSeededGA,
@@ -250,6 +251,10 @@ def test_of_equal_chromosomes_one_lives_on() -> None:
     genes = np.eye(6, dtype=bool)[[0, 0, 0, 1, 2, 2]]
     kept = SteadyStateGA().survivors(genes, judged(np.array([1.0, 1.0, 1.0, 2.0, 3.0, 3.0])))
     assert [int(genes[i].argmax()) for i in kept] == [0, 1, 2]
+    # Something is bred in every generation, even if all could live on.
+    different = np.eye(6, dtype=bool)
+    kept = SteadyStateGA(overlap=1.0).survivors(different, judged(np.arange(6.0)))
+    assert kept.tolist() == [0, 1, 2, 3, 4]
 
 
 def test_steady_state_finds_the_best_22_of_24_points() -> None:
@@ -337,6 +342,24 @@ def test_every_second_parent_has_the_qualified_genes() -> None:
     assert np.array_equal(seen[0][:30:2], made)
     assert np.array_equal(seen[0][1:30:2], genes[1:30:2])
     assert np.array_equal(seen[0][30:], genes[30:])
+
+
+@pytest.mark.parametrize(("coefficient", "qualified"), [(1.9, False), (2.0, True)])
+def test_the_test_of_a_gene_has_two_sides(coefficient: float, qualified: bool,
+                                          monkeypatch: pytest.MonkeyPatch) -> None:
+    """At the level 0.05 the limits of a standard normal variable are -1.96 and 1.96."""
+    monkeypatch.setattr(ga_transgenic, "qualification",
+                        lambda genes, evaluation: np.array([coefficient, -coefficient, 0.0]))
+    genes = np.array([[False, True, False], [False, True, True]] * 4)
+    seen: list[BoolArray] = []
+    solver = TransgenicGA(population=8, elite=0, transgenic=0.5)
+    box = solver.toolbox(narrow(3), rng())
+    box.register("mate", lambda parents: seen.append(parents.copy()) or parents)
+    box.register("mutate", lambda parents: parents)
+    box.register("select", lambda order, n: np.arange(n))
+    solver.children(box, genes, judged(np.arange(8.0)), 8)
+    assert (seen[0][::2, :2] == [qualified, not qualified]).all()
+    assert np.array_equal(seen[0][1::2], genes[1::2])
 
 
 def test_without_transgenic_parents_it_is_the_ga() -> None:

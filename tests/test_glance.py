@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import termsel
+from termsel.display import Glance
 
 NOTEBOOK = Path(__file__).parents[1] / "docs/how-to/notebook.ipynb"
 
@@ -39,6 +40,17 @@ def test_every_value_fits_on_a_screen(features: termsel.FeatureSet,
             assert value._repr_html_().startswith("<div><strong>")  # type: ignore[attr-defined]
     assert "RMSE" in repr(result)
     assert f"{len(features.points)} points" in repr(features)
+
+
+def test_a_long_value_loses_its_middle() -> None:
+    class Long(Glance):
+        def _glance(self) -> tuple[str, dict[str, str]]:
+            return "T" * 500, {"row": "v" * 500}
+
+    title, row = repr(Long()).splitlines()
+    assert 100 < len(title) < 200
+    assert 100 < len(row) < 200
+    assert len(Long()._repr_html_()) < 600
 
 
 def test_what_files_brought_is_text_in_a_notebook() -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from termsel import prepare, simulate_scene
+from termsel import TermselError, prepare, simulate_scene
 from termsel.adjustment.equations import line_normals
 from termsel.adjustment.lines import row_weights
 from termsel.fits.least_squares import fit
@@ -22,6 +22,14 @@ def lines_of_a_scene(n: int) -> FeatureSet:
     good = np.abs(whole.line_errors()).sum(axis=2).max(axis=1) < 3.0
     features = task.observations.control.take(good)
     return task.scaling.features(features.take(np.arange(len(features)) < n))
+
+
+def test_a_line_given_in_both_directions_is_one_line() -> None:
+    ground = np.array([[[0.0, 0.0, 1.0], [5.0, 1.0, 2.0]], [[0.0, 1.0, 1.0], [5.0, 1.0, 2.0]]])
+    assert len(Lines(("A", "B"), ground[..., :2], ground)) == 2
+    ground[1] = ground[0, ::-1]
+    with pytest.raises(TermselError, match="lines 'A' and 'B' have the same ground vertices"):
+        Lines(("A", "B"), ground[..., :2], ground)
 
 
 def test_weights_by_hand() -> None:

@@ -16,7 +16,7 @@ from termsel.candidates.portfolio import choose
 from termsel.cli.main import cli
 from termsel.measurements.control import Control
 from termsel.measurements.features import FeatureSet, FloatArray, Points
-from termsel.simulate import simulate_map
+from termsel.simulate import maps, simulate_map
 
 
 def total(errors: FloatArray) -> float:
@@ -133,6 +133,24 @@ def test_independent_points_of_a_map_take_no_part_in_the_choice() -> None:
     assert one.strategy == other.strategy
     assert one.fit.project(features.points.ground).tolist() == other.fit.project(
         features.points.ground).tolist()
+
+
+def test_local_deformation_has_the_size_asked_for() -> None:
+    places = np.random.default_rng(0).uniform(0, maps.SIZE, (300, 2))
+    shifts = [maps._field(np.random.default_rng(seed), 5.0, places) for seed in range(40)]
+    assert np.sqrt(np.mean(np.square(shifts))) == pytest.approx(5.0, rel=0.1)
+
+
+def test_a_sheet_is_shifted_turned_and_scaled() -> None:
+    places = np.random.default_rng(0).uniform(0, maps.SIZE, (200, 2))
+    shift = maps._joined(np.random.default_rng(1), (2, 2), 6.0, places)
+    first = (places < np.array(maps.SIZE) / 2).all(axis=1)
+    design = np.column_stack([np.ones(first.sum()), places[first]])
+    x, rest = np.linalg.lstsq(design, shift[first])[:2]
+    assert rest == pytest.approx(0.0, abs=1e-9)
+    assert x[1, 0] == pytest.approx(x[2, 1])
+    assert x[1, 1] == pytest.approx(-x[2, 0])
+    assert np.abs(x[1:]).min() > 1e-5
 
 
 def test_the_simulated_map_has_the_parts_it_is_made_of() -> None:

@@ -24,6 +24,7 @@ from termsel import (
 )
 from termsel.models.radial import Radial2D, Radial3D
 from termsel.problems.parameters import ParameterProblem, segment_of
+from termsel.simulate import photos
 from termsel.simulate.photos import CENTRE, photo, seen
 
 DEGREES = ("line_x", "line_y", "line_z", "sample_x", "sample_y", "sample_z")
@@ -102,6 +103,15 @@ def test_the_photo_is_distorted_as_stated() -> None:
     assert len(points) == 120
     noise = points.image - seen(points.ground - [400000.0, 4000000.0, 0.0])
     assert noise.std() == pytest.approx(0.5, rel=0.15)
+
+
+def test_the_photo_is_distorted_by_both_terms(monkeypatch: pytest.MonkeyPatch) -> None:
+    ground = photo().points.ground - [400000.0, 4000000.0, 0.0]
+    away = seen(ground) - CENTRE
+    monkeypatch.setattr(photos, "DISTORTION", (0.0, 0.0))
+    ideal = seen(ground) - CENTRE
+    r2 = (away**2).sum(axis=1, keepdims=True)
+    np.testing.assert_allclose(away * (1 + 7.0e-9 * r2 - 6.0e-16 * r2**2), ideal, atol=1e-6)
 
 
 def test_projection_inverts_the_distortion() -> None:

@@ -238,6 +238,10 @@ def test_nested_regression_by_hand() -> None:
     assert terms(1.15) == [0, 1, 2]      # 0.1, change 1.10
     assert terms(1.05) == [0, 1, 2, 3]   # the change of 1.10 is not
     assert terms(115.0, pixels=100.0) == terms(1.15)
+    # With one mask for both axes, one that is good enough does not end the search for the other.
+    both = columns @ np.array([[5.0, 3.0, 2.9, 2.8], [5.0, 0.1, 0.1, 0.1]]).T * np.sqrt(2)
+    chosen = NestedRegression(thumb=1.5).choose(part_of(columns, both))
+    assert np.flatnonzero(chosen).tolist() == [0, 1, 2, 3]
 
 
 def centred_r2(errors: np.ndarray, column: np.ndarray) -> float:

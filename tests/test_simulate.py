@@ -17,6 +17,8 @@ from termsel.simulate import (
     scenes,
     simulate_scene,
 )
+from termsel.simulate.geometry_files import geometry_from, geometry_text
+from termsel.simulate.render import checkerboard
 
 NAMES = tuple(SCENES)
 PLACE = {"lon": 48.5, "lat": 34.8, "height": 1850.0, "gsd": 1.0, "image_size": (7000, 8000),
@@ -101,6 +103,15 @@ def test_pushbroom_at_looks_where_it_should(off_nadir, azimuth):
     # Descending and not mirrored: lines go south, samples go east.
     assert seen[1, 1] < seen[0, 1]
     assert seen[2, 0] > seen[0, 0]
+
+
+@pytest.mark.parametrize(("azimuth", "axis", "sign"), [(90, 0, -1), (-90, 0, 1), (0, 1, -1)])
+def test_a_ray_goes_on_in_the_direction_of_the_look(azimuth, axis, sign):
+    """The satellite flies south: starboard is west, ahead is south."""
+    sensor = pushbroom_at(**PLACE, off_nadir=20, look_azimuth=azimuth)
+    high, low = sensor.locate([sensor.centre, sensor.centre], [1950.0, 1850.0])
+    assert np.sign(low - high)[axis] == sign
+    assert abs(low - high)[axis] > 3 * abs(low - high)[1 - axis]
 
 
 def test_angle_at_the_ground_follows_the_sine_rule():
@@ -318,6 +329,18 @@ def test_sensor_and_terrain_of_a_scene_are_computed_once():
     after = scenes._geometry.cache_info()
     assert after.misses == before.misses
     assert after.hits >= before.hits + len(NAMES)
+
+
+def test_a_geometry_is_read_as_it_was_written():
+    for name in NAMES:
+        sensor = scene_truth(name).sensor
+        assert geometry_from(geometry_text(sensor)) == sensor
+
+
+def test_a_checkerboard_begins_dark_at_its_origin():
+    pattern = checkerboard((10.0, 20.0), (5.0, 2.0))
+    places = np.array([[11.0, 21.0], [16.0, 21.0], [16.0, 23.0], [9.0, 21.0]])
+    assert pattern(places).tolist() == [60.0, 190.0, 60.0, 190.0]
 
 
 def test_loading_needs_numpy_alone():

@@ -284,6 +284,16 @@ def test_a_collection_has_a_row_and_a_folder_an_image_the_worst_first(
         assert termsel.read_result(folder).selection.terms
 
 
+def test_a_file_that_cannot_be_read_is_a_row_and_one_named_twice_is_read_once(
+        tmp_path: Path) -> None:
+    _images(tmp_path, 1)
+    study = termsel.compare(problems=["poly-terms"], solvers=["random"], budget={"evaluations": 50},
+                            data=[{"crs": "local", "points": [str(tmp_path / "image*.csv"),
+                                                              str(tmp_path / "image0.csv")]}])
+    assert [row["state"] for row in study.rows] == ["done", "failed"]
+    assert "abc" in study.rows[1]["reason"]
+
+
 def test_no_two_images_share_a_folder() -> None:
     labels = {"data": "a/x.csv", "split": 0, "problem": "rfm-terms", "strategy": "auto"}
     assert folders_of({"1": labels, "2": {**labels, "split": 3},

@@ -207,6 +207,21 @@ def _groups(medians: np.ndarray) -> Groups:  # type: ignore[type-arg]
         for j, row in enumerate(medians)}, tuple(names))
 
 
+def _row(state: str = "done", **given: object) -> dict[str, object]:
+    return {"state": state, "cell": "c", "strategy": "as-asked", "model": "rfm",
+            "criterion": "press", "solver": "ga", "problem": "p", "data": "d", "split": 1,
+            "fitness": 1.0, **given}
+
+
+def test_what_failed_is_counted_as_worst_and_what_waits_is_not_counted() -> None:
+    rows = [_row(), _row("failed", fitness=None), _row("infeasible", fitness=None),
+            _row("waiting", fitness=None)]
+    groups = group(rows, {"c": {}})
+    runs = groups.instances["p"]["ga"]
+    assert runs.values == [1.0, np.inf, np.inf]
+    assert "Without a result, and counted as worst: 2 of 4 cells." in claims(groups, None, rows)
+
+
 def test_claims_say_what_the_tests_allow() -> None:
     rng = np.random.default_rng(3)
     base = rng.uniform(1, 2, (20, 1))

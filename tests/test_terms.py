@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 import termsel
 from termsel import Term
 from termsel.models.terms import AXES
-from termsel.plugins.registry import Registry
+from termsel.plugins.registry import Registry, registry
 
 powers = st.integers(0, 12)
 monomials = st.builds(Term, st.sampled_from(AXES), st.sampled_from(["numerator", "denominator"]),
@@ -131,6 +131,13 @@ def test_names_of_a_plugin_have_a_hierarchy_and_shared_genes() -> None:
     assert each.evaluate(lacking[None]).violation == 4  # X and Y, of line and of sample
     shared = termsel.SelectionProblem(inputs, terms=True, features=False, mask="shared")
     assert shared.genome.labels == ("row:1", "row:X", "row:Y", "row:XY")
+
+
+@pytest.mark.parametrize(("name", "options", "degree"), [
+    ("poly2d", {"degree": 3}, 3), ("poly3d", {"degree": 2}, 2), ("affine", {}, 1),
+    ("poly3d-by-axis", {"degree": 4}, 4), ("rfm", {}, None), ("dlt3d", {}, None)])
+def test_the_degree_of_a_polynomial(name: str, options: dict, degree: int | None) -> None:
+    assert registry().get("models", name)(**options).polynomial_degree == degree
 
 
 def test_the_double_sum_of_the_papers() -> None:

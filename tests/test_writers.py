@@ -289,6 +289,9 @@ def test_orthority_geojson(selected: Result, tmp_path: Path) -> None:
         assert feature["properties"]["ji"] == original.image[i, ::-1].tolist()
         assert feature["properties"]["filename"] == "scene.tif"
         assert isinstance(feature["properties"]["info"], str)
+        residual, = (one for one in selected.residuals
+                     if one.id == feature["properties"]["id"])
+        assert feature["properties"]["residual"] == pytest.approx([residual.sample, residual.line])
 
 
 def test_gcps_are_gdals(selected: Result, tmp_path: Path) -> None:

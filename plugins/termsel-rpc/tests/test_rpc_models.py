@@ -255,6 +255,15 @@ def test_known_biases_of_attitude_are_found() -> None:
     assert left / truth.ifov == pytest.approx(ROLL_DRIFT, abs=0.2)
 
 
+def test_the_geometry_is_linearised_by_its_derivatives() -> None:
+    fitted = refined_pushbroom(nominal_sensor(), biases="both")
+    ground = fitted.scaled_control.points.ground
+    image, columns = fitted.model.first_order(ground)  # type: ignore[attr-defined]
+    step = np.random.default_rng(0).normal(size=columns.shape[-1]) * 1e-3
+    moved = fitted.model.project(step, ground)
+    np.testing.assert_allclose(moved - image, columns @ step, rtol=1e-3, atol=1e-6)
+
+
 def refined_pushbroom(true: object, n: int = 30, **options: str) -> Fit:
     ground = ground_of(read_rpc(RPC_FILE), n)
     image = true.project(ground)  # type: ignore[attr-defined]
