@@ -43,7 +43,7 @@ def test_a_limit_that_a_subset_scores_never_rules_it_out() -> None:
             first = int(np.flatnonzero(np.isin(rest, chosen))[0])
             upper = np.append(np.ones(c), 1 / (limits.margin * c))
             end = first_closed(vectors.top[0, 0], vectors.extra[0, 0], first, len(rest),
-                               score * (1 + 1e-9), upper, True, systems._space(vectors))
+                               score * (1 + 1e-9), upper, True, systems._space(vectors).bound)
             assert end > first
             assert (np.append(below, 1) / below.sum() <= upper * (1 + 1e-9)).all()
             closed += end < len(rest)

@@ -57,10 +57,10 @@ def relative_deviations(features: FeatureSet) -> FloatArray:
         Of line and sample, of lines across them; 1 if none is given.
     """
     points, lines = features.points, features.lines
-    given = [sigma.ravel() for sigma in (points.sigma, lines.sigma) if sigma is not None]
+    deviations = [sigma.ravel() for sigma in (points.sigma, lines.sigma) if sigma is not None]
     deviation = np.ones((len(points) + len(lines), 2))
-    if given:
-        unit = np.median(np.concatenate(given))
+    if deviations:
+        unit = np.median(np.concatenate(deviations))
         if points.sigma is not None:
             deviation[:len(points)] = points.sigma / unit
         if lines.sigma is not None:

@@ -189,7 +189,7 @@ class Stack:
             limit = value + limits.slack - limits.offset
             return limit <= 0.0 or first_closed(
                 vectors.top[0, 0], errors, 0, n, limit, largest.copy(), self.kind == RATIONAL,
-                space) == 0
+                space.bound) == 0
 
         low, high = piece.least, lowest
         if not n or above(lowest):

@@ -66,7 +66,7 @@ def branch(kind: int, vectors: Vectors, limits: Limits, records: Records, place:
             if work is not None:
                 held_out.descend(kind, vectors, depth, i)
             if check is not None:
-                check_errors.descend(vectors, depth, i, check)
+                check_errors.descend(vectors, depth, i, check.upper)
             mask[depth + 1] = joined
             depth += 1
             first = i + 1
@@ -86,11 +86,12 @@ def branch(kind: int, vectors: Vectors, limits: Limits, records: Records, place:
                                                 first, n, worst, work)
                 if check is not None and open_ > check_errors.BLOCK:
                     end = check_errors.closed_from(kind, vectors, limits, depth, first, worst,
-                                                   check)
+                                                   check.upper[depth], check.bound)
                 pruned += counts[n - end, left] - 1  # but for the node itself, without any of them
                 if check is not None and left > 1 and open_ <= check_errors.BLOCK:
                     lost = check_errors.decide_block(kind, vectors, limits, records, depth, first,
-                                                     cursor, mask[depth], check)
+                                                     cursor, mask[depth], check.upper[depth],
+                                                     check.block)
                     if lost >= 0:  # else inner products were too inaccurate
                         infeasible += lost
                         end = first

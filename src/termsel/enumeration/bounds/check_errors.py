@@ -12,10 +12,10 @@ import numpy as np
 
 from termsel.adjustment.compiled import compiled
 from termsel.enumeration.bounds.closed import first_closed
-from termsel.enumeration.columns.arrays import CheckSpace, Limits, Records, SubsetBlock, Vectors
+from termsel.enumeration.columns.arrays import BoundSpace, Limits, Records, SubsetBlock, Vectors
 from termsel.enumeration.columns.blocks import SHARE, eliminate, pairs, prepare, single
 from termsel.enumeration.columns.kernels import RATIONAL, at_depth, record, remove, score_of
-from termsel.measurements.features import IntArray
+from termsel.measurements.features import FloatArray, IntArray
 
 _compiled = partial(compiled, _nrt=False, fastmath={"reassoc", "contract", "arcp", "nsz"})
 
@@ -30,7 +30,7 @@ def score(kind: int, vectors: Vectors, depth: int, c: int, limits: Limits) -> fl
 
 @_compiled
 def closed_from(kind: int, vectors: Vectors, limits: Limits, depth: int, first: int, worst: float,
-                check: CheckSpace) -> int:
+                upper: FloatArray, space: BoundSpace) -> int:
     """Return a column from which on no subset scores less than the worst of the best scores."""
     n = vectors.top.shape[2] - 1
     limit = _allowed(worst, limits)
@@ -39,16 +39,16 @@ def closed_from(kind: int, vectors: Vectors, limits: Limits, depth: int, first: 
     if limit < 0.0:  # what no column can change is already more
         return first
     return int(first_closed(vectors.top[depth, 0], vectors.extra[depth, 0], first, n, limit,
-                            check.upper[depth], kind == RATIONAL, check))
+                            upper, kind == RATIONAL, space))
 
 
 @_compiled
-def descend(vectors: Vectors, depth: int, i: int, check: CheckSpace) -> None:
+def descend(vectors: Vectors, depth: int, i: int, upper: FloatArray) -> None:
     """Remove column i from those to its right and the target, from one depth to the next."""
     for c in range(vectors.top.shape[2] - 1, i, -1):
         _remove(vectors, depth, i, c)
-    for k in range(check.upper.shape[1]):  # limits of denominators hold for the subsets below, too
-        check.upper[depth + 1, k] = check.upper[depth, k]
+    for k in range(upper.shape[1]):  # limits of denominators hold for the subsets below, too
+        upper[depth + 1, k] = upper[depth, k]
 
 
 @_compiled
@@ -64,7 +64,8 @@ def _allowed(best: float, limits: Limits) -> float:
 
 @_compiled
 def decide_block(kind: int, vectors: Vectors, limits: Limits, records: Records, depth: int,
-                 first: int, cursor: IntArray, mask: Any, check: CheckSpace) -> int:
+                 first: int, cursor: IntArray, mask: Any, upper: FloatArray,
+                 b: SubsetBlock) -> int:
     """Decide all subsets that add some of the columns first, ..., n - 1, by their inner products.
 
     Returns
@@ -73,10 +74,10 @@ def decide_block(kind: int, vectors: Vectors, limits: Limits, records: Records, 
         Number of subsets that were found to have no score; -1 if inner products are too
         inaccurate, so that the vectors must decide.
     """
-    n, b = vectors.top.shape[2] - 1, check.block
+    n = vectors.top.shape[2] - 1
     count, left, best = n - first, limits.room - depth, records.best
     lost, below = prepare(vectors.top[depth, 0], vectors.extra[depth, 0], first, n,
-                          check.upper[depth], vectors.floor[0], b)
+                          upper, vectors.floor[0], b)
     infeasible, level = 0, 0
     b.share[0] = 1.0
     b.cursor[0] = -1

@@ -32,7 +32,7 @@ from functools import partial
 import numpy as np
 
 from termsel.adjustment.compiled import compiled
-from termsel.enumeration.columns.arrays import CheckSpace
+from termsel.enumeration.columns.arrays import BoundSpace
 from termsel.measurements.features import FloatArray
 
 _compiled = partial(compiled, _nrt=False, fastmath={"reassoc", "contract", "arcp", "nsz"})
@@ -46,7 +46,7 @@ _SPHERE, _SCALE = 0.15, 0.1  # weights of facts 3 and 1; the rest is of fact 4
 
 @_compiled
 def first_closed(top: FloatArray, extra: FloatArray, first: int, n: int, limit: float,
-                 upper: FloatArray, rational: bool, space: CheckSpace) -> int:
+                 upper: FloatArray, rational: bool, space: BoundSpace) -> int:
     """Return a column from which on no subset scores `limit` or less.
 
     Parameters
@@ -61,7 +61,7 @@ def first_closed(top: FloatArray, extra: FloatArray, first: int, n: int, limit: 
         U and tau, lowered in place; 1 for scores without denominators.
     rational : bool
         Whether there are denominators.
-    space : CheckSpace
+    space : BoundSpace
 
     Returns
     -------
@@ -146,7 +146,7 @@ def first_closed(top: FloatArray, extra: FloatArray, first: int, n: int, limit: 
 
 @_compiled
 def _lowered(extra: FloatArray, n: int, count: int, upper: FloatArray, inverse: float,
-             space: CheckSpace) -> int:
+             space: BoundSpace) -> int:
     """Lower the limits to their maxima on an ellipsoid.
 
     With z = L'(-t, x) and h = L^-1 s its points are |z|^2 <= 1 and h'z = 1. The maximum of a linear

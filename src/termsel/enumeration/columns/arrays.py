@@ -97,14 +97,20 @@ class SubsetBlock(NamedTuple):
     cursor: Any  # (levels,) of int: columns in use
 
 
-class CheckSpace(NamedTuple):
-    """Space for bounds of errors in e rows of the score, n columns at most."""
+class BoundSpace(NamedTuple):
+    """Space for one bound of errors in e rows of the score, n columns at most."""
 
     gram: FloatArray  # (n + 1, n + 1): products in the control rows
     triangle: FloatArray  # (n + 1, n + 1): Cholesky's of the quadratic form
     rows: FloatArray  # (n + 1, e + 1): denominators, and t, in the basis of the triangle
     x: FloatArray  # (3, max(n, e) + 1)
+
+
+class CheckSpace(NamedTuple):
+    """Space for a walk by the errors in e rows of the score."""
+
     upper: FloatArray  # (depths, e + 1): U and tau of `first_closed`; filled in at depth 0
+    bound: BoundSpace
     block: SubsetBlock
 
 
@@ -155,5 +161,5 @@ def check_space(depths: int, n: int, e: int, least: float | None) -> CheckSpace:
     upper = np.ones((depths, e + 1))
     if least is not None:
         upper[0, e] /= least * e
-    return CheckSpace(gram, triangle, np.empty((n + 1, e + 1)), np.empty((3, max(n, e) + 1)), upper,
-                      block)
+    bound = BoundSpace(gram, triangle, np.empty((n + 1, e + 1)), np.empty((3, max(n, e) + 1)))
+    return CheckSpace(upper, bound, block)

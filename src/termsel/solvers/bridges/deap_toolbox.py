@@ -147,22 +147,22 @@ def register(box: base.Toolbox, role: str, said: str | None, genome: Genome) -> 
     if name not in known:
         raise unknown_name(f"operator of deap.tools to {role}", name, known)
     function: Callable[..., Any] = getattr(tools, name)
-    given: dict[str, Any] = dict(map(_argument, filter(None, arguments.split(","))))
+    keywords: dict[str, Any] = dict(map(_argument, filter(None, arguments.split(","))))
     takes = list(inspect.signature(function).parameters)
     if role == "mutate" and "indpb" in takes:
-        given.setdefault("indpb", 1.0 / genome.size)
+        keywords.setdefault("indpb", 1.0 / genome.size)
     # Individuals come first, and how many to select; the rest are arguments.
     free = {"select": 2, "mate": 2, "mutate": 1}[role]
-    if not set(given) <= set(takes[free:]):
-        wrong = min(set(given) - set(takes[free:]))
+    if not set(keywords) <= set(takes[free:]):
+        wrong = min(set(keywords) - set(takes[free:]))
         raise TermselError(f"{name} of deap.tools takes no argument {wrong!r}",
                            hint=f"It takes {', '.join(takes[free:]) or 'none'}.")
-    lacking = [key for key in takes[free:] if key not in given and
+    lacking = [key for key in takes[free:] if key not in keywords and
                inspect.signature(function).parameters[key].default is inspect.Parameter.empty]
     if lacking:
         raise TermselError(f"{name} of deap.tools requires {', '.join(lacking)}",
                            hint=f"For example --set {role}={name}:{lacking[0]}=0.5.")
-    box.register(role, function, **given)
+    box.register(role, function, **keywords)
 
 
 def _argument(text: str) -> tuple[str, Any]:

@@ -76,9 +76,9 @@ class Pymoo(Solver):
     )
 
     def __init__(self, **options: Any) -> None:
-        asked = options.get("algorithm")
-        if isinstance(asked, str) and asked in UNFIT:
-            raise TermselError(f"pymoo's algorithm {asked!r} {UNFIT[asked]}",
+        wanted = options.get("algorithm")
+        if isinstance(wanted, str) and wanted in UNFIT:
+            raise TermselError(f"pymoo's algorithm {wanted!r} {UNFIT[wanted]}",
                                hint=f"Choose one of: {', '.join(ALGORITHMS)}.")
         super().__init__(**options)
         if self.options["horizon"] and self.options["algorithm"] != "rvea":
@@ -95,22 +95,22 @@ class Pymoo(Solver):
         name, population = self.options["algorithm"], self.options["population"]
         module, _, of = ALGORITHMS[name].partition(":")
         algorithm = getattr(import_module(f"pymoo.algorithms.{module}"), of)
-        given = operators(problem.genome, self.options["mutation"], rng)
+        arguments = operators(problem.genome, self.options["mutation"], rng)
         if name in DIRECTED:
-            given["ref_dirs"] = directions(len(problem.objectives), population)
-            if len(given["ref_dirs"]) > population:
+            arguments["ref_dirs"] = directions(len(problem.objectives), population)
+            if len(arguments["ref_dirs"]) > population:
                 raise TermselError(
                     f"algorithm={name} has a direction for each of {len(problem.objectives)} "
                     f"objectives, but a population of {population}",
-                    hint=f"Set population={len(given['ref_dirs'])} or more.")
+                    hint=f"Set population={len(arguments['ref_dirs'])} or more.")
         if name == "rvea":
-            given["survival"] = RveaSurvival(given["ref_dirs"])
+            arguments["survival"] = RveaSurvival(arguments["ref_dirs"])
         if name in ("ctaea", "omni"):
             # Where few selections differ, neither ends as long as it lacks individuals.
-            given["eliminate_duplicates"] = False
+            arguments["eliminate_duplicates"] = False
         if name != "ctaea":  # which has as many as there are directions
-            given["pop_size"] = population
-        made = algorithm(**given)  # then its survival is replaced: not all classes take one
+            arguments["pop_size"] = population
+        made = algorithm(**arguments)  # then its survival is replaced: not all classes take one
         if name in SURVIVALS:
             made.survival = SURVIVALS[name]()
         yield from steps(made, problem, rng, self.options["horizon"])

@@ -156,20 +156,20 @@ def steps(algorithm: Algorithm, problem: Problem, rng: np.random.Generator,
     index = 0
     while True:
         with chance:
-            asked = algorithm.ask()
-        if asked is None or not len(asked):
+            offspring = algorithm.ask()
+        if offspring is None or not len(offspring):
             return  # every offspring is a duplicate: there is nothing left to try
-        kept = asked.get("X")
+        kept = offspring.get("X")
         genes = genome.repair(kept.astype(bool if genome.dtype == np.bool_ else float), rng)
-        asked.set("X", genes)
+        offspring.set("X", genes)
         evaluation = problem.evaluate(genes)
-        asked.set("F", evaluation.objectives)
-        asked.set("G", evaluation.violation[:, None])
-        for one in asked:  # else pymoo would evaluate them again
+        offspring.set("F", evaluation.objectives)
+        offspring.set("G", evaluation.violation[:, None])
+        for one in offspring:  # else pymoo would evaluate them again
             one.evaluated.update({"F", "G"})
         with chance:
             # The repaired genes are those that survive or not.
-            algorithm.tell(infills=asked)
+            algorithm.tell(infills=offspring)
         people = algorithm.pop
         yield Generation(index, people.get("X").astype(genome.dtype),
                          Evaluation(people.get("F"), np.maximum(people.get("G")[:, 0], 0.0)))

@@ -135,15 +135,15 @@ class CorrelationSeededGA(GeneticAlgorithm):
 
     def __init__(self, **options: Any) -> None:
         super().__init__(**options)
-        given = [name for name in ("scale", "offset") if self.options[name] is not None]
+        stated = [name for name in ("scale", "offset") if self.options[name] is not None]
         own = self.options["preset"] == "own"
-        if own and len(given) < 2:
+        if own and len(stated) < 2:
             raise TermselError("preset=own requires scale and offset",
                                hint="For example --set preset=own --set scale=1 --set offset=0.")
-        if given and not own:
-            raise TermselError(f"option {given[0]!r} requires preset=own, but the preset is "
+        if stated and not own:
+            raise TermselError(f"option {stated[0]!r} requires preset=own, but the preset is "
                                f"{self.options['preset']}", hint="Add --set preset=own.",
-                               name=given[0])
+                               name=stated[0])
 
     def toolbox(self, problem: Problem, rng: np.random.Generator) -> base.Toolbox:
         """Return the toolbox of the GA with another population."""
