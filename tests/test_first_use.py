@@ -407,3 +407,109 @@ def test_a_crs_for_features_that_have_one_is_refused() -> None:
     scene = termsel.simulate_scene("ikonos-hamedan")
     with pytest.raises(TermselError, match="have the CRS EPSG:4979 already"):
         termsel.run(features=scene, crs="EPSG:4979")
+
+
+# Files that no one can read, and files that are not what they seem
+
+
+def changed(row: int, column: int, text: str) -> bytes:
+    """Return the points with one other cell; -1 stands for every row."""
+    rows = [line.split(",") for line in TEXTS["commas"][0].decode().splitlines()]
+    for i in range(1, N + 1):
+        if row in (i, -1):
+            rows[i][column] = text.replace("*", rows[i][column])
+    return "\n".join(map(",".join, rows)).encode()
+
+
+CLEAN = TEXTS["commas"][0]
+HOSTILE: dict[str, tuple[bytes, str]] = {
+    "empty": (b"", "the file is empty"),
+    "blank": (b"\n \n", "the file is empty"),
+    "binary": (bytes(range(256)) * 9, "this binary file is in no format"),
+    "no spreadsheet": (b"PK\x03\x04" + bytes(99), "this binary file is in no format"),
+    "half of UTF-16": (CLEAN.decode().encode("utf-16")[:301], "is not UTF-16"),
+    "zero bytes": (CLEAN.replace(b"P7", b"P\0"), "binary"),
+    "100,000 columns": (b",".join([b"c"] * 100_000) + b"\n", "in no format"),
+    "prose": (b"This is a letter.\nIt has lines, and commas.\n", "in no format"),
+    "header alone": (CLEAN.split(b"\n")[0], "line 1: there are no rows below the header"),
+    "header again": (CLEAN + CLEAN, "line 16, column 'Row': 'Row' is not a number"),
+    "two equal ids": (changed(5, 0, "P2"), "line 6, column 'Name': id 'P2' is already used on"),
+    "sign and side": (changed(-1, 1, "-*E"), "line 2, column 'Lon': '-1"),
+    "wrong side": (changed(-1, 1, "*N"), "is a latitude in the column of x"),
+    "O": (changed(-1, 1, "*O"), "east in German and west in Romance languages"),
+    "60 minutes": (changed(3, 1, "10°75'2\"E"), "has 60 or more minutes or seconds"),
+    "NaN": (changed(3, 4, "NaN"), "line 4, column 'Row': 'NaN' is not a finite number"),
+    "no answer": (changed(3, 3, "n/a"), "line 4, column 'Height': 'n/a' is not a number"),
+    "an open quote": (changed(3, 0, '"P3'), "line 4: the row that begins here cannot be read"),
+    "a foot": (CLEAN + b"Source: survey\n", "line 16: the row has 1 cells"),
+    "a sum": (CLEAN + b"Sum,,,,1,2\n", "line 16, column 'Lon': the cell is blank"),
+    "two signs": (changed(3, 3, "10.5").replace(b",", b";").replace(b"10.5", b"10,5"),
+                  "line 4, column 'Height': '10,5' has a decimal comma"),
+    "two places": (b"id,x,y,lon,lat,h\n1,2,3,4,5,6\n", "columns 'x' and 'lon' both mean x|line"),
+    "JSON": (b'{"a": 1}', "in no format that termsel knows"),
+    "GeoJSON without pixels": (geojson(lambda i: {"a": i}), "there is no column for line"),
+    "cut database": (b"SQLite format 3\0" + bytes(52) + b"GP10" + bytes(99), "cannot read|no geometry"),
+    "unknown column": (CLEAN.replace(b"Row", b"Quux"), "--columns 'id=Name,line=Quux,"),
+}
+
+
+@pytest.mark.parametrize("kind", HOSTILE)
+def test_a_hostile_file_gives_one_message(kind: str, tmp_path: Path) -> None:
+    content, message = HOSTILE[kind]
+    path = tmp_path / "points.csv"
+    path.write_bytes(content)
+    with pytest.raises(TermselError) as caught:
+        termsel.read(path, crs="EPSG:4979")
+    assert str(caught.value).startswith(str(path))
+    assert any(part in str(caught.value) for part in message.split("|")), caught.value
+
+
+@pytest.mark.parametrize(("make", "message"), [
+    (lambda p: sheet(p, []), "no visible sheet has a table of points"),
+    (lambda p: sheet(p, [*values(EN.split("|"))[:4], ["P9", None, 47.0, 1.0, 2.0, 3.0]]),
+     "line 5, column 'Lon': the cell is blank"),
+    (lambda p: sheet(p, [*values(EN.split("|")), ["P99", "=A1+1", 47.0, 1.0, 2.0, 3.0]]),
+     "column 'Lon': the cell is blank"),
+    (lambda p: p.write_bytes(b"PK\x03\x04"), "this spreadsheet cannot be read")])
+def test_a_hostile_spreadsheet_gives_one_message(make: Callable[[Path], None], message: str,
+                                                 tmp_path: Path) -> None:
+    pytest.importorskip("python_calamine")
+    make(tmp_path / "p.xlsx")
+    with pytest.raises(TermselError, match=message):
+        termsel.read(tmp_path / "p.xlsx", crs="EPSG:4979")
+
+
+def test_degrees_and_decimals_may_stand_in_one_column(tmp_path: Path) -> None:
+    path = tmp_path / "p.csv"
+    path.write_bytes(changed(3, 1, QUOTES[0](LON[2])))
+    agree(termsel.read(path, crs="EPSG:4979"))
+
+
+def test_swapped_longitude_and_latitude_are_noted(tmp_path: Path, caplog: pytest.LogCaptureFixture,
+                                                  ) -> None:
+    path = tmp_path / "p.csv"
+    path.write_bytes(table("id|x|y|z|line|sample", order="iyxzls"))
+    termsel.read(path, crs="EPSG:4979")
+    assert "the image is a mirror image of the ground" in caplog.text
+    caplog.clear()
+    agree(termsel.read(path, crs="EPSG:4979", columns="x=y,y=x"))
+    assert "mirror" not in caplog.text
+
+
+def test_the_command_line_shows_a_command_that_runs(tmp_path: Path,
+                                                    capsys: pytest.CaptureFixture[str]) -> None:
+    import shlex
+
+    from termsel.cli.main import cli
+
+    path = tmp_path / "points.txt"
+    path.write_bytes(DECLARED["no header"][0])
+    asked = ["run", "--points", str(path), "--crs", "EPSG:4979", "--quiet"]
+    with pytest.raises(SystemExit) as ended:
+        cli.main(asked)
+    assert ended.value.code == 2
+    ready = capsys.readouterr().err.partition("Ready to run: termsel ")[2]
+    with pytest.raises(SystemExit) as ended:
+        cli.main(shlex.split(ready))
+    assert not ended.value.code
+    assert f"{path}: rfm-terms" in capsys.readouterr().out.replace("\n", "")
