@@ -25,6 +25,9 @@ OF_EVERY_RUN = {"data": DATA_OPTIONS, "search": SEARCH_OPTIONS}
 OWN = ("termsel", "termsel-hybrids", "termsel-match", "termsel-rpc")
 """Packages of the repository: others that happen to be installed are not documented here."""
 
+_ONCE = ("RmseByRole", "SelectionRecord", "AdjustmentFigures", "FitRecord", "ScalingNumbers")
+"""Parts of the schema that are shown where they stand at the top."""
+
 PAGES = {"datasets": "data"}
 """Pages that are not called as the kind they list."""
 
@@ -156,9 +159,10 @@ def _rows(one: Mapping[str, Any], key: str, whole: Mapping[str, Any], always: bo
     meaning += "" if always else " Not always there."
     enum = ", ".join(f"`{json.dumps(value)}`" for value in target.get("enum", ()))
     rows = [f"| `{key}` | {_type(one, whole)} | {meaning}{f' One of {enum}.' if enum else ''} |"]
-    if "$ref" in one and path_of(one) in ("rmse", "selection") and "." in key:
+    if "$ref" in one and path_of(one) in _ONCE and "." in key:
         return rows  # shown once, where it stands at the top
-    for branch in (target, *(_resolved(other, whole) for other in target.get("anyOf", ()))):
+    for branch in (target, *(_resolved(other, whole) for other in target.get("anyOf", ())
+                             if "." not in key or path_of(other) not in _ONCE)):
         rows += keys(branch, key, whole)
         for part_key, inside in ((f"{key}[]", branch.get("items")),
                                  (f"{key}.*", branch.get("additionalProperties"))):
@@ -169,7 +173,7 @@ def _rows(one: Mapping[str, Any], key: str, whole: Mapping[str, Any], always: bo
 
 def path_of(one: Mapping[str, Any]) -> str:
     """Return the name of the definition that a schema refers to."""
-    return str(one["$ref"]).rpartition("/")[2]
+    return str(one.get("$ref", "")).rpartition("/")[2]
 
 
 def _resolved(one: Mapping[str, Any], whole: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -182,5 +186,6 @@ def _type(one: Mapping[str, Any], whole: Mapping[str, Any]) -> str:
         return " or ".join(_type(other, whole) for other in target["anyOf"])
     if "const" in target:
         return f"`{json.dumps(target['const'])}`"
-    kind = target.get("type", "string" if "enum" in target else "any")
+    kind = target.get("type", "any" if "enum" not in target
+                      else "boolean" if target["enum"] == [False] else "string")
     return kind if isinstance(kind, str) else " or ".join(kind)

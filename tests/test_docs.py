@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import inspect
-import json
 import re
 import subprocess
 import sys
@@ -22,6 +21,7 @@ from termsel.plugins import hookspecs
 from termsel.plugins.kinds import KINDS
 from termsel.plugins.loading import HOOKS
 from termsel.plugins.registry import registry
+from termsel.record.schema import json_schema
 from termsel.runs.task.request import DATA_OPTIONS
 
 ROOT = Path(__file__).parents[1]
@@ -260,7 +260,7 @@ def test_names_are_listed_with_the_options() -> None:
 
 def test_every_key_of_the_record_is_in_the_reference() -> None:
     text = generated.filled(_page("docs/reference/result.md"))
-    schema = json.loads(generated.SCHEMA.read_text(encoding="utf-8"))
+    schema = json_schema()
     for key in (*schema["properties"], "rmse.independent.total", "baselines[].name",
                 "strategy.candidates[].effective", "significance.*.t", "front[].rmse"):
         assert f"| `{key}` |" in text

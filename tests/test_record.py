@@ -20,7 +20,7 @@ from termsel.io.result_folder import read_result, write_result
 from termsel.measurements.features import FeatureSet, no_lines, no_points
 from termsel.plugins.registry import registry
 from termsel.record.base import plain
-from termsel.record.figures import AdjustmentFigures
+from termsel.record.figures import AdjustmentFigures, StandardFigure
 from termsel.record.record import FitRecord
 from termsel.results.result import Result
 from termsel.results.same_fit import adjustment_figures, fit_of_record, fit_record
@@ -227,6 +227,12 @@ def test_results_of_released_versions_are_read(name: str, tmp_path: Path) -> Non
         rmse = result.fit_of(member).control_rmse()
         assert rmse is not None
         assert rmse.total == pytest.approx(member.rmse.control.total, rel=1e-9)
+
+
+def test_text_that_is_not_utf_8_and_numbers_that_are_none_are_json() -> None:
+    part = StandardFigure(float("nan"), "p\udcff.csv")
+    assert json.loads(json.dumps(plain(part), allow_nan=False)) == {
+        "value": None, "reason": "p\udcff.csv"}
 
 
 def test_a_record_without_checksums_is_of_an_earlier_version(tmp_path: Path) -> None:

@@ -167,6 +167,12 @@ def _damaged(folder: Path, **change: object) -> None:
     ({"data": {"image_size": "ab"}},
      r"damaged at \$\.data\.image_size: expected `array \| null`, got `str`"),
     ({"rmse": {"check": {"total": 1.0, "n": 3}}}, r"damaged at \$\.rmse\.check: .* `line`"),
+    ({"fit": {"estimator": "magic", "options": {}, "effective": None, "held_out": None,
+              "features": None}}, "unknown estimator 'magic'"),
+    ({"fit": {"estimator": "least-squares", "options": {"steps": 3}, "effective": None,
+              "held_out": None, "features": None}}, "cannot be made with the options"),
+    ({"fit": {"estimator": "averaging", "options": {}, "effective": 3.0, "held_out": [[0.0, 1.0]],
+              "features": None}}, r"\$\.fit\.held_out: 1 errors, expected \d+"),
     ({"precision": 1.0}, r"damaged at \$: object contains unknown field `precision`")])
 def test_damaged_records_are_refused(change: dict[str, object], message: str, tmp_path: Path,
                                      ) -> None:

@@ -10,7 +10,7 @@ from termsel.candidates.ridge import RidgeByOrder
 from termsel.candidates.robust import Reweighted
 from termsel.candidates.selected import ForwardSelection
 from termsel.candidates.shrunken import Averaging
-from termsel.errors import unknown_name
+from termsel.errors import TermselError, unknown_name
 from termsel.fits.fit import Estimator, Given
 from termsel.fits.least_squares import LeastSquares
 
@@ -30,8 +30,12 @@ def estimator_named(name: str, options: Mapping[str, Any]) -> Estimator:
     Raises
     ------
     TermselError
-        If there is no estimator of this name.
+        If there is no estimator of this name, or it has no such option.
     """
     if name not in ESTIMATORS:
         raise unknown_name("estimator", name, ESTIMATORS)
-    return ESTIMATORS[name](**options)
+    try:
+        return ESTIMATORS[name](**options)
+    except TypeError as error:
+        raise TermselError(f"the estimator {name} cannot be made with the options {dict(options)}",
+                           hint="Run the search again.") from error

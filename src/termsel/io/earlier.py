@@ -34,40 +34,35 @@ def completed(content: dict[str, Any]) -> dict[str, Any]:
     content : dict
         That of this version, or what is no record, is returned as it is.
     """
-    parts = [content.get(key) for key in ("selection", "data", "options")]
-    if "fit" in content or not all(isinstance(part, dict) for part in parts):
+    if "fit" in content:
         return content
-    strategy, features = content.get("strategy"), None
-    if isinstance(strategy, dict):
-        strategy = {"reason": "", **strategy}
-        candidate = named(str(strategy.get("chosen")))
-        how = candidate.estimator.name if candidate else "given"
-        features = [*_list(content["selection"], "features"),
-                    *_list(content["data"].get("roles"), "check")]
-    elif content.get("objectives"):
-        how = "least-squares"
-    else:
-        shrunk = content["options"].get("problem", {}).get("shrink")
-        how = "ridge-by-order" if shrunk else "given"
-    return {**_SINCE_0_1, "offered": _offered(content), **content,
-            "options": {"search": {}, **content["options"]}, "strategy": strategy,
-            "fit": {"estimator": how, "options": {}, "effective": None, "held_out": None,
-                    "features": features}}
+    try:
+        strategy = content["strategy"] and {"reason": "", **content["strategy"]}
+        return {**_SINCE_0_1, "offered": _offered(content), **content,
+                "options": {"search": {}, **content["options"]}, "strategy": strategy,
+                "fit": {"options": {}, "effective": None, "held_out": None, **_how(content)}}
+    except (AttributeError, LookupError, TypeError, ValueError):  # decoding says what is damaged
+        return content
 
 
-def _list(part: Any, key: str) -> list[Any]:
-    """Return a list within a part of a record; empty where there is none."""
-    value = part.get(key) if isinstance(part, dict) else None
-    return value if isinstance(value, list) else []
+def _how(content: dict[str, Any]) -> dict[str, Any]:
+    """Return the estimator, and what it was fitted to if that is not the control."""
+    if content["strategy"]:
+        candidate = named(content["strategy"]["chosen"])
+        return {"estimator": candidate.estimator.name if candidate else "given",
+                "features": [*content["selection"]["features"], *content["data"]["roles"]["check"]]}
+    if content["objectives"]:
+        return {"estimator": "least-squares", "features": None}
+    shrunk = content["options"]["problem"].get("shrink")
+    return {"estimator": "ridge-by-order" if shrunk else "given", "features": None}
 
 
 def _offered(content: dict[str, Any]) -> dict[str, Any]:
     """Return what there was to select from, by the conventional fit and the counts of features."""
-    rows = [one for one in _list(content, "baselines") if isinstance(one, dict)]
-    terms = [one.get("n_terms", 0) for one in (content["selection"], *rows)
-             if one is content["selection"] or one.get("name") == "all-terms"]
-    counts = content["data"].get("counts", {})
-    return {"n_terms": max(terms), "n_features": counts.get("control", 0) + counts.get("lines", 0)}
+    terms = [content["selection"]["n_terms"], *(
+        one["n_terms"] for one in content["baselines"] if one["name"] == "all-terms")]
+    counts = content["data"]["counts"]
+    return {"n_terms": max(terms), "n_features": counts["control"] + counts["lines"]}
 
 
 def iteration_known(how: FitRecord, model: SensorModel, control: FeatureSet, scaling: Scaling,

@@ -51,7 +51,7 @@ def record_from(content: Any) -> Record:
                            hint="Run the search again with this version of termsel.")
     try:
         return convert(completed(content), Record)
-    except ValidationError as error:
+    except (ValidationError, UnicodeEncodeError) as error:  # keys may be no text at all
         what, _, where = str(error).partition(" - at ")
         place = where.strip("`") or "$"
         raise TermselError(f"this result is damaged at {place}: {what[0].lower()}{what[1:]}",

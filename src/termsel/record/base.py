@@ -1,14 +1,15 @@
 """What all parts of a record have in common: their kinds of values, and their JSON.
 
-msgspec was chosen over cattrs by measurement. It decodes the record of a run in some 0.1 ms where
-cattrs with attrs takes some 1 ms and is imported in two thirds of the time. It refuses unknown keys
-and wrong types by itself and names the place in the JSON, writes NaN and infinity as null, checks
-ranges, and generates the JSON Schema, for which cattrs has nothing. It is one wheel without
+msgspec was chosen over cattrs by measurement. It decodes the record of a run of auto, 28 kB, in
+0.2 ms; cattrs takes 2 ms, the first time 160 ms, as it generates code. It is imported in 23 ms,
+cattrs in 35. It refuses unknown keys, values of another type and numbers out of range, and names
+their place. It generates the JSON Schema, for which cattrs has nothing, and it is one wheel without
 dependencies.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
@@ -50,6 +51,15 @@ def plain(part: Any) -> dict[str, Any]:
     part : RecordPart or mapping
         Any part of a record, or the whole.
     """
-    content: dict[str, Any] = msgspec.json.decode(
-        msgspec.json.encode(part, enc_hook=lambda value: value.item()))
+    content: dict[str, Any] = _as_json(msgspec.to_builtins(
+        part, enc_hook=lambda value: value.item()))
     return content
+
+
+def _as_json(value: Any) -> Any:
+    # Not by msgspec's own JSON, which takes no text, as of file names, that is not UTF-8.
+    if isinstance(value, dict):
+        return {key: _as_json(one) for key, one in value.items()}
+    if isinstance(value, list | tuple):
+        return [_as_json(one) for one in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

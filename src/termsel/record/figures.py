@@ -173,7 +173,7 @@ class Doubts(RecordPart, frozen=True):
     """Control features against a selection that was made among them."""
 
     sigma: Size
-    """StandardFigure deviation of a measured coordinate [px], from the median error of all control
+    """Standard deviation of a measured coordinate [px], from the median error of all control
     features on offer, so that few blunders do not change it. With weights it is that of a feature
     with the median weight."""
     wrong: Mapping[str, Size]
@@ -198,7 +198,7 @@ class AdjustmentFigures(RecordPart, frozen=True):
     condition: float | None
     """Ratio of extreme singular values, columns scaled to one length; null if infinite."""
     sigma0: float | None
-    """StandardFigure deviation of unit weight [px]."""
+    """Standard deviation of unit weight [px]."""
     orientation_spread: float | None
     """1 if control lines of all directions occur equally, 0 if all are parallel; null without
     lines."""

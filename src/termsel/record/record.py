@@ -108,7 +108,7 @@ class DataRecord(RecordPart, frozen=True):
     heights: str | None
     """What heights refer to, and whether a DEM gave them; null if nothing says so."""
     noise: Size | None
-    """StandardFigure deviation of line and of sample [px] if it is known, as in simulated data."""
+    """Standard deviation of line and of sample [px] if it is known, as in simulated data."""
     image_size: tuple[Positive, Positive] | None
     """Lines and samples of the image, or null."""
     counts: Counts
@@ -295,7 +295,7 @@ class Record(RecordPart, frozen=True, kw_only=True):
     coefficients: Mapping[str, float]
     """Coefficients by term, in scaled coordinates."""
     standard_deviations: Mapping[str, float | None]
-    """StandardFigure deviations of the coefficients by term; null where they are not determined."""
+    """Standard deviations of the coefficients by term; null where they are not determined."""
     fit: FitRecord
     """How the coefficients were found."""
     adjustment: AdjustmentFigures

@@ -164,7 +164,7 @@ class Polish(RecordPart, frozen=True):
 
 
 class SearchLimits(RecordPart, frozen=True):
-    """SearchLimits of each search; those that there were."""
+    """Limits of each search; those that there were."""
 
     generations: Positive | None = None
     """Most generations beyond the first population."""
