@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
+from threading import Event
 from typing import Any
 
 import numpy as np
@@ -38,7 +39,7 @@ from termsel.solvers.bridges.chance import OwnChance
 from termsel.solvers.bridges.deap_algorithms import Deap
 from termsel.solvers.bridges.pymoo_algorithms import ALGORITHMS, SINGLE, UNFIT, Pymoo
 from termsel.solvers.genetic.ga import GeneticAlgorithm
-from termsel.solvers.ledger import Ledger
+from termsel.solvers.ledger import Ledger, Progress
 from termsel.testing import Check, checks, problems
 from termsel.testing.problems import Watched
 from termsel.testing.trial import Counted, global_states
@@ -404,11 +405,14 @@ def still(population: list[Any], toolbox: base.Toolbox) -> Iterator[list[Any]]:
         yield population
 
 
+NAMED = Event()
+
+
 def stuck(population: list[Any], toolbox: base.Toolbox) -> Iterator[list[Any]]:
-    """Never return."""
+    """Do nothing until the progress names the solver, and a user ends it."""
     yield population
-    while True:
-        pass
+    assert NAMED.wait(60)
+    raise KeyboardInterrupt
 
 
 def test_a_loop_that_breeds_nothing_comes_to_an_end(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -422,12 +426,17 @@ def test_a_loop_that_breeds_nothing_comes_to_an_end(monkeypatch: pytest.MonkeyPa
                   generations=5).generations == 5
 
 
-def test_a_loop_that_never_returns_ends_with_its_time(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("termsel.solvers.bridges.silence.GRACE", 0.1)
-    monkeypatch.setattr("termsel.solvers.bridges.silence._EVERY", 0.1)
+def test_a_loop_that_does_nothing_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("termsel.solvers.bridges.silence.LONG", 0.1)
+    monkeypatch.setattr("termsel.solvers.bridges.silence._EVERY", 0.05)
+
+    def observe(progress: Progress) -> None:
+        if "has yielded nothing" in progress.what:
+            NAMED.set()
+
     found = search(problems.twelve_terms(), termsel.from_deap(own_box, stuck)(population=10),
-                   seconds=0.8)
-    assert found.evaluations == 10
+                   observers=[observe])
+    assert (found.evaluations, found.interrupted) == (10, True)
     assert Deap(algorithm="mine:loop").runs_code_of_users
     assert not Deap().runs_code_of_users
 
