@@ -7,8 +7,9 @@ import math
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass, field
-from functools import partial
+from functools import cache, partial
 from typing import Any, Final
 
 from termsel.errors import TermselError
@@ -38,6 +39,7 @@ STATES = (DONE, INFEASIBLE, FAILED)
 
 _OF_SEARCH = {option.name for option in SEARCH_OPTIONS}
 _MOST = 256
+_image: ContextVar[str] = ContextVar("image", default="")  # under way in this thread
 _optima: dict[str, float | None] = {}
 """Proven optima by problem, up to `_MOST`: the same for all seeds and most solvers."""
 
@@ -100,6 +102,22 @@ def _quiet() -> Iterator[None]:
         logger.setLevel(before)
 
 
+@cache
+def _name_images() -> None:
+    """Put the name of the image of a cell into what is logged from now on."""
+    before = logging.getLogRecordFactory()
+
+    def named(*args: Any, **kwargs: Any) -> logging.LogRecord:
+        record = before(*args, **kwargs)
+        image = _image.get()
+        if image and record.name.startswith("termsel."):
+            head, mark, rest = record.getMessage().rpartition("Warning: ")
+            record.msg, record.args = f"{head}{mark}{image}: {rest}", ()
+        return record
+
+    logging.setLogRecordFactory(named)
+
+
 @one_blas_thread
 @_quiet()
 def do(work: Work, features: FeatureSet) -> Outcome:
@@ -110,7 +128,12 @@ def do(work: Work, features: FeatureSet) -> Outcome:
     Outcome
         Also where the run fails: with the reason.
     """
-    outcome, reason = attempt(partial(_done, work, features))
+    _name_images()
+    before = _image.set(work.source)
+    try:
+        outcome, reason = attempt(partial(_done, work, features))
+    finally:
+        _image.reset(before)
     return outcome if outcome is not None else failed(work.key, str(reason))
 
 
