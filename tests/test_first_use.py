@@ -6,6 +6,7 @@ import csv
 import io
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,8 @@ import pytest
 
 import termsel
 from termsel.errors import TermselError
+from termsel.plugins.registry import registry
+from termsel.testing import check
 
 N = 14
 RNG = np.random.default_rng(11)
@@ -514,3 +517,13 @@ def test_the_command_line_shows_a_command_that_runs(tmp_path: Path,
         cli.main(shlex.split(ready))
     assert not ended.value.code
     assert f"{path}: rfm-terms" in capsys.readouterr().out.replace("\n", "")
+
+
+@pytest.mark.parametrize("kind", ["sheet", "OpenDocument", "GeoPackage", "FlatGeobuf"])
+def test_readers_of_binary_files_pass_the_suite(kind: str, tmp_path: Path) -> None:
+    path = BINARY[kind](tmp_path)
+    names = {entry.name: entry.object for entry in registry().entries("readers")}
+    reader = names["vector-points" if path.suffix in (".gpkg", ".fgb") else "points-csv"]
+    expected = reader().read(path)
+    agree(replace(expected, crs="EPSG:4979"))
+    check(reader(), content=path.read_bytes(), expected=expected, filename=path.name)

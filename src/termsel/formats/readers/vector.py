@@ -87,6 +87,8 @@ def read_layer(path: Path, layer: str | None, kinds: Mapping[str, int],
               utf8_name(path) as name):
             simplefilter("ignore")  # what GDAL says of a file that it reads all the same
             layers = {str(key): str(kind).split(" ")[0] for key, kind in list_layers(name)}
+            if not layers:
+                raise TermselError("the file has no layers", file=path, hint="Is it complete?")
             if layer is None:
                 layer = next((key for key, kind in layers.items() if kind in kinds),
                              next((key for key, kind in layers.items() if kind == "Unknown"), None))
