@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import pty
 import re
 import subprocess
 import sys
@@ -101,6 +100,7 @@ def test_an_interrupted_command_writes_the_best_so_far(
 
 def on_terminal(*words: str, columns: int = 80) -> str:
     """Return what a command writes to a terminal as its stderr."""
+    pty = pytest.importorskip("pty", reason="needs terminals of POSIX")
     ours, theirs = pty.openpty()
     environment = {**os.environ, "TERM": "xterm", "COLUMNS": str(columns)}
     with subprocess.Popen([sys.executable, "-m", "termsel", *words], stdout=subprocess.DEVNULL,

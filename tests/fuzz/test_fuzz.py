@@ -13,6 +13,9 @@ import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
+if sys.platform != "linux":
+    pytest.skip("limits memory as Linux does", allow_module_level=True)
+
 import termsel
 from termsel.errors import TermselError, printable
 from termsel.options import Option
