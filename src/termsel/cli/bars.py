@@ -6,14 +6,12 @@ import math
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from typing import TYPE_CHECKING
 
 from termsel.errors import percent, printable
 
 if TYPE_CHECKING:
-    from rich.progress import Progress as RichProgress
-    from rich.progress import ProgressColumn
-
     from termsel.solvers.ledger import Progress
     from termsel.studies.execution.progress import StudyProgress
 
@@ -21,23 +19,16 @@ if TYPE_CHECKING:
 @contextmanager
 def search_bar(title: str, quiet: bool) -> Iterator[Callable[[Progress], None] | None]:
     """Yield an observer that shows how far a run is, or None where nobody would see it."""
-    if quiet or not sys.stderr.isatty():
-        yield None
-        return
-    from rich.progress import TextColumn
-
-    with _bar(TextColumn("{task.fields[state]}")) as bar:
-        task = bar.add_task(printable(title), total=None, state="")
-
+    with _bar(title, quiet) as renew:
         def observe(progress: Progress) -> None:
-            found = progress.violation == 0 and math.isfinite(progress.best)
-            best = f"{progress.best:.4g}" if found else "-"
-            bar.update(task, completed=progress.share or 0,
-                       description=progress.what or printable(title),
-                       total=None if progress.share is None else 1.0,
-                       state=f"best {best}, {_bound(progress)}")
+            feasible = progress.violation == 0 and math.isfinite(progress.best)
+            best = f"{progress.best:.4g}" if feasible else "-"
+            assert renew is not None
+            renew(completed=progress.share or 0, description=progress.what or printable(title),
+                  total=None if progress.share is None else 1.0,
+                  state=f"best {best}, {_bound(progress)}")
 
-        yield observe
+        yield observe if renew else None
 
 
 def _bound(progress: Progress) -> str:
@@ -53,36 +44,30 @@ def _bound(progress: Progress) -> str:
 @contextmanager
 def share_bar(title: str, quiet: bool) -> Iterator[Callable[[float], None] | None]:
     """Yield a function that shows the fraction done, or None where nobody would see it."""
-    if quiet or not sys.stderr.isatty():
-        yield None
-        return
-    with _bar() as bar:
-        task = bar.add_task(title, total=1.0)
-        yield lambda share: bar.update(task, completed=share)
+    with _bar(title, quiet, total=1.0) as renew:
+        yield renew and (lambda share: renew(completed=share))
 
 
 @contextmanager
 def study_bar(quiet: bool) -> Iterator[Callable[[StudyProgress], None] | None]:
     """Yield an observer that shows how far a study is, or None where nobody would see it."""
-    if quiet or not sys.stderr.isatty():
-        yield None
-        return
-    from rich.progress import TextColumn
-
-    with _bar(TextColumn("{task.fields[state]}", markup=False), remaining=False) as bar:
-        task = bar.add_task("cells", total=None, state="")
-
+    with _bar("cells", quiet, remaining=False) as renew:
         def observe(progress: StudyProgress) -> None:
             worst = f"; worst {printable(progress.worst)}" if progress.worst else ""
-            bar.update(task, completed=progress.finished, total=progress.total,
-                       state=f"{progress.time_left()}; {progress.text()}{worst}")
+            assert renew is not None
+            renew(completed=progress.finished, total=progress.total,
+                  state=f"{progress.time_left()}; {progress.text()}{worst}")
 
-        yield observe
+        yield observe if renew else None
 
 
 @contextmanager
-def _bar(*more: ProgressColumn, remaining: bool = True) -> Iterator[RichProgress]:
-    """Yield a bar that leaves no trace; what is printed meanwhile appears above it."""
+def _bar(title: str, quiet: bool, *, total: float | None = None, remaining: bool = True,
+         ) -> Iterator[Callable[..., None] | None]:
+    """Yield what renews a bar that leaves no trace; what is printed meanwhile appears above it."""
+    if quiet or not sys.stderr.isatty():
+        yield None
+        return
     from rich.console import Console
     from rich.progress import (
         BarColumn,
@@ -95,7 +80,8 @@ def _bar(*more: ProgressColumn, remaining: bool = True) -> Iterator[RichProgress
 
     # Text of names and files is no markup.
     columns = (TextColumn("{task.description}", markup=False), BarColumn(bar_width=20),
-               TaskProgressColumn(), *more, TimeElapsedColumn(),
-               *[TimeRemainingColumn()] * remaining)
+               TaskProgressColumn(), TextColumn("{task.fields[state]}", markup=False),
+               TimeElapsedColumn(), *[TimeRemainingColumn()] * remaining)
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-        yield bar
+        task = bar.add_task(printable(title), total=total, state="")
+        yield partial(bar.update, task)

@@ -103,15 +103,15 @@ def compare(files: tuple[Path, ...], out: Path | None, workers: int, scheduler: 
     from termsel.studies.shown.report import summary
 
     with study_bar(quiet) as observe:
-        found = comparing.compare(study, out=out, workers=workers, scheduler=scheduler,
-                                  observers=(observe,) if observe else (), **keys)
-    if not found.complete:
-        done = len(found.records)
-        echo(f"Interrupted: {done} of {counted(len(found.cells), 'cell')} are finished and kept. "
+        results = comparing.compare(study, out=out, workers=workers, scheduler=scheduler,
+                                    observers=(observe,) if observe else (), **keys)
+    if not results.complete:
+        done = len(results.records)
+        echo(f"Interrupted: {done} of {counted(len(results.cells), 'cell')} are finished and kept. "
              "The same command goes on.", err=True)
         sys.exit(INTERRUPTED)
-    written = write_outputs(found, out)
-    echo(summary(found), nl=False)
+    written = write_outputs(results, out)
+    echo(summary(results), nl=False)
     say_written(written)
 
 

@@ -28,9 +28,9 @@ def completion(context: click.Context, shell: str) -> None:
       termsel completion fish | source           in ~/.config/fish/config.fish
     """
     program = context.find_root()
-    found = get_completion_class(shell)
-    assert found is not None
-    script = found(program.command, {}, "termsel", "_TERMSEL_COMPLETE")
+    class_of_shell = get_completion_class(shell)
+    assert class_of_shell is not None
+    script = class_of_shell(program.command, {}, "termsel", "_TERMSEL_COMPLETE")
     # Not source(), which asks the shell, perhaps not this machine's, for its version.
     click.echo(script.source_template % script.source_vars(), file=stdout())
 

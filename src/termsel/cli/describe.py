@@ -36,11 +36,11 @@ def describe(name: str) -> None:
     from termsel.plugins.registry import registry
 
     names = registry()
-    found = names.find(name)
-    if not found:
+    entries = names.find(name)
+    if not entries:
         known = [known for kind in KINDS for known in names.names(kind)]
         raise unknown_name("name", name, known, names.hint(name, *KINDS))
-    for i, (kind, entry) in enumerate(found):
+    for i, (kind, entry) in enumerate(entries):
         if i:
             echo()
         echo(f"{entry.name}: {KINDS[kind].word} of {entry.provided_by}")

@@ -38,7 +38,6 @@ def run(**given: Any) -> None:
     asked = Asked(**given)
     show_messages()
 
-    from termsel.io.export import export
     from termsel.io.replacing import require_replaceable
     from termsel.io.result_folder import RECORD, files_of_result, names_of
     from termsel.runs import run as running
@@ -59,11 +58,7 @@ def run(**given: Any) -> None:
     echo(result.to_json() if asked.as_json else result.summary(), nl=False)
     if out is not None:
         say_written([f"{out}/{RECORD}", *names_of(result.features)[1:]])
-        for to, file in exported.items():
-            say_written(export(result, to, file, overwrite=asked.overwrite))
-        if page is not None:
-            result.report(page, overwrite=asked.overwrite)
-            say_written([page])
+        asked.write(result, exported, page)
     if result.interrupted:
         echo("Interrupted: this is the best so far. The same command"
              f"{' with --overwrite' if out else ''} repeats the whole run.", err=True)

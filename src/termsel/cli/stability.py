@@ -65,43 +65,43 @@ def stability(repeats: int, threshold: float, **given: Any) -> None:
     features, options = asked.read()
     problem = asked.problem or problem_for(features, asked.dataset)
     with search_bar(problem, asked.quiet) as observe:
-        found = module.stability(
+        repeated = module.stability(
             problem, repeats=repeats, threshold=threshold, features=features, options=options,
             dataset=asked.dataset, model=asked.model, solver=asked.solver,
             criterion=asked.criterion, **asked.budget, observers=[observe] if observe else [])
     if asked.out is not None:
-        write_text(asked.out / "stability.json", json_text(found.to_dict()))
+        write_text(asked.out / "stability.json", json_text(repeated.to_dict()))
         say_written([asked.out / "stability.json"])
     if asked.as_json:
-        print_json(found.to_dict())
+        print_json(repeated.to_dict())
     else:
-        _show(found)
-    others = [term for term in found.terms if term not in found.stable]
-    if found.determined and others and not asked.as_json:
+        _show(repeated)
+    others = [term for term in repeated.terms if term not in repeated.stable]
+    if repeated.determined and others and not asked.as_json:
         echo("For a result with the stable terms run\n  " + asked.command(
             problem, _SOLVER, _CRITERION, _for_stable(problem, asked, asked.options, others)))
-    if (exported or page) and not found.determined:
+    if (exported or page) and not repeated.determined:
         raise TermselError("the stable terms alone are no model, so nothing is exported",
                            hint="Lower --threshold.")
-    if asked.out is not None and found.determined:
-        _write(found, exported, page, problem, asked, features,
+    if asked.out is not None and repeated.determined:
+        _write(repeated, exported, page, problem, asked, features,
                _for_stable(problem, asked, options, others))
-    if found.interrupted:
-        echo(f"Interrupted after {len(found.selections)} of {repeats} selections.", err=True)
+    if repeated.interrupted:
+        echo(f"Interrupted after {len(repeated.selections)} of {repeats} selections.", err=True)
         sys.exit(INTERRUPTED)
 
 
-def _show(found: Stability) -> None:
+def _show(repeated: Stability) -> None:
     """Print the frequencies and what became of the stable terms."""
-    order = (-found.frequency).argsort(kind="stable")
+    order = (-repeated.frequency).argsort(kind="stable")
     print_table(("term", "frequency", ""), [
-        (found.terms[i], f"{found.frequency[i]:.2f}",
-         "stable" if found.terms[i] in found.stable else "") for i in order])
-    sizes = found.selections.sum(axis=1)
+        (repeated.terms[i], f"{repeated.frequency[i]:.2f}",
+         "stable" if repeated.terms[i] in repeated.stable else "") for i in order])
+    sizes = repeated.selections.sum(axis=1)
     echo(f"\n{len(sizes)} selections of {sizes.min()} to {sizes.max()} terms; "
-         f"{len(found.stable)} terms in at least {found.threshold:.0%} of them.")
-    independent = found.rmse.get("independent")
-    if not found.determined:
+         f"{len(repeated.stable)} terms in at least {repeated.threshold:.0%} of them.")
+    independent = repeated.rmse.get("independent")
+    if not repeated.determined:
         echo("The stable terms alone are no model. Lower --threshold.")
     elif independent is not None:
         echo(f"Fitted to control and check together: {independent.total:.3f} px on "
@@ -126,10 +126,9 @@ def _for_stable(problem: str, asked: Asked, options: Mapping[str, str],
     return {**settings, "force_off": ",".join(dict.fromkeys([*filter(None, before), *off]))}
 
 
-def _write(found: Stability, exported: Mapping[str, Path], page: Path | None, problem: str,
+def _write(repeated: Stability, exported: Mapping[str, Path], page: Path | None, problem: str,
            asked: Asked, features: FeatureSet | None, options: Mapping[str, str]) -> None:
     """Write the fit of the stable terms: its record with the frequencies, exports, its page."""
-    from termsel.io.export import export
     from termsel.io.result_folder import RECORD, write_result
     from termsel.record.search import TermFrequencies
     from termsel.runs import run as running
@@ -138,13 +137,9 @@ def _write(found: Stability, exported: Mapping[str, Path], page: Path | None, pr
     fitted = running.run(problem, features=features, dataset=asked.dataset, source=asked.source,
                          model=asked.model, solver=_SOLVER, criterion=_CRITERION,
                          options=options)
-    said = found.to_dict()
+    said = repeated.to_dict()
     result = replace(fitted, stability=TermFrequencies(
         said["repeats"], said["threshold"], said["frequency"]))
     write_result(result, asked.out)
     say_written([asked.out / RECORD])
-    for to, file in exported.items():
-        say_written(export(result, to, file, overwrite=asked.overwrite))
-    if page is not None:
-        result.report(page, overwrite=asked.overwrite)
-        say_written([page])
+    asked.write(result, exported, page)

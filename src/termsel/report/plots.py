@@ -187,10 +187,6 @@ class Plots:
     """Charts of a result, each as an Altair chart that can be changed further.
 
     There is a method for each of `KINDS`.
-
-    Parameters
-    ----------
-    view : View
     """
 
     if TYPE_CHECKING:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 
 from termsel.cli.completion import complete
+from termsel.cli.messages import say_written
 from termsel.cli.options.remote import allow_remote
 from termsel.cli.report import REPORT
 from termsel.errors import TermselError
@@ -18,6 +19,7 @@ from termsel.options import SEED
 
 if TYPE_CHECKING:
     from termsel.measurements.features import FeatureSet
+    from termsel.results.result import Result
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 
@@ -240,6 +242,16 @@ class Asked:
         require_altair()
         require_replaceable([self.out / REPORT], reads=self.reads, overwrite=self.overwrite)
         return self.out / REPORT
+
+    def write(self, result: Result, exported: Mapping[str, Path], page: Path | None) -> None:
+        """Write a result in the formats of ``--export``, by their files, and its page."""
+        from termsel.io.export import export
+
+        for to, file in exported.items():
+            say_written(export(result, to, file, overwrite=self.overwrite))
+        if page is not None:
+            result.report(page, overwrite=self.overwrite)
+            say_written([page])
 
     def read(self) -> tuple[FeatureSet | None, dict[str, str]]:
         """Return the features of the files, if any are given, and the options that remain.

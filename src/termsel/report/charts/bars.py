@@ -69,7 +69,7 @@ def baseline_bars(view: View) -> Any:
         yOffset=alt.YOffset("role:N", sort=list(roles)),
         color=alt.Color("role:N", scale=colours))
     chosen = alt.selection_point(name="fit", fields=["fit"], empty=False)
-    told = [alt.Tooltip("fit:N"), alt.Tooltip("role:N", title="points"),
+    tooltip = [alt.Tooltip("fit:N"), alt.Tooltip("role:N", title="points"),
             alt.Tooltip("rmse:Q", title="RMSE [px]", format=".3f"),
             alt.Tooltip("low:Q", format=".3f"), alt.Tooltip("high:Q", format=".3f"),
             alt.Tooltip("note:N", title="check points")]
@@ -79,7 +79,7 @@ def baseline_bars(view: View) -> Any:
         base.mark_rule(strokeWidth=2.2, opacity=0.65).encode(x=x, x2="high:Q").transform_calculate(
             rmse="datum.low"),
         base.mark_point(opacity=1, strokeWidth=1.8, cursor="pointer").encode(
-            x=x, shape=shape, tooltip=told, fill=alt.condition(
+            x=x, shape=shape, tooltip=tooltip, fill=alt.condition(
                 "datum.note == 'fitted'", alt.value("white"), alt.Fill("role:N", scale=colours)),
             size=alt.condition(chosen, alt.value(150), alt.value(62))).add_params(chosen),
     ).properties(width=WIDTH, height=1.55 * ROW * len(order))

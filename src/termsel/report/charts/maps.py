@@ -154,7 +154,7 @@ def _arrows(view: View, rows: list[Row], x: Any, y: Any, vector: tuple[str, str]
         turn=f"atan2({flat:.6g} * datum.{across}, {'-' if downwards else ''}datum.{along})"
              " * 180 / PI")
     colour = _colour(view, rows)
-    told = [alt.Tooltip("id:N"), alt.Tooltip("role:N"),
+    tooltip = [alt.Tooltip("id:N"), alt.Tooltip("role:N"),
             alt.Tooltip("distance:Q", title="residual [px]", format=".3g"),
             *[alt.Tooltip("metres:Q", title="on the ground [m]", format=".3g")] * metres]
     shape = alt.Shape("role:N", scale=legend_of(ROLE_SHAPES, _roles(view, rows)))
@@ -170,12 +170,12 @@ def _arrows(view: View, rows: list[Row], x: Any, y: Any, vector: tuple[str, str]
             size=420, filled=False, stroke=INK, strokeWidth=2.6, opacity=1).encode(x=x, y=y),
         base.transform_filter("datum.kind == 'point'").mark_point(
             filled=True, size=44, opacity=1, stroke="white", strokeWidth=0.6, cursor="pointer",
-        ).encode(x=x, y=y, color=colour, shape=shape, tooltip=told),
+        ).encode(x=x, y=y, color=colour, shape=shape, tooltip=tooltip),
     ]
     if view.lines:
         layers.append(base.transform_filter("datum.kind == 'line'").mark_point(
             filled=True, size=14, opacity=1, cursor="pointer").encode(
-                x=x, y=y, color=colour, tooltip=told))
+                x=x, y=y, color=colour, tooltip=tooltip))
     layers[-1] = layers[-1].add_params(picked, *[member] * (member is not None))
     layers[0] = layers[0].add_params(drag)
     return layers

@@ -38,19 +38,19 @@ def figures_of(study: Study) -> list[Figure]:
         If altair is not installed.
     """
     groups = group(study.rows, study.records, study.spec.measure)
-    found = []
+    figures = []
     if any(record.trace for by_method in groups.instances.values()
            for runs in by_method.values() for record in runs.records):
-        found += [running_times(groups, 0), running_times(groups, 2), convergence(groups)]
+        figures += [running_times(groups, 0), running_times(groups, 2), convergence(groups)]
     values = medians_of(groups)
     # Ratios to the best one require that it has a result, and that nothing is below zero.
     if len(values) > 1 and len(groups.methods) > 1 and np.isfinite(values).any(axis=1).all() \
             and (values >= 0).all():
-        found.append(profile(groups))
+        figures.append(profile(groups))
     comparison = compare_methods(groups.methods, values)
     if comparison is not None and comparison.difference is not None:
-        found.append(critical_differences(comparison))
-    return found
+        figures.append(critical_differences(comparison))
+    return figures
 
 
 def running_times(groups: Groups, column: int) -> Figure:
@@ -139,12 +139,12 @@ def profile(groups: Groups) -> Figure:
                   "best.", drawn)
 
 
-def critical_differences(found: Comparison) -> Figure:
+def critical_differences(comparison: Comparison) -> Figure:
     """Return the mean ranks, with bars over methods that cannot be told apart.
 
     Parameters
     ----------
-    found : Comparison
+    comparison : Comparison
         With a critical difference.
 
     References
@@ -152,11 +152,11 @@ def critical_differences(found: Comparison) -> Figure:
     Demšar 2006, J. Mach. Learn. Res. 7, figure 1.
     """
     alt = require_altair()
-    assert found.difference is not None
-    order = np.argsort(found.ranks, kind="stable")
-    names = [found.methods[i] for i in order]
-    ranks = [found.ranks[i] for i in order]
-    ends = alike(ranks, found.difference)
+    assert comparison.difference is not None
+    order = np.argsort(comparison.ranks, kind="stable")
+    names = [comparison.methods[i] for i in order]
+    ranks = [comparison.ranks[i] for i in order]
+    ends = alike(ranks, comparison.difference)
     axis = alt.X("rank:Q", title="mean rank; 1 is best", scale=alt.Scale(
         domain=[1, len(names)], nice=False))
     row = alt.Y("row:O", axis=None, sort=None)
@@ -172,9 +172,9 @@ def critical_differences(found: Comparison) -> Figure:
         layers.append(alt.Chart(data(bars)).mark_rule(strokeWidth=5, color=_COLOURS[0]).encode(
             x=axis, x2="to:Q", y=row))
     drawn = alt.layer(*layers).properties(width=WIDTH, height=24 * (len(points) + len(bars) + 1))
-    return Figure("critical-difference", f"Mean ranks over {found.instances} instances",
+    return Figure("critical-difference", f"Mean ranks over {comparison.instances} instances",
                   "Blue bars join methods that Nemenyi's test cannot tell apart: their ranks "
-                  f"differ by less than {found.difference:.2f}.", drawn)
+                  f"differ by less than {comparison.difference:.2f}.", drawn)
 
 
 def alike(ranks: list[float], difference: float) -> list[tuple[float, float]]:
@@ -186,12 +186,12 @@ def alike(ranks: list[float], difference: float) -> list[tuple[float, float]]:
         In order.
     difference : float
     """
-    found: list[tuple[float, float]] = []
+    runs: list[tuple[float, float]] = []
     for i, low in enumerate(ranks):
         high = max(rank for rank in ranks[i:] if rank - low < difference)
-        if ranks.index(high) > i and not (found and high <= found[-1][1]):
-            found.append((low, high))
-    return found
+        if ranks.index(high) > i and not (runs and high <= runs[-1][1]):
+            runs.append((low, high))
+    return runs
 
 
 def _by_method(methods: tuple[str, ...]) -> dict[str, Any]:

@@ -75,14 +75,14 @@ def _description(number: int, instance: str, method: str, dimension: int,
 
 def _folders(methods: Iterable[str]) -> dict[str, str]:
     """Return a folder of its own for each method, capitals ignored as some file systems do."""
-    found: dict[str, str] = {}
+    folders: dict[str, str] = {}
     taken: set[str] = set()
     for method in methods:
         word = _word(method)
         names = chain([word], (f"{word}-{n}" for n in count(2)))
-        found[method] = next(name for name in names if name.lower() not in taken)
-        taken.add(found[method].lower())
-    return found
+        folders[method] = next(name for name in names if name.lower() not in taken)
+        taken.add(folders[method].lower())
+    return folders
 
 
 def _word(text: str) -> str:

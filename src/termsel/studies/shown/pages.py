@@ -70,11 +70,11 @@ def _predicted(row: Row) -> str:
             f"{shown(row['predicted_high'], 3)})")
 
 
-def _of_instance(groups: Groups, name: str, found: list[Summary]) -> TableBlock:
+def _of_instance(groups: Groups, name: str, figures: list[Summary]) -> TableBlock:
     """Return the figures of all methods on an instance; effect sizes are those of the best one."""
     runs_of, measure = groups.instances[name], groups.measure
-    best = min(found, key=lambda one: one.median).method
-    optimum = found[0].optimum
+    best = min(figures, key=lambda one: one.median).method
+    optimum = figures[0].optimum
     title = name if optimum is None else f"{name}: proven optimum {optimum:.4f}"
     header = ("method", "runs", "best", "lower quartile", "median", "upper quartile", "worst",
               "effect size", *(("optimum reached", "95 % interval", "expected evaluations")
@@ -82,7 +82,7 @@ def _of_instance(groups: Groups, name: str, found: list[Summary]) -> TableBlock:
               *(() if measure == "independent" else ("independent [px]",)), "evaluations",
               "CPU s")
     rows = []
-    for one in found:
+    for one in figures:
         reached = () if optimum is None else (
             f"{one.reached} of {one.runs}", f"{100 * (one.low or 0):.0f} to "
             f"{100 * (one.high or 0):.0f} %", shown(one.expected, 0))

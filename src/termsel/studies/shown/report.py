@@ -84,12 +84,12 @@ def thumbnails(study: Study) -> dict[str, str]:
     """
     if study.folder is None:
         return {}
-    found = {}
+    drawings = {}
     for key, name in folders_of(study.cells).items():
         if key not in study.records or study.records[key].state != "done":
             continue
         try:
-            found[key] = small_map(read_result(study.folder / IMAGES / name).view)
+            drawings[key] = small_map(read_result(study.folder / IMAGES / name).view)
         except TermselError as error:
-            found[key] = escape(error.what)
-    return found
+            drawings[key] = escape(error.what)
+    return drawings
