@@ -49,7 +49,7 @@ def test_own_files_run_and_write_the_result(files: Path, tmp_path: Path, call: C
     done = call("run", "--problem", "owdis-lines", "--points", files / "points.csv", "--lines",
                 files / "lines.csv", "--crs", "EPSG:4979", "--out", out, *QUICK)
     assert done.exit_code == 0, done.stderr
-    assert "RMSE [px]                terms     control       check   independent" in done.stdout
+    assert "RMSE [px], with 90 % intervals" in done.stdout
     assert (out / "summary.txt").read_text() == done.stdout
     assert json.loads((out / "result.json").read_text())["data"]["counts"]["lines"] == 120
 
@@ -362,8 +362,7 @@ def test_a_problem_follows_from_features_in_python() -> None:
 
 def test_a_problem_follows_from_a_data_set(call: Call) -> None:
     done = call("run", "--dataset", "hamedan-candidates", "--generations", 1, "--quiet")
-    assert done.stdout.startswith("rfm-terms: ")
-    assert "Data: hamedan-candidates (simulated)" in done.stdout
+    assert done.stdout.startswith("hamedan-candidates (simulated): rfm-terms\n")
 
 
 @pytest.mark.parametrize(("crs", "message"), [
