@@ -260,10 +260,10 @@ def test_a_baseline_is_chosen_in_chart_and_table(
             ".filter(p => p.getBBox().width > 11 && p.getBBox().height > 9).length"
     before = browser.execute_script(large)
     button = next(one for one in browser.find_elements(
-        "css selector", "table[data-choice=fit] button") if one.text == "cubic")
+        "css selector", "table[data-choice=fit] button") if one.text == "cubic *")
     button.click()
     wait(lambda: browser.execute_script(large) == before + 2)
-    assert browser.find_element("id", "chosen").text.startswith("cubic; check")
+    assert browser.find_element("id", "chosen").text.startswith("cubic *; terms 40; control")
     symbol = browser.find_elements("css selector", "#baselines .mark-symbol path")[0]
     browser.execute_script("arguments[0].scrollIntoView({block: 'center'})", symbol)
     symbol.click()

@@ -33,7 +33,7 @@
     if (!row) { status.textContent = ""; return; }
     const heads = [...row.closest("table").tHead.rows[0].cells].map((cell) => cell.textContent);
     status.textContent = [...row.cells]
-      .map((cell, i) => (i ? heads[i] + " " : "") + cell.textContent).slice(0, 5).join("; ");
+      .map((cell, i) => (i ? heads[i] + " " : "") + cell.textContent).slice(0, 6).join("; ");
   };
 
   const choose = (choice, keys, source, told = true) => {
