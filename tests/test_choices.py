@@ -226,6 +226,10 @@ def test_checksums_of_features_cover_roles_and_deviations() -> None:
         features.with_(points=replace(features.points, sigma=np.ones((9, 2)))),
         replace(features, crs="EPSG:4979"))}
     assert len(sums) == 4
+    lines = termsel.simulate_scene("ikonos-hamedan", n_lines=6).lines
+    sums = {of_features(features.with_(lines=replace(lines, sigma=sigma)))
+            for sigma in (None, np.full(6, 0.5), np.full(6, 1.0))}
+    assert len(sums) == 3
 
 
 def test_a_fit_is_what_the_portfolio_judges() -> None:

@@ -15,6 +15,7 @@ import pytest
 
 import termsel
 from termsel.errors import TermselError
+from termsel.measurements.tables.numbers import BadCell, decimal_signs, read_numbers
 from termsel.plugins.registry import registry
 from termsel.testing import check
 
@@ -303,6 +304,19 @@ def test_the_command_for_a_table_without_header_is_right(kind: str, order: str, 
         termsel.read(path, crs="EPSG:4979")
     assert f"--columns '{caught.value.columns}'" in str(caught.value)
     agree(termsel.read(path, crs="EPSG:4979", columns=caught.value.columns))
+
+
+def test_two_signs_of_one_kind_separate_thousands() -> None:
+    signs, _ = decimal_signs({"x": ["1,234,567", "234,567"], "y": ["1.234.567", "1"]})
+    assert signs == {"x": ".", "y": ","}
+
+
+@pytest.mark.parametrize(("text", "value"), [("12 30 36 E", 12.51), ("12°59'59.9\"W", -12.999972)])
+def test_minutes_and_seconds_are_sixtieths(text: str, value: float) -> None:
+    assert read_numbers([text], ".", may_be_blank=False, angle="x") == pytest.approx(value)
+    for wrong in ("12 60 36 E", "12 30 60 E"):
+        with pytest.raises(BadCell, match="60 or more minutes or seconds"):
+            read_numbers([wrong], ".", may_be_blank=False, angle="x")
 
 
 @pytest.mark.parametrize("numbered", [True, False])

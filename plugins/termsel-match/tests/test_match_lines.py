@@ -20,6 +20,7 @@ from rasterio.transform import from_origin
 import termsel
 from termsel import FeatureSet, Lines, TermselError
 from termsel.testing import checks
+from termsel_match import ridges
 from termsel_match.certainty import fitted_to, most_decisive, undetermined
 from termsel_match.commands import match_lines
 from termsel_match.lines import LineCandidates
@@ -35,6 +36,30 @@ CHECKS = (*checks(match_lines, words=["none.tif", "--vectors", "none.gpkg"]),
 @pytest.mark.parametrize("check", CHECKS, ids=lambda check: check.name)
 def test_conforms(check: Any) -> None:
     check.run()
+
+
+def band_at(middle: float, width: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return offsets across, every half pixel, and a row of pixels with a bright band."""
+    offset = np.arange(-20.0, 20.25, 0.5)
+    return offset, np.where(np.abs(offset - middle) <= width / 2, 110.0, 10.0)[None]
+
+
+def test_the_response_to_a_band_is_how_much_brighter_it_is() -> None:
+    offset, row = band_at(1.0, 6.0)
+    response = ridges._response(row, 6.0)[0]
+    assert response[offset == 1.0] == pytest.approx(100.0)
+    assert np.nanmax(response) == pytest.approx(100.0)
+    assert ridges._response(-row, 6.0)[0][offset == 1.0] == pytest.approx(-100.0)
+    # Than the brighter of its sides.
+    for side in (offset < -2.0, offset > 4.0):
+        brighter = np.where(side, 50.0, row)
+        assert ridges._response(brighter, 6.0)[0][offset == 1.0] == pytest.approx(60.0)
+
+
+def test_a_band_lies_in_the_middle_of_its_edges() -> None:
+    offset, row = band_at(1.0, 6.0)
+    assert ridges._between_edges(row, offset, np.array([0.4]), 6.0) == pytest.approx(1.0, abs=0.05)
+
 
 
 @pytest.fixture(scope="module")

@@ -18,6 +18,7 @@ from rasterio.transform import from_origin
 import termsel
 from termsel import TermselError
 from termsel.testing import checks
+from termsel_match import overview
 from termsel_match.commands import match_example, match_points
 from termsel_match.points import Candidates
 from termsel_match.points import match_points as match
@@ -29,6 +30,23 @@ CHECKS = (*checks(match_points, words=["none.tif", "--reference", "none.tif"]),
 @pytest.mark.parametrize("check", CHECKS, ids=lambda check: check.name)
 def test_conforms(check: Any) -> None:
     check.run()
+
+
+def test_places_of_a_reduced_image_are_those_of_the_whole(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Picture:
+        size = (3000, 4000)
+
+        def read(self, *window: int) -> tuple[int, ...]:
+            assert window == (0, 0, 3000, 4000, 4)
+            return window[:2]
+
+    places = np.array([[0.0, 0.0], [10.0, 2.5]])
+    monkeypatch.setattr(overview, "described", lambda *_: (places, "vectors"))
+    found, vectors = overview._reduced(Picture())  # type: ignore[arg-type]
+    # The middle of a pixel made of four by four lies between the second and the third.
+    assert found.tolist() == [[1.5, 1.5], [41.5, 11.5]]
+    assert vectors == "vectors"
+
 
 
 @pytest.fixture(scope="module")
