@@ -335,7 +335,7 @@ def test_independent_points_take_no_part_with_lines() -> None:
 
 
 def test_the_search_stays_the_default_of_its_problem() -> None:
-    scene = simulate_scene("ikonos-hamedan", n_lines=20)
+    scene = simulate_scene("ikonos-hamedan", n_points=30, n_lines=14)
     assert termsel.run("owdis-lines", features=scene, options=QUICK).strategy is None
     unnamed = termsel.run(features=scene)
     assert unnamed.problem == "owdis-lines"
