@@ -120,6 +120,8 @@ def sniffed(path: Path, head: bytes, aliases: Aliases, own: Mapping[str, str]) -
         text, _ = decoded(head, path, final=False)
     except TermselError:
         return []
+    if text.lstrip()[:1] in ("<", "{"):  # XML or JSON, which other readers take or refuse
+        return []
     delimiter = _delimiter(text, aliases, own)
     return [_split(line, delimiter) for line in _first_lines(text)]
 
