@@ -45,7 +45,7 @@ HUGE = "id,line,sample,x,y,z\nA," + "1" * 50_000 + "x" * 50_000 + ",2,3,4,5\n"
 @pytest.mark.parametrize(("content", "message"), [
     (HEADER, "no column for sample"), (IMAGES, "points of the images"),
     (HUGE, "is not a number. Write a plain number such as 12.5."),
-    ("id,line,sample,x,y,z" + ",c" * 50_000 + "\nA,1\n", "the row has 2 cells"),
+    ("id,line,sample,x,y,z" + ",c" * 50_000 + "\nA,1\n", "the first row has 50,006 cells"),
     (("id,line,sample,x,z," + "c" * 100_000) + "\nA,1\n", "no column for y"),
 ], ids=["header", "images", "cell", "columns", "column"])
 def test_bad_files(content: str, message: str, tmp_path: Path, call) -> None:

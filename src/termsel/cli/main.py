@@ -22,7 +22,7 @@ from typing import Any, NoReturn
 import click
 
 from termsel.cli.messages import echo, give_back_stdout, stdout, take_stdout
-from termsel.errors import TermselError, cut, unknown_name
+from termsel.errors import TermselError, cut, is_printable, unknown_name
 from termsel.interrupts import INTERRUPTED, answered
 from termsel.plugins.commands import COMMANDS
 from termsel.version import __version__
@@ -146,8 +146,8 @@ class Commands(click.Group):
             value = super().main(args, prog_name, complete_var, False, **extra)
         except TermselError as error:
             echo(f"Error: {error}", err=True)
-            if error.columns:
-                typed = shlex.join([*(sys.argv[1:] if args is None else args), "--columns"])
+            typed = shlex.join([*(sys.argv[1:] if args is None else args), "--columns"])
+            if error.columns and is_printable(typed):  # what is shown otherwise cannot be pasted
                 verb = "Complete and run" if "?" in error.columns else "Ready to run"
                 echo(f"{verb}: termsel {typed} {shlex.quote(error.columns)}", err=True)
             sys.exit(CORRECTABLE)

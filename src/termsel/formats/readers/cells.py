@@ -69,8 +69,7 @@ def as_cell(value: Any) -> str:
 
 def found_in(header: Sequence[str], aliases: Aliases, own: Mapping[str, str]) -> int:
     """Return how many meanings of numbers a header names."""
-    if len(header) > WIDEST:
-        return 0
+    header = header[:WIDEST]  # a wider one is refused when it is read
     found = declared(header, own).keys() | {
         meaning for meaning, columns in matches(header, aliases).items() if columns}
     return len((found & aliases.keys()) - USE.keys())
