@@ -39,13 +39,7 @@ Completer = Callable[[click.Context, click.Parameter, str], list[CompletionItem]
 
 
 def complete(*kinds: str) -> Completer:
-    """Return a ``shell_complete`` for options and arguments that take a name.
-
-    Parameters
-    ----------
-    *kinds : str
-        Of `termsel.plugins.kinds.KINDS`; all of them by default.
-    """
+    """Return a ``shell_complete`` for the names of these kinds of things, by default of all."""
     def items(
         context: click.Context, parameter: click.Parameter, incomplete: str  # noqa: ARG001
     ) -> list[CompletionItem]:

@@ -40,15 +40,9 @@ def stdout() -> TextIO:
 
 
 def echo(text: str = "", *, err: bool = False, nl: bool = True) -> None:
-    """Print text, printable whatever names and files brought.
+    """Print text, printable whatever names and files brought, and a line end (`nl`).
 
-    Parameters
-    ----------
-    text : str
-    err : bool
-        On stderr. If that cannot be written, as on a full disk, the command goes on.
-    nl : bool
-        Whether a line end follows.
+    If stderr (`err`) cannot be written, as on a full disk, the command goes on.
     """
     with suppress(OSError) if err else nullcontext():
         click.echo(printable(text), file=sys.stderr if err else stdout(), nl=nl)
@@ -84,12 +78,7 @@ def say_written(files: Iterable[object]) -> None:
 
 
 def refuse_stdout(output: Path) -> None:
-    """Refuse ``-`` as the name of a file.
-
-    Raises
-    ------
-    TermselError
-    """
+    """Raise a TermselError for ``-`` as the name of a file."""
     if str(output) == "-":
         raise TermselError("this command cannot write to stdout", hint="Give --output FILE.")
 

@@ -76,13 +76,6 @@ def new_plugin(name: str, kind: str, parent: Path) -> None:
 def package(name: str, kind: str) -> dict[str, str]:
     """Return the files of a new package, by their path in it.
 
-    Parameters
-    ----------
-    name : str
-        Of the package.
-    kind : str
-        One of `KINDS`.
-
     Raises
     ------
     TermselError

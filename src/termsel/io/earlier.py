@@ -28,11 +28,7 @@ def completed(content: dict[str, Any]) -> dict[str, Any]:
 
     Up to 0.2 a record did not say how its coefficients were found. It follows from other keys:
     from the candidate that auto chose, and from the objectives, which only least squares has.
-
-    Parameters
-    ----------
-    content : dict
-        That of this version, or what is no record, is returned as it is.
+    Content of this version, or what is no record, is returned as it is.
     """
     if "fit" in content:
         return content
@@ -70,12 +66,6 @@ def iteration_known(how: FitRecord, model: SensorModel, control: FeatureSet, sca
     """Return how a fit was found, with whether the iteration for lines was run.
 
     Up to 0.2 that follows from the rule of the run alone, which is applied again.
-
-    Parameters
-    ----------
-    how : FitRecord
-    model, control, scaling, terms, used, check
-        As for `termsel.results.same_fit.least_squares_of`.
     """
     if how.estimator != LEAST_SQUARES.name or how.options:
         return how
@@ -85,18 +75,7 @@ def iteration_known(how: FitRecord, model: SensorModel, control: FeatureSet, sca
 
 def final_of_0_2(record: Record, model: SensorModel, control: FeatureSet, scaling: Scaling,
                  used: BoolArray) -> Fit:
-    """Return the final fit of a record of 0.2, which has nothing but its coefficients.
-
-    Parameters
-    ----------
-    record : Record
-        Of the strategy auto, with a final fit.
-    model : SensorModel
-    control : FeatureSet
-        All it was fitted to.
-    scaling : Scaling
-    used : ndarray of bool, shape (len(control),)
-    """
+    """Return the final fit of a record of 0.2, which has nothing but its coefficients."""
     assert record.final is not None
     assert record.strategy is not None
     candidate, values = named(record.strategy.chosen), record.final.coefficients

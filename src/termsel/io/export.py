@@ -18,14 +18,7 @@ log = logging.getLogger(__name__)
 
 
 def writer_of(to: str, **options: Any) -> Writer:
-    """Return the writer of a format.
-
-    Parameters
-    ----------
-    to : str
-        Its name, as in ``termsel list writers``.
-    **options
-        Options it declares; those that only other formats have are left out.
+    """Return the writer of a format, without options that only other formats have.
 
     Raises
     ------

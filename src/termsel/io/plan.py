@@ -52,14 +52,8 @@ class Plan:
 def plan(result: Result, count: int, candidates: Path | None = None) -> Plan:
     """Return the places where further points lessen the uncertainty over the scene most.
 
-    Parameters
-    ----------
-    result : Result
-    count : int
-        How many.
-    candidates : pathlib.Path, optional
-        Table of places id,x,y,z to choose from; by default a grid over the image, with the height
-        of the nearest control.
+    The places to choose from are those of the table `candidates`, id,x,y,z; by default a grid over
+    the image, with the height of the nearest control.
 
     Raises
     ------

@@ -40,19 +40,9 @@ def project_table(
 ) -> tuple[str, list[str]]:
     """Return a table of points with image and ground coordinates.
 
-    Parameters
-    ----------
-    result : Result
-    path : pathlib.Path
-        Table of x, y and, for models with height, z; with `inverse` of line and sample.
-    inverse : bool
-        From the image to the ground.
-    dem : pathlib.Path, optional
-        With `inverse`: raster of heights.
-    height : float, optional
-        With `inverse`: height of the ground. Models without height need neither.
-    columns : str
-        Which column is which, as of ``--columns``.
+    The table has x, y and, for models with height, z; with `inverse`, from the image to the ground,
+    line and sample. Then the ground has the heights of the raster `dem` or the one `height`; models
+    without height need neither.
 
     Returns
     -------

@@ -109,14 +109,7 @@ def _with_dem(features: FeatureSet, dem: Path | str | None) -> FeatureSet:
 
 
 def readers_of(paths: Sequence[Path], formats: Sequence[str]) -> list[type[Reader]]:
-    """Return the readers to ask about files: those of plugins only where they are needed.
-
-    Parameters
-    ----------
-    paths : sequence of pathlib.Path
-    formats : sequence of str
-        As for `read`.
-    """
+    """Return the readers to ask about files: those of plugins only where they are needed."""
     own: list[type[Reader]] = [entry.object for entry in built_in().entries("readers")]
     enough = {reader.name for reader in own}.issuperset(formats) and all(
         is_there(path) and path.is_file() and any(
@@ -144,11 +137,6 @@ def read_file(path: Path, readers: Iterable[type[Reader]], format: str | None = 
               options: Mapping[str, Any] | None = None) -> FeatureSet:
     """Return the features of a file, with the first reader that recognises its content.
 
-    Parameters
-    ----------
-    path, readers, format, options
-        As `find_reader`.
-
     Raises
     ------
     TermselError
@@ -161,15 +149,8 @@ def find_reader(path: Path, readers: Iterable[type[Reader]], format: str | None 
                 options: Mapping[str, Any] | None = None) -> Reader:
     """Return the first reader that recognises the content of a file.
 
-    Parameters
-    ----------
-    path : pathlib.Path
-    readers : iterable of type
-        Subclasses of Reader, in the order they are asked.
-    format : str, optional
-        The name of the reader to use, whatever the content looks like.
-    options : mapping, optional
-        Each reader takes those it declares.
+    `format` names the reader to use, whatever the content looks like. Each reader takes the options
+    it declares.
 
     Raises
     ------
@@ -256,20 +237,8 @@ def read_features(points: Path | None, lines: Path | None, *, areas: Path | None
                   options: Mapping[str, Any] | None = None, either: bool = False) -> FeatureSet:
     """Return the points, lines and areas of one file each, in one CRS.
 
-    Parameters
-    ----------
-    points, lines, areas : pathlib.Path, optional
-        At least one of them. A file that holds points and lines is given as both. Areas become
-        points or lines.
-    crs : str, optional
-        What the user states; needed where no file declares one.
-    readers : iterable of type
-    formats : sequence of str
-        Names of the readers of the files, in their order, as far as they are forced.
-    options : mapping, optional
-        Options of the readers.
-    either : bool
-        Whether a file given as both may have points or lines alone.
+    A file that holds points and lines is given as both; with `either`, it may have points or lines
+    alone. Areas become points or lines. `formats` names readers, in the order of the files.
 
     Raises
     ------

@@ -45,12 +45,6 @@ def names_of(features: FeatureSet) -> tuple[str, ...]:
 def claim_folder(folder: Path, *, overwrite: bool = False) -> None:
     """Make the folder, or refuse it before a long search.
 
-    Parameters
-    ----------
-    folder : path
-    overwrite : bool
-        Whether a result that is there may be replaced.
-
     Raises
     ------
     TermselError
@@ -82,13 +76,7 @@ def write_result(result: Result, folder: Path) -> None:
     With points.csv and lines.csv the folder is self-contained: the files that the features came
     from are not needed any more. Wherever this is interrupted, `read_result` finds the earlier
     result or the new one: the new files are written into a folder of their own, one renaming
-    makes them valid, and then they are put in place one by one.
-
-    Parameters
-    ----------
-    result : Result
-    folder : Path
-        One that exists; files of an earlier result are replaced.
+    makes them valid, and then they are put in place one by one. The folder must exist.
     """
     files = {name: encoded(text) for name, text in _files(result).items()}
     _put_in_place(folder)  # an earlier result, if that was interrupted

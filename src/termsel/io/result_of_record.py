@@ -33,10 +33,7 @@ AGAIN = "Run the search again."
 def record_from(content: Any) -> Record:
     """Return the record that the content of result.json is.
 
-    Parameters
-    ----------
-    content : Any
-        As JSON has it. What records of earlier versions lack is added.
+    What records of earlier versions lack is added.
 
     Raises
     ------
@@ -59,13 +56,7 @@ def record_from(content: Any) -> Record:
 
 
 def result_from(record: Record, features: FeatureSet) -> Result:
-    """Return the result of a record and its features.
-
-    Parameters
-    ----------
-    record : Record
-    features : FeatureSet
-        Each point has its role.
+    """Return the result of a record and its features, each point with its role.
 
     Raises
     ------

@@ -45,11 +45,6 @@ def plain(part: Any) -> dict[str, Any]:
     """Return a part as JSON has it: dicts, lists, text and numbers.
 
     NaN and infinity become None, numbers of numpy those of Python.
-
-    Parameters
-    ----------
-    part : RecordPart or mapping
-        Any part of a record, or the whole.
     """
     content: dict[str, Any] = _as_json(msgspec.to_builtins(
         part, enc_hook=lambda value: value.item()))

@@ -38,11 +38,12 @@ def _parts(kind: type[RecordPart]) -> list[type[RecordPart]]:
 
 
 def _descriptions(kind: type[RecordPart]) -> dict[str, str]:
-    """Return the docstrings of the fields of a part, by their keys in JSON."""
+    """Return the docstrings of the fields of a part, those inherited too, by their keys in JSON."""
     (body,) = ast.parse(inspect.getsource(kind)).body
     assert isinstance(body, ast.ClassDef)
     keys = dict(zip(kind.__struct_fields__, kind.__struct_encode_fields__, strict=True))
-    found = {}
+    found = {key: doc for base in kind.__bases__ if base is not RecordPart
+             for key, doc in _descriptions(base).items()}
     for field, doc in zip(body.body, body.body[1:], strict=False):
         if isinstance(field, ast.AnnAssign) and isinstance(field.target, ast.Name):
             assert isinstance(doc, ast.Expr)

@@ -41,27 +41,19 @@ class Member(RecordPart, frozen=True):
     """A selection that no other one found beats in every objective."""
 
     objectives: Objectives
-    """Objectives of the member, by name."""
-    selection: SelectionRecord
-    """Terms and control features of the member."""
-    rmse: RmseByRole
-    """RMSE of the member by role [px]."""
-    iterated: bool | UnsetType = UNSET
-    """Whether its fit goes on from equations of lines that hold to first order to the least squares
-    of distances. Absent from results before 0.3."""
-
-
-class SizeRow(RecordPart, frozen=True, kw_only=True):
-    """The best selection of one size, with its own proof."""
-
-    objectives: Objectives
-    """Number of terms or features, and the criterion."""
+    """Objectives by name; of a size, the number of terms or features and the criterion."""
     selection: SelectionRecord
     """Terms and control features."""
     rmse: RmseByRole
     """RMSE by role [px]."""
     iterated: bool | UnsetType = UNSET
-    """As for members of the front."""
+    """Whether its fit goes on from equations of lines that hold to first order to the least squares
+    of distances. Absent from results before 0.3."""
+
+
+class SizeRow(Member, frozen=True, kw_only=True):
+    """The best selection of one size, with its own proof."""
+
     better: bool
     """True if the criterion is better than that of all smaller selections here. Those are the
     front, once all is proven."""

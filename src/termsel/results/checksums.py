@@ -49,12 +49,5 @@ def of_record(record: Mapping[str, Any]) -> str:
 
 
 def checksums_of(content: Mapping[str, Any], features: FeatureSet) -> Checksums:
-    """Return the checksums of the content of result.json and of its features.
-
-    Parameters
-    ----------
-    content : mapping
-        Without checksums.
-    features : FeatureSet
-    """
+    """Return the checksums of the content of result.json and of its features."""
     return Checksums(of_record(content), of_features(features), of_attributes(features))

@@ -19,11 +19,7 @@ def command(record: Record) -> str:
     """Return the command that repeats a run in the folder of its result.
 
     The points and lines there have their roles, so that the files they came from are not needed.
-
-    Parameters
-    ----------
-    record : Record
-        Of a run that a command can repeat (`not_by_command`).
+    `not_by_command` tells the runs that no command can repeat.
     """
     return " \\\n    ".join(["termsel run", *_parts(record)])
 

@@ -214,13 +214,8 @@ class Result(Glance):
             doubts=self.diagnosis.doubts, scaling=self.fit.scaling.numbers(),
             versions=self.versions, plugins=convert(plain(self.plugins), dict[str, PluginRecord]))
 
-    def fit_of(self, member: Member | SizeRow) -> Fit:
-        """Return the fit of a member of the front, or of the best selection of a size.
-
-        Parameters
-        ----------
-        member : Member or SizeRow
-        """
+    def fit_of(self, member: Member) -> Fit:
+        """Return the fit of a member of the front, or of the best selection of a size."""
         observations, selected = by_roles(self.features), member.selection
         model = cast("SensorModel", self.fit.model).with_parameters(selected.parameters or {})
         iterated = None if member.iterated is UNSET else member.iterated

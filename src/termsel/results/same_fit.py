@@ -37,14 +37,7 @@ def fit_record(fitted: Fit) -> FitRecord:
 
 
 def adjustment_figures(fitted: Fit, orientation_spread: float | None = None) -> AdjustmentFigures:
-    """Return the figures of the adjustment of a fit.
-
-    Parameters
-    ----------
-    fitted : Fit
-    orientation_spread : float, optional
-        Of its lines.
-    """
+    """Return the figures of the adjustment of a fit, with the orientation spread of its lines."""
     of = fitted.adjustment
     return AdjustmentFigures(
         of.n_equations, of.n_terms, of.redundancy, of.rank, finite_or_none(of.condition),
@@ -55,21 +48,9 @@ def fit_of_record(model: SensorModel, control: FeatureSet, scaling: Scaling, use
                   coefficients: Mapping[str, float], deviations: Mapping[str, float | None],
                   figures: AdjustmentFigures, how: FitRecord,
                   own: Estimator | None = None) -> Fit:
-    """Return the fit that a record describes.
+    """Return the fit that a record describes, of the features in use among the control.
 
-    Parameters
-    ----------
-    model : SensorModel
-    control : FeatureSet
-        What it was fitted to.
-    scaling : Scaling
-    used : ndarray of bool, shape (len(control),)
-    coefficients, deviations : mapping
-        By term.
-    figures : AdjustmentFigures
-    how : FitRecord
-    own : Estimator, optional
-        That of a plugin's candidate, which is taken where it has the name in the record.
+    The estimator is that of a plugin's candidate, `own`, where it has the name in the record.
 
     Raises
     ------
@@ -80,12 +61,14 @@ def fit_of_record(model: SensorModel, control: FeatureSet, scaling: Scaling, use
         else estimator_named(how.estimator, how.options)
     model = model.prepared(scaling, control.crs)
     terms = np.array([name in coefficients for name in model.terms], dtype=bool)
+    values = _by_term(model, coefficients, 0.0)
     if estimator.least_squares:
         iterated = getattr(estimator, "iterated", True)
         made = LeastSquares(iterated).fit(model, control, scaling, terms, used)
+        residuals, correlations = made.adjustment.residuals, made.adjustment.correlations
     else:
-        made = _of_coefficients(model, control, scaling, terms, used, coefficients, estimator)
-    unknown = np.zeros(len(terms)) if estimator.least_squares else np.full(len(terms), np.nan)
+        equations = model.equations(scaling.features(control))
+        residuals, correlations = equations.b - equations.A @ values, None
     trace, held_out = how.effective, None
     if how.held_out is not None:
         in_use, errors = control.take(used), np.array(how.held_out).reshape(-1, 2)
@@ -101,32 +84,18 @@ def fit_of_record(model: SensorModel, control: FeatureSet, scaling: Scaling, use
             trace, held_out = again.trace, again.held_out
     # The figures of the record, whatever the rounding of this machine.
     adjustment = Adjustment(
-        _by_term(model, coefficients, np.zeros(len(terms))), made.adjustment.residuals,
-        _by_term(model, deviations, unknown), figures.terms, figures.equations, figures.rank,
+        values, residuals,
+        _by_term(model, deviations, 0.0 if estimator.least_squares else np.nan),
+        figures.terms, figures.equations, figures.rank,
         np.inf if figures.condition is None else figures.condition,
-        number(figures.sigma0) / scaling.image_scale,
-        made.adjustment.correlations)
+        number(figures.sigma0) / scaling.image_scale, correlations)
     return Fit(model, scaling, control, terms, used, adjustment, estimator, trace, held_out)
 
 
-def _of_coefficients(model: SensorModel, control: FeatureSet, scaling: Scaling, terms: BoolArray,
-                     used: BoolArray, coefficients: Mapping[str, float],
-                     estimator: Estimator) -> Fit:
-    """Return a fit whose adjustment has nothing but coefficients and residuals."""
-    equations = model.equations(scaling.features(control))
-    values = _by_term(model, coefficients, np.zeros(len(terms)))
-    return Fit(model, scaling, control, terms, used, Adjustment(
-        values, equations.b - equations.A @ values, values, 0, 0, 0, np.inf, np.nan), estimator)
-
-
 def _by_term(model: SensorModel, values: Mapping[str, float | None],
-             default: FloatArray) -> FloatArray:
+             default: float) -> FloatArray:
     """Return values by term as an array; NaN for None."""
-    found = default.copy()
-    for i, name in enumerate(model.terms):
-        if name in values:
-            found[i] = number(values[name])
-    return found
+    return np.array([number(values.get(name, default)) for name in model.terms])
 
 
 def least_squares_of(model: Fittable, control: FeatureSet, scaling: Scaling, terms: BoolArray,
@@ -134,19 +103,8 @@ def least_squares_of(model: Fittable, control: FeatureSet, scaling: Scaling, ter
     """Return the fit of a selection of terms and features, as a run makes it.
 
     Where the iteration for lines under separate denominators ends with a pole in the scene, the
-    solution it began with, which the search judged, is taken.
-
-    Parameters
-    ----------
-    model : SensorModel
-    control : FeatureSet
-    scaling : Scaling
-    terms, used : ndarray of bool
-        As for `termsel.fits.least_squares.fit`.
-    check : Points
-        With the control they say how far the scene reaches.
-    iterated : bool, optional
-        Whether the iteration was taken, where it is known.
+    solution it began with, which the search judged, is taken: of the scene that control and check
+    points span. `iterated` says whether the iteration was taken, where it is known.
     """
     chosen = LeastSquares(iterated is not False).fit(model, control, scaling, terms, used)
     if iterated is None and has_pole(chosen, check):

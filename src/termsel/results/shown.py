@@ -30,16 +30,7 @@ SMOOTH = 8
 class Shown:
     """A result as it is shown; see `termsel.report.view.View`.
 
-    Parameters
-    ----------
-    record : Record
-    fit : Fit
-        The fit whose figures they are.
-    features : FeatureSet
-    residuals : Residuals
-        With those of blunders that have no role, as they were left out.
-    fits_of_front : callable
-        Returns the fits of all members of the front.
+    The residuals include those of blunders that have no role, as they were left out.
     """
 
     record: Record

@@ -287,11 +287,7 @@ class Asked:
                 settings: Mapping[str, str]) -> str:
         """Return a command that runs another method on the same data, quoted for the shell.
 
-        Parameters
-        ----------
-        problem, solver, criterion : str
-        settings : mapping
-            All options of ``--set``, those of the readers included.
+        The settings are all options of ``--set``, those of the readers included.
         """
         from termsel.files.remote import remote_allowed
 
