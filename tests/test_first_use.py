@@ -372,6 +372,15 @@ def test_other_columns_decide_and_a_note_says_so(tmp_path: Path, x: str, line: f
         == (line > 1000)
 
 
+def test_columns_without_numbers_have_no_decimal_sign_to_note(
+        tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    path = tmp_path / "p.csv"
+    path.write_bytes(small([f"{name};10.5;4{i}.25;;{i}.5;3.75" for i, name in enumerate("abc")]))
+    with caplog.at_level("INFO", "termsel"):
+        termsel.read(path, crs="local")
+    assert "the other sign separates thousands" not in caplog.text
+
+
 def test_ids_by_number_are_noted(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     path = tmp_path / "p.csv"
     path.write_bytes(TEXTS["no ids"][0])

@@ -241,6 +241,14 @@ def test_the_map_of_uncertainty_reaches_to_the_last_feature() -> None:
         assert max(cell[high] for cell in view.sigma) > column.max() - margin
 
 
+@pytest.mark.filterwarnings("error")
+def test_a_result_without_heights_is_shown_in_metres() -> None:
+    scene = termsel.run(dataset="old-map").features
+    assert np.isnan(scene.points.ground[:, 2]).all()
+    result = termsel.run("poly-terms", features=replace(scene, crs="EPSG:2100"))
+    assert result.view.units_per_metre == 1.0
+
+
 def test_baselines_show_the_record(chosen: termsel.Result) -> None:
     shown = max(rows_of(chosen.plot.baselines()).values(), key=len)
     here = {(row["fit"], row["role"]): row["rmse"] for row in shown}

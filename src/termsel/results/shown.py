@@ -106,7 +106,7 @@ class Shown:
     @cached_property
     def units_per_metre(self) -> float | None:
         """Units of y on the ground in a metre; None where that is not known."""
-        middle = np.nanmean(self._ground, axis=0, keepdims=True)
+        middle = np.nanmean(self._ground[:, :2], axis=0, keepdims=True)  # heights may be unknown
         step = 1e-5 if is_geographic(self.features.crs) else 1.0
         metres = in_metres(self.features.crs, middle, np.array([[0.0, step]]))
         return None if metres is None else step / float(metres[0, 1])

@@ -19,7 +19,7 @@ def in_metres(crs: str, places: FloatArray, offsets: FloatArray) -> FloatArray |
     ----------
     crs : str
         Of the coordinates.
-    places : ndarray, shape (n, 3)
+    places : ndarray, shape (n, 2) or (n, 3)
         Where the offsets begin.
     offsets : ndarray, shape (n, 2)
         In x and y.

@@ -78,7 +78,7 @@ def decimal_signs(columns: Mapping[str, Sequence[str]], asked: str = "", *,
     signs = {name: sign if sign in (POINT, COMMA) else POINT if sign is None else
              rest or (POINT if sign == _THREE else "") for name, sign in evidence.items()}
     return signs, [name for name, sign in evidence.items()
-                   if (rest and not sign) or (rest == COMMA and sign == _THREE)]
+                   if (rest and sign == "") or (rest == COMMA and sign == _THREE)]
 
 
 def _sign(name: str, cells: Sequence[str], points_only: bool) -> str | None:
