@@ -129,14 +129,7 @@ FINISHING = "The cells under way are being finished. Ctrl-C once more ends at on
 
 def asked(study: Path | str | Mapping[str, Any] | None, keys: Mapping[str, Any]
           ) -> tuple[Spec, Path]:
-    """Return what a study asks for, and the folder that its file names are relative to.
-
-    Parameters
-    ----------
-    study : path or mapping, optional
-    keys : mapping
-        As for `compare`.
-    """
+    """Return what a study asks for, and the folder that its file names are relative to."""
     if isinstance(study, str | Path):
         if keys:
             raise TermselError(f"{min(keys)} is given next to a study file",
@@ -148,11 +141,7 @@ def asked(study: Path | str | Mapping[str, Any] | None, keys: Mapping[str, Any]
 def plan_cells(spec: Spec, folder: Path) -> list[Cell]:
     """Return the cells of a study, everything about them checked.
 
-    Parameters
-    ----------
-    spec : Spec
-    folder : pathlib.Path
-        File names are relative to it.
+    File names are relative to `folder`.
     """
     for i, name in enumerate(spec.exports):
         try:

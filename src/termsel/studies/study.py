@@ -21,13 +21,7 @@ if TYPE_CHECKING:
 
 
 class Rows(list[Row]):
-    """Rows of a study as a table: `to_pandas` gives a DataFrame.
-
-    Parameters
-    ----------
-    rows : iterable of dict
-    columns : tuple of str
-    """
+    """Rows of a study as a table: `to_pandas` gives a DataFrame."""
 
     def __init__(self, rows: Iterable[Row], columns: tuple[str, ...]) -> None:
         super().__init__(rows)

@@ -50,24 +50,14 @@ class Cell:
 
 
 def kind_of(labels: Mapping[str, Any]) -> tuple[str, ...]:
-    """Return all labels but data, split and seed: cells of a kind take about the same time.
-
-    Parameters
-    ----------
-    labels : mapping
-        Of a cell.
-    """
+    """Return all labels but data, split and seed: cells of a kind take about the same time."""
     return tuple(labels[name] for name in LABELS if name not in ("data", "split", "seed"))
 
 
 def cells_of(spec: Spec, data: list[Data]) -> list[Cell]:
     """Return all cells of a study, in the order of its tables.
 
-    Parameters
-    ----------
-    spec : Spec
-    data : list of Data
-        Empty for each problem's own data set.
+    `data` is empty for each problem's own data set.
 
     Raises
     ------

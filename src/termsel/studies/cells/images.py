@@ -20,10 +20,7 @@ def folders_of(labels: Mapping[str, Mapping[str, Any]]) -> dict[str, str]:
     A folder is called by its data, by its split if that is not the first, and by its problem where
     several have the same data.
 
-    Parameters
-    ----------
-    labels : mapping
-        Of the cells, by their keys; those that are not of the strategy auto have no folder.
+    Cells that are not of the strategy auto have no folder.
 
     Raises
     ------
@@ -55,13 +52,6 @@ def write_files(folder: Path, files: Mapping[str, bytes]) -> None:
 
     Each file is written completely or not at all; those of a cell that is repeated replace the
     earlier ones, which are the same.
-
-    Parameters
-    ----------
-    folder : pathlib.Path
-        Of the image.
-    files : mapping
-        Content by name.
 
     Raises
     ------

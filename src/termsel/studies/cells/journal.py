@@ -34,7 +34,6 @@ class Journal:
 
     Parameters
     ----------
-    path : pathlib.Path
     records : dict
         Of all cells in the file, whether they belong to the study or not.
     versions : mapping
@@ -53,11 +52,6 @@ class Journal:
 
     def open(self, versions: Mapping[str, str]) -> None:
         """Cut off a torn last line, and begin the file if it is new.
-
-        Parameters
-        ----------
-        versions : mapping
-            Of this process.
 
         Raises
         ------

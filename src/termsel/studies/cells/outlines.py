@@ -26,7 +26,6 @@ def map_of(rows: Sequence[Row], columns: Sequence[str], cells: Mapping[str, Mapp
     ----------
     rows : sequence of dict
         Those of images without a result are left out.
-    columns : sequence of str
     cells : mapping
         Labels of all cells, by key.
     folder : Path

@@ -36,13 +36,7 @@ def rows_of(cells: Mapping[str, Mapping[str, Any]], records: Mapping[str, CellRe
             strategies: Sequence[str]) -> list[Row]:
     """Return one row a cell, in the order of the cells; of the strategy auto alone worst first.
 
-    Parameters
-    ----------
-    cells : mapping
-        Labels by key of the cell.
-    records : mapping
-        Likewise; a cell without one is waiting.
-    strategies : sequence of str
+    A cell without a record is waiting.
     """
     columns = columns_of(strategies)
     rows = []

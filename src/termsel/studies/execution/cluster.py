@@ -43,10 +43,8 @@ def on_cluster(works: Sequence[Work], features: Mapping[str, FeatureSet], stop: 
 
     Parameters
     ----------
-    works : sequence of Work
     features : mapping
         By key.
-    stop : callable
     address : str
         Of the scheduler, such as "tcp://host:8786".
     plugins : mapping
@@ -134,10 +132,6 @@ def require_alike(needed: Mapping[str, str], found: Mapping[str, str | None], wo
         On the worker; None for what it has not.
     worker : str
         Its address.
-
-    Raises
-    ------
-    TermselError
     """
     for name, version in needed.items():
         if found.get(name) is None:

@@ -25,15 +25,7 @@ DIED = "the process that ran this cell ended: out of memory, killed, or a fault 
 
 def serial(works: Sequence[Work], features: Mapping[str, FeatureSet], stop: Stop
            ) -> Iterator[Outcome]:
-    """Yield the outcomes of cells, run one after the other in this process.
-
-    Parameters
-    ----------
-    works : sequence of Work
-    features : mapping
-        By key.
-    stop : callable
-    """
+    """Yield the outcomes of cells, run one after the other in this process."""
     for work in works:
         if stop():
             return
@@ -46,12 +38,6 @@ def processes(works: Sequence[Work], features: Mapping[str, FeatureSet], stop: S
 
     A process that dies takes all others of its pool with it. The cells that were under way are
     then repeated one by one, so that the one at fault is known by name and fails alone.
-
-    Parameters
-    ----------
-    works, features, stop
-        As for `serial`.
-    workers : int
     """
     waiting = deque(works)
     while waiting and not stop():
@@ -93,11 +79,6 @@ def begin_worker(features: Mapping[str, FeatureSet]) -> None:
     """Make a new process ready: the features of the study, and no answer to Ctrl-C of its own.
 
     The features are sent once to each process, not with every cell.
-
-    Parameters
-    ----------
-    features : mapping
-        By key.
     """
     import signal
 

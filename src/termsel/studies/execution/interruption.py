@@ -15,10 +15,7 @@ def deferred(say: Callable[[], None]) -> Iterator[Callable[[], bool]]:
 
     Outside of the main thread, and where Ctrl-C is ignored, it never was.
 
-    Parameters
-    ----------
-    say : callable
-        Called at the first Ctrl-C.
+    `say` is called at the first Ctrl-C.
     """
     pressed = False
 

@@ -68,7 +68,6 @@ class Tally:
     ----------
     kinds : mapping
         Kind of every cell of the study, by its key.
-    workers : int
     names : mapping
         What the worst result is called, by key.
     """
@@ -121,7 +120,6 @@ def tally_of(cells: Mapping[str, Mapping[str, Any]], workers: int,
     ----------
     cells : mapping
         Labels by key.
-    workers : int
     records : mapping
         By key of the cell.
     """

@@ -52,11 +52,7 @@ class Data:
 def data_of(spec: Spec, folder: Path) -> list[Data]:
     """Return all data that a study names.
 
-    Parameters
-    ----------
-    spec : Spec
-    folder : pathlib.Path
-        File names are relative to it.
+    File names are relative to `folder`.
 
     Raises
     ------
@@ -77,14 +73,7 @@ def data_of(spec: Spec, folder: Path) -> list[Data]:
 
 
 def of_dataset(name: str, path: Keys = ()) -> Data:
-    """Return a data set that is known by name.
-
-    Parameters
-    ----------
-    name : str
-    path : tuple
-        Where the study names it.
-    """
+    """Return a data set that is known by name."""
     known: DatasetSpec = registry().get("datasets", name)
     features = known.load()
     source = f"{known.name} (simulated)" if known.simulated else known.name

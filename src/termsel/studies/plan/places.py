@@ -48,12 +48,7 @@ class Places:
 def places_of(text: str, file: object) -> Places:
     """Return the places of all keys and list items of a text.
 
-    Parameters
-    ----------
-    text : str
-        TOML that the parser accepts.
-    file : object
-        Its name, for messages.
+    `file` is its name, for messages; the parser accepts the text.
     """
     reader = _Reader(text)
     reader.document()

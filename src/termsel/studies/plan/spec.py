@@ -35,10 +35,8 @@ class Part:
 
     Parameters
     ----------
-    name : str
     label : str
         What tables call it.
-    options : mapping
     path : tuple
         Where the study file names it.
     thing : object, optional
@@ -83,13 +81,10 @@ class Spec:
 
     Parameters
     ----------
-    title : str
     problems, models, solvers, criteria : tuple of Part
         Empty where none is named: each problem then has its own.
-    strategies : tuple of str
     data : tuple of Source
         Empty for the data set of each problem.
-    seeds, splits : tuple of int
     budget : mapping
         Evaluations, generations, patience, seconds; and "timeout", the seconds after which a cell
         fails.
@@ -99,7 +94,6 @@ class Spec:
         Formats in which the strategy auto exports its models.
     measure : str or None
         What methods are compared by.
-    places : Places
     """
 
     title: str = ""
@@ -120,11 +114,6 @@ class Spec:
 
 def read_spec(file: Path) -> Spec:
     """Return what a study file asks for.
-
-    Parameters
-    ----------
-    file : pathlib.Path
-        TOML.
 
     Raises
     ------
@@ -147,14 +136,7 @@ def read_spec(file: Path) -> Spec:
 
 
 def spec_of(table: Mapping[str, Any], places: Places | None = None) -> Spec:
-    """Return what a table of names, options and budgets asks for, checked.
-
-    Parameters
-    ----------
-    table : mapping
-        As a study file has it.
-    places : Places, optional
-    """
+    """Return what a table of names, options and budgets asks for, checked."""
     at = places or Places()
     table = {key: _as_in_a_file(value) for key, value in table.items()}
     for key in table:

@@ -56,11 +56,7 @@ def figures_of(study: Study) -> list[Figure]:
 def running_times(groups: Groups, column: int) -> Figure:
     """Return the ECDF of running times over all targets and instances, a line a method.
 
-    Parameters
-    ----------
-    groups : Groups
-    column : {0, 2}
-        Evaluations, or CPU seconds.
+    `column` is 0 for evaluations, 2 for CPU seconds.
     """
     alt = require_altair()
     rows, last = [], 0.0
@@ -142,11 +138,6 @@ def profile(groups: Groups) -> Figure:
 def critical_differences(comparison: Comparison) -> Figure:
     """Return the mean ranks, with bars over methods that cannot be told apart.
 
-    Parameters
-    ----------
-    comparison : Comparison
-        With a critical difference.
-
     References
     ----------
     Demšar 2006, J. Mach. Learn. Res. 7, figure 1.
@@ -178,14 +169,7 @@ def critical_differences(comparison: Comparison) -> Figure:
 
 
 def alike(ranks: list[float], difference: float) -> list[tuple[float, float]]:
-    """Return the longest runs of sorted ranks that differ by less than a critical difference.
-
-    Parameters
-    ----------
-    ranks : list of float
-        In order.
-    difference : float
-    """
+    """Return the longest runs of sorted ranks that differ by less than a critical difference."""
     runs: list[tuple[float, float]] = []
     for i, low in enumerate(ranks):
         high = max(rank for rank in ranks[i:] if rank - low < difference)

@@ -28,12 +28,6 @@ def write_outputs(study: Study, out: Path) -> list[Path]:
     summary.tex tables for people; ioh/ the runs for IOHprofiler; report.html a page of tables and
     charts, and figures/ the charts, where altair is installed.
 
-    Parameters
-    ----------
-    study : Study
-    out : pathlib.Path
-        A folder that exists.
-
     Raises
     ------
     TermselError

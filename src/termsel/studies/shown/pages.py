@@ -102,14 +102,7 @@ def _named(row: Row) -> str:
 
 
 def shown(value: float | None, digits: int) -> str:
-    """Return a number for a table; blank if there is none, and a sign for infinity.
-
-    Parameters
-    ----------
-    value : float or None
-    digits : int
-        After the point.
-    """
+    """Return a number for a table; blank if there is none, and a sign for infinity."""
     if value is None:
         return ""
     return f"{value:.{digits}f}" if math.isfinite(value) else "∞"
@@ -126,14 +119,7 @@ def markdown(study: Study) -> str:
 
 
 def section(table: TableBlock, depth: int = 2) -> str:
-    """Return a table with its heading as Markdown.
-
-    Parameters
-    ----------
-    table : TableBlock
-    depth : int
-        Of the heading.
-    """
+    """Return a table with its heading as Markdown."""
     marks = ["---", *("---:" if _numeric(table, i) else "---"
                       for i in range(1, len(table.columns)))]
     lines = ["| " + " | ".join(map(_escaped, row)) + " |" for row in (table.columns, *table.rows)]

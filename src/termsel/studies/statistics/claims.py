@@ -18,12 +18,7 @@ _SIZES = ((0.71, "large"), (0.64, "medium"), (0.56, "small"))
 def claims(groups: Groups, comparison: Comparison | None, rows: list[Row]) -> list[str]:
     """Return sentences on what may be claimed, and what not.
 
-    Parameters
-    ----------
-    groups : Groups
-    comparison : Comparison or None
-        Over all instances; None where there are too few.
-    rows : list of dict
+    `comparison` is None where there are too few instances.
     """
     said = [f"Compared by {MEASURES[groups.measure]}; lower is better."]
     if len(groups.methods) < 2:
@@ -84,13 +79,7 @@ def _not_run(groups: Groups) -> str:
 
 
 def size_in_words(value: float) -> str:
-    """Return an effect size in the words of Vargha and Delaney 2000.
-
-    Parameters
-    ----------
-    value : float
-        As `effect_size` returns it.
-    """
+    """Return an effect size in the words of Vargha and Delaney 2000."""
     return next((word for least, word in _SIZES if max(value, 1 - value) >= least), "negligible")
 
 

@@ -19,7 +19,6 @@ class FrontFigures:
 
     Parameters
     ----------
-    instance, method : str
     hypervolume, igd_plus : float
         Medians over the runs, of objectives scaled to 0..1 by the reference front.
     reference : str

@@ -19,7 +19,6 @@ class Runs:
 
     Parameters
     ----------
-    rows : list of dict
     values : list of float
         What they are compared by, lower is better; infinite for a run without a result.
     records : list of mapping
@@ -40,7 +39,6 @@ class Groups:
     measure : {"fitness", "check", "independent"}
     instances : mapping
         By label of the instance, all runs by label of the method.
-    methods : tuple of str
     """
 
     measure: str
@@ -61,13 +59,7 @@ def group(rows: Sequence[Row], records: Mapping[str, CellRecord],
     By fitness, solvers are compared on the same problem, data, model and criterion. By an RMSE,
     methods are compared: model, criterion and solver together.
 
-    Parameters
-    ----------
-    rows : sequence of dict
-    records : mapping
-        By key of the cell.
-    measure : str, optional
-        By default the fitness where the methods differ in the solver alone.
+    By default the measure is the fitness where the methods differ in the solver alone.
     """
     rows = [row for row in rows if row["state"] != WAITING]
     measure = measure or _measure(rows)

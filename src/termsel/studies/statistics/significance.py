@@ -26,7 +26,6 @@ class Pair:
 
     Parameters
     ----------
-    one, other : str
     p : float
         Of Wilcoxon's signed-rank test, two-sided.
     corrected : float
@@ -53,7 +52,6 @@ class Comparison:
 
     Parameters
     ----------
-    methods : tuple of str
     instances : int
         Instances that all methods were run on.
     ranks : tuple of float
@@ -62,7 +60,6 @@ class Comparison:
         Of Friedman's test, for three methods or more.
     difference : float or None
         Nemenyi's critical difference of mean ranks, for three methods or more.
-    pairs : tuple of Pair
     """
 
     methods: tuple[str, ...]
@@ -91,7 +88,6 @@ def compare_methods(methods: Sequence[str], values: FloatArray) -> Comparison | 
 
     Parameters
     ----------
-    methods : sequence of str
     values : ndarray, shape (instances, methods)
         Lower is better; infinite for a method without a result.
 

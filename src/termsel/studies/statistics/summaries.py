@@ -22,7 +22,6 @@ class Summary:
 
     Parameters
     ----------
-    instance, method : str
     runs, finished : int
         All runs, and those with a result.
     best, lower, median, upper, worst : float
@@ -101,14 +100,7 @@ def _median(rows: Sequence[Mapping[str, Any]], name: str) -> float | None:
 
 
 def quantiles(values: Sequence[float], shares: Sequence[float]) -> list[float]:
-    """Return quantiles of values among which some may be infinite.
-
-    Parameters
-    ----------
-    values : sequence of float
-    shares : sequence of float
-        From 0 to 1.
-    """
+    """Return quantiles of values among which some may be infinite."""
     finite = np.minimum(np.asarray(values, dtype=float), _HUGE)
     return [math.inf if value > _HUGE * 1e-6 else float(value)
             for value in np.quantile(finite, shares)]
@@ -131,13 +123,7 @@ def wilson(successes: int, runs: int, level: float = 0.95) -> tuple[float, float
 def hit(trace: Sequence[Sequence[float]], target: float, column: int = 0) -> float:
     """Return when a run reached a target; infinite if it never did.
 
-    Parameters
-    ----------
-    trace : sequence
-        Evaluations, best value and CPU seconds at every improvement.
-    target : float
-    column : {0, 2}
-        Whether in evaluations or in CPU seconds.
+    `column` is 0 for evaluations, 2 for CPU seconds.
     """
     return next((float(point[column]) for point in trace if point[1] <= target), math.inf)
 
@@ -145,10 +131,7 @@ def hit(trace: Sequence[Sequence[float]], target: float, column: int = 0) -> flo
 def length(figures: Mapping[str, Any]) -> float:
     """Return the evaluations of a run, those of the local refinement included.
 
-    Parameters
-    ----------
-    figures : mapping
-        Of its record; empty for a run that failed.
+    The `figures` are those of its record; empty for a run that failed.
     """
     return float(figures.get("evaluations") or 0)
 
@@ -184,10 +167,7 @@ def expected_running_time(hits: Sequence[float], lengths: Sequence[float]) -> fl
 def ecdf(hits: Sequence[float]) -> tuple[list[float], list[float]]:
     """Return which share of runs and targets is reached within which budget.
 
-    Parameters
-    ----------
-    hits : sequence of float
-        When each run reached each target, as `hit` returns it.
+    `hits` is when each run reached each target, as `hit` returns it.
 
     Returns
     -------
@@ -202,12 +182,7 @@ def ecdf(hits: Sequence[float]) -> tuple[list[float], list[float]]:
 def targets_of(optimum: float | None, runs: Iterable[Runs], number: int = 21) -> list[float]:
     """Return targets for an ECDF: above the optimum by 100 % to 0.01 %, evenly in the logarithm.
 
-    Parameters
-    ----------
-    optimum : float or None
-        Where it is not known, the best value of all runs stands for it.
-    runs : iterable of Runs
-    number : int
+    Where the optimum is not known, the best value of all runs stands for it.
 
     References
     ----------
