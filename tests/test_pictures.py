@@ -23,7 +23,7 @@ from termsel.report.plots import KINDS, chart
 from termsel.report.small import small_map
 from termsel.report.theme import styled
 from termsel.results import shown
-from termsel.studies.cells.record import CellRecord
+from termsel.studies.cells.journal import CellRecord
 from termsel.studies.plan.spec import spec_of
 from termsel.studies.shown import figures
 from termsel.studies.shown.figures import figures_of

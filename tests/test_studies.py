@@ -22,7 +22,7 @@ from termsel.formats.readers.csv_tables import write_lines_csv, write_points_csv
 from termsel.solvers.ledger import Progress
 from termsel.studies import compare
 from termsel.studies.cells.images import IMAGES, folders_of
-from termsel.studies.cells.record import CellRecord
+from termsel.studies.cells.journal import CellRecord
 from termsel.studies.cells.table import TIMES
 from termsel.studies.execution import work
 from termsel.studies.plan.places import places_of

@@ -22,9 +22,8 @@ import termsel
 from termsel import TermselError
 from termsel.files.names import JOURNAL
 from termsel.studies.cells.folder import PLAN
-from termsel.studies.cells.journal import Journal, read_journal
+from termsel.studies.cells.journal import CellRecord, Journal, read_journal
 from termsel.studies.cells.lock import holder, locked
-from termsel.studies.cells.record import CellRecord
 from termsel.studies.cells.table import TIMES
 from termsel.studies.execution.executors import DIED, processes, serial
 from termsel.studies.execution.work import Work

@@ -13,7 +13,7 @@ import pytest
 from msgspec import structs
 
 import termsel
-from termsel.studies.cells.record import CellRecord
+from termsel.studies.cells.journal import CellRecord
 from termsel.studies.shown.ioh import ioh_files
 from termsel.studies.shown.pages import latex, markdown, tables_of
 from termsel.studies.statistics.claims import claims, size_in_words

@@ -105,9 +105,8 @@ def termsel_candidates() -> Iterable[Candidate]:
 def termsel_datasets() -> Iterable[DatasetSpec]:
     """Return the embedded data sets."""
     from termsel.simulate.maps import MAP
-    from termsel.simulate.paper_sets import PAPER_SETS
     from termsel.simulate.photos import PHOTO
-    from termsel.simulate.scenes import DATASETS
+    from termsel.simulate.scenes import DATASETS, PAPER_SETS
 
     return [*DATASETS, MAP, PHOTO, *PAPER_SETS]
 

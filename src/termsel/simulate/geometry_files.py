@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, fields
+from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import get_type_hints
+
+from msgspec import ValidationError, convert
 
 from termsel.errors import TermselError
 from termsel.files.atomic import write_text
 from termsel.formats.base import located, parse_json, read_head, read_text
-from termsel.simulate.pushbroom import Angle, Pushbroom
+from termsel.simulate.pushbroom import Pushbroom
 
 SCHEMA = "termsel-pushbroom-1"
 _EXPECTED = f"Expected JSON with the schema {SCHEMA}, from termsel.simulate.write_geometry."
-_ANGLES = ("roll", "pitch", "yaw")
+_TYPES = {**get_type_hints(Pushbroom), "offset": tuple[float, float, float]}
 
 
 def geometry_text(sensor: Pushbroom) -> str:
@@ -44,13 +46,12 @@ def geometry_from(text: str) -> Pushbroom:
     content = parse_json(text, _EXPECTED)
     if not isinstance(content, dict) or content.get("schema") != SCHEMA:
         raise TermselError("this is not the geometry of a pushbroom scanner", hint=_EXPECTED)
-    names = [field.name for field in fields(Pushbroom)]
-    for name in names:
+    for name in _TYPES:
         if name not in content:
             raise TermselError("this field of the geometry is missing", column=name, hint=_EXPECTED)
     try:
-        return Pushbroom(**{name: _value(name, content[name]) for name in names})
-    except (TypeError, ValueError, KeyError, OverflowError) as error:
+        return Pushbroom(**{name: convert(content[name], kind) for name, kind in _TYPES.items()})
+    except (ValidationError, OverflowError) as error:
         raise TermselError(f"a field of the geometry is invalid: {error}",
                            hint=_EXPECTED) from error
 
@@ -93,15 +94,3 @@ def read_geometry(path: Path | str) -> Pushbroom:
         return geometry_from(text)
     except TermselError as error:
         raise located(error, path) from error
-
-
-def _value(name: str, value: Any) -> Any:
-    if name in _ANGLES:
-        jitter = tuple((float(a), float(f), float(p)) for a, f, p in value["jitter"])
-        return Angle(tuple(map(float, value["drift"])), jitter)
-    if name == "offset":
-        ahead, starboard, down = map(float, value)
-        return ahead, starboard, down
-    if name == "refraction":
-        return bool(value)
-    return int(value) if name.startswith("n_") else float(value)

@@ -18,12 +18,11 @@ from termsel.plugins.registry import registry
 from termsel.runs.notebook import line_of_many
 from termsel.runs.task.provenance import versions
 from termsel.studies.cells.cell import Cell, cells_of, kind_of
-from termsel.studies.cells.folder import PLAN, plan_of, write_plan
+from termsel.studies.cells.folder import PLAN, Plan, write_plan
 from termsel.studies.cells.images import IMAGES, folders_of, write_files
 from termsel.studies.cells.journal import Journal, read_journal
 from termsel.studies.cells.lock import locked
-from termsel.studies.execution.executors import processes, serial
-from termsel.studies.execution.interruption import deferred
+from termsel.studies.execution.executors import deferred, processes, serial
 from termsel.studies.execution.progress import StudyProgress, Tally
 from termsel.studies.execution.work import Outcome, Work, do, failed
 from termsel.studies.plan.data import data_of
@@ -90,16 +89,19 @@ def compare(
         raise TermselError(f"{workers} workers cannot run anything", hint="Give 1 or more.")
     spec, folder = asked(study, keys)
     cells = plan_cells(spec, folder)
-    folders = folders_of({cell.key: cell.labels for cell in cells})
+    plan = Plan(spec, {cell.data.label: cell.data.key for cell in cells}, workers,
+                {cell.key: cell.labels for cell in cells})
+    folders = folders_of(plan.cells)
     with ExitStack() as stack:
         place = Path(out) if out is not None else stack.enter_context(private_folder())
         plugins = _plugins(cells, spec)
         journal = _begun(stack, place, {**versions(), **plugins})
-        plan = plan_of(spec, cells, workers)
         write_plan(plan, place)
         finished = {cell.key: journal.records[cell.key] for cell in cells
                     if cell.key in journal.records}
-        tally = plan.tally(finished)
+        tally = Tally(plan.cells, workers)
+        for record in finished.values():
+            tally.count(record)
         title = spec.title or "Study"
         show = stack.enter_context(line_of_many(title))
         observers = (*observers, lambda progress: show(

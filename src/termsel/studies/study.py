@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from termsel.display import Glance
 from termsel.errors import TermselError, counted
-from termsel.studies.cells.record import CellRecord
+from termsel.studies.cells.journal import CellRecord
 from termsel.studies.cells.table import Row, columns_of, rows_of
 from termsel.studies.plan.spec import Spec
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,11 +11,10 @@ from typing import Any
 from termsel.errors import TermselError
 from termsel.files.atomic import write_text
 from termsel.formats.base import located, parse_json, read_text
-from termsel.studies.cells.cell import LABELS, Cell
+from termsel.studies.cells.cell import LABELS
 from termsel.studies.cells.journal import read_journal
 from termsel.studies.cells.lock import holder
-from termsel.studies.cells.record import CellRecord
-from termsel.studies.execution.progress import StudyProgress, Tally, tally_of
+from termsel.studies.execution.progress import StudyProgress, Tally
 from termsel.studies.plan.spec import FILES, PARTS, READING, Part, Source, Spec, spec_of
 from termsel.studies.study import Study
 
@@ -42,22 +41,6 @@ class Plan:
     data: Mapping[str, str]
     workers: int
     cells: Mapping[str, Mapping[str, Any]]
-
-    def tally(self, records: Mapping[str, CellRecord]) -> Tally:
-        """Return how far the study is.
-
-        Parameters
-        ----------
-        records : mapping
-            Of the finished cells, and perhaps others, by key.
-        """
-        return tally_of(self.cells, self.workers, records)
-
-
-def plan_of(spec: Spec, cells: Sequence[Cell], workers: int) -> Plan:
-    """Return the plan of a study."""
-    return Plan(spec, {cell.data.label: cell.data.key for cell in cells}, workers,
-                {cell.key: cell.labels for cell in cells})
 
 
 def write_plan(plan: Plan, folder: Path) -> None:
@@ -124,7 +107,12 @@ def status(folder: Path) -> tuple[StudyProgress, str | None]:
     TermselError
         If there is no study.
     """
-    return read_plan(folder).tally(read_journal(folder).records).progress(), holder(folder)
+    plan, records = read_plan(folder), read_journal(folder).records
+    tally = Tally(plan.cells, plan.workers)
+    for key in plan.cells:
+        if key in records:
+            tally.count(records[key])
+    return tally.progress(), holder(folder)
 
 
 def table_of(spec: Spec) -> dict[str, Any]:

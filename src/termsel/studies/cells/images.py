@@ -31,11 +31,11 @@ def folders_of(labels: Mapping[str, Mapping[str, Any]]) -> dict[str, str]:
     problems = Counter((one["data"], one["split"]) for one in labels.values())
     names, owners = {}, dict[str, str]()
     for key, one in labels.items():
-        name = _plain(str(one["data"]))
+        name = file_word(str(one["data"]), "image")
         if one["split"]:
             name += f"-split-{one['split']}"
         if problems[one["data"], one["split"]] > 1:
-            name += f"-{_plain(str(one['problem']))}"
+            name += f"-{file_word(str(one['problem']), 'image')}"
         if name.casefold() in owners:
             raise TermselError(f"{owners[name.casefold()]} and {one['data']} would have the same "
                                f"folder {IMAGES}/{name}", hint="Rename one of them.")
@@ -43,8 +43,9 @@ def folders_of(labels: Mapping[str, Mapping[str, Any]]) -> dict[str, str]:
     return names
 
 
-def _plain(text: str) -> str:
-    return re.sub(r"[^\w.+-]+", "_", text).strip("._") or "image"
+def file_word(text: str, empty: str) -> str:
+    """Return a text as part of a file name; `empty` where nothing of it can be."""
+    return re.sub(r"[^\w.+-]+", "_", text).strip("._") or empty
 
 
 def write_files(folder: Path, files: Mapping[str, bytes]) -> None:

@@ -13,19 +13,37 @@ import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, Literal
 
 from msgspec import ValidationError, convert
 
 from termsel.errors import TermselError, counted
 from termsel.files.names import JOURNAL
-from termsel.record.base import plain
-from termsel.studies.cells.record import CellRecord
+from termsel.record.base import RecordPart, plain
 
 SCHEMA = "termsel-study-1"
 
 _SYNC = 1.0
 """Seconds between waits for the disk: a power failure costs at most the cells of that time."""
+
+State = Literal["done", "infeasible", "failed"]
+
+
+class CellRecord(RecordPart, frozen=True):
+    """A finished cell."""
+
+    cell: str
+    """Key of the cell."""
+    state: State
+    """How it ended."""
+    reason: str
+    """Why it has no result; empty if it has one."""
+    figures: Mapping[str, Any]
+    """Its columns in the table of the study, by name; empty if it failed."""
+    trace: list[list[float]]
+    """Evaluations, best value and CPU seconds at every improvement."""
+    front: list[list[float]]
+    """Objectives of each member of its front."""
 
 
 @dataclass

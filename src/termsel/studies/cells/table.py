@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from termsel.studies.cells.cell import LABELS
-from termsel.studies.cells.record import CellRecord
+from termsel.studies.cells.journal import CellRecord
 
 WAITING = "waiting"
 """State of a cell that is not finished."""

@@ -1,15 +1,18 @@
-"""Cells run one after the other, or in processes of this machine."""
+"""Cells run one after the other, or in processes of this machine; Ctrl-C lets them finish."""
 
 from __future__ import annotations
 
 import os
+import signal
 import sys
 import threading
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
 from multiprocessing import get_context, parent_process
+from types import FrameType
 
 from termsel.measurements.features import FeatureSet
 from termsel.studies.execution.work import Outcome, Work, do, failed
@@ -21,6 +24,34 @@ AHEAD = 2
 """Cells given to each worker at a time, so that none waits for the next one."""
 
 DIED = "the process that ran this cell ended: out of memory, killed, or a fault of compiled code"
+
+
+@contextmanager
+def deferred(say: Callable[[], None]) -> Iterator[Stop]:
+    """Yield a function that tells whether Ctrl-C was pressed; only the second one interrupts.
+
+    Outside of the main thread, and where Ctrl-C is ignored, it never was.
+
+    `say` is called at the first Ctrl-C.
+    """
+    pressed = False
+
+    def note(_number: int, _frame: FrameType | None) -> None:
+        nonlocal pressed
+        if pressed:
+            raise KeyboardInterrupt
+        pressed = True
+        say()
+
+    if threading.current_thread() is not threading.main_thread() \
+            or signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
+        yield lambda: False
+        return
+    before = signal.signal(signal.SIGINT, note)
+    try:
+        yield lambda: pressed
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def serial(works: Sequence[Work], features: Mapping[str, FeatureSet], stop: Stop
@@ -80,8 +111,6 @@ def begin_worker(features: Mapping[str, FeatureSet]) -> None:
 
     The features are sent once to each process, not with every cell.
     """
-    import signal
-
     global _features
     _features = features
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the study decides when cells end

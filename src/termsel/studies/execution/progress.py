@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from termsel.studies.cells.cell import LABELS, kind_of
-from termsel.studies.cells.record import CellRecord
+from termsel.studies.cells.journal import CellRecord
 from termsel.studies.cells.table import WAITING
 from termsel.studies.execution.work import STATES
 
@@ -62,30 +62,25 @@ def duration(seconds: float) -> str:
 
 @dataclass
 class Tally:
-    """Counts cells as they end.
+    """Counts cells of a study as they end; `cells` are the labels of all, by key."""
 
-    Parameters
-    ----------
-    kinds : mapping
-        Kind of every cell of the study, by its key.
-    names : mapping
-        What the worst result is called, by key.
-    """
-
-    kinds: Mapping[str, Any]
+    cells: Mapping[str, Mapping[str, Any]]
     workers: int
-    names: Mapping[str, str]
     _states: Counter[str] = field(default_factory=Counter)
     _left: Counter[Any] = field(default_factory=Counter)
     _times: dict[Any, tuple[int, float]] = field(default_factory=dict)
     _worst: tuple[float, str] = (0.0, "")
 
     def __post_init__(self) -> None:
-        self._left = Counter(self.kinds.values())
+        self._left = Counter(map(kind_of, self.cells.values()))
+        # A cell is called by what tells it from the others.
+        self._telling = [name for name in LABELS if len(
+            {labels[name] for labels in self.cells.values()}) > 1] or ["data"]
 
     def count(self, record: CellRecord) -> None:
         """Count the record of a cell of the study."""
-        kind, figures = self.kinds[record.cell], record.figures
+        labels, figures = self.cells[record.cell], record.figures
+        kind = kind_of(labels)
         self._states[record.state] += 1
         self._left[kind] -= 1
         if "seconds" in figures:
@@ -94,13 +89,15 @@ class Tally:
         value = next((figures[name] for name in ("predicted", "independent", "check")
                       if figures.get(name) is not None), None)
         if value is not None and value > self._worst[0]:
-            self._worst = (value, f"{self.names[record.cell]}: {value:.3g} px")
+            name = ", ".join(f"{name} {labels[name]}" if name in ("split", "seed")
+                             else str(labels[name]) for name in self._telling)
+            self._worst = (value, f"{name}: {value:.3g} px")
 
     def progress(self) -> StudyProgress:
         """Return the state of the study."""
-        total, waiting = len(self.kinds), sum(self._left.values())
-        return StudyProgress(total, {**self._states, WAITING: waiting}, self._seconds_left(),
-                        self._worst[1])
+        waiting = sum(self._left.values())
+        return StudyProgress(len(self.cells), {**self._states, WAITING: waiting},
+                             self._seconds_left(), self._worst[1])
 
     def _seconds_left(self) -> float | None:
         """Return the time of what is left: of each kind by its own mean, or by that of all."""
@@ -110,28 +107,3 @@ class Tally:
         usual = sum(means.values()) / len(means)
         return sum(number * means.get(kind, usual) for kind, number in self._left.items()
                    ) / self.workers
-
-
-def tally_of(cells: Mapping[str, Mapping[str, Any]], workers: int,
-             records: Mapping[str, CellRecord]) -> Tally:
-    """Return the tally of a study from its cells and its journal.
-
-    Parameters
-    ----------
-    cells : mapping
-        Labels by key.
-    records : mapping
-        By key of the cell.
-    """
-    # A cell is called by what tells it from the others.
-    telling = [name for name in LABELS if len({labels[name] for labels in cells.values()}) > 1] \
-        or ["data"]
-    tally = Tally(
-        {key: kind_of(labels) for key, labels in cells.items()}, workers,
-        {key: ", ".join(f"{name} {labels[name]}" if name in ("split", "seed")
-                        else str(labels[name]) for name in telling)
-         for key, labels in cells.items()})
-    for key in cells:
-        if key in records:
-            tally.count(records[key])
-    return tally

@@ -29,7 +29,7 @@ from termsel.solvers.ledger import Progress
 from termsel.solvers.proofs.exact import gap
 from termsel.solvers.proofs.proof import TIE, count
 from termsel.solvers.search import Search
-from termsel.studies.cells.record import CellRecord, State
+from termsel.studies.cells.journal import CellRecord, State
 from termsel.threads import one_blas_thread
 
 DONE: Final = "done"

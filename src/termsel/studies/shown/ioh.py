@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import json
 import math
-import re
 from collections.abc import Iterable, Iterator
 from itertools import chain, count
 from typing import Any
 
-from termsel.studies.cells.record import CellRecord
+from termsel.studies.cells.images import file_word
+from termsel.studies.cells.journal import CellRecord
 from termsel.studies.statistics.groups import Groups
 from termsel.studies.statistics.summaries import length
 from termsel.version import __version__
@@ -32,6 +32,7 @@ def ioh_files(groups: Groups) -> Iterator[tuple[str, str]]:
     """
     folders = _folders(groups.methods)
     for number, (instance, by_method) in enumerate(groups.instances.items(), 1):
+        word = file_word(instance, "all")
         # Readers compare methods of the same dimension alone, so an instance has one.
         dimension = max([1, *(row.get("n_terms") or 0 for runs in by_method.values()
                               for row in runs.rows)])
@@ -39,8 +40,8 @@ def ioh_files(groups: Groups) -> Iterator[tuple[str, str]]:
             kept = [record for record in runs.records if record.trace]
             if not kept:
                 continue
-            folder, stem = folders[method], f"IOHprofiler_f{number}_{_word(instance)}"
-            data = f"data_f{number}_{_word(instance)}/{stem}.dat"
+            folder, stem = folders[method], f"IOHprofiler_f{number}_{word}"
+            data = f"data_f{number}_{word}/{stem}.dat"
             yield f"{folder}/{data}", _data(kept)
             yield f"{folder}/{stem}.json", json.dumps(
                 _description(number, instance, method, dimension, kept, data), indent=1) + "\n"
@@ -78,13 +79,8 @@ def _folders(methods: Iterable[str]) -> dict[str, str]:
     folders: dict[str, str] = {}
     taken: set[str] = set()
     for method in methods:
-        word = _word(method)
+        word = file_word(method, "all")
         names = chain([word], (f"{word}-{n}" for n in count(2)))
         folders[method] = next(name for name in names if name.lower() not in taken)
         taken.add(folders[method].lower())
     return folders
-
-
-def _word(text: str) -> str:
-    """Return a text as part of a file name."""
-    return re.sub(r"[^\w.+-]+", "_", text).strip("._") or "all"
