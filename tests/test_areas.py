@@ -18,7 +18,7 @@ import termsel
 from termsel.cli.main import cli
 from termsel.errors import TermselError
 from termsel.formats.readers.areas_table import AreasCsv
-from termsel.formats.readers.csv_tables import write_lines_csv, write_points_csv, write_table
+from termsel.formats.readers.csv_tables import table_text, write_lines_csv, write_points_csv
 from termsel.measurements.areas import Area, boundary, centroid, centroids
 from termsel.measurements.features import FloatArray, Points
 from termsel.measurements.joined import join_points
@@ -229,8 +229,8 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
         image = truth.sensor.project(ground) + rng.normal(0, 0.5, (4, 2))
         rows.append(np.column_stack([np.arange(4) + 1, image, ground]))
         texts += [[f"A{scene.points.ids[i]}"]] * 4
-    write_table(folder / "areas.csv", scene.crs,
-                ["id", "corner", "line", "sample", "x", "y", "z"], texts, np.concatenate(rows))
+    (folder / "areas.csv").write_text(table_text(
+        scene.crs, ["id", "corner", "line", "sample", "x", "y", "z"], texts, np.concatenate(rows)))
     others = np.delete(np.arange(len(scene.points)), taken)
     write_points_csv(scene.points.take(others), folder / "others.csv", scene.crs)
     return folder

@@ -42,8 +42,8 @@ def empty_tiff() -> bytes:
     return tiff_bytes(np.zeros((1, 1, 1), dtype=np.uint8))
 
 
-def tiff_bytes(pixels: Any, **profile: Any) -> bytes:
-    """Return a GeoTIFF of pixels, shape (bands, lines, samples), made in memory.
+def tiff_bytes(pixels: Any, driver: str = "GTiff", **profile: Any) -> bytes:
+    """Return a GeoTIFF, or other image, of pixels (bands, lines, samples), made in memory.
 
     A file that is written as bytes is complete; GDAL may not report a full disk.
     """
@@ -51,7 +51,7 @@ def tiff_bytes(pixels: Any, **profile: Any) -> bytes:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
         with rasterio.MemoryFile() as memory:
-            with memory.open(driver="GTiff", count=pixels.shape[0], height=pixels.shape[1],
+            with memory.open(driver=driver, count=pixels.shape[0], height=pixels.shape[1],
                              width=pixels.shape[2], dtype=pixels.dtype.name, **profile) as raster:
                 raster.write(pixels)
             return bytes(memory.read())

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import base64
-import warnings
 from pathlib import Path
 
 import numpy as np
 
 from termsel.errors import TermselError
-from termsel.files.rasters import open_raster, require_rasterio
+from termsel.files.rasters import open_raster, require_rasterio, tiff_bytes
 
 LONGEST = 1000
 """Pixels of the longer side."""
@@ -48,11 +47,5 @@ def thumbnail(path: Path | str, expected: tuple[int, int] | None = None,
     grey = np.clip((values - low) / max(high - low, 1e-12), 0, 1)
     # Pale, so that arrows stand out; white where there is nothing.
     pixels = np.nan_to_num(110 + 145 * grey, nan=255.0).astype(np.uint8)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
-        with rasterio.MemoryFile() as memory:
-            with memory.open(driver="JPEG", count=1, height=shape[0], width=shape[1],
-                             dtype="uint8", quality=80) as jpeg:
-                jpeg.write(pixels, 1)
-            content = bytes(memory.read())
+    content = tiff_bytes(pixels[None], driver="JPEG", quality=80)
     return f"data:image/jpeg;base64,{base64.b64encode(content).decode()}", size

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import json
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from copy import copy
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 import numpy as np
 
@@ -18,13 +18,18 @@ from termsel.files.names import is_open_pipe, is_there, refuse_pipe
 from termsel.guard.arrays import of_type
 from termsel.guard.calls import Check
 from termsel.measurements.features import FeatureSet
-from termsel.options import Configurable
+from termsel.options import Configurable, Option
 
 if TYPE_CHECKING:
     from termsel.results.result import Result
 
 _HEAD = 65536  # bytes shown to sniff(): room for a long comment before a header
+_Image = TypeVar("_Image", str, float)
 _UTF16 = (b"\xff\xfe", b"\xfe\xff")
+
+
+IMAGE_NAME = Option("image_name", None, "Name of the image, for files with several images.")
+"""Option of readers that choose the points of one image."""
 
 
 def _answer_fault(_own: Configurable, value: Any, *_args: Any) -> str | None:
@@ -175,6 +180,21 @@ def located(error: TermselError, file: Path | None, line: int | None = None,
     placed = copy(error)
     placed.file, placed.line, placed.column = file, line or error.line, column or error.column
     return placed
+
+
+def image_of(path: Path, images: Iterable[_Image], wanted: _Image | None, option: str) -> _Image:
+    """Return which image of a file is read: the wanted or only one.
+
+    Raises TermselError, with the option that chooses one, if that is not among `images`.
+    """
+    known = sorted(set(images))
+    chosen = known[0] if wanted is None and len(known) == 1 else wanted
+    if chosen is None or chosen not in known:
+        names = (f"{name:g}" if isinstance(name, float) else name or "without a name"
+                 for name in known)
+        raise TermselError(f"the file has points of the images {', '.join(names)}", file=path,
+                           hint=f"Choose one with --set {option}.")
+    return chosen
 
 
 def read_text(path: Path) -> str:

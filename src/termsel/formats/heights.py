@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -152,22 +152,10 @@ def open_dem(path: Path, crs: str) -> Iterator[Dem]:
                   own.is_geographic)
 
 
-@contextmanager
-def surface_of(dem: Path | str | None, crs: str, height: float) -> Iterator[Dem | float]:
-    """Open a raster of heights, or yield a constant height in its place.
-
-    Parameters
-    ----------
-    dem : path-like, optional
-    crs : str
-        Of the ground coordinates.
-    height : float
-    """
-    if dem is None:
-        yield height
-        return
-    with open_dem(Path(dem), crs) as surface:
-        yield surface
+def surface_of(dem: Path | str | None, crs: str, height: float,
+               ) -> AbstractContextManager[Dem | float]:
+    """Open a raster of heights for coordinates in a CRS, or give a constant height instead."""
+    return nullcontext(height) if dem is None else open_dem(Path(dem), crs)
 
 
 def with_heights(features: FeatureSet, dem: Path) -> FeatureSet:

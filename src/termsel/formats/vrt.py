@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from xml.sax.saxutils import escape, quoteattr
@@ -13,6 +13,7 @@ import numpy as np
 
 from termsel.errors import TermselError
 from termsel.files.rasters import open_raster
+from termsel.measurements.features import Points
 from termsel.options import Option
 from termsel.results.result import Result
 
@@ -26,26 +27,6 @@ _DATA_TYPES = {
     "int32": "Int32", "uint64": "UInt64", "int64": "Int64", "float32": "Float32",
     "float64": "Float64", "complex64": "CFloat32", "complex128": "CFloat64",
     "complex_int16": "CInt16"}
-
-
-@dataclass(frozen=True)
-class Gcp:
-    """A ground control point as GDAL has it.
-
-    Parameters
-    ----------
-    id : str
-    line, sample : float
-        [px]; the centre of the upper-left pixel is (0, 0).
-    x, y, z : float
-    """
-
-    id: str
-    line: float
-    sample: float
-    x: float
-    y: float
-    z: float
 
 
 @dataclass(frozen=True)
@@ -129,7 +110,7 @@ def vrt_text(
     folder: Path,
     *,
     domains: Mapping[str, Mapping[str, str]] | None = None,
-    gcps: Sequence[Gcp] = (),
+    gcps: Points | None = None,
     crs: str = "",
 ) -> str:
     """Return the text of a VRT.
@@ -141,8 +122,8 @@ def vrt_text(
         Folder of the VRT; the path of the image is relative to it.
     domains : mapping, optional
         Metadata items by domain, such as "RPC"; "" is the default domain.
-    gcps : sequence of Gcp, optional
-        Half a pixel is added, as GDAL counts from the corner of the upper-left pixel.
+    gcps : Points, optional
+        With heights. Half a pixel is added, as GDAL counts from the corner of the upper-left pixel.
     crs : str
         Of the GCPs: a code or WKT.
     """
@@ -156,9 +137,10 @@ def vrt_text(
     if gcps:
         parts.append(f"  <GCPList Projection={quoteattr(crs)}>")
         parts += [
-            f'    <GCP Id={quoteattr(gcp.id)} Info="" Pixel="{gcp.sample + 0.5!r}" '
-            f'Line="{gcp.line + 0.5!r}" X="{gcp.x!r}" Y="{gcp.y!r}" Z="{gcp.z!r}"/>'
-            for gcp in gcps]
+            f'    <GCP Id={quoteattr(name)} Info="" Pixel="{sample + 0.5!r}" '
+            f'Line="{line + 0.5!r}" X="{x!r}" Y="{y!r}" Z="{z!r}"/>'
+            for name, (line, sample), (x, y, z) in zip(
+                gcps.ids, gcps.image.tolist(), gcps.ground.tolist(), strict=True)]
         parts.append("  </GCPList>")
     for band, (kind, nodata, colour) in enumerate(
             zip(picture.types, picture.nodata, picture.colours, strict=True), 1):

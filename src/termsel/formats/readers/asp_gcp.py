@@ -12,11 +12,10 @@ import re
 from pathlib import Path
 
 from termsel.errors import TermselError
-from termsel.formats.base import Reader, read_text
+from termsel.formats.base import IMAGE_NAME, Reader, image_of, read_text
 from termsel.formats.readers.formulas import is_number
 from termsel.formats.readers.table import Table
 from termsel.measurements.features import FeatureSet
-from termsel.options import Option
 
 _GROUND = ("id", "lat", "lon", "height", "sigma_x", "sigma_y", "sigma_z")
 _IMAGE = ("image", "column", "row", "sigma_column", "sigma_row")
@@ -33,9 +32,7 @@ class AspGcp(Reader):
 
     name = "asp-gcp"
     summary = "Ames Stereo Pipeline .gcp: id lat lon height 3 sigmas, image col row 2 sigmas"
-    declared_options = (
-        Option("image_name", None, "Name of the image, for files with several images."),
-    )
+    declared_options = (IMAGE_NAME,)
 
     def sniff(self, path: Path, head: bytes) -> bool:
         """Return True if the first row that is not a comment has the cells of a point."""
@@ -47,9 +44,7 @@ class AspGcp(Reader):
 
     def read(self, path: Path) -> FeatureSet:
         """Return the points; errors name file, line and column."""
-        rows: list[list[str]] = []
-        lines: list[int] = []
-        others: set[str] = set()
+        points: list[tuple[int, list[str], dict[str, list[str]]]] = []
         for number, text in enumerate(read_text(path).splitlines(), 1):
             if _idle(text):
                 continue
@@ -58,19 +53,17 @@ class AspGcp(Reader):
                 raise TermselError(
                     f"the row has {len(cells)} cells, expected 7 and 5 for each image", file=path,
                     line=number, hint=f"Expected: {' '.join(_GROUND)}, then {' '.join(_IMAGE)}.")
-            images = {cells[i]: cells[i + 1:i + 5] for i in range(7, len(cells), 5)}
-            others |= images.keys()
-            name = self.options["image_name"] or next(iter(images))
-            if name in images:
-                rows.append(cells[:7] + [name] + images[name])
-                lines.append(number)
-        if (self.options["image_name"] is None and len(others) > 1) or (not rows and others):
-            raise TermselError(f"the file has points of the images {', '.join(sorted(others))}",
-                               file=path, hint="Choose one with --set image_name=NAME.")
-        if not rows:
+            points.append((number, cells[:7], {
+                cells[i]: cells[i + 1:i + 5] for i in range(7, len(cells), 5)}))
+        if not points:
             raise TermselError("the file has no points", file=path,
                                hint="Add one row per point.")
-        cells_of = dict(zip(_GROUND + _IMAGE, zip(*rows, strict=True), strict=True))
+        image = image_of(path, (name for _, _, images in points for name in images),
+                         self.options["image_name"], "image_name=NAME")
+        rows = [(number, *ground, image, *images[image])
+                for number, ground, images in points if image in images]
+        lines, *columns = zip(*rows, strict=True)
+        cells_of = dict(zip(_GROUND + _IMAGE, columns, strict=True))
         table = Table(path, "", _READ, {key: cells_of[name] for key, name in _READ.items()},
                       lines)
         return FeatureSet(table.points(table.stack("line", "sample"), table.stack("x", "y", "z"),

@@ -86,13 +86,18 @@ def write_points_csv(points: Points, path: Path | str, crs: str = "") -> None:
 
 def points_text(points: Points, crs: str) -> str:
     """Return the text of a table; see `write_points_csv`."""
-    header = ["id", "role", "line", "sample", "x", "y", "z"]
-    columns = [points.image, points.ground]
+    header, values = point_columns(points)
+    texts = [[name, role] for name, role in zip(points.ids, points.roles, strict=True)]
+    return table_text(crs, ["id", "role", *header], texts, values, points.attributes)
+
+
+def point_columns(points: Points) -> tuple[list[str], FloatArray]:
+    """Return the columns of numbers that hold points in a table, headings and values."""
+    header, columns = ["line", "sample", "x", "y", "z"], [points.image, points.ground]
     if points.sigma is not None:
         header += ["sigma_line", "sigma_sample"]
         columns.append(points.sigma)
-    texts = [[name, role] for name, role in zip(points.ids, points.roles, strict=True)]
-    return table_text(crs, header, texts, np.concatenate(columns, axis=1), points.attributes)
+    return header, np.concatenate(columns, axis=1)
 
 
 def write_lines_csv(lines: Lines, path: Path | str, crs: str = "") -> None:
@@ -130,34 +135,13 @@ def line_columns(lines: Lines) -> tuple[list[str], FloatArray]:
     return header, np.concatenate(columns, axis=1)
 
 
-def write_table(path: Path | str, crs: str, header: list[str], texts: list[list[str]],
-                values: FloatArray, attributes: Attributes | None = None) -> None:
-    """Write a table with the CRS in a comment line.
-
-    Parameters
-    ----------
-    path : path-like
-    crs : str
-        "" for none.
-    header : list of str
-    texts : list of list of str
-        First cells of each row.
-    values : ndarray, shape (rows, columns)
-        The cells after them; NaN becomes a blank cell.
-    attributes : mapping, optional
-        Further columns of text.
-
-    Raises
-    ------
-    TermselError
-        If the file cannot be written.
-    """
-    write_text(path, table_text(crs, header, texts, values, attributes))
-
-
 def table_text(crs: str, header: list[str], texts: list[list[str]], values: FloatArray,
                attributes: Attributes | None = None) -> str:
-    """Return the text of a table; see `write_table`."""
+    """Return the text of a table with the CRS, "" for none, in a comment line.
+
+    `texts` are the first cells of each row, `values` (rows, columns) those after them, where NaN
+    becomes a blank cell; `attributes` are further columns of text.
+    """
     # repr() gives the fewest digits, 17 at most, that are read back to the same number.
     more = attributes or {}
     rest = zip(*more.values(), strict=True) if more else [()] * len(texts)

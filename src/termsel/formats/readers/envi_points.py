@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from termsel.errors import TermselError
-from termsel.formats.base import Reader, read_text
+from termsel.formats.base import Reader, image_of, read_text
 from termsel.formats.readers.table import Table
 from termsel.measurements.features import FeatureSet
 from termsel.options import COUNT, Option
@@ -64,24 +64,13 @@ class EnviPoints(Reader):
         table = Table(path, crs, {name: name for name in _COLUMNS[width]},
                       dict(zip(_COLUMNS[width], zip(*rows, strict=True), strict=True)), lines)
         if "image" in table.columns:
-            table = table.take(self._of_image(table))
+            numbers = table.stack("image")[:, 0].tolist()
+            image_number = image_of(path, numbers, self.options["image_number"], "image_number=N")
+            table = table.take([row for row, n in enumerate(numbers) if n == image_number])
         image = table.stack("line", "sample") - _CORNER
         ground = (table.stack("x", "y", "z") if "z" in table.columns else
                   np.column_stack([table.stack("x", "y"), np.full(len(image), np.nan)]))
         return FeatureSet(table.points(image, ground, None, ()), crs=crs)
-
-    def _of_image(self, table: Table) -> list[int]:
-        """Return the rows of the chosen image."""
-        numbers = table.stack("image")[:, 0].tolist()
-        known = sorted(set(numbers))
-        wanted = self.options["image_number"]
-        if wanted is None and len(known) == 1:
-            wanted = known[0]
-        if wanted not in known:
-            raise TermselError("the file has points of the images "
-                               + ", ".join(f"{number:g}" for number in known), file=table.path,
-                               hint="Choose one with --set image_number=N.")
-        return [row for row, number in enumerate(numbers) if number == wanted]
 
 
 def _is_title(comment: str) -> bool:

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Container, Iterator, Mapping
+from collections.abc import Container, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
-from math import isfinite
+from math import isfinite, nan
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +27,7 @@ class Feature:
         Its place in the collection, from 1.
     properties : mapping
     parts : list of list of list of float
-        Lines of vertices x, y and perhaps z; a point is one line of one vertex.
+        Lines of vertices x, y, z, NaN for a missing z; a point is one line of one vertex.
     """
 
     path: Path
@@ -128,7 +128,9 @@ def _feature(path: Path, number: int, item: Any, kinds: Mapping[str, int]) -> Fe
     if not numbers_at(coordinates, 2, (2, 3)):
         raise feature.error("its coordinates are not those of a " + kind, "coordinates",
                             "Vertices are lists of two or three finite numbers.")
-    return Feature(path, number, properties, coordinates)
+    # As floats, since whole numbers beyond 64 bits are no numbers of numpy's.
+    return Feature(path, number, properties, [
+        [[*map(float, place), nan][:3] for place in part] for part in coordinates])
 
 
 def numbers_at(value: Any, depth: int, lengths: tuple[int, ...]) -> bool:
@@ -159,10 +161,3 @@ def _crs(path: Path, member: Any) -> str:
     except TermselError as error:
         raise located(error, path, column="crs") from error
 
-
-def vertices(feature: Feature) -> Iterator[list[tuple[float, float, float]]]:
-    """Yield the lines of a feature as vertices x, y, z; NaN for a missing z."""
-    for part in feature.parts:
-        # Whole numbers beyond 64 bits are no numbers of numpy's.
-        yield [(float(v[0]), float(v[1]), float(v[2]) if len(v) > 2 else float("nan"))
-               for v in part]

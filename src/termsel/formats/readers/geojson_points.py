@@ -6,28 +6,24 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from termsel.errors import TermselError
-from termsel.formats.base import Reader
+from termsel.formats.base import IMAGE_NAME, Reader, image_of
 from termsel.formats.readers.cells import of_records
 from termsel.formats.readers.geojson import (
     Feature,
     numbers_at,
     read_geojson,
     sniff_geojson,
-    vertices,
 )
 from termsel.formats.readers.table import Table, points_of
 from termsel.formats.readers.tables import COLUMNS, table_of
 from termsel.formats.readers.vector import POINT_KINDS, has_points, is_vector, read_layer
 from termsel.measurements.features import FeatureSet
 from termsel.measurements.tables.columns import POINTS, parse_columns
-from termsel.options import Option
 
 _GROUND = {axis: f"{axis} of the geometry" for axis in "xyz"}
 _OF_JI = {"sample": "column of ji", "line": "row of ji"}
 _OF_SIGMA = {"sigma_sample": "column of sigma_px", "sigma_line": "row of sigma_px"}
 _USED = ("filename", "ji", "sigma_px", "info")
-_IMAGE_NAME = Option("image_name", None, "Name of the image, for files with several images.")
 
 
 class GeoJsonPoints(Reader):
@@ -40,7 +36,7 @@ class GeoJsonPoints(Reader):
 
     name = "geojson-points"
     summary = "GeoJSON points with properties line and sample, or ji = [column, row]"
-    declared_options = (_IMAGE_NAME, *COLUMNS[:2])
+    declared_options = (IMAGE_NAME, *COLUMNS[:2])
 
     def sniff(self, path: Path, head: bytes) -> bool:
         """Return True for a collection of points."""
@@ -59,7 +55,7 @@ class VectorPoints(Reader):
 
     name = "vector-points"
     summary = "GeoPackage, Shapefile or FlatGeobuf of points with columns line and sample"
-    declared_options = (_IMAGE_NAME, *COLUMNS)
+    declared_options = (IMAGE_NAME, *COLUMNS)
 
     def sniff(self, path: Path, head: bytes) -> bool:
         """Return True for a vector file with a layer of points."""
@@ -73,7 +69,9 @@ class VectorPoints(Reader):
 
 def _table(path: Path, features: list[Feature], options: Mapping[str, Any]) -> Table:
     """Return the properties and vertices of the features of one image, by their meaning."""
-    features = _of_image(path, features, options["image_name"])
+    names = [feature.text("filename") for feature in features]
+    image = image_of(path, names, options["image_name"], "image_name=NAME")
+    features = [feature for feature, name in zip(features, names, strict=True) if name == image]
     own = parse_columns(options["columns"])
     has_ji, has_id = (any(name in one.properties for one in features) for name in ("ji", "id"))
     records = []
@@ -84,26 +82,15 @@ def _table(path: Path, features: list[Feature], options: Mapping[str, Any]) -> T
             record |= dict(zip(_OF_JI.values(), _ji(feature), strict=True))
         if feature.properties.get("sigma_px") is not None:
             record |= dict(zip(_OF_SIGMA.values(), _sigma(feature), strict=True))
-        place = list(vertices(feature))
-        if sum(map(len, place)) != 1:
+        if sum(map(len, feature.parts)) != 1:
             raise feature.error("it has several vertices, expected one point", "geometry")
-        record |= dict(zip(_GROUND.values(), place[0][0], strict=True))
+        record |= dict(zip(_GROUND.values(), feature.parts[0][0], strict=True))
         if has_id:
             record["id"] = feature.text("id") or f"P{feature.number}"
         records.append(record)
     numbers = [feature.number for feature in features]
     cells = of_records(records, "feature", {**_GROUND, **_OF_JI, **_OF_SIGMA}, numbers)
     return table_of(path, cells, POINTS, own, options["decimal"])
-
-
-def _of_image(path: Path, features: list[Feature], asked: str | None) -> list[Feature]:
-    names = sorted({feature.text("filename") for feature in features})
-    wanted = asked or (names[0] if len(names) == 1 else None)
-    if wanted not in names:
-        raise TermselError("the file has points of the images "
-                           + ", ".join(name or "without a name" for name in names),
-                           file=path, hint="Choose one with --set image_name=NAME.")
-    return [feature for feature in features if feature.text("filename") == wanted]
 
 
 def _ji(feature: Feature) -> list[float]:

@@ -15,7 +15,6 @@ from termsel.formats.readers.geojson import (
     numbers_at,
     read_geojson,
     sniff_geojson,
-    vertices,
 )
 from termsel.formats.readers.tables import read_table
 from termsel.formats.readers.vector import LAYER, is_vector, read_layer
@@ -96,7 +95,7 @@ def _joined(path: Path, features: list[Feature], crs: str, image_lines: str | No
             image.setdefault(name, []).extend(_from_ji(feature))
         if name in image:
             ground.setdefault(name, []).extend(
-                _distinct(np.array(part)) for part in vertices(feature))
+                _distinct(np.array(part)) for part in feature.parts)
             described.setdefault(name, []).append(feature.attributes({join, "ji", "sigma"}))
     missing = [name for name in image if name not in ground]
     if missing:

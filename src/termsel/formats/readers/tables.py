@@ -25,11 +25,11 @@ from termsel.formats.readers.cells import (
     sniffed,
     without_header,
 )
-from termsel.formats.readers.further import as_text, further
+from termsel.formats.readers.formulas import unguarded
 from termsel.formats.readers.table import Table
 from termsel.measurements.coordinates.crs import normalise
 from termsel.measurements.features import FeatureSet
-from termsel.measurements.tables.attributes import text_array
+from termsel.measurements.tables.attributes import is_free, text_array
 from termsel.measurements.tables.columns import (
     OPTIONAL,
     TAKEN,
@@ -60,6 +60,7 @@ COLUMNS: tuple[Option, ...] = (
 """The options of readers of tables."""
 
 _DECLARATION = re.compile(r"#\s*(crs|units?)\s*[:=](.*)", re.IGNORECASE)
+_DECIMAL_COMMA = re.compile(r"[+-]?\d+,\d+")
 _UNITS = re.compile(r"(deg|degrees?|m|met(re|er)s?)", re.IGNORECASE)
 
 
@@ -254,10 +255,26 @@ def table_of(path: Path | None, cells: Cells, aliases: Aliases, own: Mapping[str
     if "id" in aliases and "id" not in found:
         log.info("Note: %s has no column of ids, so its rows are called P1, P2, ... in order.",
                  path or "the table")
-    decimal_comma = COMMA in signs.values()
-    return replace(table, signs=signs, more={
-        name: text_array([as_text(row[i], decimal_comma=decimal_comma) for row in rows])
-        for name, i in further(header, {*found.values(), *cells.fixed.values()}).items()})
+    more = {name: [unguarded(row[i].strip()) for row in rows]
+            for name, i in _further(header, {*found.values(), *cells.fixed.values()}).items()}
+    if COMMA in signs.values():
+        more = {name: [text.replace(COMMA, POINT) if _DECIMAL_COMMA.fullmatch(text) else text
+                       for text in texts] for name, texts in more.items()}
+    return replace(table, signs=signs,
+                   more={name: text_array(texts) for name, texts in more.items()})
+
+
+def _further(header: Sequence[str], used: Collection[int]) -> dict[str, int]:
+    """Return the places of the columns that are attributes, by name.
+
+    Those whose names tables use otherwise are left out; of several alike the first is taken.
+    """
+    columns: dict[str, int] = {}
+    for i, cell in enumerate(header):
+        name = unguarded(cell.strip())
+        if i not in used and is_free(name) and name.casefold() not in map(str.casefold, columns):
+            columns[name] = i
+    return columns
 
 
 def _signs(table: Table, decimal: str | None, *, points_only: bool) -> dict[str, str]:

@@ -19,9 +19,9 @@ from termsel.fits.fit import Fit
 from termsel.formats.base import Writer
 from termsel.formats.deviation import by_splines, places_of, say_deviation
 from termsel.formats.heights import Dem, surface_of
-from termsel.formats.vrt import IMAGE, Gcp, picture_for, vrt_text
+from termsel.formats.vrt import IMAGE, picture_for, vrt_text
 from termsel.measurements.coordinates.utm import for_warping
-from termsel.measurements.features import FloatArray
+from termsel.measurements.features import FloatArray, Points
 from termsel.options import COUNT, Option
 from termsel.results.result import Result
 
@@ -114,9 +114,10 @@ class GcpGridVrt(GridWriter):
         lines, samples = (np.linspace(0.0, size - 1.0, self.options["across"] + 1)
                           for size in picture.size)
         ground, crs = for_warping(self.ground(result, lines, samples), result.fit.control.crs)
-        gcps = [Gcp(f"{i}-{j}", float(line), float(sample), *ground[i, j].tolist())
-                for i, line in enumerate(lines) for j, sample in enumerate(samples)
-                if np.isfinite(ground[i, j]).all()]
+        seen = np.argwhere(np.isfinite(ground).all(axis=-1))
+        gcps = Points(tuple(f"{i}-{j}" for i, j in seen),
+                      np.column_stack([lines[seen[:, 0]], samples[seen[:, 1]]]),
+                      ground[seen[:, 0], seen[:, 1]])
         write_text(path, vrt_text(picture, path.parent, gcps=gcps, crs=crs))
 
     def say_loss(self, fitted: Fit, image: FloatArray, ground: FloatArray,

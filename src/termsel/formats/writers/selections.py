@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import ClassVar
 
@@ -13,8 +14,8 @@ from termsel.errors import TermselError, printable
 from termsel.files.atomic import write_text
 from termsel.formats.base import Writer
 from termsel.formats.deviation import GDALWARP, QGIS, say_measured, say_nearest
-from termsel.formats.readers.csv_tables import line_columns, write_table
-from termsel.formats.vrt import IMAGE, Gcp, picture_for, vrt_text
+from termsel.formats.readers.csv_tables import line_columns, point_columns, table_text
+from termsel.formats.vrt import IMAGE, picture_for, vrt_text
 from termsel.measurements.coordinates.crs import LOCAL, horizontal, normalise, to_wgs84
 from termsel.measurements.coordinates.utm import for_warping
 from termsel.measurements.features import BoolArray, FloatArray
@@ -145,8 +146,7 @@ class GcpVrt(SelectionWriter):
         _require_accepted(self, result, path, _NO_POINTS)
         points = result.features.points.take(_chosen(result))
         ground, crs = for_warping(points.ground, result.features.crs)
-        gcps = [Gcp(name, *image, *place) for name, image, place in zip(
-            points.ids, points.image.tolist(), np.nan_to_num(ground).tolist(), strict=True)]
+        gcps = replace(points, ground=np.nan_to_num(ground))
         write_text(path, vrt_text(picture_for(result, self.options["image"]), path.parent,
                                   gcps=gcps, crs=crs))
         say_nearest(self.name, result.fit, points.ground[:, :2], points.image, GDALWARP,
@@ -164,16 +164,14 @@ class PointsTable(SelectionWriter):
         """Write a table; control points that were not selected have 0 in the column enabled."""
         _require_accepted(self, result, path, _NO_POINTS)
         points, chosen, errors = result.features.points, _chosen(result), _errors(result)
-        header = ["id", "role", "enabled", "line", "sample", "x", "y", "z"]
-        columns = [points.image, points.ground]
-        if points.sigma is not None:
-            header += ["sigma_line", "sigma_sample"]
-            columns.append(points.sigma)
-        header += ["computed_line", "computed_sample", "residual_line", "residual_sample"]
-        values = np.concatenate([*columns, points.image - errors, errors], axis=1)
+        header, measured = point_columns(points)
+        header = ["id", "role", "enabled", *header, "computed_line", "computed_sample",
+                  "residual_line", "residual_sample"]
+        values = np.concatenate([measured, points.image - errors, errors], axis=1)
         texts = [[name, role, str(int(on or role != "control"))]
                  for name, role, on in zip(points.ids, points.roles, chosen, strict=True)]
-        write_table(path, result.features.crs, header, texts, values, points.attributes)
+        write_text(path, table_text(result.features.crs, header, texts, values,
+                                    points.attributes))
         say_measured(self.name)
 
 
@@ -196,9 +194,9 @@ class LinesTable(Writer):
         header, values = line_columns(lines)
         distances = np.linalg.norm(result.fit.line_errors(lines), axis=-1)
         texts = [[name, "control", str(int(name in chosen))] for name in lines.ids]
-        write_table(path, result.features.crs,
-                    ["id", "role", "enabled", *header, "residual1", "residual2"], texts,
-                    np.concatenate([values, distances], axis=1), lines.attributes)
+        write_text(path, table_text(
+            result.features.crs, ["id", "role", "enabled", *header, "residual1", "residual2"],
+            texts, np.concatenate([values, distances], axis=1), lines.attributes))
         say_measured(self.name)
 
 
