@@ -19,11 +19,8 @@ JOURNAL = "journal.jsonl"
 def is_there(path: Path) -> bool:
     """Return whether there is such a file or folder.
 
-    Raises
-    ------
-    TermselError
-        If it cannot be told: the name is too long, its folder may not be searched, or symbolic
-        links lead in a circle.
+    Raises TermselError if it cannot be told: the name is too long, its folder may not be searched,
+    or symbolic links lead in a circle.
     """
     try:
         path.stat()
@@ -41,12 +38,7 @@ def is_open_pipe(path: Path) -> bool:
 
 
 def refuse_pipe(path: Path) -> None:
-    """Refuse a pipe or a device, which cannot be read twice or never ends.
-
-    Raises
-    ------
-    TermselError
-    """
+    """Refuse a pipe or a device, which cannot be read twice or never ends."""
     if _kind(path) not in (None, stat.S_IFREG, stat.S_IFDIR):
         raise TermselError("this is a pipe or a device, expected a file", file=path,
                            hint="Save what it carries to a file, and give that.")

@@ -20,13 +20,7 @@ from termsel.measurements.features import FloatArray
 
 
 def require_rasterio() -> Any:
-    """Return the package rasterio.
-
-    Raises
-    ------
-    TermselError
-        If it is not installed, with the command that installs it.
-    """
+    """Return the package rasterio; the TermselError says how to install it if it is not there."""
     try:
         import rasterio
     except ImportError:
@@ -129,23 +123,9 @@ def open_raster(path: Path | str) -> Iterator[Any]:
 
 
 def positions(raster: Any, x: FloatArray, y: FloatArray) -> FloatArray:
-    """Return line and sample, shape (n, 2), of coordinates in the CRS of a raster.
+    """Return line and sample (n, 2) of coordinates in the CRS of a raster with a geotransform.
 
-    Parameters
-    ----------
-    raster : rasterio.DatasetReader
-        With a geotransform.
-    x, y : ndarray, shape (n,)
-
-    Returns
-    -------
-    ndarray, shape (n, 2)
-        The centre of the upper-left pixel is (0, 0).
-
-    Raises
-    ------
-    TermselError
-        If the pixels have no size.
+    The centre of the upper-left pixel is (0, 0). Raises TermselError if the pixels have no size.
     """
     if raster.transform.is_degenerate:
         raise TermselError("the pixels of this raster have no size", file=raster.name,

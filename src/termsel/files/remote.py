@@ -57,21 +57,9 @@ def remote_allowed() -> bool:
 def local_alone(path: Path | str) -> Iterator[dict[str, str]]:
     """Refuse a file with remote sources, and yield options under which GDAL makes no request.
 
-    Parameters
-    ----------
-    path : path-like
-        What GDAL is to open.
-
-    Yields
-    ------
-    dict
-        For GDAL's configuration while the block runs; empty where remote sources are allowed.
-
-    Raises
-    ------
-    TermselError
-        If the name is that of a remote source; if the file, its ``.aux.xml``, or a file of the
-        same kinds that they name, names one.
+    They are empty where remote sources are allowed. Raises TermselError if the name is that of a
+    remote source; if the file, its ``.aux.xml``, or a file of the same kinds that they name, names
+    one.
     """
     if remote_allowed():
         yield {}

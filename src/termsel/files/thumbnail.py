@@ -18,16 +18,7 @@ def thumbnail(path: Path | str, expected: tuple[int, int] | None = None,
               ) -> tuple[str, tuple[int, int]]:
     """Return an image as a small grey JPEG in a data URL, and its size.
 
-    Parameters
-    ----------
-    path : path-like
-    expected : tuple of int, optional
-        Lines and samples that the image must have.
-
-    Raises
-    ------
-    TermselError
-        If it cannot be read, or has another size.
+    Raises TermselError if it cannot be read, or has other lines and samples than `expected`.
     """
     rasterio = require_rasterio()
     with open_raster(path) as raster:

@@ -168,15 +168,7 @@ class Writer(Configurable, ABC):
 
 def located(error: TermselError, file: Path | None, line: int | None = None,
             column: str | None = None) -> TermselError:
-    """Return `error` with the place where it was found.
-
-    Parameters
-    ----------
-    error : TermselError
-    file : pathlib.Path, optional
-    line, column : optional
-        Kept as they are in `error` where not given.
-    """
+    """Return `error` with the place where it was found; line and column stay where not given."""
     placed = copy(error)
     placed.file, placed.line, placed.column = file, line or error.line, column or error.column
     return placed
@@ -200,10 +192,7 @@ def image_of(path: Path, images: Iterable[_Image], wanted: _Image | None, option
 def read_text(path: Path) -> str:
     """Return the text of a UTF-8 file, without a byte order mark, line ends as they are.
 
-    Raises
-    ------
-    TermselError
-        If the file cannot be read, is binary or is in another encoding.
+    Raises TermselError if the file cannot be read, is binary or is in another encoding.
     """
     data = read_data(path)
     if is_utf16(data):
@@ -219,13 +208,7 @@ def read_text(path: Path) -> str:
 
 
 def read_data(path: Path) -> bytes:
-    """Return what a file holds.
-
-    Raises
-    ------
-    TermselError
-        If the file cannot be read.
-    """
+    """Return what a file holds; raises TermselError if it cannot be read."""
     refuse_pipe(path)
     try:
         return path.read_bytes()
@@ -234,19 +217,10 @@ def read_data(path: Path) -> bytes:
 
 
 def parse_json(text: str, hint: str) -> Any:
-    """Return what a text in JSON holds.
+    """Return what a text in JSON holds; `hint` says what to do if this is not possible.
 
-    Parameters
-    ----------
-    text : str
-    hint : str
-        What to do if this is not possible.
-
-    Raises
-    ------
-    TermselError
-        With the line, if the text is not JSON; if it is nested too deeply or has whole numbers of
-        thousands of digits.
+    Raises TermselError, with the line, if the text is not JSON; if it is nested too deeply or has
+    whole numbers of thousands of digits.
     """
     try:
         return json.loads(text)
@@ -260,18 +234,9 @@ def parse_json(text: str, hint: str) -> Any:
 
 
 def read_head(path: Path, expected: str) -> bytes:
-    """Return the first 64 KiB of a file.
+    """Return the first 64 KiB of a file; `expected` is a sentence that says what it should be.
 
-    Parameters
-    ----------
-    path : pathlib.Path
-    expected : str
-        A sentence that says what the file should be.
-
-    Raises
-    ------
-    TermselError
-        If the file is missing, empty, a folder or not readable.
+    Raises TermselError if the file is missing, empty, a folder or not readable.
     """
     if is_there(path) and path.is_dir():
         raise TermselError("this is a folder, expected a file", file=path, hint=expected)
@@ -293,16 +258,9 @@ def read_head(path: Path, expected: str) -> bytes:
 def read_once(path: Path) -> Iterator[Path]:
     """Yield a file for readers, which open it several times: the path, or a copy of a pipe.
 
-    Parameters
-    ----------
-    path : pathlib.Path
-        Of a pipe that the shell has opened, such as ``<(...)`` or /dev/stdin, all is read. Other
-        pipes are left to readers, which refuse them: nobody may ever write to them.
-
-    Raises
-    ------
-    TermselError
-        If the pipe cannot be read. Errors in the block that name the copy name the pipe.
+    Of a pipe that the shell has opened, such as ``<(...)`` or /dev/stdin, all is read. Other pipes
+    are left to readers, which refuse them: nobody may ever write to them. Raises TermselError if
+    the pipe cannot be read. Errors in the block that name the copy name the pipe.
     """
     if not is_open_pipe(path):
         yield path

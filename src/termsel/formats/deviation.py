@@ -34,12 +34,9 @@ _ACROSS = 15  # places along either side of the image at which files are compare
 
 
 def places_of(fitted: Fit) -> FloatArray:
-    """Return ground places over the image, at the lowest, middle and highest control.
+    """Return ground places (n, 3) over the image that the model can locate.
 
-    Returns
-    -------
-    ndarray, shape (n, 3)
-        Those that the model can locate.
+    They are at the lowest, middle and highest control.
     """
     middle, half = fitted.ground_box()
     levels: set[float] = {float(middle[2] + share * half[2]) for share in (-1.0, 0.0, 1.0)} \
@@ -52,12 +49,7 @@ def places_of(fitted: Fit) -> FloatArray:
 
 
 def by_splines(xy: FloatArray, image: FloatArray) -> Transformation:
-    """Return the thin plate spline from ground to image through GCPs, as GDAL computes it.
-
-    Parameters
-    ----------
-    xy, image : ndarray, shape (n, 2)
-    """
+    """Return the thin plate spline from ground to image through GCPs (n, 2), as GDAL does."""
     from scipy.interpolate import RBFInterpolator
 
     middle, unit = xy.mean(axis=0), float(np.ptp(xy, axis=0).max())
@@ -67,18 +59,9 @@ def by_splines(xy: FloatArray, image: FloatArray) -> Transformation:
 
 def say_deviation(name: str, fitted: Fit, ground: FloatArray, image: FloatArray,
                   where: str = "") -> None:
-    """Log the largest deviation of a file from the model, as a warning above CLOSE.
+    """Log the largest deviation of a format from the model, as a warning above CLOSE.
 
-    Parameters
-    ----------
-    name : str
-        The format.
-    fitted : Fit
-    ground : ndarray, shape (n, 3)
-    image : ndarray, shape (n, 2)
-        Where the file puts these places.
-    where : str
-        A further part of the sentence.
+    The file puts the places `ground` (n, 3) at `image` (n, 2); `where` ends the sentence.
     """
     apart = image - fitted.project(ground)
     known = np.isfinite(apart).all(axis=1)
@@ -108,20 +91,10 @@ def say_measured(name: str) -> None:
 
 def say_nearest(name: str, fitted: Fit, xy: FloatArray, image: FloatArray,
                 labels: Mapping[str, str], where: str) -> None:
-    """Log which transformation through measured GCPs is nearest to the model, and how near.
+    """Log which transformation through measured GCPs (n, 2) is nearest to the model, and how near.
 
-    Parameters
-    ----------
-    name : str
-        The format.
-    fitted : Fit
-    xy, image : ndarray, shape (n, 2)
-        Of the GCPs.
-    labels : mapping of str to str
-        What the program calls the transformations that it offers, as `QGIS` and `GDALWARP`; the
-        simplest first.
-    where : str
-        The rest of the sentence, with ``{}`` for the label.
+    `labels` are what the program calls the transformations that it offers, as `QGIS` and
+    `GDALWARP`, the simplest first; `where` is the rest of the sentence, with ``{}`` for the label.
     """
     ground = places_of(fitted)
     exact = fitted.project(ground)

@@ -27,19 +27,10 @@ _PLACED = "Give a raster in a geographic or projected CRS of the Earth."
 
 @dataclass(frozen=True, eq=False)
 class Dem:
-    """Heights of the ground, in metres, by bilinear interpolation.
+    """Heights of the ground, in metres, by bilinear interpolation in an open raster.
 
-    Parameters
-    ----------
-    path : pathlib.Path
-    raster : rasterio.DatasetReader
-        Open.
-    to_raster : pyproj.Transformer
-        From ground coordinates to the raster's.
-    datum : str
-        What the heights refer to, in words.
-    turns : bool
-        Whether the raster's x is a longitude, which is the same after a full turn.
+    `to_raster` is a pyproj.Transformer from ground coordinates to the raster's; `datum` says what
+    the heights refer to; `turns` whether the raster's x is a longitude, the same after a full turn.
     """
 
     path: Path
@@ -159,24 +150,10 @@ def surface_of(dem: Path | str | None, crs: str, height: float,
 
 
 def with_heights(features: FeatureSet, dem: Path) -> FeatureSet:
-    """Return the features with unknown heights taken from a raster.
+    """Return the features with unknown heights [m] from a raster; `heights` says which datum.
 
-    Parameters
-    ----------
-    features : FeatureSet
-        Known heights stay.
-    dem : pathlib.Path
-        Raster of heights [m].
-
-    Returns
-    -------
-    FeatureSet
-        With a statement of the vertical datum in `heights`.
-
-    Raises
-    ------
-    TermselError
-        As `open_dem`; names all features outside the raster or on pixels without data.
+    Raises TermselError as `open_dem`; names all features outside the raster or on pixels without
+    data.
     """
     ground = features.ground_vertices()
     unknown = np.isnan(ground[:, 2])

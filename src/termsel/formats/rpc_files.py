@@ -99,18 +99,10 @@ def _entries(text: str) -> Iterator[tuple[str, str, int]]:
 
 
 def from_items(items: Mapping[str, str]) -> Rpc:
-    """Return the RPC of what GDAL calls the RPC domain.
+    """Return the RPC of what GDAL calls the RPC domain, of items such as LINE_OFF.
 
-    Parameters
-    ----------
-    items : mapping of str to str
-        Such as LINE_OFF; coefficients as LINE_NUM_COEFF with 20 numbers or as LINE_NUM_COEFF_1
-        and so on. Units after numbers are ignored.
-
-    Raises
-    ------
-    TermselError
-        For items that are missing or not numbers.
+    Coefficients are in LINE_NUM_COEFF with 20 numbers or in LINE_NUM_COEFF_1 and so on. Units after
+    numbers are ignored. Raises TermselError for items that are missing or not numbers.
     """
     def one(name: str) -> float:
         if not (found := items.get(name, "").split()):
@@ -242,10 +234,7 @@ def write_rpc(rpc: Rpc, path: Path | str) -> None:
 
 
 def rpb_text(rpc: Rpc) -> str:
-    """Return the text of an RPB file.
-
-    Numbers keep all their digits, so that reading gives the same RPC.
-    """
+    """Return the text of an RPB file; numbers keep all their digits."""
     lines = ['satId = "";', 'bandId = "";', 'SpecId = "RPC00B";', "BEGIN_GROUP = IMAGE"]
     for name, value in _values(rpc).items():
         rpb = (ERROR_NAMES | RPB_NAMES)[name]

@@ -31,20 +31,9 @@ _DATA_TYPES = {
 
 @dataclass(frozen=True)
 class Picture:
-    """What a VRT must know of an image.
+    """What a VRT must know of an image of `size` lines and samples.
 
-    Parameters
-    ----------
-    size : tuple of int
-        Lines and samples.
-    path : pathlib.Path, optional
-        The image; None for a VRT that has a size and no pixels.
-    types : tuple of str
-        Data type of each band, as in a VRT.
-    nodata : tuple of float or None
-        For each band.
-    colours : tuple of str
-        Colour interpretation of each band.
+    A VRT without `path` has no pixels. Data type, nodata value and colour are those of each band.
     """
 
     size: tuple[int, int]
@@ -57,16 +46,8 @@ class Picture:
 def picture_for(result: Result, image: Path | str | None) -> Picture:
     """Return what a VRT must know of the image of a result.
 
-    Parameters
-    ----------
-    result : Result
-    image : path-like, optional
-        If not given, the size is that of the image, if known, or of the measured points.
-
-    Raises
-    ------
-    TermselError
-        If GDAL cannot read the image, or its size differs from that of the result.
+    Without an image, the size is that of the image, if known, or of the measured points. Raises
+    TermselError if GDAL cannot read the image, or its size differs from that of the result.
     """
     known = result.features.image_size
     if image is None:
@@ -92,13 +73,7 @@ def picture_for(result: Result, image: Path | str | None) -> Picture:
 
 
 def picture_of(image: Path) -> Picture:
-    """Return what a VRT must know of an image.
-
-    Raises
-    ------
-    TermselError
-        If rasterio is not installed or GDAL cannot read the image.
-    """
+    """Return what a VRT must know of an image; raises TermselError if GDAL cannot read it."""
     with open_raster(image) as raster:
         return Picture(raster.shape, image, tuple(_DATA_TYPES[t] for t in raster.dtypes),
                        tuple(raster.nodatavals),
@@ -113,19 +88,10 @@ def vrt_text(
     gcps: Points | None = None,
     crs: str = "",
 ) -> str:
-    """Return the text of a VRT.
+    """Return the text of a VRT in a folder, to which the path of the image is relative.
 
-    Parameters
-    ----------
-    picture : Picture
-    folder : pathlib.Path
-        Folder of the VRT; the path of the image is relative to it.
-    domains : mapping, optional
-        Metadata items by domain, such as "RPC"; "" is the default domain.
-    gcps : Points, optional
-        With heights. Half a pixel is added, as GDAL counts from the corner of the upper-left pixel.
-    crs : str
-        Of the GCPs: a code or WKT.
+    `domains` are metadata items by domain, such as "RPC"; "" is the default domain. `gcps` have
+    heights and the CRS `crs`, a code or WKT.
     """
     lines, samples = picture.size
     parts = [f'<VRTDataset rasterXSize="{samples}" rasterYSize="{lines}">']

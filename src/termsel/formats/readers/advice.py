@@ -22,17 +22,8 @@ def with_advice(error: TermselError, header: Sequence[str], rows: Sequence[Seque
                 fixed: Collection[int] = ()) -> TermselError:
     """Return an error with the text of --columns that declares all columns, as far as it is known.
 
-    Parameters
-    ----------
-    error : TermselError
-    header, rows : sequence
-        Cells.
-    found : mapping
-        Column of each meaning that is known.
-    aliases : mapping
-        Of the table; only columns of points are guessed.
-    fixed : collection of int
-        Columns that nobody can declare, such as those of a geometry.
+    `found` is the column of each meaning that is known; the others are guessed, of points only.
+    Nobody can declare the columns `fixed`, such as those of a geometry.
     """
     if "line" not in aliases or "x" not in aliases:
         return error
@@ -57,13 +48,7 @@ def with_advice(error: TermselError, header: Sequence[str], rows: Sequence[Seque
 def unknown_table(path: Path, expected: str, columns: str) -> TermselError | None:
     """Return the error for a file that no reader recognises, None unless it is a table of numbers.
 
-    Parameters
-    ----------
-    path : pathlib.Path
-    expected : str
-        A sentence that says what the file should be.
-    columns : str
-        What the user says of its columns.
+    `expected` is a sentence that says what the file should be.
     """
     own = parse_columns(columns)
     try:

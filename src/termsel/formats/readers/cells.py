@@ -28,24 +28,12 @@ _SHEETS = (b"PK\x03\x04", b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1")  # zip of .xlsx a
 
 @dataclass(frozen=True)
 class Cells:
-    """Rows of a table before their meaning is known.
+    """Rows of a table before their meaning is known, without blank ones and comments.
 
-    Parameters
-    ----------
-    rows : list of list of str
-        Without blank ones and comments.
-    lines : list of int
-        Line of the file that each row begins on, or its number.
-    comments : mapping
-        By line.
-    delimiter : str
-        What separates cells of text; "" for spaces, and for tables without text.
-    part : str
-        What a row is called: "line", or "feature" or "row" of a table without lines.
-    fixed : mapping
-        Columns whose meaning is known whatever their names say.
-    notes : tuple of str
-        What was decided in reading.
+    Each row begins on one of `lines` of the file, or has that number; `part` is what a row is
+    called: "line", or "feature" or "row" of a table without lines. `comments` are by line.
+    `delimiter` separates cells of text, "" for spaces and for tables without text. `fixed` are
+    columns whose meaning is known whatever their names say, `notes` what was decided in reading.
     """
 
     rows: list[list[str]]
@@ -84,20 +72,9 @@ def header_row(rows: Sequence[Sequence[str]], aliases: Aliases, own: Mapping[str
 
 def read_cells(path: Path, aliases: Aliases, own: Mapping[str, str], layer: str | None = None,
                ) -> Cells:
-    """Return the rows of a file.
+    """Return the rows of a file; `aliases` and `own` choose its separator, or its sheet (`layer`).
 
-    Parameters
-    ----------
-    path : pathlib.Path
-    aliases, own : mapping
-        Names of columns, by which the separator and the sheet are chosen; see `read_table`.
-    layer : str, optional
-        Name of the sheet.
-
-    Raises
-    ------
-    TermselError
-        If the file is neither text nor a spreadsheet.
+    Raises TermselError if the file is neither text nor a spreadsheet.
     """
     data = read_data(path)
     if data.startswith(_SHEETS):
@@ -128,18 +105,7 @@ def sniffed(path: Path, head: bytes, aliases: Aliases, own: Mapping[str, str]) -
 def decoded(data: bytes, path: Path, *, final: bool = True) -> tuple[str, str]:
     """Return text, and its encoding: UTF-8, UTF-16, Windows-1252 or GB 18030.
 
-    Parameters
-    ----------
-    data : bytes
-    path : pathlib.Path
-        For the message.
-    final : bool
-        False where `data` are the first bytes of more.
-
-    Raises
-    ------
-    TermselError
-        If the bytes are no text.
+    If not `final`, `data` are the first bytes of more. Raises TermselError if they are no text.
     """
     zeros = [data[start:400:2].count(0) * 5 > len(data[:400]) // 2 for start in (0, 1)]
     wide = data[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
@@ -267,16 +233,8 @@ def of_records(records: Sequence[Mapping[str, Any]], part: str,
                fixed: Mapping[str, str], numbers: Sequence[int] = ()) -> Cells:
     """Return records, such as the properties of features, as rows below a header.
 
-    Parameters
-    ----------
-    records : sequence of mapping
-        Values by name; those that are lists or objects are left out.
-    part : str
-        What one of them is called.
-    fixed : mapping
-        Names of the columns whose meaning is known.
-    numbers : sequence of int, optional
-        What messages call each record; by default they count from 1.
+    Values that are lists or objects are left out. `part` is what one record is called, `numbers`
+    (by default from 1) are what messages call each, `fixed` the columns whose meaning is known.
     """
     plain = [{name: as_cell(value) for name, value in record.items()
               if not isinstance(value, list | dict)} for record in records]

@@ -19,19 +19,10 @@ _GROUND = {axis: f"{axis} of the geometry" for axis in "xyz"}
 
 
 def read_frame(frame: Any, columns: str = "", decimal: str | None = None) -> FeatureSet:
-    """Return the points or lines of a table.
+    """Return the points or lines of a table, whose columns are as of a file.
 
-    Parameters
-    ----------
-    frame : DataFrame, GeoDataFrame, list of mapping or mapping of lists
-        Columns as of a file. The points of a GeoDataFrame are those of its geometry.
-    columns, decimal : str, optional
-        As for files.
-
-    Raises
-    ------
-    TermselError
-        For anything that is no such table, or as for files.
+    The points of a GeoDataFrame are those of its geometry. Raises TermselError for anything that
+    is no such table, or as for files.
     """
     records, crs = _records(frame)
     if not records:

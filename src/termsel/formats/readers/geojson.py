@@ -18,16 +18,9 @@ from termsel.measurements.tables.attributes import is_free
 
 @dataclass(frozen=True)
 class Feature:
-    """A feature of a collection.
+    """A feature of a collection, and its place there, from 1.
 
-    Parameters
-    ----------
-    path : pathlib.Path
-    number : int
-        Its place in the collection, from 1.
-    properties : mapping
-    parts : list of list of list of float
-        Lines of vertices x, y, z, NaN for a missing z; a point is one line of one vertex.
+    `parts` are lines of vertices x, y, z, NaN for a missing z; a point is one line of one vertex.
     """
 
     path: Path
@@ -51,10 +44,7 @@ class Feature:
     def attributes(self, used: Container[str]) -> dict[str, str]:
         """Return the properties that are neither used nor lists or objects, as text.
 
-        Parameters
-        ----------
-        used : container of str
-            Names that the reader takes, those in small letters also in capitals.
+        The reader takes the names in `used`, those in small letters also in capitals.
         """
         return {name: self.text(name) for name, value in self.properties.items()
                 if name not in used and name.casefold() not in used and is_free(name)
@@ -70,14 +60,7 @@ class Feature:
 
 
 def sniff_geojson(head: bytes, geometry: str) -> bool:
-    """Return True if the text begins as a collection with a geometry of this type.
-
-    Parameters
-    ----------
-    head : bytes
-    geometry : str
-        Pattern of the type, such as "Point".
-    """
+    """Return True if the text begins as a collection with a geometry that fits the pattern."""
     text = head.decode("utf-8-sig", errors="replace")
     return (text.lstrip()[:1] == "{" and '"FeatureCollection"' in text
             and re.search(rf'"type"\s*:\s*"{geometry}"', text) is not None)
@@ -86,16 +69,8 @@ def sniff_geojson(head: bytes, geometry: str) -> bool:
 def read_geojson(path: Path, kinds: Mapping[str, int]) -> tuple[list[Feature], str]:
     """Return the features of a collection, and the CRS it declares, "" for none.
 
-    Parameters
-    ----------
-    path : pathlib.Path
-    kinds : mapping
-        Types of geometry that are read, and how deep their lists of vertices are nested.
-
-    Raises
-    ------
-    TermselError
-        If this is not such a collection, or a feature has another geometry.
+    `kinds` are the types of geometry that are read, and how deep their lists of vertices are
+    nested. Raises TermselError if this is no such collection, or a feature has another geometry.
     """
     try:
         found = parse_json(read_text(path), "Is the file complete?")

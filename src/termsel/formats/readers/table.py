@@ -144,19 +144,7 @@ class Table:
 
 
 def points_of(table: Table, crs: str) -> FeatureSet:
-    """Return the points of a table.
-
-    Parameters
-    ----------
-    table : Table
-    crs : str
-        "" where it is not known.
-
-    Raises
-    ------
-    TermselError
-        Naming the place of what cannot be read.
-    """
+    """Return the points of a table; errors name the place of what cannot be read."""
     image, ground = table.stack("line", "sample"), table.stack("x", "y", "z")
     sigma = table.sigma("sigma_line", "sigma_sample")
     return FeatureSet(table.points(image, ground, sigma, table.roles()), crs=crs)

@@ -66,20 +66,7 @@ _UNITS = re.compile(r"(deg|degrees?|m|met(re|er)s?)", re.IGNORECASE)
 
 def sniff_table(path: Path, head: bytes, aliases: Aliases, columns: str = "",
                 needed: Sequence[str] = ()) -> bool:
-    """Return True if a header names at least three columns of numbers, and all `needed`.
-
-    Parameters
-    ----------
-    path : pathlib.Path
-    head : bytes
-        The first bytes of the file.
-    aliases : mapping
-        Names of the columns by meaning.
-    columns : str
-        What the user says of them.
-    needed : sequence of str
-        Meanings.
-    """
+    """Return True if a header names at least three columns of numbers, and all `needed`."""
     own = parse_columns(columns)
     rows = sniffed(path, head, aliases, own)
     if not rows:
@@ -168,23 +155,11 @@ def _declared_crs(path: Path | None, comments: Mapping[int, str]) -> str:
 
 def read_table(path: Path, aliases: Aliases, *, columns: str = "", decimal: str | None = None,
                layer: str | None = None, flat: bool = False) -> Table:
-    """Return the table of a file whose header names the columns.
+    """Return the table of a file whose header names the columns, as `columns`, too, may say.
 
-    Parameters
-    ----------
-    path : pathlib.Path
-    aliases : mapping
-        Names of the columns by meaning. Numbers other than deviations are required.
-    columns, decimal, layer : str, optional
-        As the user says; see `COLUMNS`.
-    flat : bool
-        Whether the heights, meanings that begin with z, may all be missing. They are then blank,
-        and a note says so.
-
-    Raises
-    ------
-    TermselError
-        If the file is not such a table.
+    `aliases` has the names of the columns by meaning. Numbers other than deviations are required;
+    if `flat`, the heights, meanings that begin with z, may all be missing: they are then blank,
+    and a note says so. Raises TermselError if the file is not such a table.
     """
     own = parse_columns(columns)
     return table_of(path, read_cells(path, aliases, own, layer), aliases, own, decimal, flat=flat)
@@ -192,22 +167,9 @@ def read_table(path: Path, aliases: Aliases, *, columns: str = "", decimal: str 
 
 def table_of(path: Path | None, cells: Cells, aliases: Aliases, own: Mapping[str, str],
              decimal: str | None = None, *, flat: bool = False) -> Table:
-    """Return the table of rows of cells.
+    """Return the table of rows of cells, as `read_table`; `path` is for messages.
 
-    Parameters
-    ----------
-    path : pathlib.Path, optional
-        For messages.
-    cells : Cells
-    aliases, decimal, flat
-        As for `read_table`.
-    own : mapping
-        Names or numbers of columns by meaning, as the user says.
-
-    Raises
-    ------
-    TermselError
-        As `read_table`.
+    `own` has names or numbers of columns by meaning, as the user says.
     """
     for note in cells.notes:
         log.info("Note: %s.", note)

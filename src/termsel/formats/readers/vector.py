@@ -58,20 +58,9 @@ def _configured(options: Mapping[str, str]) -> Iterator[None]:
 
 def read_layer(path: Path, layer: str | None, kinds: Mapping[str, int],
                ) -> tuple[list[Feature], str]:
-    """Return the features of a layer, and its CRS.
+    """Return the features of a layer, by default of the first that has such kinds, and its CRS.
 
-    Parameters
-    ----------
-    path : pathlib.Path
-    layer : str, optional
-        By default the first that has features of these kinds.
-    kinds : mapping
-        Types of geometry that are read.
-
-    Raises
-    ------
-    TermselError
-        If GDAL cannot read the file, or a feature has another geometry.
+    Raises TermselError if GDAL cannot read the file, or a feature has another geometry.
     """
     read_head(path, "Expected a GeoPackage, Shapefile or FlatGeobuf.")
     try:

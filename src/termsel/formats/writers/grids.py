@@ -73,13 +73,7 @@ class GridWriter(Writer):
                  surface: Dem | float) -> None:
         """Log how far what GDAL makes of the grid is from the model between its places.
 
-        Parameters
-        ----------
-        fitted : Fit
-        image : ndarray, shape (lines, samples, 2)
-        ground : ndarray, shape (lines, samples, 3)
-        surface : Dem or float
-            The ground.
+        `image` is (lines, samples, 2), `ground` (lines, samples, 3), `surface` the ground.
         """
 
 

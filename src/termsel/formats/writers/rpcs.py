@@ -137,21 +137,10 @@ class RpcVrt(RpcWriter):
 
 
 def require_read_back(rpc: Rpc, text: str, suffix: str) -> None:
-    """Refuse text that does not give back the RPC it was made from.
+    """Refuse the content of a file that does not give back the RPC it was made from.
 
-    Parameters
-    ----------
-    rpc : Rpc
-    text : str
-        Content of a file.
-    suffix : str
-        What its name ends with.
-
-    Raises
-    ------
-    TermselError
-        If termsel reads another RPC, or GDAL, where rasterio is installed, cannot use it or
-        projects any of 1,000 ground points more than AGREED away.
+    Raises TermselError if termsel reads another RPC, or if GDAL, where rasterio is installed,
+    cannot use it or projects any of 1,000 ground points more than AGREED away.
     """
     with private_folder() as folder:
         path = folder / f"scene{suffix}"

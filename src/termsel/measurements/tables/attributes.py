@@ -33,21 +33,10 @@ def is_free(name: str) -> bool:
 
 def as_attributes(given: Mapping[str, Iterable[Any]], n: int, *taken: str,
                   ) -> Attributes:
-    """Return columns as features have them: stripped text; neither it nor they can be changed.
+    """Return columns of n rows as features have them: stripped text that cannot be changed.
 
-    Parameters
-    ----------
-    given : mapping
-        None, NaN and the like of pandas stand for what is not known.
-    n : int
-        Rows of each column.
-    *taken : str
-        Further names that no column can have.
-
-    Raises
-    ------
-    TermselError
-        For a name that is taken or used twice, or a column of another length.
+    None, NaN and the like of pandas stand for what is not known; no column can have a name that is
+    `taken`. Raises TermselError for such a name or one used twice, or a column of another length.
     """
     columns: dict[str, TextArray] = {}
     for name, values in given.items():
@@ -111,13 +100,7 @@ def _column(part: Attributes, name: str, rows: int) -> TextArray:
 
 
 def alike(rows: Sequence[Mapping[str, str]]) -> dict[str, str]:
-    """Return what parts of one feature have in common: "" where their text differs.
-
-    Parameters
-    ----------
-    rows : sequence of mapping
-        Text by column, of each part.
-    """
+    """Return what parts of one feature have in common, by column: "" where their text differs."""
     return {name: value if all(row.get(name, "") == value for row in rows) else ""
             for name, value in rows[0].items()} if rows else {}
 
@@ -129,19 +112,9 @@ def columns_of(rows: Sequence[Mapping[str, str]]) -> dict[str, TextArray]:
 
 
 def all_rows(parts: Sequence[Attributes], rows: Sequence[int], name: str) -> TextArray:
-    """Return a column of several tables one after another.
+    """Return a column of several tables one after another, with so many rows of each.
 
-    Parameters
-    ----------
-    parts : sequence of Attributes
-    rows : sequence of int
-        Of each part.
-    name : str
-
-    Raises
-    ------
-    TermselError
-        If no part has it.
+    Raises TermselError if no part has it.
     """
     known = distinct(key for part in parts for key in part)
     if name.casefold() not in map(str.casefold, known):
@@ -151,19 +124,9 @@ def all_rows(parts: Sequence[Attributes], rows: Sequence[int], name: str) -> Tex
 
 
 def as_numbers(cells: TextArray, ids: Sequence[str], name: str) -> FloatArray:
-    """Return text as numbers, NaN where it is blank.
+    """Return text as numbers, NaN where it is blank; `ids` are for the message.
 
-    Parameters
-    ----------
-    cells : ndarray of str, shape (n,)
-    ids : sequence of str
-        For the message.
-    name : str
-
-    Raises
-    ------
-    TermselError
-        Naming the first feature whose text is not a finite number.
+    Raises TermselError naming the first feature whose text is not a finite number.
     """
     found = np.empty(len(cells))
     for row, cell in enumerate(cells):

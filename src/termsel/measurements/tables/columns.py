@@ -77,11 +77,7 @@ def _forms(name: str) -> tuple[str, str]:
 def matches(header: Sequence[str], aliases: Aliases) -> dict[str, list[int]]:
     """Return the columns that could hold each meaning, by their names.
 
-    Parameters
-    ----------
-    header : sequence of str
-    aliases : mapping
-        Plain names by meaning; those in other languages count where no column has a plain one.
+    Names in other languages count where no column has one of the plain names in `aliases`.
     """
     own = {meaning: frozenset(map(folded, names)) for meaning, names in aliases.items()}
     # Readers of other programs' tables have meanings of these names, too, and no further names.
@@ -113,17 +109,9 @@ def columns_text(given: str | Mapping[str, object]) -> str:
 
 
 def parse_columns(given: str) -> dict[str, str]:
-    """Return the name or number of a column by its meaning, as the user says.
+    """Return the name or number of a column by its meaning, of pairs such as "line=Zeile,sample=4".
 
-    Parameters
-    ----------
-    given : str
-        Pairs such as "line=Zeile,sample=4", separated by commas; "" for none.
-
-    Raises
-    ------
-    TermselError
-        For text that is not such a pair, an unknown meaning, or one that is given twice.
+    Raises TermselError for text that is not such a pair, an unknown meaning, or one given twice.
     """
     known = POINTS | LINES | CORNER
     own: dict[str, str] = {}
@@ -144,14 +132,7 @@ def parse_columns(given: str) -> dict[str, str]:
 
 
 def declared(header: Sequence[str], own: Mapping[str, str]) -> dict[str, int]:
-    """Return the columns that the user declares, of those that this table has.
-
-    Parameters
-    ----------
-    header : sequence of str
-    own : mapping
-        Names, or numbers from 1, by meaning.
-    """
+    """Return the columns that the user declares by name, or number from 1, and this table has."""
     names = [name.strip().casefold() for name in header]
     found = {}
     for meaning, name in own.items():

@@ -16,13 +16,7 @@ from termsel.measurements.tables.attributes import Attributes
 
 
 def frame(columns: Mapping[str, Any]) -> Any:
-    """Return columns as a pandas DataFrame.
-
-    Raises
-    ------
-    TermselError
-        If pandas is not installed.
-    """
+    """Return columns as a pandas DataFrame; raises TermselError if that is not installed."""
     try:
         from pandas import DataFrame
     except ImportError:
@@ -32,20 +26,9 @@ def frame(columns: Mapping[str, Any]) -> Any:
 
 
 def geo_frame(columns: Mapping[str, Any], places: NDArray[np.float64], crs: str) -> Any:
-    """Return columns as a geopandas GeoDataFrame.
+    """Return columns as a geopandas GeoDataFrame; raises TermselError if that is not installed.
 
-    Parameters
-    ----------
-    columns : mapping
-    places : ndarray, shape (n, 3) or (n, 2, 3)
-        Points, or the two ends of lines; heights may be NaN.
-    crs : str
-        As of a feature set.
-
-    Raises
-    ------
-    TermselError
-        If geopandas is not installed.
+    `places` are points (n, 3), or the two ends of lines (n, 2, 3); heights may be NaN.
     """
     try:
         import shapely

@@ -25,20 +25,9 @@ def refused(name: str) -> str:
 
 
 def check_ids(ids: Sequence[str], kind: str, *, unique: bool) -> None:
-    """Refuse ids that break the rule.
+    """Refuse ids that break the rule, or are not `unique`; the TermselError has the id.
 
-    Parameters
-    ----------
-    ids : sequence of str
-    kind : str
-        Of the features: "point" or "line".
-    unique : bool
-        Whether each must differ from all others.
-
-    Raises
-    ------
-    TermselError
-        With the id.
+    `kind` is that of the features: "point" or "line".
     """
     for name in ids:
         if wrong := refused(name):

@@ -27,17 +27,7 @@ _MARKS = re.compile("[°º˚d度'′’´m分:]", re.IGNORECASE)
 
 
 class BadCell(ValueError):
-    """A cell that is no number.
-
-    Parameters
-    ----------
-    row : int
-        Counted from 0.
-    what, hint : str
-        As of a `TermselError`.
-    column : str
-        Where several are read.
-    """
+    """A cell that is no number, in a row from 0, and a column where several are read."""
 
     def __init__(self, row: int, what: str, hint: str, column: str = "") -> None:
         super().__init__(what)
@@ -49,16 +39,8 @@ def decimal_signs(columns: Mapping[str, Sequence[str]], asked: str = "", *,
     """Return the decimal sign of each column of numbers, by the evidence of all its rows.
 
     1,234 alone may be one thousand or little more than one. A column where that is open takes the
-    sign of the columns where it is not, if they agree.
-
-    Parameters
-    ----------
-    columns : mapping
-        Cells by column.
-    asked : str
-        The sign that the user states for open columns, "" for none.
-    points_only : bool
-        Whether commas separate the columns, so that points without commas are decimal.
+    sign of the columns where it is not, if they agree, or the sign `asked`. With `points_only`
+    commas separate the columns, so that points without commas are decimal.
 
     Returns
     -------
@@ -112,21 +94,10 @@ def _sign(name: str, cells: Sequence[str], points_only: bool) -> str | None:
 
 def read_numbers(cells: Sequence[str], sign: str, *, may_be_blank: bool, angle: str = "",
                  ) -> NDArray[np.float64]:
-    """Return cells as numbers, NaN for blank ones.
+    """Return cells as numbers, NaN for blank ones; raises BadCell for the first that is none.
 
-    Parameters
-    ----------
-    cells : sequence of str
-    sign : str
-        Decimal sign; the other one separates thousands.
-    may_be_blank : bool
-    angle : str
-        "x" or "y" where cells may be longitudes or latitudes in degrees, minutes and seconds.
-
-    Raises
-    ------
-    BadCell
-        For the first cell that is no number.
+    The sign other than the decimal `sign` separates thousands. `angle` is "x" or "y" where cells
+    may be longitudes or latitudes in degrees, minutes and seconds.
     """
     # Whole columns at C speed; single cells are read only where that fails.
     joined = "".join(cells)

@@ -15,18 +15,9 @@ _Table = TypeVar("_Table", bound=Any)
 
 
 def rows_of(ids: Sequence[str], index: ArrayLike) -> NDArray[np.intp]:
-    """Return the rows that an index names, each once.
+    """Return the rows that an index of integers or a mask names, each once.
 
-    Parameters
-    ----------
-    ids : sequence of str, length n
-    index : array_like
-        Integers or a mask; numpy takes an empty list for numbers.
-
-    Raises
-    ------
-    TermselError
-        For a row that is asked for twice.
+    Raises TermselError for a row that is asked for twice.
     """
     array = np.asarray(index)
     rows = np.arange(len(ids))[array if array.size else np.zeros(0, dtype=np.intp)]
@@ -47,12 +38,6 @@ def unchecked(whole: _Table, **changes: Any) -> _Table:
 
     What was checked once holds for a part of them, and in other units. Fits make so many of these
     that the checks took a quarter of their time.
-
-    Parameters
-    ----------
-    whole : Points or Lines
-    **changes
-        New values of fields, arrays of 64-bit floats among them.
     """
     made = object.__new__(type(whole))
     for one in fields(whole):
