@@ -18,7 +18,7 @@ import termsel
 from termsel.report.blocks import Document, Section, TableBlock
 from termsel.report.page import page
 from termsel.report.small import MOST, small_map
-from termsel.studies.shown.outputs import write_outputs
+from termsel.studies.shown.report import write_outputs
 
 pytest.importorskip("altair")
 pytest.importorskip("vl_convert")

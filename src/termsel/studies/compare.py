@@ -27,7 +27,7 @@ from termsel.studies.execution.progress import StudyProgress, Tally
 from termsel.studies.execution.work import Outcome, Work, do, failed
 from termsel.studies.plan.data import data_of
 from termsel.studies.plan.spec import Spec, read_spec, spec_of
-from termsel.studies.shown.outputs import NAMES
+from termsel.studies.shown.report import NAMES
 from termsel.studies.study import Study
 
 log = logging.getLogger(__name__)

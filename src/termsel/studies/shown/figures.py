@@ -30,13 +30,15 @@ _STEPS = 60
 
 
 def figures_of(study: Study) -> list[Figure]:
-    """Return the charts of a study, those that its runs allow.
+    """Return the charts of a study, those that its runs allow; auto alone searches nothing.
 
     Raises
     ------
     TermselError
         If altair is not installed.
     """
+    if study.spec.strategies == ("auto",):
+        return []
     groups = group(study.rows, study.records, study.spec.measure)
     figures = []
     if any(record.trace for by_method in groups.instances.values()
@@ -58,7 +60,6 @@ def running_times(groups: Groups, column: int) -> Figure:
 
     `column` is 0 for evaluations, 2 for CPU seconds.
     """
-    alt = require_altair()
     rows, last = [], 0.0
     for method in groups.methods:
         hits = [hit(record.trace, target, column)
@@ -73,16 +74,23 @@ def running_times(groups: Groups, column: int) -> Figure:
     ends = {row["method"]: row["share"] for row in rows}
     rows += [{"method": method, "budget": last, "share": share} for method, share in ends.items()]
     unit = "CPU seconds" if column else "evaluations, with local refinement"
-    drawn = alt.Chart(data(rows)).mark_line(interpolate="step-after", strokeWidth=2).encode(
-        x=alt.X("budget:Q", title=f"{unit}, logarithmic", scale=alt.Scale(type="log", nice=False)),
-        y=alt.Y("share:Q", title="share of runs and targets reached",
-                scale=alt.Scale(domain=[0, 1]), axis=alt.Axis(format="%")),
-        **_by_method(groups.methods)).properties(width=WIDTH, height=0.55 * WIDTH)
+    drawn = _shares(rows, groups.methods, "budget:Q", unit, "share of runs and targets reached")
     return Figure(
         "ecdf-cpu-seconds" if column else "ecdf-evaluations",
         f"Running times in {'CPU seconds' if column else 'evaluations'}",
         "Higher and further to the left is better. Targets lie 100 % to 0.01 % above the optimum, "
         "or the best value found.", drawn)
+
+
+def _shares(rows: list[dict[str, Any]], methods: tuple[str, ...], x: str, of_x: str,
+            of_shares: str) -> Any:
+    """Return a chart of the shares that methods reach, as steps over a logarithmic axis."""
+    alt = require_altair()
+    return alt.Chart(data(rows)).mark_line(interpolate="step-after", strokeWidth=2).encode(
+        x=alt.X(x, title=f"{of_x}, logarithmic", scale=alt.Scale(type="log", nice=False)),
+        y=alt.Y("share:Q", title=of_shares, scale=alt.Scale(domain=[0, 1]),
+                axis=alt.Axis(format="%")),
+        **_by_method(methods)).properties(width=WIDTH, height=0.55 * WIDTH)
 
 
 def convergence(groups: Groups) -> Figure:
@@ -118,18 +126,13 @@ def convergence(groups: Groups) -> Figure:
 
 def profile(groups: Groups) -> Figure:
     """Return the performance profile of the methods over the instances."""
-    alt = require_altair()
     values = medians_of(groups)
     ratios = np.geomspace(1, 10, 100)
     shares = performance_profile(values, ratios.tolist())
     rows = [{"method": method, "ratio": float(ratio), "share": float(shares[i, j])}
             for i, ratio in enumerate(ratios) for j, method in enumerate(groups.methods)]
-    drawn = alt.Chart(data(rows)).mark_line(interpolate="step-after", strokeWidth=2).encode(
-        x=alt.X("ratio:Q", title="ratio to the best median of the instance, logarithmic",
-                scale=alt.Scale(type="log", nice=False)),
-        y=alt.Y("share:Q", title="share of instances", scale=alt.Scale(domain=[0, 1]),
-                axis=alt.Axis(format="%")),
-        **_by_method(groups.methods)).properties(width=WIDTH, height=0.55 * WIDTH)
+    drawn = _shares(rows, groups.methods, "ratio:Q", "ratio to the best median of the instance",
+                    "share of instances")
     return Figure("performance-profile", "Performance profile", "At the left end: how often a "
                   "method is the best. Further right: how often it is within that ratio of the "
                   "best.", drawn)

@@ -73,7 +73,7 @@ def _predicted(row: Row) -> str:
 def _of_instance(groups: Groups, name: str, figures: list[Summary]) -> TableBlock:
     """Return the figures of all methods on an instance; effect sizes are those of the best one."""
     runs_of, measure = groups.instances[name], groups.measure
-    best = min(figures, key=lambda one: one.median).method
+    best = min(figures, key=lambda one: one.quartiles[2]).method
     optimum = figures[0].optimum
     title = name if optimum is None else f"{name}: proven optimum {optimum:.4f}"
     header = ("method", "runs", "best", "lower quartile", "median", "upper quartile", "worst",
@@ -84,11 +84,11 @@ def _of_instance(groups: Groups, name: str, figures: list[Summary]) -> TableBloc
     rows = []
     for one in figures:
         reached = () if optimum is None else (
-            f"{one.reached} of {one.runs}", f"{100 * (one.low or 0):.0f} to "
-            f"{100 * (one.high or 0):.0f} %", shown(one.expected, 0))
+            f"{one.reached} of {one.runs}",
+            "{:.0f} to {:.0f} %".format(*(100 * end for end in one.interval)),
+            shown(one.expected, 0))
         runs = str(one.runs) if one.finished == one.runs else f"{one.finished} of {one.runs}"
-        rows.append((one.method, runs, *(shown(value, 4) for value in (
-            one.best, one.lower, one.median, one.upper, one.worst)),
+        rows.append((one.method, runs, *(shown(value, 4) for value in one.quartiles),
             "" if one.method == best else
             f"{effect_size(runs_of[best].values, runs_of[one.method].values):.2f}", *reached,
             *(() if measure == "independent" else (shown(one.independent, 3),)),

@@ -1,35 +1,36 @@
-"""The page of a study: what may be claimed, tables, charts, and each image's residuals."""
+"""The page of a study, with each image's residuals, and the files of a finished one."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 from html import escape
+from importlib.util import find_spec
+from pathlib import Path
 
 from termsel.errors import TermselError, counted
+from termsel.files.atomic import atomic_path, write_text
 from termsel.io.result_folder import read_result
 from termsel.report.blocks import Document, Figure, Section
 from termsel.report.page import page
+from termsel.report.plots import save
 from termsel.report.small import small_map
 from termsel.report.text import text_of
-from termsel.report.theme import require_altair
+from termsel.report.theme import require_altair, styled
 from termsel.studies.cells.images import IMAGES, folders_of
+from termsel.studies.cells.table import csv_of
 from termsel.studies.shown.figures import figures_of
-from termsel.studies.shown.pages import tables_of
+from termsel.studies.shown.ioh import ioh_files
+from termsel.studies.shown.pages import latex, markdown, tables_of
+from termsel.studies.statistics.groups import group
 from termsel.studies.study import Study
+
+REPORT = "report.html"
+
+NAMES = ("study.csv", "study.parquet", "summary.md", "summary.tex", REPORT, "ioh", "figures")
+"""Files and folders that `write_outputs` writes."""
 
 _SMALL = ("Arrows are the residuals of all features: blue of control, orange of check, black of "
           "independent points. Red rings are probable blunders. Each drawing has its own scale.")
-
-
-def charts_of(study: Study) -> list[Figure]:
-    """Return the charts of a study: none of the strategy auto alone, which searches nothing.
-
-    Raises
-    ------
-    TermselError
-        If altair is not installed.
-    """
-    return figures_of(study) if study.spec.strategies != ("auto",) else []
 
 
 def report(study: Study, charts: list[Figure] | None = None) -> str:
@@ -40,7 +41,7 @@ def report(study: Study, charts: list[Figure] | None = None) -> str:
     study : Study
         Finished or not.
     charts : list of Figure, optional
-        As `charts_of` returns them.
+        As `figures_of` returns them.
 
     Raises
     ------
@@ -48,7 +49,7 @@ def report(study: Study, charts: list[Figure] | None = None) -> str:
         If the extra `report` is not installed.
     """
     require_altair()
-    return page(_document(study, charts_of(study) if charts is None else charts,
+    return page(_document(study, figures_of(study) if charts is None else charts,
                           thumbnails(study)))
 
 
@@ -93,3 +94,43 @@ def thumbnails(study: Study) -> dict[str, str]:
         except TermselError as error:
             drawings[key] = escape(error.what)
     return drawings
+
+
+def write_outputs(study: Study, out: Path) -> list[Path]:
+    """Write the tables of a study, and return which files were written.
+
+    study.csv has a row a cell; study.parquet the same, where pyarrow is installed; summary.md and
+    summary.tex tables for people; ioh/ the runs for IOHprofiler; report.html a page of tables and
+    charts, and figures/ the charts, where altair is installed.
+
+    Raises
+    ------
+    TermselError
+        If a file cannot be written.
+    """
+    pages = {"study.csv": csv_of(study.rows, study.columns), "summary.md": markdown(study),
+             "summary.tex": latex(study)}
+    for name, text in pages.items():
+        write_text(out / name, text)
+    written = [out / name for name in pages]
+    if find_spec("pandas") and find_spec("pyarrow"):
+        with atomic_path(out / "study.parquet") as path:
+            study.to_pandas().to_parquet(path, index=False)
+        written.insert(1, out / "study.parquet")
+    drawn = find_spec("altair") and find_spec("vl_convert")
+    charts = figures_of(study) if drawn else []
+    if drawn:
+        write_text(out / REPORT, report(study, charts))
+        written.append(out / REPORT)
+    if study.spec.strategies == ("auto",):
+        return written
+    files = dict(ioh_files(group(study.rows, study.records, study.spec.measure)))
+    for name, text in files.items():
+        (out / "ioh" / name).parent.mkdir(parents=True, exist_ok=True)
+        write_text(out / "ioh" / name, text)
+    for one in charts:
+        path = out / "figures" / f"{one.name}.svg"
+        path.parent.mkdir(exist_ok=True)
+        save(styled(one.chart, one.title, one.look), path)
+        written.append(path)
+    return [*written, *[out / "ioh"] * bool(files)]

@@ -24,14 +24,14 @@ class Summary:
     ----------
     runs, finished : int
         All runs, and those with a result.
-    best, lower, median, upper, worst : float
+    quartiles : list of float
         Least value, quartiles and greatest value of the measure; infinite where runs had none.
     optimum : float or None
         The proven optimum, where it is known and the measure is the fitness.
     reached : int or None
         Runs that reached it.
-    low, high : float or None
-        95 % interval of Wilson for the share of runs that reach it.
+    interval : tuple of float
+        95 % interval of Wilson for the share of runs that reach it; zeros where it is not known.
     expected : float or None
         Expected number of evaluations to reach it (`expected_running_time`); infinite if no run
         did.
@@ -45,15 +45,10 @@ class Summary:
     method: str
     runs: int
     finished: int
-    best: float
-    lower: float
-    median: float
-    upper: float
-    worst: float
+    quartiles: list[float]
     optimum: float | None
     reached: int | None
-    low: float | None
-    high: float | None
+    interval: tuple[float, float]
     expected: float | None
     independent: float | None
     evaluations: float | None
@@ -74,18 +69,17 @@ def optimum_of(runs: Any, measure: str) -> float | None:
 
 
 def _summary(instance: str, method: str, runs: Runs, optimum: float | None) -> Summary:
-    best, lower, median, upper, worst = quantiles(runs.values, (0, 0.25, 0.5, 0.75, 1))
-    reached = expected = low = high = None
+    reached, expected, interval = None, None, (0.0, 0.0)
     if optimum is not None:
         target = reachable(optimum)
         reached = sum(value <= target for value in runs.values)
-        low, high = wilson(reached, len(runs.values))
+        interval = wilson(reached, len(runs.values))
         hits = [hit(one.trace, target) if value <= target else math.inf
                 for one, value in zip(runs.records, runs.values, strict=True)]
         expected = expected_running_time(hits, [length(one.figures) for one in runs.records])
     return Summary(
         instance, method, len(runs.values), sum(row["state"] == "done" for row in runs.rows),
-        best, lower, median, upper, worst, optimum, reached, low, high, expected,
+        quantiles(runs.values, (0, 0.25, 0.5, 0.75, 1)), optimum, reached, interval, expected,
         *(_median(runs.rows, name) for name in ("independent", "evaluations", "cpu_seconds")))
 
 
