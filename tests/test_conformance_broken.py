@@ -393,7 +393,7 @@ class Bypass(Drawn):
 
     def draw(self, problem: Problem, rng: np.random.Generator) -> BoolArray:
         if isinstance(problem, Ledger):
-            problem.problem.evaluate(problem.genome.random(rng, 500))
+            problem.inner.evaluate(problem.genome.random(rng, 500))
         return super().draw(problem, rng)
 
 

@@ -308,7 +308,7 @@ def termsel_models(): return [Mine]
 @pytest.mark.parametrize(("code", "name", "message"), [
     (f"import no_such{SOUND}", "loads", "cannot be imported"),
     (SOUND.replace("'mine'", "'rfm'"), "loads", "a name that termsel has too"),
-    (SOUND.replace("[Mine]", "[Mine()]"), "loads", "which is deprecated"),
+    (SOUND.replace("[Mine]", "[Mine()]"), "loads", "return the class"),
     (SOUND.replace("'''An affine model.'''", ""), "provides", "it says nothing of itself"),
     (f"print('hi'){SOUND}", "modest_import", "prints .'hi'."),
     (f"import os; os.chdir('/'){SOUND}", "modest_import", "changes .'the working folder'."),

@@ -7,7 +7,6 @@ import re
 import sys
 import warnings
 from importlib.metadata import distributions
-from pathlib import Path
 from textwrap import dedent
 
 import pytest
@@ -291,62 +290,30 @@ def test_a_name_given_twice_by_one_plugin_counts_once(install, registry):
     assert "twice; only the first is kept" in names.failures()[0].what
 
 
-OLD_RULE = """
-    from pathlib import Path
-    from termsel import Criterion, FeatureSet, Option, Reader, Writer, hookimpl
+INSTANCE = """
+    from termsel import Criterion, hookimpl
 
     class Quantile(Criterion):
         '''A quantile of the check errors [px].'''
         name = 'quantile'
-        declared_options = (Option('share', 0.5, 'Share of the points.', float, 0.0, 1.0),
-                            Option('axis', 'both', 'Image axis.'))
         def score(self, fits): return abs(fits.check_errors).max(axis=(1, 2))
 
-    class Table(Reader):
-        def __init__(self, name, mark, **options):
-            super().__init__(**options)
-            self.name, self.summary, self.mark = name, f'points between {mark}', mark
-        def sniff(self, path, head): return self.mark in head
-        def read(self, path): return FeatureSet()
-
-    class Note(Writer):
-        name, summary = 'note', 'a line of text'
-        declared_options = (Option('word', 'ok', 'What is written.'),)
-        def accepts(self, result): return True
-        def write(self, result, path): Path(path).write_text(self.options['word'])
-
     @hookimpl
-    def termsel_criteria(): return [Quantile(share=0.9)]
-    @hookimpl
-    def termsel_readers(): return [Table('bars', b'|'), Table('dots', b'.')]
-    @hookimpl
-    def termsel_writers(): return [Note()]
+    def termsel_criteria(): return [Quantile()]
     """
 
 
-def test_instances_of_the_old_rule_load_with_a_note(install, registry):
-    install("old-rule", OLD_RULE)
+def test_an_instance_where_a_class_is_wanted_is_refused(install, registry):
+    install("old-rule", INSTANCE)
     names = registry()
-    assert names.failures() == []
-    assert [str(note) for note in names.notes("criteria")] == [
-        "plugin 'old_rule' of old-rule 1.0: termsel_criteria: returned 'quantile' as an instance, "
-        "which is deprecated; return the class Quantile"]
-    assert [note.what.split("'")[1] for note in names.notes()] == [
-        "quantile", "bars", "dots", "note"]
-
-    quantile = names.get("criteria", "quantile")
-    assert quantile().options == {"share": 0.9, "axis": "both"}
-    assert quantile(axis="line").options == {"share": 0.9, "axis": "line"}
-    assert quantile(share=0.1).options == {"share": 0.1, "axis": "both"}
-    assert [option.default for option in quantile.declared_options] == [0.9, "both"]
-    assert names.names("criteria")[-1] == "quantile"
-    assert names.entries("criteria")[-1].summary == "A quantile of the check errors [px]."
-
-    bars, dots = (names.get("readers", name) for name in ("bars", "dots"))
-    assert (bars().name, dots().name) == ("bars", "dots")
-    assert [reader().sniff(Path("x"), b"1|2") for reader in (bars, dots)] == [True, False]
-    assert names.entries("readers")[-1].summary == "points between b'.'"
-    assert names.get("writers", "note") is sys.modules["old_rule"].Note
+    assert [failure.what for failure in names.failures()] == [
+        "termsel_criteria: TypeError: returned an object of type Quantile, not a subclass of "
+        "Criterion; return the class"]
+    assert "quantile" not in names.names("criteria")
+    module = sys.modules["old_rule"]
+    assert isinstance(names.taken("criteria", module.Quantile()), module.Quantile)
+    with pytest.raises(TermselError, match="nothing that termsel has names for"):
+        names.register(module.Quantile())
 
 
 @pytest.fixture
@@ -358,24 +325,6 @@ def only(monkeypatch):
 
     yield restrict
     process_registry.cache_clear()
-
-
-def test_a_plugin_of_the_old_rule_serves_commands(install, only, call, tmp_path):
-    install("old-rule", OLD_RULE)
-    only("old-rule")
-    shown = call("plugins")
-    assert shown.stdout.count("Note: plugin 'old_rule' of old-rule 1.0: ") == 4
-    assert "Broken" not in shown.stdout
-    listed = json.loads(call("plugins", "--json").stdout)[1]
-    assert (listed["status"], listed["reasons"], len(listed["notes"])) == ("ok", [], 4)
-    result = termsel.run("poly-terms", criterion="quantile", generations=1,
-                         options={"population": 10, "polish": False})
-    assert result.options["criterion"] == {"share": 0.9, "axis": "both"}
-    termsel.export(result, "note", tmp_path / "a", word="well")
-    assert (tmp_path / "a").read_text() == "well"
-    (tmp_path / "b").write_text("1|2")
-    with pytest.raises(TermselError, match="the file has no points"):
-        termsel.read(tmp_path / "b")
 
 
 def test_slow_imports_are_named(install, only, call):
@@ -430,22 +379,22 @@ def test_what_has_options_is_returned_as_its_class(install, registry, kind):
     install("new-rule", NEW_RULE[kind])
     names = registry()
     assert inspect.isclass(names.get(kind, "new"))
-    assert names.failures() == names.notes() == []
+    assert names.failures() == []
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_built_ins_follow_the_one_rule(kind):
     names = Registry([])
-    assert not names.notes(kind)
     assert all(inspect.isclass(entry.object) == (
         kind not in ("problems", "objectives", "candidates", "datasets"))
                for entry in names.entries(kind))
 
 
-def test_a_class_and_its_instance_are_one_thing_twice(install, registry):
+def test_a_class_is_kept_next_to_an_instance_that_is_refused(install, registry):
     install("twice", NEW_RULE["readers"].replace("[New]", "[New, New()]"))
     names = registry()
-    assert "provides the reader 'new' twice" in names.failures()[0].what
+    assert "return the class" in names.failures()[0].what
+    assert names.names("readers").count("new") == 1
 
 
 def test_an_unknown_name_lists_the_known_ones_and_who_may_have_it(install, registry):

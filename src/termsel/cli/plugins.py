@@ -43,14 +43,14 @@ def plugins(as_json: bool, timed: bool) -> None:
     if timed:
         Registry([]).failures()  # imports what is built in, which else the first plugin would do
     names = registry()
-    failures, notes = names.failures(), names.notes()
+    failures = names.failures()
     seconds = names.seconds() if timed else {}
     if as_json:
         print_json([{
             "name": plugin.name, "distribution": plugin.distribution, "version": plugin.version,
             "api": PLUGIN_API, "requires": _required(plugin), "hooks": list(plugin.hooks),
             "status": _status(plugin, failures),
-            "reasons": _about(plugin, failures), "notes": _about(plugin, notes),
+            "reasons": _about(plugin, failures),
             **({"seconds": round(seconds.get(plugin, 0.0), 4)} if timed else {})}
             for plugin in names.plugins])
         return
@@ -73,8 +73,6 @@ def plugins(as_json: bool, timed: bool) -> None:
         echo(f"Command {command.name!r} of {command.provided_by}: {command.summary}")
     for failure in failures:
         echo(f"Broken: {failure}")
-    for note in notes:
-        echo(f"Note: {note}")
 
 
 def _required(plugin: Plugin) -> str:

@@ -16,8 +16,7 @@ adds::
 
 What has options of its own (models, solvers, criteria, readers, writers) is returned as its class.
 What is a plain description (problems as `Recipe`, data sets as `DatasetSpec`) is returned as an
-instance. Criteria, readers and writers that are returned as instances still load, with a note in
-``termsel plugins``.
+instance.
 
 A function may omit arguments it does not need. termsel calls each function once per process, when
 something of its kind is needed.

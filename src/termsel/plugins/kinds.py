@@ -3,16 +3,13 @@
 What has options of its own (models, solvers, criteria, readers and writers: subclasses of
 `Configurable`) is returned as its class. What is a plain description (`Recipe`, `DatasetSpec`)
 is returned as an instance.
-
-Before version 0.2 criteria, readers and writers were returned as instances. Their class is taken
-instead, with their options as its defaults, and ``termsel plugins`` says so.
 """
 
 from __future__ import annotations
 
 import inspect
 import re
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from importlib import import_module
 from typing import Any
 
@@ -48,15 +45,28 @@ class Kind:
         base: type = getattr(import_module(self.home), self.base)
         return issubclass(thing, base) if isinstance(thing, type) else isinstance(thing, base)
 
-    def made(self, thing: Any) -> Any:
-        """Return what a hook returned in the form the registry keeps.
-
-        Where classes are wanted, an instance stands for its class (see `class_of`).
+    def require_returned(self, thing: Any) -> None:
+        """Refuse what a hook may not return.
 
         Raises
         ------
         TypeError
-            If it is of another type, lacks methods, has no usable name or cannot be made.
+            As `require_of`, and for an instance where classes are wanted.
+        """
+        if isinstance(thing, Configurable):
+            raise TypeError(f"returned an object of type {type(thing).__name__}, not a subclass of "
+                            f"{self.base}; return the class")
+        self.require_of(thing)
+        if self.tried:
+            thing()
+
+    def require_of(self, thing: Any) -> None:
+        """Refuse what is no class or instance of the kind.
+
+        Raises
+        ------
+        TypeError
+            If it is of another type, lacks methods or has no usable name.
         """
         base: type = getattr(import_module(self.home), self.base)
         classes = issubclass(base, Configurable)
@@ -69,17 +79,12 @@ class Kind:
                 raise TypeError(f"returned the class {thing.__name__}, which lacks {missing}")
         elif not isinstance(thing, base):
             raise TypeError(f"returned an object of type {type(thing).__name__}, not {wanted}")
-        made = class_of(thing) if isinstance(thing, Configurable) else thing
-        name = getattr(made, "name", None)
+        name, cls = getattr(thing, "name", None), thing if isinstance(thing, type) else type(thing)
         if not isinstance(name, str) or not _NAME.fullmatch(name):
-            cls = made if isinstance(made, type) else type(made)
             raise TypeError(f"returned {cls.__name__} with the name {name!r}; a name is text "
                             "without blanks and colons")
-        if isinstance(made, type) and (fault := _attribute_fault(made)):
-            raise TypeError(f"returned {made.__name__} with {fault}")
-        if self.tried:
-            made()
-        return made
+        if classes and (fault := _attribute_fault(cls)):
+            raise TypeError(f"returned {cls.__name__} with {fault}")
 
 
 def _attribute_fault(cls: type) -> str | None:
@@ -115,41 +120,6 @@ KINDS = {
     "writers": Kind("writer", "termsel.formats.base", "Writer", tried=True),
 }
 """By the plural, which is also the last part of the hook's name."""
-
-
-def class_of(thing: Configurable) -> type[Configurable]:
-    """Return the class of an instance, with what the instance was given as its defaults.
-
-    Parameters
-    ----------
-    thing : Configurable
-        As hooks returned it before version 0.2.
-
-    Returns
-    -------
-    type
-        The class itself where the instance has default options and nothing else. Otherwise a
-        subclass: without options it makes the same as `thing`; with options it makes the class's
-        own with these and those of `thing`.
-    """
-    own = type(thing)
-    state, options = dict(vars(thing)), thing.options
-    defaults = tuple(replace(option, default=options.get(option.name, option.default))
-                     for option in own.declared_options)
-    if state.keys() == {"options"} and defaults == own.declared_options:
-        return own
-
-    def __init__(self: Configurable, **given: Any) -> None:
-        if given:
-            own.__init__(self, **{**options, **given})
-        else:
-            vars(self).update(state, options=dict(options))
-
-    members: dict[str, Any] = {
-        "__init__": __init__, "__doc__": own.__doc__, "__module__": own.__module__,
-        "declared_options": defaults}
-    members |= {name: state[name] for name in ("name", "summary") if name in state}
-    return type(own.__name__, (own,), members)
 
 
 def summary(thing: Any) -> str:

@@ -64,7 +64,7 @@ class Plugin:
 
 @dataclass(frozen=True)
 class Remark:
-    """What a plugin's author should know: something that does not work, or is deprecated.
+    """What a plugin's author should know: something that does not work.
 
     Parameters
     ----------

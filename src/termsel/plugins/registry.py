@@ -46,15 +46,12 @@ class Entry:
         The distribution it comes from.
     object : object
         The class; of problems and data sets the `Recipe` or `DatasetSpec`.
-    note : str
-        What is deprecated in how it is provided, if anything.
     """
 
     name: str
     summary: str
     provided_by: str
     object: Any
-    note: str = ""
 
     @property
     def full_name(self) -> str:
@@ -75,13 +72,12 @@ class Provided:
     Parameters
     ----------
     entries : list of Entry
-    failures, notes : list of Remark
-        What does not work; and what works, in a way that is deprecated.
+    failures : list of Remark
+        What does not work.
     """
 
     entries: list[Entry] = field(default_factory=list)
     failures: list[Remark] = field(default_factory=list)
-    notes: list[Remark] = field(default_factory=list)
 
 
 class Registry:
@@ -174,7 +170,8 @@ class Registry:
         if isinstance(given, str):
             return self.get(kind, given)
         try:
-            KINDS[kind].made(given)
+            required = KINDS[kind]
+            (required.require_returned if isinstance(given, type) else required.require_of)(given)
         except TypeError as error:
             why = str(error).removeprefix("returned ")  # as is said of what a hook returns
             raise TermselError(f"{given!r} is no {KINDS[kind].word}: {why}",
@@ -183,26 +180,9 @@ class Registry:
         return given
 
     def register(self, thing: Any) -> Any:
-        """Make a thing known by its name in this process, as if a plugin provided it.
-
-        Parameters
-        ----------
-        thing : type, Recipe, DatasetSpec or Objective
-            What a hook may return: a class of models, criteria, solvers, readers or writers; or a
-            description. It replaces an earlier one of its name.
-
-        Returns
-        -------
-        object
-            The same thing.
-
-        Raises
-        ------
-        TermselError
-            If it is no such thing.
-        """
+        """Make a thing known by its name in this process (see `termsel.register`)."""
         for kind in KINDS:
-            if not KINDS[kind].is_of(thing):
+            if not KINDS[kind].is_of(thing) or isinstance(thing, Configurable):
                 continue
             thing = self.taken(kind, thing)
             provided = self._collect(kind)
@@ -248,17 +228,6 @@ class Registry:
                     for failure in self._collect(kind).failures]
         return [*self._loader.failures, *of_kinds]
 
-    def notes(self, *kinds: str) -> list[Remark]:
-        """Return what works in a way that is deprecated.
-
-        Parameters
-        ----------
-        *kinds : str
-            As for `entries`; all of them by default.
-        """
-        return [note for kind in kinds or (*KINDS, "commands")
-                for note in self._collect(kind).notes]
-
     def hint(self, name: str, *kinds: str) -> str:
         """Return a sentence on where an unknown name may come from, or nothing."""
         if name == "auto":
@@ -302,8 +271,6 @@ class Registry:
                 clash = _add(provided.entries, entry, kind, owners)
                 if clash is not None:
                     faults.append((plugin, clash))
-                if entry.note:
-                    provided.notes.append(plugin.remark(f"{hook}: {entry.note}"))
             provided.failures.extend(plugin.remark(f"{hook}: {fault}") for plugin, fault in faults)
             self._provided[kind] = provided
         return self._provided[kind]
@@ -356,15 +323,9 @@ def _nothing(_value: Any) -> list[Any]:
     return []
 
 
-
-
 def _entry(kind: str, plugin: Plugin, thing: Any) -> Entry:
-    made = KINDS[kind].made(thing)
-    note = ""
-    if isinstance(thing, Configurable):
-        note = (f"returned {made.name!r} as an instance, which is deprecated; return the class "
-                f"{type(thing).__name__}")
-    return Entry(made.name, summary(made), plugin.distribution, made, note)
+    KINDS[kind].require_returned(thing)
+    return Entry(thing.name, summary(thing), plugin.distribution, thing)
 
 
 def _add(entries: list[Entry], entry: Entry, kind: str, owners: dict[str, str]) -> str | None:

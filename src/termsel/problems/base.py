@@ -207,6 +207,30 @@ class Problem(Guarded, ABC):
                            hint="Choose a solver that needs none, such as --solver ga.")
 
 
+class ProblemAround(Problem):
+    """Base of a problem that evaluates another one in its own way, and else answers as that."""
+
+    def __init__(self, inner: Problem) -> None:
+        self.inner = inner
+        self.genome, self.objectives = inner.genome, inner.objectives
+
+    def decode(self, genes: Genes) -> Selection:
+        """Return the selection of the inner problem."""
+        return self.inner.decode(genes)
+
+    def parts(self) -> tuple[EnumerablePart, ...]:
+        """Return the parts of the inner problem."""
+        return self.inner.parts()
+
+    def row_systems(self) -> tuple[RowSystem, ...] | None:
+        """Return the row systems of the inner problem."""
+        return self.inner.row_systems()
+
+    def design(self) -> FloatArray:
+        """Return the design matrix of the inner problem."""
+        return self.inner.design()
+
+
 @dataclass(frozen=True, eq=False)
 class Inputs:
     """What a problem is built from.

@@ -18,15 +18,57 @@ Genes = NDArray[Any]
 
 @dataclass(frozen=True)
 class _Named:
-    """A segment with a gene for each label."""
+    """A segment with a gene for each label; by default the number of one of the labels."""
 
     name: str
     labels: tuple[str, ...]
+
+    dtype: ClassVar[type] = np.intp
 
     @property
     def size(self) -> int:
         """Number of genes."""
         return len(self.labels)
+
+    def value(self, genes: Genes) -> Any:
+        """Return the labels that the genes number, in the order of the genes."""
+        return tuple(self.labels[int(i)] for i in genes)
+
+
+@dataclass(frozen=True)
+class _Bounded(_Named):
+    """A segment whose genes are numbers between bounds of their own."""
+
+    low: Any
+    high: Any
+
+    def __post_init__(self) -> None:
+        """Make the bounds one for each gene; refuse those that are in disorder."""
+        n = len(self.labels)
+        kind = float if self.dtype is np.float64 else int
+        object.__setattr__(self, "labels", tuple(self.labels))
+        for side in ("low", "high"):
+            bounds = getattr(self, side)
+            each = tuple(bounds) if isinstance(bounds, Sequence | np.ndarray) else (bounds,) * n
+            object.__setattr__(self, side, tuple(kind(one) for one in each))
+        low, high = np.array(self.low), np.array(self.high)
+        if low.shape != (n,) or high.shape != (n,) or not (
+                np.isfinite(low) & np.isfinite(high) & (low <= high)).all():
+            raise TermselError(f"the bounds of segment {self.name!r} are not {n} pairs of finite "
+                               "numbers, the lower one first")
+
+    def fault(self, genes: Genes) -> str:
+        """Return what is wrong with genes of any dtype, or nothing."""
+        bad = ~((genes >= np.array(self.low)) & (genes <= np.array(self.high)))
+        if not bad.any():
+            return ""
+        row, column = (int(i) for i in np.argwhere(bad)[0])
+        return (f"have {genes[row, column]:g} for {self.labels[column]!r}, which is from "
+                f"{self.low[column]:g} to {self.high[column]:g}")
+
+    def value(self, genes: Genes) -> dict[str, Any]:
+        """Return the value of each gene by its label."""
+        return dict(zip(self.labels, genes.astype(self.dtype).tolist(), strict=True))
 
 
 @dataclass(frozen=True)
@@ -76,7 +118,7 @@ class Bits(_Named):
 
 
 @dataclass(frozen=True)
-class Integers(_Named):
+class Integers(_Bounded):
     """Genes that are whole numbers.
 
     Parameters
@@ -93,14 +135,6 @@ class Integers(_Named):
         For bounds that are not in order, or not one for each gene.
     """
 
-    low: Any
-    high: Any
-
-    dtype: ClassVar[type] = np.intp
-
-    def __post_init__(self) -> None:
-        _spread_bounds(self, int)
-
     def random(self, rng: np.random.Generator, n: int) -> Genes:
         """Return uniform values, shape (n, size)."""
         return rng.integers(self.low, self.high, (n, self.size), endpoint=True)
@@ -111,15 +145,11 @@ class Integers(_Named):
 
     def fault(self, genes: Genes) -> str:
         """Return what is wrong with genes of any dtype, or nothing."""
-        return _out_of_bounds(self, genes) or _not_whole(genes)
-
-    def value(self, genes: Genes) -> dict[str, int]:
-        """Return the value of each gene by its label."""
-        return dict(zip(self.labels, genes.astype(int).tolist(), strict=True))
+        return super().fault(genes) or _not_whole(genes)
 
 
 @dataclass(frozen=True)
-class Reals(_Named):
+class Reals(_Bounded):
     """Genes that are real numbers.
 
     Parameters
@@ -136,13 +166,7 @@ class Reals(_Named):
         For bounds that are not finite, not in order, or not one for each gene.
     """
 
-    low: Any
-    high: Any
-
     dtype: ClassVar[type] = np.float64
-
-    def __post_init__(self) -> None:
-        _spread_bounds(self, float)
 
     def random(self, rng: np.random.Generator, n: int) -> FloatArray:
         """Return uniform values, shape (n, size)."""
@@ -151,14 +175,6 @@ class Reals(_Named):
     def repaired(self, genes: Genes) -> FloatArray:
         """Return the nearest valid genes."""
         return np.asarray(np.clip(genes, self.low, self.high), dtype=np.float64)
-
-    def fault(self, genes: Genes) -> str:
-        """Return what is wrong with genes of any dtype, or nothing."""
-        return _out_of_bounds(self, genes)
-
-    def value(self, genes: Genes) -> dict[str, float]:
-        """Return the value of each gene by its label."""
-        return dict(zip(self.labels, genes.astype(float).tolist(), strict=True))
 
 
 @dataclass(frozen=True)
@@ -175,8 +191,6 @@ class Categories(_Named):
     """
 
     choices: tuple[Any, ...]
-
-    dtype: ClassVar[type] = np.intp
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "labels", tuple(self.labels))
@@ -214,8 +228,6 @@ class Permutation(_Named):
         The n things.
     """
 
-    dtype: ClassVar[type] = np.intp
-
     def random(self, rng: np.random.Generator, n: int) -> Genes:
         """Return random orders, shape (n, size)."""
         return rng.random((n, self.size)).argsort(axis=1)
@@ -228,10 +240,6 @@ class Permutation(_Named):
         """Return what is wrong with genes of any dtype, or nothing."""
         good = (np.sort(genes, axis=1) == np.arange(self.size)).all()
         return "" if good else f"are no permutation of 0 to {self.size - 1}"
-
-    def value(self, genes: Genes) -> tuple[str, ...]:
-        """Return the labels in the order of the genes."""
-        return tuple(self.labels[int(i)] for i in genes)
 
 
 @dataclass(frozen=True)
@@ -253,8 +261,6 @@ class Subset(_Named):
     """
 
     m: int
-
-    dtype: ClassVar[type] = np.intp
 
     def __post_init__(self) -> None:
         if not 0 <= self.m <= len(self.labels):
@@ -292,10 +298,6 @@ class Subset(_Named):
                     "ascending")
         return ""
 
-    def value(self, genes: Genes) -> tuple[str, ...]:
-        """Return the labels of what is chosen."""
-        return tuple(self.labels[int(i)] for i in genes)
-
     def mask(self, genes: Genes) -> BoolArray:
         """Return what is chosen, shape (p, n), from genes (p, m)."""
         chosen = np.zeros((len(genes), len(self.labels)), dtype=bool)
@@ -331,30 +333,6 @@ def random_subsets(count: int, n: int, m: int, rng: np.random.Generator) -> Gene
     ndarray of int, shape (count, m)
     """
     return np.sort(rng.random((count, n)).argsort(axis=1)[:, :m], axis=1)
-
-
-def _spread_bounds(segment: Integers | Reals, kind: type) -> None:
-    """Make the bounds of a segment one for each gene; refuse those that are in disorder."""
-    n = len(segment.labels)
-    object.__setattr__(segment, "labels", tuple(segment.labels))
-    for side in ("low", "high"):
-        given = getattr(segment, side)
-        each = tuple(given) if isinstance(given, Sequence | np.ndarray) else (given,) * n
-        object.__setattr__(segment, side, tuple(kind(one) for one in each))
-    low, high = np.array(segment.low), np.array(segment.high)
-    if low.shape != (n,) or high.shape != (n,) or not (np.isfinite(low) & np.isfinite(high)
-                                                       & (low <= high)).all():
-        raise TermselError(f"the bounds of segment {segment.name!r} are not {n} pairs of finite "
-                           "numbers, the lower one first")
-
-
-def _out_of_bounds(segment: Integers | Reals, genes: Genes) -> str:
-    bad = ~((genes >= np.array(segment.low)) & (genes <= np.array(segment.high)))
-    if not bad.any():
-        return ""
-    row, column = (int(i) for i in np.argwhere(bad)[0])
-    return (f"have {genes[row, column]:g} for {segment.labels[column]!r}, which is from "
-            f"{segment.low[column]:g} to {segment.high[column]:g}")
 
 
 def _not_whole(genes: Genes) -> str:

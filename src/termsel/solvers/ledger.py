@@ -8,17 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from termsel.enumeration.features.walk import RowSystem
 from termsel.guard.faults import wrong
 from termsel.guard.inside import Returned
-from termsel.measurements.features import FloatArray
-from termsel.problems.base import (
-    EnumerablePart,
-    Evaluation,
-    Problem,
-    Selection,
-    evaluation_fault,
-)
+from termsel.problems.base import Evaluation, Problem, ProblemAround, evaluation_fault
 from termsel.problems.genome import Genome
 from termsel.problems.segments import Genes
 from termsel.record.search import HistoryRow
@@ -63,7 +55,7 @@ class BudgetSpent(Exception):
     """Ends a search from within an evaluation."""
 
 
-class Ledger(Problem):
+class Ledger(ProblemAround):
     """A problem that counts evaluations, looks up known ones, and remembers the best.
 
     Parameters
@@ -79,10 +71,8 @@ class Ledger(Problem):
 
     def __init__(self, problem: Problem, *, evaluations: int | None = None,
                  deadline: float | None = None, solver: Solver | None = None) -> None:
-        self.problem = problem
+        super().__init__(problem)
         self.solver = solver
-        self.genome = problem.genome
-        self.objectives = problem.objectives
         self.limit = evaluations
         self.deadline = deadline
         self.after_evaluation: Callable[[], None] = lambda: None
@@ -114,22 +104,6 @@ class Ledger(Problem):
         if allowed < len(genes):
             raise BudgetSpent
         return evaluation
-
-    def decode(self, genes: Genes) -> Selection:
-        """Return the selection of one chromosome."""
-        return self.problem.decode(genes)
-
-    def parts(self) -> tuple[EnumerablePart, ...]:
-        """Return the problem's own parts."""
-        return self.problem.parts()
-
-    def row_systems(self) -> tuple[RowSystem, ...] | None:
-        """Return the problem's own systems."""
-        return self.problem.row_systems()
-
-    def design(self) -> FloatArray:
-        """Return the problem's own design matrix."""
-        return self.problem.design()
 
     def progress(self, generation: Generation, share: float | None, what: str = "") -> Progress:
         """Return the state for observers."""
@@ -170,9 +144,9 @@ class Ledger(Problem):
                 new[key] = i
         if new:
             rows = list(new.values())
-            evaluation = self.problem.evaluate(genes[rows])
-            if fault := evaluation_fault(self.problem, evaluation, genes[rows]):
-                raise wrong(self.problem, "evaluate", fault)
+            evaluation = self.inner.evaluate(genes[rows])
+            if fault := evaluation_fault(self.inner, evaluation, genes[rows]):
+                raise wrong(self.inner, "evaluate", fault)
             for key in new:
                 self._row_of[key] = len(self._row_of)
             self._objectives.extend(evaluation.objectives)

@@ -9,6 +9,9 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any, TypeVar
 
+import numpy as np
+from numpy.typing import NDArray
+
 from termsel.errors import unknown_name
 from termsel.guard.calls import unguarded
 from termsel.guard.inside import TooSlow, within
@@ -170,6 +173,16 @@ def label(thing: type[Configurable] | Configurable, options: Mapping[str, Any]) 
     return f"{name} with {given}" if given else str(name)
 
 
+def declares(kind: str, thing: Callable[[Any], Any] = lambda subject: subject,
+             ) -> Callable[[Any], None]:
+    """Return the check of what a thing declares, given how a case's subject has the thing."""
+    def declaration(subject: Any) -> None:
+        """It has a name and a docstring or summary; its options are documented and parse."""
+        check_declaration(kind, thing(subject))
+
+    return declaration
+
+
 def check_declaration(kind: str, thing: Any) -> None:
     """Require what the hooks require, a one-line summary, and options that parse.
 
@@ -181,7 +194,7 @@ def check_declaration(kind: str, thing: Any) -> None:
         The class, as a hook returns it, or an object of it.
     """
     try:
-        KINDS[kind].made(thing)
+        KINDS[kind].require_returned(type(thing) if isinstance(thing, Configurable) else thing)
     except TypeError as error:
         raise AssertionError(f"the hook termsel_{kind} would be refused: it {error}") from error
     require(summary(thing).strip(), "it says nothing of itself; give it a docstring (or a "
@@ -198,6 +211,16 @@ def check_declaration(kind: str, thing: Any) -> None:
                 f"declare it as {option.type.__name__}")
         for choice in option.choices:
             option.parse(choice)
+
+
+def require_unchanged(arrays: Mapping[str, NDArray[Any]], method: str,
+                      call: Callable[[], object]) -> None:
+    """Require that a call of a method leaves arrays as they are, which are named for the message.
+    """
+    before = {name: array.copy() for name, array in arrays.items()}
+    call()
+    for name, array in arrays.items():
+        require(np.array_equal(array, before[name]), f"{method} changes {name}; work on a copy")
 
 
 def pickled(thing: Subject) -> Subject:

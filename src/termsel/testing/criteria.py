@@ -13,7 +13,16 @@ from termsel.models.terms import Term
 from termsel.problems.base import Inputs
 from termsel.problems.selection import SelectionProblem
 from termsel.solvers.proofs.proof import prove
-from termsel.testing.cases import Case, Suite, check_declaration, instance, label, pickled, require
+from termsel.testing.cases import (
+    Case,
+    Suite,
+    declares,
+    instance,
+    label,
+    pickled,
+    require,
+    require_unchanged,
+)
 from termsel.testing.scenes import imaged, seeded
 
 PIXELS = 1000.0
@@ -36,11 +45,6 @@ class _Recorder(Criterion):
     def score(self, fits: Fits) -> FloatArray:
         self.seen.append(fits)
         return np.zeros(len(fits.terms))
-
-
-def declaration(criterion: Criterion) -> None:
-    """It has a name and a docstring; its options are documented and accept their defaults."""
-    check_declaration("criteria", criterion)
 
 
 def score_shape(criterion: Criterion) -> None:
@@ -90,14 +94,9 @@ def one_by_one(criterion: Criterion) -> None:
 def inputs_unchanged(criterion: Criterion) -> None:
     """It does not change its inputs."""
     fits = _fits(_masks())
-    arrays = {name: value for name, value in vars(fits).items() if isinstance(value, np.ndarray)}
-    before = {name: array.copy() for name, array in arrays.items()}
-    errors = fits.check_errors.copy()
-    criterion.score(fits)
-    for name, array in arrays.items():
-        require(np.array_equal(array, before[name]), f"score() changes fits.{name}; work on a copy")
-    require(np.array_equal(fits.check_errors, errors),
-            "score() changes fits.check_errors; work on a copy")
+    arrays = {**vars(fits), "check_errors": fits.check_errors}
+    require_unchanged({f"fits.{name}": value for name, value in arrays.items()
+                       if isinstance(value, np.ndarray)}, "score()", lambda: criterion.score(fits))
 
 
 def subset_score_agrees(criterion: Criterion) -> None:
@@ -123,7 +122,7 @@ def cases(criterion: type[Criterion] | Criterion) -> list[Case]:
     return [Case(label(made, made.options), lambda: made)]
 
 
-SUITE = Suite((declaration, score_shape, score_finite, smaller_is_better, deterministic,
+SUITE = Suite((declares("criteria"), score_shape, score_finite, smaller_is_better, deterministic,
                one_by_one, inputs_unchanged, subset_score_agrees), cases)
 
 

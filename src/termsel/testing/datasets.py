@@ -8,12 +8,7 @@ from termsel.measurements.coordinates.crs import normalise
 from termsel.measurements.coordinates.plausible import check_ground
 from termsel.measurements.datasets import DatasetSpec
 from termsel.measurements.features import FeatureSet
-from termsel.testing.cases import Case, Suite, check_declaration, pickled, require
-
-
-def declaration(spec: DatasetSpec) -> None:
-    """It has a name and a summary."""
-    check_declaration("datasets", spec)
+from termsel.testing.cases import Case, Suite, declares, pickled, require
 
 
 def loads_features(spec: DatasetSpec) -> None:
@@ -53,7 +48,8 @@ def cases(spec: DatasetSpec) -> list[Case]:
     return [Case(spec.name, lambda: spec)]
 
 
-SUITE = Suite((declaration, loads_features, ground_in_crs, alike_each_time, enough_of_them), cases)
+SUITE = Suite((declares("datasets"), loads_features, ground_in_crs, alike_each_time,
+               enough_of_them), cases)
 
 
 def _loaded(spec: DatasetSpec) -> FeatureSet:

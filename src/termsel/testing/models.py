@@ -16,7 +16,7 @@ from termsel.measurements.scaling import Scaling
 from termsel.models.base import SensorModel
 from termsel.problems.base import Inputs
 from termsel.problems.selection import SelectionProblem
-from termsel.testing.cases import Case, Suite, check_declaration, label, pickled, require
+from termsel.testing.cases import Case, Suite, declares, label, pickled, require
 from termsel.testing.model_equations import (
     control_kinds,
     equations,
@@ -36,11 +36,6 @@ from termsel.testing.scenes import (
 
 PLACE = Scaling((48.5, 34.8, 1850.0), (0.05, 0.04, 150.0), (3500.0, 4000.0), 4000.0), "EPSG:4979"
 """Scaling and CRS that models are prepared for."""
-
-
-def declaration(model: SensorModel) -> None:
-    """It has a name and a docstring; its options are documented and accept their defaults."""
-    check_declaration("models", type(model))
 
 
 def term_names(model: SensorModel) -> None:
@@ -218,9 +213,9 @@ def cases(model: type[SensorModel] | SensorModel, *,
 
 
 SUITE = Suite((
-    declaration, term_names, axis, control_kinds, equations, inputs_unchanged, exact_recovery,
-    recovery_from_lines, fit, translation, project_shapes, batch_project, deterministic, prepared,
-    picklable, masks_stay_finite, height, residual_weights), cases)
+    declares("models", type), term_names, axis, control_kinds, equations, inputs_unchanged,
+    exact_recovery, recovery_from_lines, fit, translation, project_shapes, batch_project,
+    deterministic, prepared, picklable, masks_stay_finite, height, residual_weights), cases)
 
 
 def _made(model: type[SensorModel], options: Mapping[str, Any],

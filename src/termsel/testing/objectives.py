@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -13,7 +14,7 @@ from termsel.models.polynomial import Affine
 from termsel.problems.base import Inputs
 from termsel.problems.objectives import Objective, PopulationSelection
 from termsel.problems.selection import SelectionProblem
-from termsel.testing.cases import Case, Suite, check_declaration, pickled, require
+from termsel.testing.cases import Case, Suite, declares, pickled, require, require_unchanged
 from termsel.testing.scenes import imaged, random_coefficients, seeded
 
 ALONE = (slice(0, 1), slice(3, 4), slice(-1, None))
@@ -29,11 +30,6 @@ class _Recorder:
     def score(self, selected: PopulationSelection) -> FloatArray:
         self.seen.append(selected)
         return np.zeros(len(selected.terms))
-
-
-def declaration(objective: Objective) -> None:
-    """It has a name and a summary."""
-    check_declaration("objectives", objective)
 
 
 def figure_each(objective: Objective) -> None:
@@ -78,13 +74,9 @@ def one_by_one(objective: Objective) -> None:
 def inputs_unchanged(objective: Objective) -> None:
     """It does not change the selections it is given."""
     for selected in _selections():
-        arrays = {"terms": selected.terms, "features": selected.features,
-                  "equations": selected.equations.A}
-        before = {name: array.copy() for name, array in arrays.items()}
-        objective.score(selected)
-        for name, array in arrays.items():
-            require(np.array_equal(array, before[name]),
-                    f"score() changes selected.{name}; work on a copy")
+        require_unchanged({"selected.terms": selected.terms, "selected.features": selected.features,
+                           "selected.equations": selected.equations.A}, "score()",
+                          partial(objective.score, selected))
 
 
 def cases(objective: Objective) -> list[Case]:
@@ -92,7 +84,7 @@ def cases(objective: Objective) -> list[Case]:
     return [Case(objective.name, lambda: objective)]
 
 
-SUITE = Suite((declaration, figure_each, control_kinds, deterministic, one_by_one,
+SUITE = Suite((declares("objectives"), figure_each, control_kinds, deterministic, one_by_one,
                inputs_unchanged), cases)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from termsel.criteria import CheckRmse
 from termsel.measurements.features import BoolArray, FeatureSet, FloatArray, Points, select
 from termsel.models.polynomial import Polynomial2D
-from termsel.problems.base import WORST, EnumerablePart, Evaluation, Inputs, Problem, Selection
+from termsel.problems.base import WORST, Evaluation, Inputs, Problem, ProblemAround, Selection
 from termsel.problems.genome import Genome
 from termsel.problems.segments import (
     AnySegment,
@@ -57,7 +57,7 @@ class Toy(Problem):
         return Selection(select(self.genome.labels, genes), ())
 
 
-class Watched(Problem):
+class Watched(ProblemAround):
     """A problem that refuses genes that no solver may send, and counts evaluations.
 
     Parameters
@@ -69,9 +69,7 @@ class Watched(Problem):
     """
 
     def __init__(self, inner: Problem, before: Callable[[int], None] | None = None) -> None:
-        self.inner = inner
-        self.genome = inner.genome
-        self.objectives = inner.objectives
+        super().__init__(inner)
         self.before = before
         self.calls = 0
         self.evaluated = 0
@@ -96,18 +94,6 @@ class Watched(Problem):
             self.best = min(self.best, (float(found.violation[first]),
                                         float(found.objectives[first, 0])))
         return found
-
-    def decode(self, genes: BoolArray) -> Selection:
-        """Return the selection of the inner problem."""
-        return self.inner.decode(genes)
-
-    def parts(self) -> tuple[EnumerablePart, ...]:
-        """Return the parts of the inner problem."""
-        return self.inner.parts()
-
-    def design(self) -> FloatArray:
-        """Return the design matrix of the inner problem."""
-        return self.inner.design()
 
 
 def require_genes(genome: Genome, genes: object, who: str) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 from termsel.errors import TermselError
 from termsel.formats.base import Reader
 from termsel.measurements.features import FeatureSet
-from termsel.testing.cases import Case, Suite, check_declaration, instance, label, require
+from termsel.testing.cases import Case, Suite, declares, instance, label, require
 
 HEAD = 65536
 """Bytes of a file that are shown to `sniff`."""
@@ -47,11 +47,6 @@ class Example:
             return self.content.decode("utf-8-sig")
         except UnicodeDecodeError:
             return None
-
-
-def declaration(example: Example) -> None:
-    """It has a name and a summary."""
-    check_declaration("readers", example.reader)
 
 
 def reads_example(example: Example) -> None:
@@ -152,8 +147,10 @@ def cases(reader: type[Reader] | Reader, *, content: bytes, expected: FeatureSet
     return [Case(label(reader, {}), lambda: example)]
 
 
-SUITE = Suite((declaration, reads_example, sniffs_example, sniffs_anything, truncated, empty_file,
-               binary_file, missing_file, wrong_encoding, line_ends), cases)
+SUITE = Suite((
+    declares("readers", lambda example: example.reader), reads_example, sniffs_example,
+    sniffs_anything, truncated, empty_file, binary_file, missing_file, wrong_encoding, line_ends),
+    cases)
 
 
 def _put(example: Example, folder: str, content: bytes) -> Path:

@@ -13,7 +13,7 @@ import numpy as np
 
 from termsel.errors import TermselError
 from termsel.measurements.features import BoolArray
-from termsel.problems.base import Evaluation, Problem, Selection
+from termsel.problems.base import Evaluation, Problem, ProblemAround
 from termsel.solvers.base import Generation, Solver
 from termsel.solvers.ledger import Progress
 from termsel.solvers.search import Search, search
@@ -22,22 +22,17 @@ FEW = 4
 """Generations checked if more would not show more."""
 
 
-class Counted(Problem):
+class Counted(ProblemAround):
     """A problem with the number of genes that are on as its last objective."""
 
     def __init__(self, inner: Problem) -> None:
-        self.inner = inner
-        self.genome = inner.genome
+        super().__init__(inner)
         self.objectives = (*inner.objectives, "on")
 
     def evaluate(self, genes: BoolArray) -> Evaluation:
         """Return the evaluation of the inner problem, and the count."""
         found = self.inner.evaluate(genes)
         return Evaluation(np.column_stack([found.objectives, genes.sum(axis=1)]), found.violation)
-
-    def decode(self, genes: BoolArray) -> Selection:
-        """Return the selection of the inner problem."""
-        return self.inner.decode(genes)
 
 
 @dataclass(frozen=True, eq=False)

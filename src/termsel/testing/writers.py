@@ -18,7 +18,7 @@ from termsel.results.result import Result
 from termsel.runs.judgement.assess import assessed
 from termsel.runs.task.task import prepare
 from termsel.solvers.search import search
-from termsel.testing.cases import Case, Suite, check_declaration, instance, label, require
+from termsel.testing.cases import Case, Suite, declares, instance, label, require
 from termsel.testing.scenes import imaged, random_coefficients, seeded
 
 OLD = b"what was there before"
@@ -49,11 +49,6 @@ class Export:
         taken = [result for result in self.results if self.writer.accepts(result)]
         require(taken, "accepts() refuses all results; give some that it accepts as `results`")
         return taken
-
-
-def declaration(export: Export) -> None:
-    """It has a name and a summary."""
-    check_declaration("writers", export.writer)
 
 
 def accepts_answers(export: Export) -> None:
@@ -146,8 +141,9 @@ def cases(writer: type[Writer] | Writer, *, filename: str,
         made, example_results() if to_write is None else to_write, filename, verify))]
 
 
-SUITE = Suite((declaration, accepts_answers, writes_file, result_unchanged, unwritable_path,
-               refuses_others, whole_or_nothing), cases)
+SUITE = Suite((
+    declares("writers", lambda export: export.writer), accepts_answers, writes_file,
+    result_unchanged, unwritable_path, refuses_others, whole_or_nothing), cases)
 
 
 @cache

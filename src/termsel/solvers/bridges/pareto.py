@@ -121,15 +121,10 @@ class PymooSolver(Solver):
     made_of: ClassVar[type[Algorithm]]
     """The pymoo algorithm."""
 
-    def algorithm(self, **common: Any) -> Algorithm:
-        """Return the pymoo algorithm; `common` holds population and operators."""
-        return self.made_of(**common)
-
     def generations(self, problem: Problem, rng: np.random.Generator) -> Iterator[Generation]:
         """Yield generations without end (see `Solver.generations`)."""
-        algorithm = self.algorithm(pop_size=self.options["population"],
-                                   **operators(problem.genome, self.options["mutation"], rng))
-        yield from steps(algorithm, problem, rng)
+        yield from steps(made(self.made_of, pop_size=self.options["population"], **operators(
+            problem.genome, self.options["mutation"], rng)), problem, rng)
 
 
 class Nsga2(PymooSolver):
@@ -206,20 +201,22 @@ class RveaSurvival(APDSurvival):  # type: ignore[misc]
 _SHORTER = 1 - 1e-14
 """Length of a direction with which no cosine is above 1."""
 
-SURVIVALS = {"age2": _AgeSurvival, "spea2": _Spea2Survival}
-"""By pymoo's name of an algorithm, its survival without divisions by zero."""
+_SURVIVALS = {AGEMOEA2: _AgeSurvival, SPEA2: _Spea2Survival}
+
+
+def made(of: type[Algorithm], **arguments: Any) -> Algorithm:
+    """Return a pymoo algorithm, its survival replaced by one that does not divide by zero."""
+    algorithm = of(**arguments)
+    if of in _SURVIVALS:
+        algorithm.survival = _SURVIVALS[of]()
+    return algorithm
 
 
 class AgeMoea2(PymooSolver):
     """AGE-MOEA-II: survival by proximity and diversity on an estimated front (Panichella 2022)."""
 
     name = "age-moea2"
-
-    def algorithm(self, **common: Any) -> Algorithm:
-        """Return pymoo's AGEMOEA2, with distances that allow fronts of one member."""
-        algorithm = AGEMOEA2(**common)
-        algorithm.survival = SURVIVALS["age2"]()
-        return algorithm
+    made_of = AGEMOEA2
 
 
 class SmsEmoa(PymooSolver):
@@ -237,7 +234,4 @@ class Spea2(PymooSolver):
     """
 
     name = "spea2"
-
-    def algorithm(self, **common: Any) -> Algorithm:
-        """Return pymoo's SPEA2, with ranges that allow equal members."""
-        return SPEA2(**common, survival=SURVIVALS["spea2"]())
+    made_of = SPEA2

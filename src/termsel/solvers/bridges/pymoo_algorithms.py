@@ -17,7 +17,7 @@ from termsel.options import COUNT, Option
 from termsel.problems.base import Problem
 from termsel.problems.segments import SEGMENTS, AnySegment
 from termsel.solvers.base import Generation, Solver
-from termsel.solvers.bridges.pareto import OPTIONS, SURVIVALS, RveaSurvival, operators
+from termsel.solvers.bridges.pareto import OPTIONS, RveaSurvival, made, operators
 from termsel.solvers.bridges.pymoo_problem import steps
 
 ALGORITHMS = {
@@ -110,10 +110,7 @@ class Pymoo(Solver):
             arguments["eliminate_duplicates"] = False
         if name != "ctaea":  # which has as many as there are directions
             arguments["pop_size"] = population
-        made = algorithm(**arguments)  # then its survival is replaced: not all classes take one
-        if name in SURVIVALS:
-            made.survival = SURVIVALS[name]()
-        yield from steps(made, problem, rng, self.options["horizon"])
+        yield from steps(made(algorithm, **arguments), problem, rng, self.options["horizon"])
 
 
 def directions(objectives: int, most: int) -> np.ndarray[Any, np.dtype[np.float64]]:

@@ -107,44 +107,32 @@ class BinarySwarm(Solver):
 
     def generations(self, problem: Problem, rng: np.random.Generator) -> Iterator[Generation]:
         """Yield generations without end (see `Solver.generations`)."""
-        if problem.genome.dtype != np.bool_:
-            yield from self._with_keys(problem, rng)
-            return
-        o = {**_FOR_BITS, **self._given()}
+        genome, bits = problem.genome, problem.genome.dtype == np.bool_
+        o = {**(_FOR_BITS if bits else _FOR_KEYS),
+             **{name: value for name, value in self.options.items() if value is not None}}
         limit = o["velocity"]
-        genes = problem.genome.random(rng, o["population"])
-        velocity = np.where(genes, limit, -limit) * rng.random(genes.shape)
+        # Where a particle is: its bits, or the random keys of its genes.
+        if bits:
+            place = genes = genome.random(rng, o["population"])
+            velocity = np.where(genes, limit, -limit) * rng.random(genes.shape)
+        else:
+            place = rng.random((o["population"], n_keys(genome)))
+            velocity = (rng.random(place.shape) - place) * limit  # towards a random place
+            genes = genome.repair(from_keys(place, genome), rng)
         evaluation = problem.evaluate(genes)
-        own, of_own = genes, evaluation
+        own, of_own = place, evaluation
         yield Generation(0, genes, evaluation, {"velocity": velocity})
         for index in itertools.count(1):
-            x = genes.astype(np.float64)
-            velocity = _moved(o, index, velocity, x, own, of_own, rng)
-            genes = problem.genome.repair(rng.random(x.shape) < sigmoid(velocity), rng)
+            velocity = _moved(o, index, velocity, place.astype(np.float64), own, of_own, rng)
+            if bits:
+                place = genes = genome.repair(rng.random(place.shape) < sigmoid(velocity), rng)
+            else:
+                # Keys are not those of repaired genes: the swarm moves on as if nothing was
+                # repaired.
+                place = np.clip(place + velocity, 0.0, 1.0)
+                genes = genome.repair(from_keys(place, genome), rng)
             evaluation = problem.evaluate(genes)
-            own, of_own = _best_of_own(own, of_own, genes, evaluation)
-            yield Generation(index, genes, evaluation, {"velocity": velocity})
-
-    def _given(self) -> dict[str, Any]:
-        return {name: value for name, value in self.options.items() if value is not None}
-
-    def _with_keys(self, problem: Problem, rng: np.random.Generator) -> Iterator[Generation]:
-        """Yield generations of particles that move among random keys."""
-        o = {**_FOR_KEYS, **self._given()}
-        shape = (o["population"], n_keys(problem.genome))
-        keys = rng.random(shape)
-        velocity = (rng.random(shape) - keys) * o["velocity"]  # towards a random place
-        genes = problem.genome.repair(from_keys(keys, problem.genome), rng)
-        evaluation = problem.evaluate(genes)
-        own, of_own = keys, evaluation
-        yield Generation(0, genes, evaluation, {"velocity": velocity})
-        for index in itertools.count(1):
-            velocity = _moved(o, index, velocity, keys, own, of_own, rng)
-            # Keys are not those of repaired genes: the swarm moves on as if nothing was repaired.
-            keys = np.clip(keys + velocity, 0.0, 1.0)
-            genes = problem.genome.repair(from_keys(keys, problem.genome), rng)
-            evaluation = problem.evaluate(genes)
-            own, of_own = _best_of_own(own, of_own, keys, evaluation)
+            own, of_own = _best_of_own(own, of_own, place, evaluation)
             yield Generation(index, genes, evaluation, {"velocity": velocity})
 
 
