@@ -133,19 +133,9 @@ def _plain(bound: float) -> str:
 
 def by_part(given: Mapping[str, Any],
             declared: Mapping[str, Iterable[Option]]) -> dict[str, dict[str, Any]]:
-    """Return which part of a run each given option is for.
+    """Return the options by part of a run, all parts among them; each has its declared options.
 
-    Parameters
-    ----------
-    given : mapping
-        Values by name, or by ``part.name`` where several parts have an option of that name.
-    declared : mapping
-        The options of each part.
-
-    Returns
-    -------
-    dict
-        Given options by part, all parts among them.
+    They are given by name, or by ``part.name`` where several parts have an option of that name.
 
     Raises
     ------
@@ -174,14 +164,7 @@ def by_part(given: Mapping[str, Any],
 
 
 def resolve(declared: Iterable[Option], given: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the value of every declared option.
-
-    Parameters
-    ----------
-    declared : iterable of Option
-        What may be set.
-    given : mapping
-        What was set.
+    """Return the value of every declared option, given what was set.
 
     Raises
     ------

@@ -11,15 +11,7 @@ def of_shape(value: Any, shape: tuple[int, ...], *, finite: bool = True,
              what: str = "returned") -> str | None:
     """Return how an array of numbers differs from what is expected, None if it does not.
 
-    Parameters
-    ----------
-    value : object
-    shape : tuple of int
-        -1 stands for any length.
-    finite : bool
-        Whether every number must be finite.
-    what : str
-        What the message begins with.
+    In the shape -1 stands for any length. The message begins with `what`.
     """
     expected = f"expected an array of numbers of shape ({_listed(shape)})"
     if not isinstance(value, np.ndarray):

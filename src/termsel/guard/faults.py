@@ -28,14 +28,7 @@ class PluginFault(TermselError):
 
 
 def remember(package: str, distribution: str) -> None:
-    """Remember the distribution and version that a top-level module comes with.
-
-    Parameters
-    ----------
-    package : str
-    distribution : str
-        Such as "termsel-demo 1.0".
-    """
+    """Remember the distribution, such as "termsel-demo 1.0", that a top-level module comes with."""
     _packages[package] = distribution
 
 
@@ -77,17 +70,9 @@ def name_of(thing: Any) -> str:
 
 
 def wrong(thing: Any, method: str, what: str, hint: str = HINT) -> PluginFault:
-    """Return the fault of a method that returned what it must not.
+    """Return the fault of a method, such as "score", that returned what it must not.
 
-    Parameters
-    ----------
-    thing : object
-    method : str
-        Such as "score".
-    what : str
-        What it returned and what was expected, after the name of the method.
-    hint : str
-        What to do.
+    What it returned and what was expected come after the name of the method.
     """
     file, line = _defined(thing, method)
     return PluginFault(f"{name_of(thing)}: {method}() {what}", file=file, line=line, hint=hint)
@@ -95,18 +80,11 @@ def wrong(thing: Any, method: str, what: str, hint: str = HINT) -> PluginFault:
 
 @contextmanager
 def blamed(thing: Any, method: str, hint: str = HINT) -> Iterator[None]:
-    """Run code of a plugin; what it raises becomes its fault.
+    """Run code of a plugin; what it raises becomes its fault, with the method named.
 
-    termsel's own errors pass, such as a `TermselError` on a file that the user can correct.
-
-    Parameters
-    ----------
-    thing : object
-        The class, function or object that is called; what belongs to termsel is called as it is.
-    method : str
-        For the message.
-    hint : str
-        What to do, where it may be the user's own mistake.
+    termsel's own errors pass, such as a `TermselError` on a file that the user can correct. So does
+    all of a class, function or object of termsel. The hint says what to do, where it may be the
+    user's own mistake.
 
     Raises
     ------
@@ -130,15 +108,7 @@ def blamed(thing: Any, method: str, hint: str = HINT) -> Iterator[None]:
 def failed(error: BaseException, what: str, package: str, hint: str = HINT) -> PluginFault:
     """Return the fault of code that raised an exception, which is being handled.
 
-    Parameters
-    ----------
-    error : BaseException
-    what : str
-        What failed.
-    package : str
-        The top-level module of the plugin, whose innermost line is named.
-    hint : str
-        What to do.
+    Of the package, the top-level module of the plugin, the innermost line is named.
     """
     if os.environ.get("TERMSEL_DEBUG") == "1":
         traceback.print_exc()

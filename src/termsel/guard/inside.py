@@ -21,13 +21,7 @@ def inside() -> str | None:
 
 
 class Inside:
-    """Runs a block as the code of a package.
-
-    Parameters
-    ----------
-    package : str
-        The top-level module.
-    """
+    """Runs a block as the code of a package, a top-level module."""
 
     __slots__ = ("package", "token")
 
@@ -98,15 +92,7 @@ def within(seconds: float, call: Callable[[], T], *, soon: float = 0.0,
            tell: Callable[[], None] = lambda: None) -> T:
     """Return what a call returns, which is made in a thread of its own.
 
-    Ctrl-C ends the waiting.
-
-    Parameters
-    ----------
-    seconds : float
-    call : callable
-    soon : float
-        Seconds after which `tell` is called once.
-    tell : callable
+    Ctrl-C ends the waiting. After `soon` seconds `tell` is called once.
 
     Raises
     ------

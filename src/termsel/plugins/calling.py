@@ -42,22 +42,12 @@ Taken = Callable[[Any], list[Any]]
 
 def call(hook: str, slots: Iterable[Slot], taken: Taken, arguments: Arguments | None = None,
          seconds: float | None = None) -> Answers:
-    """Call a hook of all plugins through pluggy.
+    """Call a hook of all plugins that implement it, the slots, through pluggy.
 
     ``tryfirst``, ``trylast`` and wrappers work as pluggy documents them. Without them the built-in
-    plugin is called first, and others follow by distribution and name.
-
-    Parameters
-    ----------
-    hook : str
-    slots : iterable of Slot
-        The plugins that implement it.
-    taken : callable
-        Raises TypeError for what a plugin may not return.
-    arguments : mapping, optional
-        By name; what makes each of them, so that no plugin changes what another one gets.
-    seconds : float, optional
-        How long each plugin may take; by default as long as an import.
+    plugin is called first, and others follow by distribution and name. `taken` raises TypeError for
+    what a plugin may not return. What makes each argument comes by name, so that no plugin changes
+    what another one gets. Each plugin may take so many seconds, by default as long as an import.
     """
     answers, givers, arguments = Answers(), _Givers(), arguments or {}
     manager = new_manager()

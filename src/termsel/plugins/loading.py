@@ -86,24 +86,11 @@ class Remark:
 
 def attempt(call: Callable[[], T], package: str = OWN, seconds: float | None = None,
             ) -> tuple[T, None] | tuple[None, str]:
-    """Run code of a plugin, in a thread of its own with a limit of time.
+    """Run code of a plugin, in a thread of its own with a limit of time, by default `LIMIT` [s].
 
     Working folder and filters of warnings are put back. ``TERMSEL_DEBUG=1`` shows the traceback of
-    what it raises.
-
-    Parameters
-    ----------
-    call : callable
-        Without arguments.
-    package : str
-        The top-level module of the plugin; what belongs to termsel is called as it is.
-    seconds : float, optional
-        The limit; by default `LIMIT`.
-
-    Returns
-    -------
-    value, reason
-        The value and None, or None and what was raised.
+    what it raises. The package is the top-level module of the plugin; what belongs to termsel is
+    called as it is. Returned are the value and None, or None and what was raised.
     """
     limit = LIMIT if seconds is None else seconds
     try:

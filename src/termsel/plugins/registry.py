@@ -113,14 +113,7 @@ class Registry:
         return {slot.plugin: slot.seconds for slot in self._loader.slots}
 
     def entries(self, kind: str) -> list[Entry]:
-        """Return everything of a kind.
-
-        Parameters
-        ----------
-        kind : str
-            One of `KINDS`: "problems", "models", "solvers", "criteria", "datasets",
-            "readers" or "writers"; or "commands", those that plugins add.
-        """
+        """Return everything of a kind: one of `KINDS`, or "commands", those that plugins add."""
         return list(self._collect(kind).entries)
 
     def names(self, kind: str) -> list[str]:
@@ -128,14 +121,7 @@ class Registry:
         return [entry.name for entry in self.entries(kind)]
 
     def get(self, kind: str, name: str) -> Any:
-        """Return the thing of a kind that has a name.
-
-        Parameters
-        ----------
-        kind : str
-            One of `KINDS`.
-        name : str
-            The name, or ``distribution:name``.
+        """Return the thing of a kind of `KINDS` that has a name, or ``distribution:name``.
 
         Raises
         ------
@@ -153,14 +139,9 @@ class Registry:
                      if entry.answers_to(name)), None)
 
     def taken(self, kind: str, given: Any) -> Any:
-        """Return the thing of a kind that is given: by its name, or itself.
+        """Return the thing of a kind that is given: by its name, as for `get`, or itself.
 
-        Parameters
-        ----------
-        kind : str
-            One of `KINDS`.
-        given : object
-            As for `get`; or a class or an instance of the kind.
+        It may also be a class or an instance of the kind.
 
         Raises
         ------
@@ -217,10 +198,7 @@ class Registry:
     def failures(self, *kinds: str) -> list[Remark]:
         """Return what does not work: plugins that cannot be loaded, then things of the kinds.
 
-        Parameters
-        ----------
-        *kinds : str
-            As for `entries`; by default all of them, and every plugin is loaded.
+        Kinds are those of `entries`; by default all of them, and every plugin is loaded.
         """
         if not kinds:
             self._loader.load_all()

@@ -41,16 +41,10 @@ def listed(value: str | None) -> list[str]:
 
 
 def forced(value: str | None, labels: tuple[str, ...], ids: tuple[str, ...]) -> list[str]:
-    """Return the labels of the genes that an option names.
+    """Return the labels of the genes that the value of an option names.
 
-    Parameters
-    ----------
-    value : str or None
-        Of the option.
-    labels : tuple of str
-        Of all genes of terms, such as "line.num:X", or "num:X" for both axes.
-    ids : tuple of str
-        Of all features that are selected.
+    Labels are those of all genes of terms, such as "line.num:X", or "num:X" for both axes; ids
+    those of all features that are selected.
 
     Raises
     ------
@@ -72,10 +66,7 @@ def forced(value: str | None, labels: tuple[str, ...], ids: tuple[str, ...]) -> 
 def parents(names: tuple[str, ...]) -> tuple[IntArray, IntArray]:
     """Return pairs of terms, the second a monomial of one power less in the first's part.
 
-    Parameters
-    ----------
-    names : tuple of str
-        Of all terms (see `termsel.Term.parents`).
+    Names are of all terms (see `termsel.Term.parents`).
     """
     terms = [Term.parse(name) for name in names]
     index = {term: i for i, term in enumerate(terms)}
@@ -97,15 +88,9 @@ redundant."""
 
 
 def most_terms(equations: IntArray, share: float, least: int = 1) -> IntArray:
-    """Return how many terms so many equations support.
+    """Return how many terms so many equations support, as a share of these.
 
-    Parameters
-    ----------
-    equations : ndarray of int
-    share : float
-        Most terms, as a share of the equations.
-    least : int
-        Fewest degrees of freedom.
+    At least `least` degrees of freedom are left.
     """
     rounding = 1e-9
     supported = np.floor(share * equations + rounding).astype(np.intp)
@@ -116,15 +101,8 @@ def excess(parts: tuple[IndependentPart, ...], terms: BoolArray, features: BoolA
            share: float, least: int = 1) -> FloatArray:
     """Return how many terms are in use in excess of what the equations in use support, shape (p,).
 
-    Parameters
-    ----------
-    parts : tuple of IndependentPart
-        Each supports its own terms.
-    terms : ndarray of bool, shape (p, k)
-    features : ndarray of bool, shape (p, f), optional
-        Features in use; all by default.
-    share, least
-        As for `most_terms`.
+    Each part supports its own terms (p, k); features (p, f) are all in use by default. Share and
+    least are those of `most_terms`.
     """
     total = np.zeros(len(terms))
     for part in parts:
@@ -141,15 +119,8 @@ def capped(segments: Iterable[Bits], gene_of_term: IntArray, parts: tuple[Indepe
     """Return the segments of terms with a maximum that no selection without excess is above.
 
     The maximum keeps a search from most of what `excess` would count. `excess` counts more where
-    several segments share equations, or features are selected too.
-
-    Parameters
-    ----------
-    segments : iterable of Bits
-        All those of terms, in the order of the genes.
-    gene_of_term : ndarray of int, shape (k,)
-    parts : tuple of IndependentPart
-    share : float
+    several segments share equations, or features are selected too. Segments are all those of terms,
+    in the order of the genes.
 
     Raises
     ------

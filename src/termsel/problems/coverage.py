@@ -38,17 +38,9 @@ def _areas(x: FloatArray, y: FloatArray, masks: BoolArray, areas: FloatArray) ->
 
 
 def hull_areas(points: FloatArray, masks: BoolArray) -> FloatArray:
-    """Return the area of the convex hull of each selection of points.
+    """Return the area of the convex hull of points (n, 2) under each mask (p, n), shape (p,).
 
-    Parameters
-    ----------
-    points : ndarray, shape (n, 2)
-    masks : ndarray of bool, shape (p, n)
-
-    Returns
-    -------
-    ndarray, shape (p,)
-        0 for fewer than three points, and for points on a straight line.
+    It is 0 for fewer than three points, and for points on a straight line.
     """
     order = np.lexsort((points[:, 1], points[:, 0]))
     centred = np.ascontiguousarray((points - points.mean(axis=0))[order].T)
@@ -60,14 +52,9 @@ def hull_areas(points: FloatArray, masks: BoolArray) -> FloatArray:
 def uncovered_share(points: FloatArray, masks: BoolArray) -> FloatArray:
     """Return the share of the image outside the hull of each selection, shape (p,).
 
-    The image is the smallest rectangle around all candidate points. (Covered area as an
-    objective: Konugurthi et al. 2016; their formula could not be consulted.)
-
-    Parameters
-    ----------
-    points : ndarray, shape (n, 2)
-        Where the features lie in the image.
-    masks : ndarray of bool, shape (p, n)
+    The image is the smallest rectangle around all candidate points (n, 2), where the features lie
+    in it. (Covered area as an objective: Konugurthi et al. 2016; their formula could not be
+    consulted.)
     """
     area = float(np.prod(np.ptp(points, axis=0)))
     if area <= 0:

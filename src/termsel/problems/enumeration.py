@@ -32,24 +32,12 @@ def enumerable_parts(inputs: Inputs, equations: Equations, genome: Genome,
                      gene_of_term: IntArray, guard: FloatArray, margin: float,
                      pairs: tuple[IntArray, IntArray] | None,
                      ) -> tuple[EnumerablePart, ...]:
-    """Return the parts of a term selection from control points.
+    """Return the parts of a term selection from control points, by the equations of the control.
 
     With a mask for each axis, line and sample are two systems. With a shared mask they are one
-    system with two right-hand sides, if their columns are the same.
-
-    Parameters
-    ----------
-    inputs : Inputs
-    equations : Equations
-        Of the control.
-    genome : Genome
-        Of terms alone.
-    gene_of_term : ndarray of int, shape (k,)
-    guard : ndarray, shape (g, 3)
-        Scaled ground points at which denominators must reach `margin`.
-    margin : float
-    pairs : tuple of ndarray of int, optional
-        Terms, and for each a parent that must be selected with it.
+    system with two right-hand sides, if their columns are the same. The genome is of terms alone.
+    Denominators must reach the margin at the scaled ground points of the guard (g, 3). Pairs are of
+    terms, and for each a parent that must be selected with it.
 
     Raises
     ------

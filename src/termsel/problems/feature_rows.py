@@ -18,25 +18,12 @@ if TYPE_CHECKING:
 
 def row_systems(inputs: Inputs, parts: tuple[IndependentPart, ...], terms: BoolArray, share: float,
                 freedom: int) -> tuple[RowSystem, ...]:
-    """Return the systems of a selection of features; none where no selection can be scored.
+    """Return the systems of a selection of features, in px; none where no selection can be scored.
 
     There are some if the criterion is the check RMSE, the image positions of the model are linear
-    in its terms, and the check points determine these.
-
-    Parameters
-    ----------
-    inputs : Inputs
-    parts : tuple of IndependentPart
-        Of the control, with all terms of the model.
-    terms : ndarray of bool, shape (k,)
-        Terms in use.
-    share, freedom
-        As share and least of `most_terms`.
-
-    Returns
-    -------
-    tuple of RowSystem
-        Their errors are in px.
+    in its terms, and the check points determine these. The parts are of the control, with all terms
+    of the model, of which some are in use (k,); share and freedom are share and least of
+    `most_terms`.
     """
     if type(inputs.criterion).score is not CheckRmse.score:
         return ()

@@ -319,19 +319,7 @@ SEGMENTS: tuple[type[AnySegment], ...] = (Bits, Integers, Reals, Categories, Per
 
 
 def random_subsets(count: int, n: int, m: int, rng: np.random.Generator) -> Genes:
-    """Return sets of m different numbers below n, each row ascending.
-
-    Parameters
-    ----------
-    count : int
-        Number of sets.
-    n, m : int
-    rng : numpy.random.Generator
-
-    Returns
-    -------
-    ndarray of int, shape (count, m)
-    """
+    """Return sets (count, m) of m different numbers below n, each row ascending."""
     return np.sort(rng.random((count, n)).argsort(axis=1)[:, :m], axis=1)
 
 

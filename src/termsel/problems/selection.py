@@ -84,16 +84,11 @@ class SelectionProblem(Problem):
         self._require_solvable(terms)
 
     def frozen(self, chosen: BoolArray, which: BoolArray) -> SelectionProblem:
-        """Return the problem with some genes no longer free.
+        """Return the problem with the genes of some labels of the genome no longer free.
 
-        Parameters
-        ----------
-        chosen : ndarray of bool, shape (number of labels,)
-            What the frozen terms and features are, by the labels of the genome.
-        which : ndarray of bool, shape (number of labels,)
-            Which labels are frozen. A segment that is frozen whole need no longer keep its
-            minimum and maximum. If all terms are frozen and are more than max_share allows,
-            that limit no longer holds.
+        What is frozen is as chosen. A segment that is frozen whole need no longer keep its minimum
+        and maximum. If all terms are frozen and are more than max_share allows, that limit no
+        longer holds.
         """
         old = self.genome
         segments = [

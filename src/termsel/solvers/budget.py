@@ -36,12 +36,7 @@ SEARCH_OPTIONS = (
 
 def require_limits(*, generations: float | None = None, evaluations: float | None = None,
                    seconds: float | None = None, patience: float | None = None) -> None:
-    """Refuse limits of a search that are no positive, or no whole, numbers.
-
-    Parameters
-    ----------
-    generations, evaluations, seconds, patience : float, optional
-        As given to `termsel.search`.
+    """Refuse limits of a search, as given to it, that are no positive, or no whole, numbers.
 
     Raises
     ------

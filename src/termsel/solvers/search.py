@@ -94,14 +94,7 @@ class Search:
     proof: Proof | FeatureProof | None = None
 
     def after(self, earlier: Search, *notes: str) -> Search:
-        """Return the search with the evaluations and the history of one before it.
-
-        Parameters
-        ----------
-        earlier : Search
-        *notes : str
-            What there is to say of both.
-        """
+        """Return the search with evaluations and history of an earlier one, and notes on both."""
         later = tuple(structs.replace(one, evaluations=one.evaluations + earlier.evaluations)
                       for one in self.history)
         return replace(self, evaluations=earlier.evaluations + self.evaluations,
@@ -247,12 +240,7 @@ def require_able(problem: Problem, solver: Solver,
                  others: Callable[[], Iterable[type[Solver]]] = tuple) -> None:
     """Refuse a solver that cannot handle the objectives or the genes of the problem.
 
-    Parameters
-    ----------
-    problem : Problem
-    solver : Solver
-    others : callable
-        Returns solvers, of which the error names those that can.
+    Of the other solvers the error names those that can.
 
     Raises
     ------

@@ -89,15 +89,9 @@ def assemble(
 ) -> tuple[Check, ...]:
     """Return one check for each function; it runs the function on every case.
 
-    Parameters
-    ----------
-    functions : iterable of callable
-        Each takes the object of a case; its name is that of the check.
-    cases : iterable of Case
-    expected_failures : mapping, optional
-        Names of checks that are known to fail, with the reason. Such a check succeeds if
-        the plugin fails as predicted, and fails if it does not, so that the list stays
-        correct.
+    Expected failures are names of checks that are known to fail, with the reason. Such a check
+    succeeds if the plugin fails as predicted, and fails if it does not, so that the list stays
+    correct.
 
     Raises
     ------
@@ -186,12 +180,7 @@ def declares(kind: str, thing: Callable[[Any], Any] = lambda subject: subject,
 def check_declaration(kind: str, thing: Any) -> None:
     """Require what the hooks require, a one-line summary, and options that parse.
 
-    Parameters
-    ----------
-    kind : str
-        Plural, such as "models".
-    thing : object
-        The class, as a hook returns it, or an object of it.
+    The kind is a plural, such as "models"; the thing a class, as a hook returns it, or an object.
     """
     try:
         KINDS[kind].require_returned(type(thing) if isinstance(thing, Configurable) else thing)

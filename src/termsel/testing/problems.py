@@ -99,12 +99,7 @@ class Watched(ProblemAround):
 def require_genes(genome: Genome, genes: object, who: str) -> None:
     """Require a population that keeps type, shape, forced genes and cardinality.
 
-    Parameters
-    ----------
-    genome : Genome
-    genes : object
-    who : str
-        Start of the message: where the genes come from.
+    The message begins with where the genes come from.
     """
     fault = genome.fault(genes)
     require(fault is None, f"{who} {fault}")
@@ -185,10 +180,7 @@ def two_aims(size: int = SIZE) -> Toy:
 def typed(types: Iterable[type[AnySegment]]) -> Toy:
     """Return a problem with a segment of each type: the sum of the squares of all genes.
 
-    Parameters
-    ----------
-    types : iterable of type
-        Of segments; of `Bits` and a `Subset` one label is forced on and one off.
+    Of `Bits` and a `Subset` one label is forced on and one off.
     """
     made: dict[type[AnySegment], AnySegment] = {
         Bits: Bits("bits", _labels("b", 6), 2, 4),

@@ -31,11 +31,7 @@ def flattened(ground: FloatArray) -> FloatArray:
 
 
 def random_coefficients(model: SensorModel, rng: np.random.Generator) -> FloatArray:
-    """Return coefficients that give a model a finite image within [-1, 1], without poles.
-
-    Returns
-    -------
-    ndarray, shape (k,)
+    """Return coefficients (k,) that give a model a finite image within [-1, 1], without poles.
 
     Raises
     ------
@@ -58,18 +54,10 @@ def random_coefficients(model: SensorModel, rng: np.random.Generator) -> FloatAr
 
 def imaged(model: SensorModel, coefficients: FloatArray, rng: np.random.Generator, *,
            points: int = 0, lines: int = 0) -> FeatureSet:
-    """Return control features whose image coordinates the model computes itself.
+    """Return so many control points and lines whose image coordinates the model computes itself.
 
     The ground vertices of a line lie on the image line, but the image points that define it are
     elsewhere along it.
-
-    Parameters
-    ----------
-    model : SensorModel
-    coefficients : ndarray, shape (k,)
-    rng : numpy.random.Generator
-    points, lines : int
-        How many.
     """
     ground = random_ground(rng, points)
     middle = rng.uniform(-0.7, 0.7, (lines, 1, 3))
@@ -87,13 +75,8 @@ def experiment(model: SensorModel, points: int, lines: int, shrink: float = 1.0,
                ) -> tuple[FeatureSet, FloatArray, FloatArray]:
     """Return features, the coefficients they were computed with, and other ground points.
 
-    Parameters
-    ----------
-    model : SensorModel
-    points, lines : {0, 1}
-        Which features there are; each kind has enough to determine all terms twice over.
-    shrink : float
-        Factor of the coefficients.
+    There are points or not, and lines or not, 1 or 0; each kind has enough to determine all terms
+    twice over. The coefficients are shrunk by a factor.
     """
     rng = seeded()
     truth = random_coefficients(model, rng) * shrink

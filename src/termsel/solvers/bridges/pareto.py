@@ -83,12 +83,7 @@ class _Mutate(Mutation):  # type: ignore[misc]
 def operators(genome: Genome, rate: float | None, rng: np.random.Generator) -> dict[str, Any]:
     """Return the start, crossover, mutation and repair that all algorithms have.
 
-    Parameters
-    ----------
-    genome : Genome
-    rate : float, optional
-        Chance that a gene changes; by default 1 over the number of genes.
-    rng : numpy.random.Generator
+    The rate, the chance that a gene changes, is by default 1 over the number of genes.
     """
     rate = 1.0 / genome.size if rate is None else rate
     bits = genome.dtype == np.bool_

@@ -114,13 +114,7 @@ class Pymoo(Solver):
 
 
 def directions(objectives: int, most: int) -> np.ndarray[Any, np.dtype[np.float64]]:
-    """Return reference directions of Das and Dennis 1998, shape (n, objectives).
-
-    Parameters
-    ----------
-    objectives, most : int
-        Number of objectives, and of directions at most.
-    """
+    """Return at most so many reference directions of Das and Dennis 1998, (n, objectives)."""
     partitions = 1
     # There are comb(partitions + objectives - 1, objectives - 1) of them: as many as are allowed.
     while comb(partitions + objectives, objectives - 1) <= most:

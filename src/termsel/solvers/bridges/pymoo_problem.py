@@ -129,19 +129,11 @@ class _Horizon(MaximumGenerationTermination):  # type: ignore[misc]
 
 def steps(algorithm: Algorithm, problem: Problem, rng: np.random.Generator,
           horizon: int | None = None) -> Iterator[Generation]:
-    """Yield the generations of a pymoo algorithm.
+    """Yield the generations of a pymoo algorithm that is not yet set up; it is changed.
 
-    Parameters
-    ----------
-    algorithm : pymoo.core.algorithm.Algorithm
-        Not yet set up; it is changed.
-    problem : Problem
-    rng : numpy.random.Generator
-        Of the algorithm and its operators. What draws from the global random state or from a
-        generator without a seed, as some of pymoo do, gets one of its own.
-    horizon : int, optional
-        Generations that RVEA, which adapts to how far a run is, takes for the length of it; by
-        default those of the usual budget.
+    What draws from the global random state or from a generator without a seed, as some of pymoo's
+    operators do, gets one of its own. The horizon is the number of generations that RVEA, which
+    adapts to how far a run is, takes for the length of it; by default those of the usual budget.
     """
     genome = problem.genome
     chance = OwnChance(rng)

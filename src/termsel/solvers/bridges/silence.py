@@ -51,16 +51,8 @@ def heard(running: Iterator[Generation], solver: Solver, ledger: Ledger,
           tell: Callable[[str], None]) -> Iterator[Generation]:
     """Yield what a solver yields, and say where one of others is silent for long.
 
-    Nothing but Ctrl-C ends code that neither yields nor evaluates.
-
-    Parameters
-    ----------
-    running : iterator of Generation
-    solver : Solver
-    ledger : Ledger
-        Counts the evaluations.
-    tell : callable
-        Takes what the progress shows; called in another thread.
+    Nothing but Ctrl-C ends code that neither yields nor evaluates. The ledger counts evaluations;
+    `tell` takes what the progress shows, and is called in another thread.
     """
     if is_own(type(solver)) and not solver.runs_code_of_users:
         yield from running

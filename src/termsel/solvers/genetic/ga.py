@@ -17,15 +17,9 @@ from termsel.solvers.genetic.operators import crossover, mutation
 
 
 def tournament(order: IntArray, n: int, size: int, rng: np.random.Generator) -> IntArray:
-    """Return n winners of tournaments.
+    """Return n winners of tournaments, for each of which `size` individuals are drawn.
 
-    Parameters
-    ----------
-    order : ndarray of int, shape (p,)
-        Individuals from best to worst.
-    n, size : int
-        Number of tournaments, and of individuals drawn for each.
-    rng : numpy.random.Generator
+    The order (p,) is of individuals from best to worst.
     """
     # Places in the order: the least of those drawn is the winner.
     drawn: IntArray = rng.integers(0, len(order), (n, size)).min(axis=1)
@@ -35,11 +29,7 @@ def tournament(order: IntArray, n: int, size: int, rng: np.random.Generator) -> 
 def two_best(order: IntArray, n: int) -> IntArray:
     """Return the two best in turn, as the parents of n children (Valadan Zoej et al. 2002, 3.2).
 
-    Parameters
-    ----------
-    order : ndarray of int, shape (p,)
-        Individuals from best to worst.
-    n : int
+    The order (p,) is of individuals from best to worst.
     """
     return np.resize(order[:2], n)
 
@@ -95,21 +85,7 @@ class GeneticAlgorithm(Solver):
 
     def children(self, box: base.Toolbox, genes: Genes, evaluation: Evaluation,
                  n: int) -> Genes:
-        """Return n new chromosomes, before their repair.
-
-        Parameters
-        ----------
-        box : deap.base.Toolbox
-        genes : ndarray, shape (p, g)
-            The population.
-        evaluation : Evaluation
-            Of the population.
-        n : int
-
-        Returns
-        -------
-        ndarray, shape (n, g)
-        """
+        """Return n new chromosomes of a population and its evaluation, before their repair."""
         children: Genes = box.mutate(box.mate(genes[box.select(evaluation.order(), n)]))
         return children
 

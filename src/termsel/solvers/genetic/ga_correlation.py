@@ -22,22 +22,13 @@ _ROUNDING = 1e-9
 
 
 def correlation_sums(design: FloatArray) -> FloatArray:
-    """Return the sum of the absolute correlations of each column with all columns.
+    """Return the sum of the absolute correlations of each column with all columns, shape (g,).
 
-    Akhoundi Khezrabad et al. 2020, eq. 3 and the last line of eq. 4. The correlation of a
-    constant column is undefined: it takes no part in the sums of the others. Its own sum is
-    the least of theirs, as every model needs a constant term, which rivals none. The sum of a
-    column of zeros is the largest, as its term cannot be determined.
-
-    Parameters
-    ----------
-    design : ndarray, shape (m, g)
-        A row of each equation, a column of each gene.
-
-    Returns
-    -------
-    ndarray, shape (g,)
-        At least 1, the correlation of a column with itself.
+    Akhoundi Khezrabad et al. 2020, eq. 3 and the last line of eq. 4, of a design with a row of each
+    equation and a column of each gene. Sums are at least 1, the correlation of a column with
+    itself. The correlation of a constant column is undefined: it takes no part in the sums of the
+    others. Its own sum is the least of theirs, as every model needs a constant term, which rivals
+    none. The sum of a column of zeros is the largest, as its term cannot be determined.
     """
     centred = design - design.mean(axis=0)
     lengths = np.linalg.norm(centred, axis=0)
@@ -55,14 +46,8 @@ def correlation_sums(design: FloatArray) -> FloatArray:
 def activation_probabilities(sums: FloatArray, scale: float, offset: float) -> FloatArray:
     """Return the chance of each gene to be on: P = S (1 - sum / max(sum)) + O.
 
-    Akhoundi Khezrabad et al. 2020, eq. 4.
-
-    Parameters
-    ----------
-    sums : ndarray, shape (g,)
-        As `correlation_sums` returns them.
-    scale, offset : float
-        S and O.
+    Akhoundi Khezrabad et al. 2020, eq. 4, with the sums of `correlation_sums`, scale S and offset
+    O.
 
     Raises
     ------
@@ -87,15 +72,7 @@ def activation_probabilities(sums: FloatArray, scale: float, offset: float) -> F
 
 
 def seeded_population(probability: FloatArray, n: int, rng: np.random.Generator) -> BoolArray:
-    """Return n chromosomes in which gene i is on exactly round(P_i n) times.
-
-    Parameters
-    ----------
-    probability : ndarray, shape (g,)
-    n : int
-    rng : numpy.random.Generator
-        Draws in which chromosomes.
-    """
+    """Return n chromosomes in which gene i is on exactly round(P_i n) times, at random."""
     on = np.arange(n)[:, None] < np.rint(probability * n)
     return rng.permuted(on, axis=0)  # each gene's column by itself
 

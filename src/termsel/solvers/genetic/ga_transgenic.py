@@ -19,22 +19,11 @@ _LEAST = 1e-9  # variance of a rank sum below which it is rounding
 
 
 def qualification(genes: BoolArray, evaluation: Evaluation) -> FloatArray:
-    """Return how much better chromosomes with a gene rank than the others.
+    """Return how much better chromosomes (p, g) with a gene rank than the others, shape (g,).
 
     The statistic of Wilcoxon's rank sum test in units of its standard deviation, with the
-    correction for ties; feasible chromosomes rank before all others.
-
-    Parameters
-    ----------
-    genes : ndarray of bool, shape (p, g)
-        Chromosomes.
-    evaluation : Evaluation
-        Of these.
-
-    Returns
-    -------
-    ndarray, shape (g,)
-        Positive if good chromosomes have the gene; 0 if all or none have it.
+    correction for ties; feasible chromosomes rank before all others. It is positive if good
+    chromosomes have the gene, and 0 if all or none have it.
     """
     p = len(genes)
     both = np.column_stack([evaluation.violation, evaluation.objectives[:, 0]])

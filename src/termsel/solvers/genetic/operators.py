@@ -33,20 +33,11 @@ HALVINGS = 20
 
 def crossover(genes: Genes, genome: Genome, probability: float,
               rng: np.random.Generator) -> Genes:
-    """Return children of neighbours.
+    """Return children of neighbours: of genes (p, g) rows 0 and 1 are a pair, 2 and 3, and so on.
 
-    Bits and categories are swapped with chance 1/2. Numbers are crossed by simulated binary
-    crossover (Deb, Agrawal 1995), whole ones rounded; permutations by order crossover (Davis 1985).
-    Subsets keep what both parents have.
-
-    Parameters
-    ----------
-    genes : ndarray, shape (p, g)
-        Parents; rows 0 and 1 are a pair, 2 and 3, and so on.
-    genome : Genome
-    probability : float
-        Chance that a pair mates.
-    rng : numpy.random.Generator
+    A pair mates with a chance. Bits and categories are swapped with chance 1/2. Numbers are crossed
+    by simulated binary crossover (Deb, Agrawal 1995), whole ones rounded; permutations by order
+    crossover (Davis 1985). Subsets keep what both parents have.
     """
     if genome.dtype == np.bool_:
         return uniform_crossover(genes, probability, rng)
@@ -64,21 +55,11 @@ def crossover(genes: Genes, genome: Genome, probability: float,
 
 def mutation(genes: Genes, genome: Genome, probability: float,
              rng: np.random.Generator) -> Genes:
-    """Return genes, each changed with the given chance.
+    """Return valid genes (p, g), each changed with the given chance.
 
     Bits flip. Categories become another one. Numbers change by polynomial mutation (Deb, Goyal
     1996), whole ones by 1 at least. A part of a permutation is reversed, and one member of a subset
     replaced, with the chance that one of its genes would change, at most 1.
-
-    Parameters
-    ----------
-    genes : ndarray, shape (p, g)
-        Valid ones.
-    genome : Genome
-        Theirs.
-    probability : float
-        That a gene changes.
-    rng : numpy.random.Generator
     """
     if genome.dtype == np.bool_:
         return flip_bits(genes, probability, rng)
@@ -174,15 +155,9 @@ def _reversed_parts(genes: Genes, probability: float, rng: np.random.Generator) 
 
 
 def uniform_crossover(genes: Genes, probability: float, rng: np.random.Generator) -> Genes:
-    """Return children of neighbours; each gene of a mating pair is swapped with chance 1/2.
+    """Return children of neighbours (p, g); each gene of a mating pair is swapped with chance 1/2.
 
-    Parameters
-    ----------
-    genes : ndarray, shape (p, g)
-        Parents; rows 0 and 1 are a pair, 2 and 3, and so on.
-    probability : float
-        Chance that a pair mates.
-    rng : numpy.random.Generator
+    Rows 0 and 1 are a pair, 2 and 3, and so on, which mates with the given chance.
     """
     pairs = len(genes) // 2
     first, second = genes[0:2 * pairs:2], genes[1:2 * pairs:2]
@@ -202,18 +177,8 @@ def flip_bits(genes: BoolArray, probability: float, rng: np.random.Generator) ->
 def set_crossover(tuples: IntArray, probability: float, rng: np.random.Generator) -> IntArray:
     """Return children that keep what both parents have and draw the rest from what one has.
 
-    Parameters
-    ----------
-    tuples : ndarray of int, shape (p, m)
-        Parents, each row ascending; rows 0 and 1 are a pair, 2 and 3, and so on.
-    probability : float
-        Chance that a pair mates.
-    rng : numpy.random.Generator
-
-    Returns
-    -------
-    ndarray of int, shape (p, m)
-        Each row ascending, without repetition; two children per pair.
+    Parents are tuples (p, m), each row ascending; rows 0 and 1 are a pair, 2 and 3, and so on,
+    which mates with the given chance. So are their children, two per pair, without repetition.
     """
     pairs, m = len(tuples) // 2, tuples.shape[1]
     # Numbers of both parents stand twice, next to each other.
@@ -236,15 +201,8 @@ def replace_one(tuples: IntArray, n: int, probability: float,
                 rng: np.random.Generator) -> IntArray:
     """Return chromosomes, some with one number replaced by one they did not have.
 
-    Parameters
-    ----------
-    tuples : ndarray of int, shape (p, m)
-        Each row ascending.
-    n : int
-        Numbers are below it.
-    probability : float
-        Chance that a chromosome mutates.
-    rng : numpy.random.Generator
+    Tuples (p, m) are of numbers below n, each row ascending. A chromosome mutates with the given
+    chance.
     """
     p, m = tuples.shape
     mutants = np.flatnonzero(rng.random(p) < probability)
@@ -260,23 +218,11 @@ def replace_one(tuples: IntArray, n: int, probability: float,
 
 
 def steps(segment: AnySegment, genes: Genes) -> Iterator[Genes]:
-    """Yield the neighbours of one chromosome's genes of a segment that are not bits.
+    """Yield the neighbours of one chromosome's genes of a segment that is not bits, (n, size).
 
     Integers and real numbers are a half, a quarter, ... of their range away, or at a bound;
     categories are all others; a permutation has two of its things exchanged; a subset has one
-    member replaced.
-
-    Parameters
-    ----------
-    segment : Integers, Reals, Categories, Permutation or Subset
-        Any but bits.
-    genes : ndarray, shape (segment's size,)
-        Valid ones.
-
-    Yields
-    ------
-    ndarray, shape (n, segment's size)
-        Valid genes that differ from the given ones.
+    member replaced. All are valid and differ from the genes.
     """
     n = segment.size
     match segment:
@@ -324,19 +270,9 @@ def n_keys(genome: Genome) -> int:
 def from_keys(keys: FloatArray, genome: Genome) -> Genes:
     """Return the genes that random keys stand for (Bean 1994), before their repair.
 
-    Keys are what a solver in a continuous space moves. A bit is on above one half; a number is at
-    that share of its range; of categories the greatest key is taken; keys in their order are a
-    permutation; the m greatest are a subset.
-
-    Parameters
-    ----------
-    keys : ndarray, shape (p, n_keys(genome))
-        From 0 to 1.
-    genome : Genome
-
-    Returns
-    -------
-    ndarray, shape (p, genome.size)
+    Keys, shape (p, n_keys(genome)), from 0 to 1, are what a solver in a continuous space moves. A
+    bit is on above one half; a number is at that share of its range; of categories the greatest key
+    is taken; keys in their order are a permutation; the m greatest are a subset.
     """
     genes = np.empty((len(keys), genome.size), dtype=genome.dtype)
     start = 0

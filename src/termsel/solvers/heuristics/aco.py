@@ -14,17 +14,10 @@ from termsel.solvers.base import Generation, Solver
 
 
 def deposit(ants: BoolArray) -> FloatArray:
-    """Return the deposit of ranked ants on the states of genes.
+    """Return the deposit of ranked ants (n, g) on the states off and on of genes, shape (2, g).
 
-    Parameters
-    ----------
-    ants : ndarray of bool, shape (n, g)
-        From best to worst; the best has the weight n, the last 1.
-
-    Returns
-    -------
-    ndarray, shape (2, g)
-        Shares of the weight on a gene's states off and on; they add up to 1.
+    Ants stand from best to worst: the best has the weight n, the last 1. Deposits are shares of
+    the weight on a gene's states, which add up to 1.
     """
     weights = np.arange(len(ants), 0, -1.0)  # by rank: objectives differ in scale
     on = weights @ ants / weights.sum()
@@ -33,34 +26,16 @@ def deposit(ants: BoolArray) -> FloatArray:
 
 def renew(pheromone: FloatArray, deposited: FloatArray, evaporation: float, least: float,
           most: float) -> FloatArray:
-    """Return the pheromone after evaporation and deposit, within its limits.
+    """Return the pheromone (2, g) after evaporation and deposit, within its limits.
 
-    Parameters
-    ----------
-    pheromone, deposited : ndarray, shape (2, g)
-        On a gene's states off and on.
-    evaporation : float
-        Share that evaporates and is replaced by the deposit, rho.
-    least, most : float
-        Limits, tau_min and tau_max.
+    The share rho, `evaporation`, evaporates and is replaced by the deposit; the limits are tau_min
+    and tau_max.
     """
     return np.clip((1.0 - evaporation) * pheromone + evaporation * deposited, least, most)
 
 
 def grafts(stock: BoolArray, scion: BoolArray, genome: Genome) -> BoolArray:
-    """Return one selection with each segment in turn replaced by that of another.
-
-    Parameters
-    ----------
-    stock, scion : ndarray of bool, shape (g,)
-        The one, and the other.
-    genome : Genome
-        Of both.
-
-    Returns
-    -------
-    ndarray of bool, shape (segments, g)
-    """
+    """Return one selection with each segment in turn replaced by that of another (segments, g)."""
     grafted = np.repeat(stock[None], len(genome.segments), axis=0)
     for row, where in zip(grafted, genome.slices().values(), strict=True):
         row[where] = scion[where]

@@ -14,24 +14,15 @@ from termsel.solvers.base import Generation, Solver
 
 
 def costs(evaluation: Evaluation) -> FloatArray:
-    """Return one finite cost per country, in the order of `Evaluation.order`.
+    """Return one finite cost per country, shape (p,), in the order of `Evaluation.order`.
 
     A feasible country costs its first objective. An infeasible one costs more than every
     feasible one: the worst feasible cost and a penalty. The penalty grows with the rank among the
     infeasible, by violation and then by objective, up to the spread of the feasible costs. That
     is at least a thousandth of the worst, and 1 if all are 0 or none is feasible. The paper has
     no infeasible solutions; a penalty in proportion to the violation would dominate the feasible
-    costs in equations (5), (8) and (9).
-
-    Parameters
-    ----------
-    evaluation : Evaluation
-        Of p countries.
-
-    Returns
-    -------
-    ndarray, shape (p,)
-        Countries with the same violation and objective cost the same.
+    costs in equations (5), (8) and (9). Countries with the same violation and objective cost the
+    same.
     """
     cost = evaluation.objectives[:, 0].copy()
     failed = evaluation.violation > 0
@@ -45,15 +36,7 @@ def costs(evaluation: Evaluation) -> FloatArray:
 
 
 def normalised_cost(cost: FloatArray, worst: float) -> FloatArray:
-    """Return how much better imperialists are than the worst country, equation (5).
-
-    Parameters
-    ----------
-    cost : ndarray, shape (k,)
-        Of the imperialists.
-    worst : float
-        The largest cost in the population, C_max.
-    """
+    """Return how much better imperialists, cost (k,), are than the worst country, equation (5)."""
     return worst - cost
 
 
@@ -67,17 +50,10 @@ def shares(normalised: FloatArray) -> FloatArray:
 
 
 def sizes(share: FloatArray, colonies: int) -> IntArray:
-    """Return the numbers of colonies of imperialists, equation (7).
+    """Return the numbers of colonies of imperialists, equation (7), from their normalised power.
 
     Rounded by largest remainder: as in the paper wherever its rounded numbers add up to the
     number of colonies, which is not always so.
-
-    Parameters
-    ----------
-    share : ndarray, shape (k,)
-        The normalised power.
-    colonies : int
-        Number of colonies, N_col.
     """
     wanted = share * colonies
     size = np.floor(wanted).astype(np.intp)
@@ -90,49 +66,28 @@ def assimilate(colonies: BoolArray, imperialists: BoolArray, rate: float,
                drawn: FloatArray) -> BoolArray:
     """Return colonies in which genes are replaced by those of the imperialist, figure 3.
 
-    Parameters
-    ----------
-    colonies, imperialists : ndarray of bool, shape (n, g)
-        In each row a colony, and the imperialist of its empire.
-    rate : float
-        Assimilation rate AR.
-    drawn : ndarray, shape (n, g)
-        Random numbers from (0, 1); where they are below the rate the gene is replaced.
+    In each row, shape (n, g), stand a colony and the imperialist of its empire. A gene is replaced
+    where the random number drawn for it, from (0, 1), is below the assimilation rate AR.
     """
     return np.where(drawn < rate, imperialists, colonies)
 
 
 def revolt(colonies: BoolArray, rebels: BoolArray, redrawn: BoolArray,
            drawn: BoolArray) -> BoolArray:
-    """Return colonies, some with redrawn genes, figure 4.
+    """Return colonies (n, g), some with redrawn genes, figure 4.
 
-    Parameters
-    ----------
-    colonies : ndarray of bool, shape (n, g)
-    rebels : ndarray of bool, shape (n,)
-        Which colonies revolt.
-    redrawn : ndarray of bool, shape (n, g)
-        Which genes of a rebel are redrawn.
-    drawn : ndarray of bool, shape (n, g)
-        The values drawn for them.
+    Of a rebel (n,) the genes that are redrawn (n, g) get the values drawn for them (n, g).
     """
     return np.where(rebels[:, None] & redrawn, drawn, colonies)
 
 
 def total_power(cost: FloatArray, empire: IntArray, imperialists: IntArray,
                 alpha: float) -> FloatArray:
-    """Return the total power of empires, equation (8); the smaller the more powerful.
+    """Return the total power of empires (k,), equation (8); the smaller the more powerful.
 
-    Parameters
-    ----------
-    cost : ndarray, shape (p,)
-    empire : ndarray of int, shape (p,)
-        To which empire each country belongs.
-    imperialists : ndarray of int, shape (k,)
-        The imperialist of each empire.
-    alpha : float
-        Weight of the mean cost of the colonies. That of an empire without colonies is the cost
-        of its imperialist.
+    Of each country come its cost (p,) and the number of its empire (p,), of each empire its
+    imperialist (k,). `alpha` weighs the mean cost of the colonies; that of an empire without
+    colonies is the cost of its imperialist.
     """
     k = len(imperialists)
     own = cost[imperialists]
@@ -143,16 +98,11 @@ def total_power(cost: FloatArray, empire: IntArray, imperialists: IntArray,
 
 
 def normalised_power(power: FloatArray) -> FloatArray:
-    """Return the normalised power of empires, equation (9).
+    """Return the normalised power of empires, equation (9), from that of equation (8), shape (k,).
 
     The equation divides by the power and assumes that it is positive, as for an RMSE. A power of
     zero counts as 10^-12 of the largest. If a power is negative, as with an information
     criterion, all are shifted until the least equals their spread.
-
-    Parameters
-    ----------
-    power : ndarray, shape (k,)
-        From equation (8).
     """
     least, most = power.min(), power.max()
     if least < 0:
@@ -188,17 +138,10 @@ class Empires:
     def compete(self, cost: FloatArray, power: FloatArray, drawn: FloatArray) -> Empires:
         """Return the empires after the competition for the weakest colony.
 
-        The weakest colony of the weakest empire that has any goes to the empire with the
-        largest D = Pr - R, which may be the weakest itself. Empires left without colonies
-        vanish; their imperialists become colonies of that empire.
-
-        Parameters
-        ----------
-        cost : ndarray, shape (p,)
-        power : ndarray, shape (k,)
-            From equation (8).
-        drawn : ndarray, shape (k,)
-            R, random numbers from (0, 1).
+        The weakest colony of the weakest empire that has any goes to the empire with the largest D
+        = Pr - R, which may be the weakest itself. Empires left without colonies vanish; their
+        imperialists become colonies of that empire. The cost is of each country (p,), the power of
+        equation (8) of each empire (k,); R are random numbers from (0, 1), `drawn` (k,).
         """
         k = len(self.imperialists)
         # D = Pr - R: chance decides where powers are about equal.
@@ -218,15 +161,8 @@ class Empires:
     def unite(self, genes: BoolArray, cost: FloatArray, distance: float) -> Empires:
         """Return the empires after those that have met were united.
 
-        Two empires have met if their imperialists differ in at most a share of their genes. The
-        better imperialist rules both; the other becomes its colony.
-
-        Parameters
-        ----------
-        genes : ndarray of bool, shape (p, g)
-        cost : ndarray, shape (p,)
-        distance : float
-            That share.
+        Two empires have met if their imperialists differ in at most a share of their genes, the
+        `distance`. The better imperialist rules both; the other becomes its colony.
         """
         own = genes[self.imperialists]
         heir = np.arange(len(own))  # who rules each empire now
@@ -243,15 +179,7 @@ class Empires:
 
 
 def found_empires(cost: FloatArray, k: int, rng: np.random.Generator) -> Empires:
-    """Return the first empires: the best k countries, and colonies drawn for each.
-
-    Parameters
-    ----------
-    cost : ndarray, shape (p,)
-    k : int
-        Number of imperialists, N_imp.
-    rng : numpy.random.Generator
-    """
+    """Return the first empires: the best k countries, N_imp, and colonies drawn for each."""
     order = np.argsort(cost, kind="stable")
     size = sizes(shares(normalised_cost(cost[order[:k]], cost.max())), len(cost) - k)
     empire = np.empty(len(cost), dtype=np.intp)

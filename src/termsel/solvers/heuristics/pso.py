@@ -25,18 +25,10 @@ def improved(new: Evaluation, own: Evaluation) -> BoolArray:
 
 
 def leaders(order: IntArray, reach: int) -> IntArray:
-    """Return the best particle in the neighbourhood of each.
+    """Return the best particle in the neighbourhood of each, shape (p,).
 
-    Parameters
-    ----------
-    order : ndarray of int, shape (p,)
-        Particles from best to worst.
-    reach : int
-        Neighbours on either side in a ring of particles; 0 for the whole swarm.
-
-    Returns
-    -------
-    ndarray of int, shape (p,)
+    The order (p,) is of particles from best to worst; `reach` counts neighbours on either side in a
+    ring of particles, 0 for the whole swarm.
     """
     n = len(order)
     if reach == 0 or 2 * reach >= n:

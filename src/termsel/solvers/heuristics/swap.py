@@ -20,22 +20,11 @@ fit into memory."""
 
 
 def neighbours(genes: Genes, genome: Genome) -> Iterator[Genes]:
-    """Yield all individuals one step away, in batches of up to BATCH.
+    """Yield all valid individuals one step away, in batches (n, size) of up to BATCH.
 
     Of bits, first come the selections with one gene more or less, then those in which a gene that
     is on is replaced by another of its segment. Forced genes stay and each segment keeps its
     cardinality. Of other genes see `termsel.solvers.genetic.operators.steps`.
-
-    Parameters
-    ----------
-    genes : ndarray, shape (size,)
-        Valid ones.
-    genome : Genome
-        Theirs.
-
-    Yields
-    ------
-    ndarray, shape (n, size)
     """
     if genome.dtype == np.bool_:
         yield from _of_bits(genes, genome)
@@ -99,27 +88,13 @@ def _of_bits(genes: BoolArray, genome: Genome) -> Iterator[BoolArray]:
 
 def descend(problem: Problem, genes: Genes, evaluation: Evaluation, index: int = 0,
             ) -> Iterator[Generation]:
-    """Step to better neighbours until there is none.
+    """Step to better neighbours until there is none; yield each selection reached, the start first.
 
     A step goes to the best of the first batch of `neighbours` that has a better one; when the
     descent ends, no neighbour is better. If several segments of the genome have a better
     neighbour, the step combines the best of each, if that is better still: line and sample are
-    often independent.
-
-    Parameters
-    ----------
-    problem : Problem
-    genes : ndarray, shape (1, size)
-        Where to start.
-    evaluation : Evaluation
-        Of the start.
-    index : int
-        Number of the first generation.
-
-    Yields
-    ------
-    Generation
-        One per step, the selection reached; the start first.
+    often independent. The start, genes (1, size), comes with its evaluation and the number of the
+    first generation.
     """
     better = True
     while better:
@@ -137,28 +112,14 @@ def descend(problem: Problem, genes: Genes, evaluation: Evaluation, index: int =
 
 def climb(problem: Problem, genes: Genes, evaluation: Evaluation,
           rng: np.random.Generator, index: int = 0) -> Iterator[list[Generation]]:
-    """Descend from a selection, then repeatedly from others.
+    """Descend from a selection (1, size), then repeatedly from others, without end.
+
+    Yielded are the steps of one start at a time; the last is the best so far.
 
     Every second descent starts from a random selection, the others from the best with a random
     share of its genes changed, at most half. If segments of its end improve the best, they are
     copied to it, and a descent from there follows. termsel's own formulation: the first kind
     finds the optimum of small problems, the second improves large ones.
-
-    Parameters
-    ----------
-    problem : Problem
-    genes : ndarray, shape (1, size)
-        Where to start.
-    evaluation : Evaluation
-        Of the start.
-    rng : numpy.random.Generator
-    index : int
-        Number of the first generation.
-
-    Yields
-    ------
-    list of Generation
-        The steps of one start, without end; the last is the best so far.
     """
     genome = problem.genome
     climbed = list(descend(problem, genes, evaluation, index))

@@ -36,17 +36,9 @@ _REPORT_STATES = 4
 def gap(problem: Problem, reached: float) -> dict[str, Any] | None:
     """Return the gap between a solution and the proven optimum, if that is known quickly.
 
-    Parameters
-    ----------
-    problem : Problem
-    reached : float
-        First objective of the solution.
-
-    Returns
-    -------
-    dict or None
-        A certificate with the optimum and the gap, relative to the optimum. None if the space
-        cannot be enumerated, has more than QUICK subsets, or has nothing feasible.
+    Given the first objective that is reached, it is a certificate with the optimum and the gap,
+    relative to the optimum. None if the space cannot be enumerated, has more than QUICK subsets, or
+    has nothing feasible.
     """
     try:
         proven = _quick_optimum(problem)

@@ -119,23 +119,11 @@ def estimate_seconds(selections: Selections, workers: int) -> float:
 
 def prove_features(problem: Problem, selections: Selections,
                    workers: int = 1) -> Iterator[FeatureProof]:
-    """Decide every selection of features, yielding intermediate states.
+    """Decide every selection of features, yielding intermediate states; the last one is complete.
 
     Scores of the walk only rule selections out; what remains is evaluated as any solver's genes
-    are, so that all conditions of the problem hold and the optimum is one of the evaluation.
-
-    Parameters
-    ----------
-    problem : Problem
-    selections : Selections
-        Of this problem.
-    workers : int
-        Threads. The result does not depend on it.
-
-    Yields
-    ------
-    FeatureProof
-        The last one is complete.
+    are, so that all conditions of the problem hold and the optimum is one of the evaluation. The
+    result does not depend on the number of workers, which are threads.
     """
     records = _Records(problem, selections)
     total, decided = selections.count(selections.root), 0
@@ -174,26 +162,13 @@ def prove_features(problem: Problem, selections: Selections,
 
 def proof_generations(problem: Problem, systems: tuple[RowSystem, ...], workers: int,
                       max_terms: int | None) -> Iterator[Generation]:
-    """Yield the best so far until every selection of features is decided.
-
-    Parameters
-    ----------
-    problem : Problem
-    systems : tuple of RowSystem
-        Of `Problem.row_systems`.
-    workers : int
-    max_terms : int, optional
-        Refused, as it limits nothing here.
-
-    Yields
-    ------
-    Generation
-        With a certificate.
+    """Yield the best so far, with a certificate, until every selection of features is decided.
 
     Raises
     ------
     TermselError
-        If there are too many features to be enumerated, or for `max_terms`.
+        If there are too many features to be enumerated, or for `max_terms`, which limits nothing
+        here.
     """
     if max_terms is not None:
         raise TermselError("max_terms limits terms, and this problem selects features",

@@ -96,17 +96,9 @@ class Proof:
         return None
 
     def bound(self, best: float) -> float | None:
-        """Return a lower bound of the objective of all selections.
+        """Return a lower bound of the objective of all selections, given that of the best so far.
 
-        Parameters
-        ----------
-        best : float
-            Objective of the best selection so far.
-
-        Returns
-        -------
-        float or None
-            None if the objective is neither the sum of the parts' costs nor their RMSE [px].
+        None if the objective is neither the sum of the parts' costs nor their RMSE [px].
         """
         if self.complete:
             return best
@@ -116,12 +108,9 @@ class Proof:
         return min(best, objective(sum(float(cost.min()) for cost in self._costs(floor=True))))
 
     def front(self) -> list[BoolArray]:
-        """Return the best selection of every total size that beats all smaller ones.
+        """Return the best selection (size,) of every total size that beats all smaller ones.
 
-        Returns
-        -------
-        list of ndarray of bool, shape (size,)
-            By number of genes; the last is the best of all. Empty where nothing is feasible.
+        By number of genes; the last is the best of all. Empty where nothing is feasible.
         """
         total, sizes = _joint(self._costs())
         return [self._genes(sizes[i].tolist()) for i in np.flatnonzero(_better(total))]
@@ -129,18 +118,10 @@ class Proof:
     def by_size(self, problem: Problem) -> list[SizeProof]:
         """Return the best selection of every total size, each with its own proof.
 
-        Where the parts are line and sample, the best of n genes are the best i of one and n - i
-        of the other for some i. Its bound is the least sum of the bounds over all such i.
-
-        Parameters
-        ----------
-        problem : Problem
-            It evaluates the selections.
-
-        Returns
-        -------
-        list of SizeProof
-            By number of genes; none for sizes of which no feasible selection is known.
+        There is none for sizes, by number of genes, of which no feasible selection is known. Where
+        the parts are line and sample, the best of n genes are the best i of one and n - i of the
+        other for some i. Its bound is the least sum of the bounds over all such i. The problem
+        evaluates the selections.
         """
         total, sizes = _joint(self._costs())
         known = np.flatnonzero(np.isfinite(total))
@@ -213,20 +194,10 @@ def _better(total: FloatArray) -> BoolArray:
 
 def prove(problem: Problem, max_terms: int | None = None,
           workers: int | None = None) -> Iterator[Proof]:
-    """Decide every selection of a problem, yielding intermediate states.
+    """Decide every selection of a problem, yielding intermediate states; the last one is complete.
 
-    Parameters
-    ----------
-    problem : Problem
-    max_terms : int, optional
-        Most genes of each part.
-    workers : int, optional
-        Threads; by default all cores. The result does not depend on it.
-
-    Yields
-    ------
-    Proof
-        The last one is complete.
+    Each part has at most `max_terms` genes. Workers are threads, by default all cores; the result
+    does not depend on them.
 
     Raises
     ------

@@ -60,14 +60,7 @@ def rms(errors: FloatArray) -> FloatArray:
 
 
 def rational_errors(part: Regression, chosen: BoolArray) -> FloatArray:
-    """Return the errors of the image coordinates after the adjustment, shape (m, r).
-
-    Parameters
-    ----------
-    part : Regression
-    chosen : ndarray of bool, shape (k,)
-        The columns that are adjusted.
-    """
+    """Return the errors of image coordinates after adjusting the chosen columns, (m, r)."""
     x = np.zeros((len(chosen), part.target.shape[1]))
     lengths = np.linalg.norm(part.columns[:, chosen], axis=0)
     x[chosen] = np.linalg.lstsq(part.unit[:, chosen], part.target, rcond=TOLERANCE)[0] \

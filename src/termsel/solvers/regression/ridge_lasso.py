@@ -34,14 +34,9 @@ class Standardised:
 
 
 def standardise(columns: FloatArray, target: FloatArray, unpenalised: FloatArray) -> Standardised:
-    """Return columns and target orthogonal to the unpenalised columns.
+    """Return columns (m, j) and target (m, r) orthogonal to the unpenalised columns (m, u).
 
-    Parameters
-    ----------
-    columns : ndarray, shape (m, j)
-    target : ndarray, shape (m, r)
-    unpenalised : ndarray, shape (m, u)
-        Independent columns, such as the constant.
+    These are independent ones, such as the constant.
     """
     q = np.linalg.qr(unpenalised)[0]
     rest = columns - q @ (q.T @ columns)
@@ -63,20 +58,13 @@ class PathPiece:
 
 
 def lasso_path(columns: FloatArray, target: FloatArray, most: int) -> list[PathPiece]:
-    """Return the path of the lasso from the largest penalty downwards.
+    """Return the path of the lasso from the largest penalty down to `most` columns in use.
 
-    Minimises ||y - X b||^2 / 2 + penalty sum |b| for every penalty: least angle regression in
-    which a column leaves as its coefficient passes 0 (Efron, Hastie, Johnstone, Tibshirani
-    2004, section 3.1). With several targets it is multiresponse least angle regression
+    Minimises ||y - X b||^2 / 2 + penalty sum |b| for every penalty, X (m, k) and y (m, r): least
+    angle regression in which a column leaves as its coefficient passes 0 (Efron, Hastie, Johnstone,
+    Tibshirani 2004, section 3.1). With several targets it is multiresponse least angle regression
     (Similä, Tikka 2005), in which no column leaves. Columns that depend on those in use do
     not enter.
-
-    Parameters
-    ----------
-    columns : ndarray, shape (m, k)
-    target : ndarray, shape (m, r)
-    most : int
-        Columns in use at which the path ends.
     """
     k, r = columns.shape[1], target.shape[1]
     x = np.zeros((k, r))
@@ -192,15 +180,9 @@ def _selection(part: Regression, piece: PathPiece) -> BoolArray:
 
 
 def _squares_left_out(part: Regression, rows: BoolArray, penalties: FloatArray) -> FloatArray:
-    """Return the squares of the errors at the other rows, for each penalty.
+    """Return the squares of the errors at the rows not in use, for each penalty (p,).
 
-    Parameters
-    ----------
-    part : Regression
-    rows : ndarray of bool, shape (m,)
-        Rows in use.
-    penalties : ndarray, shape (p,)
-        For all rows; with unit columns they scale with the root of the number of rows.
+    Penalties are for all rows; with unit columns they scale with the root of the number of rows.
     """
     unit = part.unit
     path = _path(part, rows)
@@ -258,20 +240,9 @@ class Ridge(Solver):
 
 
 def shrink(part: Regression, on: BoolArray, choice: str) -> tuple[FloatArray, float]:
-    """Return ridge coefficients and their penalty.
+    """Return ridge coefficients (r, k) of the columns that are on, and their penalty.
 
-    Parameters
-    ----------
-    part : Regression
-    on : ndarray of bool, shape (k,)
-        Columns in use.
-    choice : {"gcv", "l-curve"}
-
-    Returns
-    -------
-    coefficients : ndarray, shape (r, k)
-    penalty : float
-        For columns of unit length.
+    The penalty, chosen by "gcv" or "l-curve", is for columns of unit length.
     """
     penalised, constant = on & ~part.constant, on & part.constant
     lead = part.columns[:, constant]

@@ -113,16 +113,9 @@ def _constant(system: SubsetSystem) -> BoolArray:
 
 def generation_of(problem: Problem, parts: list[Regression], chosen: list[BoolArray],
                   rng: np.random.Generator) -> Generation:
-    """Return the one selection of a method, evaluated.
+    """Return the one selection of a method, evaluated, from the chosen columns of each part.
 
-    Parameters
-    ----------
-    problem : Problem
-    parts : list of Regression
-    chosen : list of ndarray of bool
-        The chosen columns of each part.
-    rng : numpy.random.Generator
-        Draws only if a method could not keep the genome's cardinality.
+    Chance is used only if a method could not keep the genome's cardinality.
     """
     genes = np.zeros((1, problem.genome.size), dtype=bool)
     for part, columns in zip(parts, chosen, strict=True):
@@ -148,20 +141,10 @@ class TermRegression(Solver):
 
 
 def gains(part: Regression, chosen: BoolArray) -> tuple[FloatArray, float]:
-    """Return how much each further column lowers the residual sum of squares, and that sum.
+    """Return how much each further column lowers the residual sum of squares (k,), and that sum.
 
-    Parameters
-    ----------
-    part : Regression
-    chosen : ndarray of bool, shape (k,)
-        Columns in use.
-
-    Returns
-    -------
-    gain : ndarray, shape (k,)
-        0 for columns that depend on the chosen ones, and for the chosen ones.
-    square : float
-        The sum with the chosen columns alone.
+    The gain is 0 for columns that depend on the chosen ones (k,), and for these; the sum is that
+    with the chosen columns alone.
     """
     unit = part.unit
     q = np.linalg.qr(unit[:, chosen])[0]
@@ -175,20 +158,10 @@ def gains(part: Regression, chosen: BoolArray) -> tuple[FloatArray, float]:
 
 
 def losses(part: Regression, chosen: BoolArray) -> tuple[FloatArray, float]:
-    """Return how much dropping each chosen column raises the residual sum of squares.
+    """Return what dropping each chosen column adds to the residual sum of squares, and that sum.
 
-    Parameters
-    ----------
-    part : Regression
-    chosen : ndarray of bool, shape (k,)
-        Independent columns.
-
-    Returns
-    -------
-    loss : ndarray, shape (k,)
-        Infinite for columns that are not chosen.
-    square : float
-        The sum with all chosen columns.
+    The loss (k,) is infinite for columns that are not chosen; the sum is that with all chosen ones,
+    which are independent.
     """
     # The solution through the pseudo-inverse also survives kept columns that are dependent.
     inverse = np.linalg.pinv(part.unit[:, chosen], rcond=TOLERANCE)
@@ -204,17 +177,9 @@ def significance(part: Regression, change: float, square: float, chosen: BoolArr
     """Return the probability of a change this large if a column is not part of the target.
 
     The partial F test of one column: F = (change / r) / (square / f) with r and f degrees of
-    freedom. With one target, r = 1, it is the t test of its coefficient, F = t^2.
-
-    Parameters
-    ----------
-    part : Regression
-    change : float
-        Change of the residual sum of squares by the column.
-    square : float
-        That sum with the column.
-    chosen : ndarray of bool, shape (k,)
-        The columns in use, this one among them.
+    freedom; `change` is that of the residual sum of squares by the column, `square` that sum with
+    the column, and it is among the chosen ones (k,). With one target, r = 1, it is the t test of
+    its coefficient, F = t^2.
     """
     r, freedom = part.target.shape[1], part.freedom(chosen)
     if part.explained(square):  # F is a quotient of rounding errors
@@ -310,14 +275,7 @@ def _drop(part: Regression, chosen: BoolArray, alpha: float) -> BoolArray:
 
 
 def independent(part: Regression, most: int) -> BoolArray:
-    """Return the kept columns and the first others that do not depend on earlier ones.
-
-    Parameters
-    ----------
-    part : Regression
-    most : int
-        Most columns to return.
-    """
+    """Return the kept columns and the first others that depend on no earlier one, up to `most`."""
     chosen = part.kept.copy()
     q = np.linalg.qr(part.unit[:, chosen])[0]
     for j in np.flatnonzero(part.free):
