@@ -68,10 +68,7 @@ def photo() -> FeatureSet:
 def seen(ground: FloatArray) -> FloatArray:
     """Return where ground points are in the scan [px], shape (n, 2), without noise.
 
-    Parameters
-    ----------
-    ground : ndarray, shape (n, 3)
-        From the point below the camera [m].
+    `ground`, shape (n, 3), is from the point below the camera [m].
     """
     omega, phi, kappa = TURNS
     (so, co), (sp, cp), (sk, ck) = ((np.sin(a), np.cos(a)) for a in (omega, phi, kappa))

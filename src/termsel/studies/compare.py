@@ -107,9 +107,13 @@ def compare(
         observers = (*observers, lambda progress: show(
             f"{title}: {progress.finished} of {counted(progress.total, 'cell')}, "
             f"{progress.time_left()}", progress.finished == progress.total))
-        for remark in (*journal.remarks, *_aside(journal, finished)):
+        for remark in journal.remarks:
             log.warning(remark)
-        _tell(observers, tally)
+        if foreign := len(journal.records) - len(finished):
+            log.warning("%s finished cells of an earlier form of the study are kept in the "
+                        "journal and take no part.", foreign)
+        for observe in observers:
+            observe(tally.progress())
         waiting = [cell for cell in cells if cell.key not in finished]
         stopped = stack.enter_context(deferred(lambda: log.warning(FINISHING)))
         for outcome in _outcomes(waiting, stopped, workers, scheduler, plugins):
@@ -119,7 +123,8 @@ def compare(
             journal.append(outcome.record)
             finished[key] = outcome.record
             tally.count(outcome.record)
-            _tell(observers, tally)
+            for observe in observers:
+                observe(tally.progress())
         return Study(spec, plan.cells, finished, Path(out) if out is not None else None)
 
 
@@ -226,17 +231,6 @@ def _plugins(cells: list[Cell], spec: Spec) -> dict[str, str]:
     origins = {entry.provided_by for kind, name in named for entry in registry().entries(kind)
                if entry.answers_to(name)} - {"termsel"}
     return {one: registry().version(one) for one in sorted(origins)}
-
-
-def _aside(journal: Journal, finished: Mapping[str, Any]) -> list[str]:
-    foreign = len(journal.records) - len(finished)
-    return [f"{foreign} finished cells of an earlier form of the study are kept in the journal and "
-            "take no part."] if foreign else []
-
-
-def _tell(observers: tuple[Observer, ...], tally: Tally) -> None:
-    for observe in observers:
-        observe(tally.progress())
 
 
 def _outcomes(cells: list[Cell], stopped: Callable[[], bool], workers: int,

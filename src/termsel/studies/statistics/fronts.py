@@ -62,10 +62,7 @@ def front_figures(groups: Groups) -> list[FrontFigures]:
 def non_dominated(points: FloatArray) -> FloatArray:
     """Return the points that no other one dominates, each once.
 
-    Parameters
-    ----------
-    points : ndarray, shape (n, objectives)
-        Lower is better.
+    Points have the shape (n, objectives); lower is better.
     """
     points = np.unique(points, axis=0)
     better = (points[:, None] <= points[None]).all(axis=2) & (points[:, None] != points[None]

@@ -129,9 +129,7 @@ def signed_rank(one: FloatArray, other: FloatArray) -> tuple[float, bool]:
 
     Differences of a method without a result count as larger than all others; two of them as none.
 
-    Parameters
-    ----------
-    one, other : ndarray, shape (n,)
+    Both have the shape (n,).
     """
     from scipy.stats import rankdata, wilcoxon
 
