@@ -77,11 +77,10 @@ def control() -> Control:
 
 @pytest.fixture
 def session() -> Iterator[Callable[[Candidate], None]]:
-    """Register candidates as a session does; they are gone afterwards."""
-    entries = registry()._collect("candidates").entries
-    before = list(entries)
+    """Register candidates in a registry of their own, unknown to other tests."""
+    registry.cache_clear()
     yield lambda one: registry().register(one) and None
-    entries[:] = before
+    registry.cache_clear()
 
 
 def portfolio_with(*more: Candidate) -> Portfolio:
