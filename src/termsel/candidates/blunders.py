@@ -70,7 +70,6 @@ def find_blunders(control: Control, portfolio: Portfolio | None = None) -> Suspe
 
     Parameters
     ----------
-    control : Control
     portfolio : Portfolio, optional
         By default the built-in candidates.
     """
@@ -138,7 +137,6 @@ def judge_others(chosen: Judged, heights: bool, others: Points) -> Suspects | No
         The choice for control without blunders.
     heights : bool
         Whether models with heights are fitted.
-    others : Points
 
     Returns
     -------

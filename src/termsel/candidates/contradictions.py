@@ -16,6 +16,7 @@ from termsel.adjustment.equations import weights_of
 from termsel.adjustment.lines import row_weights
 from termsel.adjustment.monomials import monomials
 from termsel.candidates.local import LIKELY
+from termsel.candidates.portfolio import BETTER, gain_of
 from termsel.measurements.control import Control
 from termsel.measurements.features import BoolArray, FloatArray, IntArray
 from termsel.models.polynomial import Polynomial, Polynomial2D, Polynomial3D
@@ -112,7 +113,6 @@ class Division:
 
     Parameters
     ----------
-    every : Control
     used : ndarray of bool, shape (n,)
     """
 
@@ -205,10 +205,7 @@ def _better(quadratic: _One | None, cubic: _One | None) -> _One | None:
     """Return the cubic if its squared errors are clearly smaller, else the quadratic."""
     if quadratic is None or cubic is None:
         return cubic or quadratic
-    tiny = np.finfo(float).tiny
-    gain = np.log(np.maximum(quadratic.squares, tiny) / np.maximum(cubic.squares, tiny))
-    error = max(gain.std(ddof=1) / np.sqrt(len(gain)), tiny)
-    return cubic if gain.mean() > error else quadratic
+    return cubic if gain_of(cubic.squares, quadratic.squares) > BETTER else quadratic
 
 
 def polynomial_of(heights: bool, degree: int) -> Polynomial:

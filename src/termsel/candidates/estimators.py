@@ -23,7 +23,6 @@ def estimator_named(name: str, options: Mapping[str, Any]) -> Estimator:
 
     Parameters
     ----------
-    name : str
     options : mapping
         As `Estimator.options` gives them.
 

@@ -11,7 +11,6 @@ def points_alone(control: FeatureSet, used: BoolArray, what: str) -> Points:
 
     Parameters
     ----------
-    control : FeatureSet
     used : ndarray of bool, shape (len(control),)
     what : str
         What does not take lines, as the subject of a sentence.

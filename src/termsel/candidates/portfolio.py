@@ -39,7 +39,6 @@ class Choice:
 
     Parameters
     ----------
-    chosen : Judged
     judged : tuple of Judged
         All candidates the features determine with redundancy.
     reason : str
@@ -141,10 +140,8 @@ def choose(control: Control, portfolio: Portfolio | None = None, watch: Watch | 
 
     Parameters
     ----------
-    control : Control
     portfolio : Portfolio, optional
         By default the built-in candidates.
-    watch : callable, optional
     whole : bool
         Whether candidates that others contain are judged all the same, to be shown.
 

@@ -144,7 +144,6 @@ def average_with_lines(features: FeatureSet, model: Polynomial) -> Average | Non
     ----------
     features : FeatureSet
         Scaled to [-1, 1].
-    model : Polynomial
 
     Returns
     -------

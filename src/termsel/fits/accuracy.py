@@ -98,7 +98,6 @@ def predicted_by(fitted: Fit, errors: FloatArray, points: int) -> Predicted:
 
     Parameters
     ----------
-    fitted : Fit
     errors, points
         As for `predicted_rmse`.
     """

@@ -42,10 +42,8 @@ def warnings_of(control: FeatureSet, used: BoolArray, check: Points) -> Iterator
 
     Parameters
     ----------
-    control : FeatureSet
     used : ndarray of bool, shape (len(control),)
         Features in the adjustment.
-    check : Points
     """
     mine = centres(control)[used]
     found, n = [], 0

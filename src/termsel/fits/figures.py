@@ -98,11 +98,8 @@ def baseline(name: str, fitted: Fit, predicted: float | None, observations: Obse
 
     Parameters
     ----------
-    name : str
-    fitted : Fit
     predicted : float or None
         RMSE by leave-one-out [px].
-    observations : Observations
     roles : tuple of str
         What it was fitted to.
     """
@@ -144,7 +141,6 @@ def residuals_of(chosen: Fit, observations: Observations, *,
     ----------
     chosen : Fit
         Fitted to the control of the observations.
-    observations : Observations
     check_used : bool
         Whether the check points took part in the adjustment too.
     independent_used : collection of str

@@ -49,7 +49,6 @@ def fit_all_terms(model: Fittable, control: FeatureSet) -> Fit:
 
     Parameters
     ----------
-    model : Fittable
     control : FeatureSet
         As `control_of` returns it.
 

@@ -94,7 +94,6 @@ def control_residuals(control: FeatureSet, used: Iterable[bool], errors: FloatAr
 
     Parameters
     ----------
-    control : FeatureSet
     used : iterable of bool, length len(control)
     errors : ndarray, shape (n, 2)
         Of the points [px].

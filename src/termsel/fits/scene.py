@@ -19,7 +19,6 @@ def scene_grid(fitted: Fit, side: int, neighbours: int = 1,
 
     Parameters
     ----------
-    fitted : Fit
     side : int
         Positions along either side of the image.
     neighbours : int

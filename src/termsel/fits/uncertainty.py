@@ -62,7 +62,6 @@ def spread_of(model: Fittable, control: FeatureSet, terms: BoolArray, adjustment
     control : FeatureSet
         Features in use, in scaled coordinates.
     terms : ndarray of bool, shape (k,)
-    adjustment : Adjustment
     ground : ndarray, shape (m, 3)
         Scaled.
     image : ndarray, shape (m, 2)

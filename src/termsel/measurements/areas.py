@@ -24,11 +24,9 @@ class CornerError(TermselError):
 
     Parameters
     ----------
-    what : str
     corner : int
         Counted from 0.
     where : {"image", "ground"}
-    hint : str
     """
 
     def __init__(self, what: str, corner: int, where: str, hint: str) -> None:

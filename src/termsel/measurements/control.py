@@ -79,7 +79,6 @@ def heights_hold(control: Control, most: int = 2) -> bool:
 
     Parameters
     ----------
-    control : Control
     most : {1, 2}
         How many features the relief must not rest on.
     """

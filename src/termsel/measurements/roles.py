@@ -114,7 +114,6 @@ def assign(
         the scene; "random" draws without regard to place.
     fractions : sequence of 3 floats
         Shares of control, check and independent points; scaled to a sum of one.
-    rng : numpy.random.Generator
 
     Returns
     -------
@@ -182,7 +181,6 @@ def with_roles(features: FeatureSet, named: Mapping[str, str]) -> FeatureSet:
 
     Parameters
     ----------
-    features : FeatureSet
     named : mapping
         Role by id. A line can be off, or stay control.
 
@@ -218,7 +216,6 @@ def observe(
 
     Parameters
     ----------
-    features : FeatureSet
     control : {"points", "lines", "both"}
         Which features are control. With "lines", control points stay out.
     how : {"file", "stratified", "random"}
@@ -227,7 +224,6 @@ def observe(
     fractions : sequence of 3 floats
         Shares of control, check and independent among the points that are assigned a role. With
         control from lines alone, all of them become check and independent points.
-    rng : numpy.random.Generator
 
     Raises
     ------
@@ -280,33 +276,13 @@ def by_roles(features: FeatureSet) -> Observations:
 
 
 def leave_out(observations: Observations, ids: Iterable[str]) -> Observations:
-    """Return the observations with some points in the role off, and without some lines.
-
-    Parameters
-    ----------
-    observations : Observations
-    ids : iterable of str
-        Of control and check points, and of lines.
-    """
-    out = frozenset(ids)
-    if not out:
-        return observations
-    points, control = observations.features.points, observations.control
-    roles = tuple("off" if name in out else role
-                  for name, role in zip(points.ids, points.roles, strict=True))
-    kept, checked = ([name not in out for name in part.ids]
-                     for part in (control.points, observations.check))
-    lines = control.lines.take([name not in out for name in control.lines.ids])
-    return Observations(
-        observations.features.with_(points=replace(points, roles=roles), lines=lines),
-        control.with_(points=control.points.take(kept), lines=lines),
-        observations.check.take(checked), observations.independent)
+    """Return the observations with some points in the role off, and without some lines."""
+    return by_roles(with_roles(observations.features, dict.fromkeys(ids, "off")))
 
 
 def with_lines(observations: Observations, lines: Lines) -> Observations:
     """Return the observations with other control lines."""
-    return replace(observations, features=observations.features.with_(lines=lines),
-                   control=observations.control.with_(lines=lines))
+    return by_roles(observations.features.with_(lines=lines))
 
 
 def check_as_control(observations: Observations) -> Observations:

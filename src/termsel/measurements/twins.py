@@ -52,11 +52,6 @@ def twins(ground: FloatArray, typical: FloatArray | None = None) -> IntArray:
     return np.asarray(connected_components(edges, directed=False)[1], dtype=np.intp)
 
 
-def firsts(labels: IntArray) -> IntArray:
-    """Return the first point of each group, shape (groups,)."""
-    return np.asarray(np.unique(labels, return_index=True)[1], dtype=np.intp)
-
-
 def merged(features: FeatureSet) -> FeatureSet:
     """Return features in which twins count as one point, at their mean.
 
@@ -67,7 +62,7 @@ def merged(features: FeatureSet) -> FeatureSet:
     """
     points = features.points
     labels = twins(points.ground)
-    first = firsts(labels)
+    first = np.unique(labels, return_index=True)[1]  # of each group
     if len(first) == len(points):
         return features
     count = np.bincount(labels)[:, None]

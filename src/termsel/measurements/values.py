@@ -14,6 +14,8 @@ FloatArray = NDArray[np.float64]
 FARTHEST = 1e50
 """Coordinates from which on squares and products of some of them overflow."""
 
+_CORRECT = "Correct the values or remove the feature."
+
 
 def frozen(values: ArrayLike, shape: tuple[int, ...], what: str) -> FloatArray:
     """Return values as an array that cannot be written to; refuse another shape."""
@@ -26,41 +28,35 @@ def frozen(values: ArrayLike, shape: tuple[int, ...], what: str) -> FloatArray:
 
 def check_finite(values: FloatArray, ids: Sequence[str], kind: str, what: str) -> None:
     """Refuse coordinates that are not finite, or too far."""
-    bad = ~np.isfinite(values.reshape(len(ids), -1)).all(axis=1)
-    if bad.any():
-        name = ids[int(np.argmax(bad))]
-        raise TermselError(f"{kind} {name!r} has {what} that are not finite numbers",
-                           hint="Correct the values or remove the feature.", ids=[name])
+    _refuse(~np.isfinite(values), ids, kind, f"{what} that are not finite numbers", _CORRECT)
     check_near(values, ids, kind, what)
 
 
 def check_near(values: FloatArray, ids: Sequence[str], kind: str, what: str) -> None:
     """Refuse coordinates that are too far."""
-    far = (np.abs(values) >= FARTHEST).reshape(len(ids), -1).any(axis=1)
-    if far.any():
-        name = ids[int(np.argmax(far))]
-        raise TermselError(f"{kind} {name!r} has {what} of {FARTHEST:g} or more",
-                           hint="Correct the values or remove the feature.", ids=[name])
+    _refuse(np.abs(values) >= FARTHEST, ids, kind, f"{what} of {FARTHEST:g} or more", _CORRECT)
 
 
 def check_heights(z: FloatArray, ids: Sequence[str], kind: str) -> None:
     """Refuse infinite heights; blank heights are NaN and suit models without height."""
-    bad = np.isinf(z.reshape(len(ids), -1)).any(axis=1)
-    if bad.any():
-        name = ids[int(np.argmax(bad))]
-        raise TermselError(f"{kind} {name!r} has an infinite height", ids=[name])
+    _refuse(np.isinf(z), ids, kind, "an infinite height")
     check_near(z, ids, kind, "a height")
 
 
 def check_deviations(sigma: FloatArray, ids: Sequence[str], kind: str) -> None:
     """Refuse deviations that are not positive, or beyond what can be computed with."""
     # Their squares, and those of weights, must not overflow.
-    bad = ~((sigma > 1 / FARTHEST) & (sigma < FARTHEST)).reshape(len(ids), -1).all(axis=1)
-    if bad.any():
-        name = ids[int(np.argmax(bad))]
-        raise TermselError(f"{kind} {name!r} has a standard deviation that is not positive, "
-                           "or beyond what can be computed with",
-                           ids=[name])
+    _refuse(~((sigma > 1 / FARTHEST) & (sigma < FARTHEST)), ids, kind,
+            "a standard deviation that is not positive, or beyond what can be computed with")
+
+
+def _refuse(bad: NDArray[np.bool_], ids: Sequence[str], kind: str, what: str,
+            hint: str | None = None) -> None:
+    """Refuse the first feature with a value that is bad, shape (n, ...)."""
+    features = bad.reshape(len(ids), -1).any(axis=1)
+    if features.any():
+        name = ids[int(np.argmax(features))]
+        raise TermselError(f"{kind} {name!r} has {what}", hint=hint, ids=[name])
 
 
 def check_places(ground: FloatArray, ids: Sequence[str]) -> None:

@@ -70,18 +70,15 @@ def _axis_fault(model: SensorModel, value: Any) -> str | None:
     return what
 
 
+def _optional(wanted: type) -> Check:
+    """Return a check of values that are of a type, or None."""
+    return lambda _model, value, *_args: of_optional_type(value, wanted)
+
+
 def _rpc_fault(_model: SensorModel, value: Any, *_args: Any) -> str | None:
     from termsel.models.rpc import Rpc
 
     return of_optional_type(value, Rpc)
-
-
-def _degree_fault(_model: SensorModel, value: Any) -> str | None:
-    return of_optional_type(value, int)
-
-
-def _interpolation_fault(_model: SensorModel, value: Any, *_args: Any) -> str | None:
-    return of_optional_type(value, Interpolation)
 
 
 def _model_fault(_model: SensorModel, value: Any, *_args: Any) -> str | None:
@@ -101,8 +98,8 @@ class SensorModel(Configurable, ABC):
         "terms": _terms_fault, "axis": _axis_fault, "prepared": _model_fault,
         "equations": _equations_fault, "linearised": _equations_fault, "project": _image_fault,
         "predict": _image_fault, "denominators": _denominators_fault,
-        "residual_weights": _weights_fault, "interpolation": _interpolation_fault,
-        "as_rpc": _rpc_fault, "polynomial_degree": _degree_fault}
+        "residual_weights": _weights_fault, "interpolation": _optional(Interpolation),
+        "as_rpc": _rpc_fault, "polynomial_degree": _optional(int)}
 
     uses_height: ClassVar[bool] = True
     """Whether it requires the heights of the features."""

@@ -38,7 +38,6 @@ class RpcFit:
 
     Parameters
     ----------
-    rpc : Rpc
     how : str
         "exact" if it was taken over as it is; else the terms it was refitted with: "the selected",
         "all 78" or "all 40 polynomial".

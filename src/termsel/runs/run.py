@@ -158,7 +158,6 @@ def problem_for(features: FeatureSet | None, dataset: str | DatasetSpec | None =
 
     Parameters
     ----------
-    features : FeatureSet or None
     dataset : str or DatasetSpec, optional
         The data set, where there are no features.
 

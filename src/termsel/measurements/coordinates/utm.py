@@ -46,7 +46,6 @@ def for_warping(ground: FloatArray, crs: str) -> tuple[FloatArray, str]:
     ----------
     ground : ndarray, shape (..., 3)
         NaN where nothing is known.
-    crs : str
     """
     if not is_geographic(crs) or not (np.abs(ground[..., 0]) > 180.0).any():
         return ground, horizontal(crs)

@@ -27,7 +27,6 @@ def final_fit(chosen: Judged, points: Points, heights: bool, portfolio: Portfoli
         All points, each with its role.
     heights : bool
         Whether models with heights are fitted.
-    portfolio : Portfolio
     blunders : collection of str
         Ids of independent points that contradict all others; they stay out.
 

@@ -52,7 +52,6 @@ def judged_independent(points: Points, heights: bool,
     ----------
     points : Points
         The independent ones.
-    heights : bool
     chosen : Judged
         The choice for control and check without blunders.
     """

@@ -37,7 +37,6 @@ def with_selected_lines(control: Control, choice: Choice, portfolio: Portfolio,
         Points and lines.
     choice : Choice
         That of `choose_features`; how OWDIS compares with it is added to its reason.
-    portfolio : Portfolio
     seed : int
         Of the search.
 

@@ -57,7 +57,6 @@ def wanted(strategy: str | None, recipe: Recipe, method: Sequence[str] = (), *,
     strategy : {"auto", "as-asked"} or None
         None means "auto" for problems that a portfolio can answer, but for those whose search comes
         first, where nothing of a method is asked for.
-    recipe : Recipe
     method : sequence of str
         What the user has named of a method, in words.
     unnamed : bool
@@ -90,7 +89,6 @@ class _Watch:
 
     Parameters
     ----------
-    observers : iterable of callable
     candidates, folds : int
         How many there are; each fold judges all candidates, as the choice itself does.
 
@@ -136,7 +134,6 @@ def choose_for(setup: Setup, observations: Observations, seed: int,
     ----------
     setup : Setup
         Its model and solver take no part.
-    observations : Observations
     seed : int
         Of the search by OWDIS, where there are points and lines.
     observers : iterable of callable

@@ -165,8 +165,6 @@ def is_feasible(task: Task, found: Search, chosen: Fit) -> bool:
 
     Parameters
     ----------
-    task : Task
-    found : Search
     chosen : Fit
         As `estimated` returns it.
     """

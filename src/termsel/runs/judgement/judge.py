@@ -44,7 +44,6 @@ def judge(conventional: str, criterion: str, rmse: Mapping[str, Rmse | None],
         The conventional fit first.
     reference : str
         Name of the baseline that the rule of auto chooses for control and check; may be empty.
-    feasible : bool
     noise : float or None
         Standard deviation of the measurements [px], where it is known.
     candidate : Candidate, optional
@@ -92,12 +91,10 @@ def judge_choice(chosen: Candidate, predicted: float | None, rmse: Mapping[str, 
 
     Parameters
     ----------
-    chosen : Candidate
     predicted : float or None
         RMSE of the choice repeated in folds [px].
     rmse : mapping
         Of the choice, by role.
-    baselines : tuple of Baseline
     noise : float or None
         Standard deviation of the measurements [px], where it is known.
     """

@@ -35,7 +35,6 @@ def search_without_blunders(task: Task, **how: Any) -> Search:
 
     Parameters
     ----------
-    task : Task
     **how
         Arguments of `termsel.search`.
 

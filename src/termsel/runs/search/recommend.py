@@ -27,7 +27,6 @@ def recommended(task: Task, found: Search) -> Search:
 
     Parameters
     ----------
-    task : Task
     found : Search
         One without a front is returned as it is. With a single objective the members' numbers of
         genes are the second one.

@@ -29,7 +29,6 @@ def search_in_steps(task: Task, **how: Any) -> Search:
 
     Parameters
     ----------
-    task : Task
     **how
         Arguments of `termsel.search`.
 

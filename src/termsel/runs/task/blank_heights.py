@@ -44,7 +44,6 @@ def note_on_blank(ids: Sequence[str], features: FeatureSet) -> str:
 
     Parameters
     ----------
-    ids : sequence of str
     features : FeatureSet
         As read, for their kind.
     """

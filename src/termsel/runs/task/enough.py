@@ -22,9 +22,6 @@ def require_enough(observations: Observations, recipe: Recipe, criterion: Criter
 
     Parameters
     ----------
-    observations : Observations
-    recipe : Recipe
-    criterion : Criterion
     least : int
         Fewest control features.
 

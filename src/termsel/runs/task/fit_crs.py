@@ -48,7 +48,6 @@ def with_fit_crs(choice: str, observations: Observations, model: SensorModel) ->
         As the option `FIT_CRS` takes it.
     observations : Observations
         Independent points take no part in the choice of a UTM zone or of a CRS.
-    model : SensorModel
 
     Raises
     ------

@@ -34,8 +34,6 @@ def with_options(word: str, part: type[Configurable] | Configurable,
     ----------
     word : str
         What it is, such as "model".
-    part : class or instance
-    options : mapping
 
     Raises
     ------
@@ -61,7 +59,6 @@ def second_solver(recipe: Recipe, given: Mapping[str, Any]) -> Any:
 
     Parameters
     ----------
-    recipe : Recipe
     given : mapping
         The options of all parts.
 
@@ -101,7 +98,6 @@ def objectives_of(asked: str | None, criterion: Criterion) -> tuple[Objective, .
     ----------
     asked : str or None
         Names, separated by commas.
-    criterion : Criterion
 
     Raises
     ------

@@ -26,7 +26,6 @@ def data_of(features: FeatureSet, source: str, observations: Observations) -> Da
     ----------
     features : FeatureSet
         As read.
-    source : str
     observations : Observations
         The same features, each in its role.
     """
@@ -53,7 +52,6 @@ def plugins_of(setup: Setup, **chosen: Any) -> dict[str, dict[str, str]]:
 
     Parameters
     ----------
-    setup : Setup
     **chosen
         What the strategy "auto" chose in the place of what was asked for: model and candidate.
 

@@ -13,7 +13,8 @@ from termsel.display import Glance
 from termsel.errors import TermselError
 from termsel.guard.faults import blamed
 from termsel.measurements.datasets import DatasetSpec
-from termsel.measurements.features import FeatureSet, Points
+from termsel.measurements.features import FeatureSet
+from termsel.measurements.joined import join_points
 from termsel.measurements.roles import Observations, check_as_control, parsed_shares
 from termsel.measurements.roles import observe as assign_roles
 from termsel.measurements.scaling import Scaling, scaling_of
@@ -113,7 +114,6 @@ def observe(setup: Setup, least: int = MIN_CONTROL) -> Observations:
 
     Parameters
     ----------
-    setup : Setup
     least : int
         Fewest control features.
     """
@@ -126,7 +126,9 @@ def observe(setup: Setup, least: int = MIN_CONTROL) -> Observations:
         rng=np.random.default_rng(of_data["split"]))
     if _check_as(setup, observations) == "control":
         observations = check_as_control(observations)
-    require_heights(setup.model, _taking_part(observations))
+    together = observations.together
+    require_heights(setup.model, together.with_(points=join_points(
+        together.points, observations.independent)))
     require_enough(observations, recipe, criterion, least)
     if of_data["fit_crs"] is not None:
         observations = with_fit_crs(of_data["fit_crs"], observations, setup.model)
@@ -184,13 +186,3 @@ def _check_as(setup: Setup, observations: Observations) -> str:
     """Return what check points are, where the option does not say: judges or control."""
     judging = setup.criterion.needs_check or not len(observations.control.points)
     return setup.options["data"]["check_as"] or ("judge" if judging else "control")
-
-
-def _taking_part(observations: Observations) -> FeatureSet:
-    """Return all features that have a role, together."""
-    control = observations.control
-    points = (control.points, observations.check, observations.independent)
-    return control.with_(points=Points(
-        tuple(name for part in points for name in part.ids),
-        np.concatenate([part.image for part in points]),
-        np.concatenate([part.ground for part in points])))
