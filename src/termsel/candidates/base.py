@@ -12,8 +12,7 @@ from termsel.adjustment.parts import independent_parts
 from termsel.criteria import Fits
 from termsel.errors import TermselError
 from termsel.fits.fit import Estimator, Fit, Undetermined
-from termsel.fits.least_squares import LEAST_SQUARES
-from termsel.fits.leave_out import solutions_without_each
+from termsel.fits.least_squares import LEAST_SQUARES, solutions_without_each
 from termsel.fits.of_features import control_of
 from termsel.measurements.control import Control
 from termsel.measurements.features import FeatureSet, FloatArray, no_points

@@ -6,11 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from termsel.candidates.points import points_alone
 from termsel.fits.fit import Estimator, Fit, HeldOut, Undetermined
 from termsel.fits.fittable import Fittable
 from termsel.fits.least_squares import LeastSquares
-from termsel.measurements.features import BoolArray, FeatureSet
+from termsel.measurements.features import BoolArray, FeatureSet, Points
 from termsel.measurements.scaling import Scaling
 from termsel.priors.field import Collocation
 
@@ -46,3 +45,22 @@ class Interpolated(Estimator):
                        held_out=HeldOut.of(errors, control.take(used)),
                        adjustment=replace(plain.adjustment, deviations=unknown,
                                           correlations=None))
+
+
+def points_alone(control: FeatureSet, used: BoolArray, what: str) -> Points:
+    """Return the points in use, and refuse lines.
+
+    Parameters
+    ----------
+    used : ndarray of bool, shape (len(control),)
+    what : str
+        What does not take lines, as the subject of a sentence.
+
+    Raises
+    ------
+    Undetermined
+    """
+    if len(control.lines):
+        raise Undetermined(f"{what} takes control points alone, and there are control lines",
+                           hint="Leave the lines out, or choose another model.")
+    return control.points.take(used)

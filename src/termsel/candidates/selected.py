@@ -16,7 +16,7 @@ import numpy as np
 from termsel.adjustment.equations import weights_of
 from termsel.adjustment.monomials import monomials
 from termsel.adjustment.solve import TOLERANCE
-from termsel.candidates.points import points_alone
+from termsel.candidates.local import points_alone
 from termsel.fits.fit import Estimator, Fit, HeldOut, Undetermined
 from termsel.fits.fittable import Fittable
 from termsel.fits.least_squares import LEAST_SQUARES

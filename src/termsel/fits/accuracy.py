@@ -94,13 +94,7 @@ def predicted_rmse(errors: FloatArray, effective: float, points: int,
 
 
 def predicted_by(fitted: Fit, errors: FloatArray, points: int) -> Predicted:
-    """Return the RMSE that held-out errors predict for a fit, with an interval.
-
-    Parameters
-    ----------
-    errors, points
-        As for `predicted_rmse`.
-    """
+    """Return the RMSE that held-out errors predict for a fit (see `predicted_rmse`)."""
     return predicted_rmse(errors, fitted.effective, points, shared_variance(
         fitted.model, fitted.scaled_control.take(fitted.used)))
 

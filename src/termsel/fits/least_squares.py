@@ -7,13 +7,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from termsel.adjustment.parts import independent_parts
+from termsel.adjustment.leave_out import leave_one_out
+from termsel.adjustment.parts import IndependentPart, independent_parts
 from termsel.adjustment.solve import solve
 from termsel.fits.adjust import adjust
 from termsel.fits.fit import Estimator, Fit
 from termsel.fits.fittable import Fittable
-from termsel.fits.leave_out import solutions_without_each
-from termsel.measurements.features import BoolArray, FeatureSet
+from termsel.measurements.features import BoolArray, FeatureSet, FloatArray
 from termsel.measurements.scaling import Scaling
 
 
@@ -64,6 +64,31 @@ class LeastSquares(Estimator):
 
 
 LEAST_SQUARES = LeastSquares()
+
+
+def solutions_without_each(parts: tuple[IndependentPart, ...], terms: BoolArray,
+                           used: BoolArray) -> FloatArray | None:
+    """Return the least-squares solutions without each feature, in closed form.
+
+    Parameters
+    ----------
+    parts : tuple of IndependentPart
+        Of the equations of n features.
+    terms : ndarray of bool, shape (k,)
+    used : ndarray of bool, shape (n,)
+
+    Returns
+    -------
+    ndarray, shape (n, k), or None
+        None where the terms are not determined, or some feature is indispensable.
+    """
+    solutions = np.zeros((len(used), len(terms)))
+    for part in parts:
+        found, determined = leave_one_out(part.equations, terms[None, part.columns], used[None])
+        if not determined.all():
+            return None
+        solutions[:, part.columns] = found[:, 0]
+    return solutions
 
 
 def fit(model: Fittable, control: FeatureSet, scaling: Scaling,

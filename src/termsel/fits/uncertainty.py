@@ -77,7 +77,7 @@ def spread_of(model: Fittable, control: FeatureSet, terms: BoolArray, adjustment
     own = None if len(control.lines) else model.interpolation(control)
     if own is not None:
         return Spread(*own.spread(ground))
-    believed = None if len(control.lines) else _Belief.of(model, control)
+    believed = _Belief.of(model, control)
     if believed is None:
         return _propagated(model, control, terms, adjustment, ground)[0] if least_squares else \
             _unknown(len(ground))
@@ -90,14 +90,8 @@ def spread_of(model: Fittable, control: FeatureSet, terms: BoolArray, adjustment
 
 def believed_spread(model: Fittable, control: FeatureSet, ground: FloatArray,
                     image: FloatArray) -> Spread | None:
-    """Return the mean square errors as the polynomial sees them, whatever the fit; or None.
-
-    Parameters
-    ----------
-    model, control, ground, image
-        As for `spread_of`.
-    """
-    believed = None if len(control.lines) else _Belief.of(model, control)
+    """Return the mean square errors as the polynomial sees them (see `spread_of`), or None."""
+    believed = _Belief.of(model, control)
     return None if believed is None else believed.spread(ground, image)
 
 
@@ -119,7 +113,7 @@ def shared_variance(model: Fittable, control: FeatureSet) -> float | None:
     float or None
         None with lines, and where points are too few for a posterior.
     """
-    believed = None if len(control.lines) else _Belief.of(model, control)
+    believed = _Belief.of(model, control)
     if believed is None:
         return None
     points, local = control.points, model.interpolation(control)
@@ -145,7 +139,9 @@ class _Belief:
 
     @classmethod
     def of(cls, model: Fittable, control: FeatureSet) -> _Belief | None:
-        """Return what is believed; None if the points do not determine an affine model."""
+        """Return what is believed; None with lines, or if points determine no affine model."""
+        if len(control.lines):
+            return None
         degree = max(DEGREE, model.polynomial_degree or 0)
         points, variables = control.points, 3 if model.uses_height else 2
         found = polynomial_posterior(points.ground, points.image,

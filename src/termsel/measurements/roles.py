@@ -262,13 +262,7 @@ def observe(
 
 
 def by_roles(features: FeatureSet) -> Observations:
-    """Return the observations of features whose points all have a role.
-
-    Parameters
-    ----------
-    features : FeatureSet
-        Its lines are control.
-    """
+    """Return the observations of features whose points all have a role; lines are control."""
     points, roles = features.points, np.array(features.points.roles, dtype=object)
     control, check, independent = (points.take(roles == role) if (roles == role).any()
                                    else no_points() for role in ASSIGNABLE)

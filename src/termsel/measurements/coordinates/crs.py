@@ -102,20 +102,8 @@ def normalise(crs: str) -> str:
 def is_geographic(crs: str) -> bool:
     """Return True where x and y are longitude and latitude.
 
-    Parameters
-    ----------
-    crs : str
-        As for `normalise`.
-
-    Returns
-    -------
-    bool
-        Also False for a CRS whose kind only pyproj knows, if that is not installed.
-
-    Raises
-    ------
-    TermselError
-        For a CRS `normalise` refuses.
+    False, too, for a CRS whose kind only pyproj knows, if that is not installed. Names are refused
+    as by `normalise`.
     """
     return kind_of(normalise(crs)) == "geographic"
 
@@ -136,15 +124,7 @@ def metres_per_unit(crs: str) -> float | None:
 def to_wgs84(crs: str) -> Transformation:
     """Return a function from ground coordinates to WGS84 longitude, latitude, ellipsoidal height.
 
-    Parameters
-    ----------
-    crs : str
-        Of the ground coordinates.
-
-    Raises
-    ------
-    TermselError
-        As `transformation`.
+    See `transformation`.
     """
     return transformation(crs, "EPSG:4979")
 
@@ -212,24 +192,12 @@ def transformation(source: str, target: str, *, strict: bool = True) -> Transfor
 
 
 def is_geocentric(crs: str) -> bool:
-    """Return True where coordinates are counted from the centre of the Earth.
-
-    Parameters
-    ----------
-    crs : str
-        As for `normalise`.
-    """
+    """Return True where coordinates are counted from the centre of the Earth."""
     return kind_of(normalise(crs)) == "geocentric"
 
 
 def height_reference(crs: str) -> str:
-    """Return the vertical datum of a CRS, in words; "" for "local".
-
-    Parameters
-    ----------
-    crs : str
-        As for `normalise`.
-    """
+    """Return the vertical datum of a CRS, in words; "" for "local"."""
     name = normalise(crs)
     if name == LOCAL:
         return ""
@@ -252,13 +220,7 @@ def vertical_datum(crs: CRS) -> str:
 
 
 def horizontal(crs: str) -> str:
-    """Return a CRS without its heights, as files of plane coordinates state it; "" for none.
-
-    Parameters
-    ----------
-    crs : str
-        As for `normalise`.
-    """
+    """Return a CRS without its heights, as files of plane coordinates state it; "" for none."""
     name = normalise(crs)
     if name == LOCAL:
         return ""

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from termsel.candidates.base import Judged
+from termsel.candidates.base import Judged, has_pole
 from termsel.candidates.compare import compare
-from termsel.candidates.portfolio import EXACT, best_of, choose_features, exact
+from termsel.candidates.portfolio import EXACT, Portfolio, best_of, choose_features, exact
 from termsel.candidates.repetition import folds_of, repeated
 from termsel.errors import TermselError, counted
 from termsel.fits.accuracy import accuracy_of, predicted_by
@@ -19,14 +19,15 @@ from termsel.fits.extrapolation import warnings_of
 from termsel.fits.figures import figures, finite_or_none, in_role, residuals_of
 from termsel.fits.fit import Fit
 from termsel.interrupts import answered
-from termsel.measurements.features import FloatArray, no_points, select
-from termsel.measurements.roles import Observations, with_lines
+from termsel.measurements.control import Control
+from termsel.measurements.features import FloatArray, Points, no_points, select
+from termsel.measurements.roles import ASSIGNABLE, Observations, with_lines
+from termsel.measurements.twins import merged
 from termsel.models.base import SensorModel
 from termsel.problems.base import Evaluation, Selection
 from termsel.problems.recipes import Recipe
 from termsel.record.search import CandidateRow, Strategy
 from termsel.results.result import Result
-from termsel.runs.auto.final import final_fit
 from termsel.runs.auto.outliers import judged_independent, without_blunders
 from termsel.runs.auto.owdis import with_selected_lines
 from termsel.runs.judgement.judge import judge_choice
@@ -186,8 +187,8 @@ def choose_for(setup: Setup, observations: Observations, seed: int,
     model = fitted.model
     rmse = figures(fitted, observations)
     contradicting, more = judged_independent(observations.independent, control.heights, chosen)
-    final = final_fit(chosen, observations.features.points, control.heights, portfolio,
-                      [one.id for one in contradicting])
+    final = _final_fit(chosen, observations.features.points, control.heights, portfolio,
+                       [one.id for one in contradicting])
     # The chosen one is the selection, and is not shown twice unless it is plain.
     baselines = tuple(b for b in comparison.baselines
                       if b.name != chosen.name or chosen.candidate.is_plain)
@@ -222,6 +223,24 @@ def choose_for(setup: Setup, observations: Observations, seed: int,
                               one.name, one.fit.model.name, int(one.fit.terms.sum()),
                               one.fit.effective, finite_or_none(one.predicted))
                               for one in choice.judged)))
+
+
+def _final_fit(chosen: Judged, points: Points, heights: bool, portfolio: Portfolio,
+              blunders: Collection[str]) -> Fit | None:
+    """Return the chosen structure fitted to all points, independent ones included.
+
+    Selected terms stay those that were selected; what is shrunken is averaged again. Blunders among
+    independent points stay out. None where there is no further point, and where the fit has a pole
+    or is not determined.
+    """
+    control = chosen.fit.control
+    more = points.take([role in ASSIGNABLE and name not in blunders
+                        for name, role in zip(points.ids, points.roles, strict=True)])
+    every = merged(control.with_(points=more))
+    if len(every) == len(control):
+        return None
+    final = portfolio.ask(chosen.candidate, "refit", chosen.fit, Control.of(every, heights))
+    return final if final is not None and final.determined and not has_pole(final) else None
 
 
 def _lines(fitted: Fit) -> list[str]:

@@ -159,14 +159,9 @@ def _outliers(chosen: Fit, found: Doubts | None) -> Iterable[Outlier]:
 
 
 def is_feasible(task: Task, found: Search, chosen: Fit) -> bool:
-    """Return whether the fit of a selection satisfies all conditions.
+    """Return whether the fit of a selection, as `estimated` returns it, satisfies all conditions.
 
     The coefficients may be others than those the search saw, so poles are looked for again.
-
-    Parameters
-    ----------
-    chosen : Fit
-        As `estimated` returns it.
     """
     return (found.violation == 0 if chosen.estimator.least_squares else chosen.determined) \
         and not has_pole(chosen, task.observations.check)

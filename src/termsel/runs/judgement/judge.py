@@ -89,14 +89,8 @@ def judge_choice(chosen: Candidate, predicted: float | None, rmse: Mapping[str, 
                  baselines: tuple[Baseline, ...], noise: float | None) -> str:
     """Return some sentences on what the choice of a strategy is worth.
 
-    Parameters
-    ----------
-    predicted : float or None
-        RMSE of the choice repeated in folds [px].
-    rmse : mapping
-        Of the choice, by role.
-    noise : float or None
-        Standard deviation of the measurements [px], where it is known.
+    `predicted` is the RMSE of the choice repeated in folds [px], `rmse` that by role, and `noise`
+    the standard deviation of the measurements [px], where it is known.
     """
     mine = rmse["independent"]
     expected = "" if predicted is None else f", with a predicted RMSE of {_px(predicted)}"

@@ -20,15 +20,7 @@ if TYPE_CHECKING:
 
 
 def data_of(features: FeatureSet, source: str, observations: Observations) -> DataRecord:
-    """Return what a record says of the features its result is made of.
-
-    Parameters
-    ----------
-    features : FeatureSet
-        As read.
-    observations : Observations
-        The same features, each in its role.
-    """
+    """Return what a record says of features, as read, and of the same ones in their roles."""
     control, size = observations.control, features.image_size
     return DataRecord(
         source, of_features(features), features.crs, control.fit_crs or features.crs,
