@@ -57,14 +57,9 @@ def compare(observations: Observations, choice: Choice | None = None,
     rational model with a pole, which is not for the choice, is shown too, as its figures are
     worth seeing.
 
-    Parameters
-    ----------
-    observations : Observations
-    choice : Choice, optional
-        That of `choose` for control and check, twins merged, or of `choose_features`: all are then
-        fitted to the features that it chooses. By default that of `choose`.
-    portfolio : Portfolio, optional
-        By default the built-in candidates.
+    `choice` is that of `choose` for control and check, twins merged, or of `choose_features`: all
+    are then fitted to the features that it chooses. By default it is that of `choose`, from the
+    built-in candidates.
     """
     portfolio, both = portfolio or Portfolio(), observations.pool
     choice = choice or choose(both, portfolio)

@@ -19,12 +19,7 @@ ESTIMATORS: dict[str, type[Estimator]] = {one.name: one for one in (
 
 
 def estimator_named(name: str, options: Mapping[str, Any]) -> Estimator:
-    """Return the estimator of a name, made with options.
-
-    Parameters
-    ----------
-    options : mapping
-        As `Estimator.options` gives them.
+    """Return the estimator of a name, made with options as `Estimator.options` gives them.
 
     Raises
     ------

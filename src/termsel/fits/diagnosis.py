@@ -34,13 +34,9 @@ def doubts(fit: Fit) -> Doubts | None:
     """Return which features are probable blunders, and which merely were not needed.
 
     The error of a point is the larger of those in line and sample, that of a line the largest
-    distance of a projected vertex from the image line. Yavari et al. 2018 remark that OWDIS
-    leaves blunders out; to tell them from superfluous ones is termsel's own.
-
-    Returns
-    -------
-    Doubts or None
-        None where all features are in use.
+    distance of a projected vertex from the image line. Yavari et al. 2018 remark that OWDIS leaves
+    blunders out; to tell them from superfluous ones is termsel's own. None where all features are
+    in use.
     """
     if fit.used.all():
         return None
@@ -79,13 +75,7 @@ def significance(fit: Fit) -> dict[str, Significance]:
 
 
 def least_t(redundancy: int) -> float:
-    """Return the t from which on a coefficient is called significant.
-
-    Parameters
-    ----------
-    redundancy : int
-        Of the adjustment, at least 1.
-    """
+    """Return the t from which on a coefficient is significant, for a redundancy of 1 or more."""
     return float(stdtrit(redundancy, 1 - SIGNIFICANT / 2))
 
 

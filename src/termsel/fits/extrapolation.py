@@ -40,10 +40,7 @@ def outside(control: FloatArray, places: FloatArray) -> FloatArray:
 def warnings_of(control: FeatureSet, used: BoolArray, check: Points) -> Iterator[str]:
     """Yield what is to be said of check points and image corners far outside the control.
 
-    Parameters
-    ----------
-    used : ndarray of bool, shape (len(control),)
-        Features in the adjustment.
+    Of the control, features in the adjustment count: `used`, shape (len(control),).
     """
     mine = centres(control)[used]
     found, n = [], 0

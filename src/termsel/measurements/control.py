@@ -77,10 +77,7 @@ def heights_differ(control: Control) -> bool:
 def heights_hold(control: Control, most: int = 2) -> bool:
     """Return whether heights differ from a plane, also without any one or two of the features.
 
-    Parameters
-    ----------
-    most : {1, 2}
-        How many features the relief must not rest on.
+    `most`, 1 or 2, is how many features the relief must not rest on.
     """
     return heights_differ(control) and not carriers(control, most)
 
@@ -88,12 +85,7 @@ def heights_hold(control: Control, most: int = 2) -> bool:
 def carriers(control: Control, most: int = 2) -> tuple[str, ...]:
     """Return the ids of one or two features without which all heights lie on a plane; or none.
 
-    Parameters
-    ----------
-    control : Control
-        Its heights are known.
-    most : {1, 2}
-        How many features are looked for; of fewer than `ENOUGH` one.
+    Heights are known. `most`, 1 or 2, is how many are looked for; of fewer than `ENOUGH` one.
     """
     most = most if len(control) >= ENOUGH else 1
     plane, z, owner = _vertices(control)

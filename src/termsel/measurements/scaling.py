@@ -131,13 +131,7 @@ def in_fit_crs(ground: FloatArray, crs: str, fit_crs: str) -> FloatArray:
 
 
 def scaling_of(features: FeatureSet) -> Scaling:
-    """Return the scaling that brings these features to [-1, 1].
-
-    Parameters
-    ----------
-    features : FeatureSet
-        The control features.
-    """
+    """Return the scaling that brings these control features to [-1, 1]."""
     own = (features.crs, features.fit_crs) if features.fit_crs else ("", "")
     ground, image = in_fit_crs(features.ground_vertices(), *own), features.image_vertices()
     turns = _geographic(features.fit_crs or features.crs)

@@ -55,10 +55,7 @@ def twins(ground: FloatArray, typical: FloatArray | None = None) -> IntArray:
 def merged(features: FeatureSet) -> FeatureSet:
     """Return features in which twins count as one point, at their mean.
 
-    Returns
-    -------
-    FeatureSet
-        Under id, role and attributes of the first of each group; the same object without twins.
+    Under id, role and attributes of the first of each group; the same object without twins.
     """
     points = features.points
     labels = twins(points.ground)

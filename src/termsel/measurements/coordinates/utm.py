@@ -10,12 +10,7 @@ from termsel.measurements.features import FloatArray
 
 
 def utm_zone(lon: float, lat: float) -> str:
-    """Return the CRS of the zone of a place.
-
-    Parameters
-    ----------
-    lon, lat : float
-        [deg]; longitudes may go on beyond 180 degrees.
+    """Return the CRS of the zone of a place [deg]; longitudes may go on beyond 180 degrees.
 
     Raises
     ------
@@ -40,12 +35,8 @@ def utm_zone(lon: float, lat: float) -> str:
 def for_warping(ground: FloatArray, crs: str) -> tuple[FloatArray, str]:
     """Return ground coordinates, and the CRS without heights, as GDAL's warper needs them.
 
-    It does not find places whose longitudes go on beyond 180 degrees: these come in UTM.
-
-    Parameters
-    ----------
-    ground : ndarray, shape (..., 3)
-        NaN where nothing is known.
+    It does not find places whose longitudes go on beyond 180 degrees: these come in UTM. The ground
+    has the shape (..., 3), NaN where nothing is known.
     """
     if not is_geographic(crs) or not (np.abs(ground[..., 0]) > 180.0).any():
         return ground, horizontal(crs)

@@ -46,14 +46,8 @@ def judged_independent(points: Points, heights: bool,
                        chosen: Judged) -> tuple[list[Outlier], list[str]]:
     """Return independent points that contradict all others, and what is to be said of them.
 
-    They stay in every figure; the note gives the one without them.
-
-    Parameters
-    ----------
-    points : Points
-        The independent ones.
-    chosen : Judged
-        The choice for control and check without blunders.
+    They stay in every figure; the note gives the one without them. `chosen` is the choice for
+    control and check without blunders.
     """
     found = judge_others(chosen, heights, points)
     if found is None or not found.blunders.any():

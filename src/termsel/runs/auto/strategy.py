@@ -88,18 +88,9 @@ def wanted(strategy: str | None, recipe: Recipe, method: Sequence[str] = (), *,
 class _Watch:
     """Tells observers how far a choice is, and keeps the candidates judged for all points.
 
-    Parameters
-    ----------
-    candidates, folds : int
-        How many there are; each fold judges all candidates, as the choice itself does.
-
-    Attributes
-    ----------
-    candidates : int
-    judged : list of Judged
-        Of all points.
-    count : int
-        Candidates judged, those of folds included.
+    There are so many candidates and folds; each fold judges all candidates, as the choice itself
+    does. `judged` are those of all points, `count` is how many were judged, those of folds
+    included.
     """
 
     def __init__(self, observers: Iterable[Observer], candidates: int, folds: int) -> None:
@@ -130,20 +121,9 @@ class _Watch:
 def choose_for(setup: Setup, observations: Observations, seed: int,
                observers: Iterable[Observer] = ()) -> Result:
     """Return the choice from the portfolio as a result.
-
-    Parameters
-    ----------
-    setup : Setup
-        Its model and solver take no part.
-    seed : int
-        Of the search by OWDIS, where there are points and lines.
-    observers : iterable of callable
-        Called with `Progress` after each candidate.
-
-    Returns
-    -------
-    Result
-        Also when interrupted with Ctrl-C, if any candidate was judged.
+ The model and the solver of the setup take no part. The seed is that of the search by OWDIS, where
+there are points and lines. Observers are called with `Progress` after each candidate. When
+interrupted with Ctrl-C there is a result if any candidate was judged.
 
     Raises
     ------

@@ -31,18 +31,11 @@ def search_without_blunders(task: Task, **how: Any) -> Search:
 
     The search is repeated until the selection uses no feature that its own model names as a
     probable blunder (see `termsel.fits.diagnosis.doubts`). Features that the user forces on stay.
-    Each search has the whole budget of generations and evaluations; they share that of time.
+    Each search has the whole budget of generations and evaluations; they share that of time. `how`
+    are arguments of `termsel.search`.
 
-    Parameters
-    ----------
-    **how
-        Arguments of `termsel.search`.
-
-    Returns
-    -------
-    Search
-        The last one, its recommended member selected; evaluations, generations and seconds are
-        those of all.
+    The last search is returned, its recommended member selected; evaluations, generations and
+    seconds are those of all.
     """
     found = recommended(task, search_in_steps(task, **how))
     problem = task.problem

@@ -16,15 +16,8 @@ _NAMED = 10
 def to_leave_out(features: FeatureSet) -> tuple[str, ...]:
     """Return the features without a height, where a model that uses heights is still possible.
 
-    Parameters
-    ----------
-    features : FeatureSet
-        Those that are off take no part.
-
-    Returns
-    -------
-    tuple of str
-        () where all have heights, most have none, or heights tell nothing.
+    None where all have heights, most have none, or heights tell nothing. Those that are off take no
+    part.
     """
     off = {name for name, role in zip(features.points.ids, features.points.roles, strict=True)
            if role == "off"}
@@ -40,13 +33,7 @@ def to_leave_out(features: FeatureSet) -> tuple[str, ...]:
 
 
 def note_on_blank(ids: Sequence[str], features: FeatureSet) -> str:
-    """Return the note on features that were left out for want of a height.
-
-    Parameters
-    ----------
-    features : FeatureSet
-        As read, for their kind.
-    """
+    """Return the note on features, of those as read, that were left out for want of a height."""
     named = ", ".join(ids[:_NAMED]) + " ..." * (len(ids) > _NAMED)
     one = len(ids) == 1
     return (f"{counted(len(ids), features.word[:-1])} without a height "

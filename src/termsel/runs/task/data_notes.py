@@ -28,18 +28,10 @@ line."""
 
 def notes_on_data(read: FeatureSet, observations: Observations, heights: bool,
                   blank: Sequence[str] = ()) -> Iterator[str]:
-    """Yield what the reader of a result must know of the data.
+    """Yield what the reader of a result must know of the data, as read and each in its role.
 
-    Parameters
-    ----------
-    read : FeatureSet
-        As read.
-    observations : Observations
-        The same features, each in its role.
-    heights : bool
-        Whether heights would be used.
-    blank : sequence of str
-        Features that were left out as they have no height.
+    `heights` is whether heights would be used; `blank` are features that were left out as they have
+    no height.
     """
     if blank:
         yield note_on_blank(blank, read)

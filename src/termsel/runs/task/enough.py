@@ -18,12 +18,7 @@ ALL_PARALLEL = 1e-4
 
 def require_enough(observations: Observations, recipe: Recipe, criterion: Criterion,
                    least: int) -> None:
-    """Refuse data on which a problem cannot be run.
-
-    Parameters
-    ----------
-    least : int
-        Fewest control features.
+    """Refuse data on which a problem cannot be run; `least` is the fewest control features.
 
     Raises
     ------

@@ -30,10 +30,7 @@ def with_options(word: str, part: type[Configurable] | Configurable,
                  options: Mapping[str, Any]) -> Any:
     """Return an instance of a class, or the instance that is given.
 
-    Parameters
-    ----------
-    word : str
-        What it is, such as "model".
+    `word` is what it is, such as "model".
 
     Raises
     ------
@@ -94,10 +91,7 @@ def second_solver(recipe: Recipe, given: Mapping[str, Any]) -> Any:
 def objectives_of(asked: str | None, criterion: Criterion) -> tuple[Objective, ...]:
     """Return the objectives that an option names, each once, without the criterion.
 
-    Parameters
-    ----------
-    asked : str or None
-        Names, separated by commas.
+    The names are separated by commas.
 
     Raises
     ------
