@@ -121,9 +121,9 @@ class _Watch:
 def choose_for(setup: Setup, observations: Observations, seed: int,
                observers: Iterable[Observer] = ()) -> Result:
     """Return the choice from the portfolio as a result.
- The model and the solver of the setup take no part. The seed is that of the search by OWDIS, where
-there are points and lines. Observers are called with `Progress` after each candidate. When
-interrupted with Ctrl-C there is a result if any candidate was judged.
+    The model and the solver of the setup take no part. The seed is that of the search by OWDIS,
+    where there are points and lines. Observers are called with `Progress` after each candidate.
+    When interrupted with Ctrl-C there is a result if any candidate was judged.
 
     Raises
     ------
