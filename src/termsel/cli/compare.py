@@ -11,8 +11,8 @@ import click
 from termsel.cli.bars import study_bar
 from termsel.cli.completion import complete
 from termsel.cli.messages import echo, say_written, show_messages
-from termsel.cli.options.remote import allow_remote
 from termsel.cli.options.run_options import parse_settings
+from termsel.cli.options.shared import allow_remote
 from termsel.cli.tables import print_table
 from termsel.errors import TermselError, counted
 from termsel.interrupts import INTERRUPTED

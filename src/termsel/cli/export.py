@@ -8,9 +8,8 @@ import click
 
 from termsel.cli.completion import complete
 from termsel.cli.messages import refuse_stdout, say_written, show_messages
-from termsel.cli.options.final import final_option
-from termsel.cli.options.remote import allow_remote
 from termsel.cli.options.run_options import parse_settings
+from termsel.cli.options.shared import allow_remote, final_option
 
 
 @click.command()

@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from termsel.cli.messages import echo, say_written, show_messages
-from termsel.cli.options.final import final_option
+from termsel.cli.options.shared import final_option
 from termsel.cli.tables import print_table
 
 

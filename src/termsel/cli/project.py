@@ -7,9 +7,8 @@ from pathlib import Path
 import click
 
 from termsel.cli.messages import echo, echo_table, say_written, show_messages
-from termsel.cli.options.final import final_option
-from termsel.cli.options.remote import allow_remote
 from termsel.cli.options.run_options import COLUMNS_OPTION
+from termsel.cli.options.shared import allow_remote, final_option
 
 
 @click.command()

@@ -8,8 +8,7 @@ import click
 
 from termsel.cli.bars import share_bar
 from termsel.cli.messages import refuse_stdout, say_written, show_messages
-from termsel.cli.options.final import final_option
-from termsel.cli.options.remote import allow_remote
+from termsel.cli.options.shared import allow_remote, final_option
 from termsel.errors import TermselError
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from termsel.cli.messages import refuse_stdout, say_written, show_messages
-from termsel.cli.options.remote import allow_remote
+from termsel.cli.options.shared import allow_remote
 from termsel.errors import TermselError
 
 REPORT = "report.html"

@@ -27,16 +27,9 @@ GRID = 20
 class Plan:
     """Places in the order in which they should be measured.
 
-    Parameters
-    ----------
-    ids : tuple of str
-    values : ndarray, shape (n, 6)
-        Line and sample [px], x, y and z, and the root mean square uncertainty of a position over
-        the scene once the place is measured, and those before it [px].
-    now : float
-        That uncertainty before [px].
-    crs : str
-        Of x, y and z.
+    The columns of `values`, shape (n, 6), are line and sample [px], x, y and z, and the root mean
+    square uncertainty of a position over the scene once the place is measured, and those before it
+    [px]; it is `now` before [px].
     """
 
     ids: tuple[str, ...]

@@ -100,6 +100,31 @@ def read(
     return _with_dem(features, dem)
 
 
+def features_of(given: Any, crs: str | None = None,
+                columns: str | Mapping[str, Any] | None = None) -> FeatureSet:
+    """Return features from whatever holds them: a FeatureSet, a file or a table, as for `read`.
+
+    A file may have points, lines or both.
+
+    Raises
+    ------
+    TermselError
+        As `read`; if a FeatureSet is given with a CRS or columns.
+    """
+    if isinstance(given, FeatureSet):
+        if crs is not None or columns is not None:
+            raise TermselError(f"the features have the CRS {given.crs} already",
+                               hint="Give crs and columns with a file or a table alone.")
+        return given
+    if not isinstance(given, str | Path):
+        return read(given, crs=crs, columns=columns)
+    with read_once(Path(given)) as path:
+        return read_features(
+            path, path, crs=crs, either=True,
+            options={"columns": columns_text(columns)} if columns else {},
+            readers=readers_of([path], ()))
+
+
 def _with_dem(features: FeatureSet, dem: Path | str | None) -> FeatureSet:
     if dem is None:
         return features

@@ -18,17 +18,9 @@ def require_replaceable(files: Iterable[Path], *, reads: Iterable[object] = (),
 
     Call it before long work, with every file that is written and everything that is read.
 
-    Parameters
-    ----------
-    files : iterable of path
-        All files to write.
-    reads : iterable, optional
-        Everything that is read: paths of files and of folders of results, values of options;
-        what is not the name of a file does not matter. However a name is spelt (relative,
-        through links, in another case where the disk ignores it), the file counts. So do the
-        sources of a VRT.
-    overwrite : bool
-        Whether files that are not read may be replaced.
+    Of what is read (paths of files and of folders of results, values of options), what is not the
+    name of a file does not matter. However a name is spelt (relative, through links, in another
+    case where the disk ignores it), the file counts. So do the sources of a VRT.
 
     Raises
     ------

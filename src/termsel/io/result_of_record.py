@@ -23,7 +23,7 @@ from termsel.plugins.registry import registry
 from termsel.problems.base import Selection
 from termsel.record.base import plain
 from termsel.record.record import SCHEMA, PluginRecord, Record
-from termsel.results.result import Result
+from termsel.results.result import CARRIED, Result
 from termsel.results.same_fit import fit_of_record
 
 AGAIN = "Run the search again."
@@ -68,11 +68,7 @@ def result_from(record: Record, features: FeatureSet) -> Result:
     fitted = _fit(record, model, observations)
     _refuse_other_model(record, fitted, observations)
     return Result(
-        **{name: getattr(record, name) for name in (
-            "problem", "model", "solver", "criterion", "seed", "data", "feasible", "judgement",
-            "notes", "outliers", "predicted", "accuracy", "objectives", "front", "certificate",
-            "strategy", "evaluations", "lookups", "generations", "seconds", "history", "budget",
-            "stability", "by_size", "interrupted", "polish", "versions")},
+        **{name: getattr(record, name) for name in CARRIED},
         options=plain(record.options),
         plugins={part: plain(one) for part, one in record.plugins.items()},
         selection=Selection(record.selection.terms, record.selection.features,

@@ -59,6 +59,14 @@ if TYPE_CHECKING:
     from termsel.models.base import SensorModel
     from termsel.models.rpc import Rpc
 
+CARRIED = (
+    "problem", "model", "solver", "criterion", "seed", "data", "feasible", "judgement", "notes",
+    "outliers", "predicted", "accuracy", "objectives", "front", "certificate", "strategy",
+    "evaluations", "lookups", "generations", "seconds", "history", "budget", "stability", "by_size",
+    "interrupted", "polish", "versions")
+"""What a result and its record hold alike."""
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class Result(Glance):
     """What a run found, with the accuracy it has on points no choice has seen.
@@ -190,29 +198,22 @@ class Result(Glance):
         final = self.final
         terms = self.fit.model.terms
         return Record(
-            schema=SCHEMA, problem=self.problem, model=self.model, solver=self.solver,
-            criterion=self.criterion, seed=self.seed, options=convert(plain(self.options), Options),
-            data=self.data, selection=self.selection.record(),
-            offered=Offered(len(terms), len(self.fit.control)), feasible=self.feasible,
-            objectives=self.objectives, rmse=rmse_record(self.rmse),
-            baselines=tuple(one.row() for one in self.baselines), judgement=self.judgement,
-            notes=self.notes, outliers=self.outliers, predicted=self.predicted,
-            accuracy=self.accuracy, final=None if final is None else FinalFit(
+            **{name: getattr(self, name) for name in CARRIED}, schema=SCHEMA,
+            options=convert(plain(self.options), Options), selection=self.selection.record(),
+            offered=Offered(len(terms), len(self.fit.control)), rmse=rmse_record(self.rmse),
+            baselines=tuple(one.row() for one in self.baselines),
+            final=None if final is None else FinalFit(
                 final.control.ids, final.scaling.numbers(), final.coefficients,
                 final.standard_deviations, adjustment_figures(final), fit_record(final)),
-            exported="final" if final else "selection", front=self.front,
-            certificate=self.certificate, strategy=self.strategy, evaluations=self.evaluations,
-            lookups=self.lookups, hit_rate=self.hit_rate, generations=self.generations,
-            seconds=self.seconds, history=self.history, budget=self.budget,
-            stability=self.stability, by_size=self.by_size, interrupted=self.interrupted,
-            polish=self.polish, coefficients=self.fit.coefficients,
+            exported="final" if final else "selection", hit_rate=self.hit_rate,
+            coefficients=self.fit.coefficients,
             standard_deviations=self.fit.standard_deviations, fit=fit_record(self.fit),
             adjustment=adjustment_figures(self.fit, self.diagnosis.orientation_spread),
             significance=self.diagnosis.significance,
             correlations=tuple(Correlation((one, other), value)
                                for one, other, value in self.diagnosis.correlations),
             doubts=self.diagnosis.doubts, scaling=self.fit.scaling.numbers(),
-            versions=self.versions, plugins=convert(plain(self.plugins), dict[str, PluginRecord]))
+            plugins=convert(plain(self.plugins), dict[str, PluginRecord]))
 
     def fit_of(self, member: Member) -> Fit:
         """Return the fit of a member of the front, or of the best selection of a size."""

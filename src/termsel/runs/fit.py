@@ -10,7 +10,7 @@ from termsel.candidates.base import Candidate
 from termsel.errors import TermselError, unknown_name
 from termsel.fits.fit import Fit
 from termsel.guard.faults import blamed
-from termsel.io.sources import features_of
+from termsel.io.read import features_of
 from termsel.measurements.features import FeatureSet
 from termsel.measurements.roles import with_roles
 from termsel.models.base import SensorModel

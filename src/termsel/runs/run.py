@@ -14,8 +14,8 @@ from msgspec import convert
 from termsel.adjustment import kernels, leave_out
 from termsel.criteria import Criterion
 from termsel.errors import TermselError
+from termsel.io.read import features_of
 from termsel.io.result_folder import claim_folder, write_result
-from termsel.io.sources import features_of
 from termsel.measurements.datasets import DatasetSpec
 from termsel.measurements.features import FeatureSet
 from termsel.models.base import SensorModel

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from termsel.cli.completion import complete
 from termsel.cli.messages import say_written
-from termsel.cli.options.remote import allow_remote
+from termsel.cli.options.shared import Command, allow_remote
 from termsel.cli.report import REPORT
 from termsel.errors import TermselError
 from termsel.options import SEED
@@ -20,8 +20,6 @@ from termsel.options import SEED
 if TYPE_CHECKING:
     from termsel.measurements.features import FeatureSet
     from termsel.results.result import Result
-
-Command = TypeVar("Command", bound=Callable[..., Any])
 
 COLUMNS_OPTION = click.option(
     "--columns", metavar="PAIRS",

@@ -1,4 +1,4 @@
-"""The option --allow-remote of every command that reads rasters or vector files."""
+"""Options of many commands: which fit of a result is taken, and whether servers are asked."""
 
 from __future__ import annotations
 
@@ -6,6 +6,11 @@ from collections.abc import Callable
 from typing import Any, TypeVar
 
 import click
+
+final_option = click.option(
+    "--final/--no-final", default=None,
+    help="Take the fit of the chosen model to all points, independent ones included, or the fit "
+         "without them. By default the first, where auto chose a model.")
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 
