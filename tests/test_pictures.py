@@ -19,10 +19,10 @@ import numpy as np
 import pytest
 
 import termsel
-from termsel.report import view as shown
 from termsel.report.plots import KINDS, chart
 from termsel.report.small import small_map
 from termsel.report.theme import styled
+from termsel.results import shown
 from termsel.studies.cells.journal import CellRecord
 from termsel.studies.plan.spec import spec_of
 from termsel.studies.shown import figures

@@ -26,7 +26,7 @@ from termsel.files.thumbnail import thumbnail
 from termsel.fits.accuracy import rmse_interval
 from termsel.record.base import plain
 from termsel.report.plots import KINDS
-from termsel.report.repeat import command, not_by_command
+from termsel.results.repeat import command, not_by_command
 
 altair = pytest.importorskip("altair")
 pytest.importorskip("vl_convert")

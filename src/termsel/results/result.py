@@ -51,9 +51,9 @@ from termsel.report.answers import document, statement
 from termsel.report.page import page
 from termsel.report.plots import Plots
 from termsel.report.text import text_of
-from termsel.report.view import View
 from termsel.results.checksums import SEALS, checksums_of
 from termsel.results.same_fit import adjustment_figures, fit_record, least_squares_of
+from termsel.results.shown import Shown
 
 if TYPE_CHECKING:
     from termsel.models.base import SensorModel
@@ -311,12 +311,12 @@ class Result(Glance):
         return json.dumps(plain(self.record), indent=1) + "\n"
 
     @cached_property
-    def view(self) -> View:
+    def view(self) -> Shown:
         """What charts and pages read of the result."""
         points = self.features.points
         names = {one.id for one in self.outliers} - {r.id for r in self.residuals}
         out = points.take([name in names for name in points.ids])  # blunders that have no role
-        return View(self.record, self.fit, self.features, Residuals((
+        return Shown(self.record, self.fit, self.features, Residuals((
             *self.residuals,
             *point_residuals(out, self.fit.errors(out), "left out", [False] * len(out)))),
             lambda: [self.fit_of(member) for member in self.front])

@@ -1,0 +1,231 @@
+"""What charts show of a result, as plain rows, each computed when it is first asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from termsel.fits.figures import residuals_of
+from termsel.fits.fit import Fit
+from termsel.fits.residuals import Residual, Residuals
+from termsel.fits.scene import errors_on_ground, scene_grid
+from termsel.measurements.coordinates.crs import is_geographic
+from termsel.measurements.coordinates.metres import in_metres
+from termsel.measurements.features import FeatureSet, FloatArray, select
+from termsel.measurements.roles import by_roles
+from termsel.record.record import Record
+from termsel.report.view import Row
+from termsel.results.repeat import command, not_by_command
+
+SIGMA_SIDE = 28
+"""Cells along either side of the map of uncertainty."""
+SMOOTH = 8
+"""Control whose heights a cell of it has, so that it shows the model and not steps of heights."""
+
+
+@dataclass(frozen=True, eq=False)
+class Shown:
+    """A result as it is shown; see `termsel.report.view.View`.
+
+    The residuals include those of blunders that have no role, as they were left out.
+    """
+
+    record: Record
+    fit: Fit
+    features: FeatureSet
+    residuals: Residuals
+    fits_of_front: Callable[[], list[Fit]]
+
+    @cached_property
+    def image_box(self) -> tuple[float, float, float, float]:
+        """First line, first sample, last line, last sample [px]: of the image, or of features."""
+        if self.features.image_size is not None:
+            lines, samples = self.features.image_size
+            return 0.0, 0.0, lines - 1.0, samples - 1.0
+        return _box(self.features.image_vertices())
+
+    @cached_property
+    def in_image(self) -> list[Row]:
+        """Residuals with their places in the image: line, sample, dl, ds [px]."""
+        rows = []
+        for r, (line, sample) in zip(self.residuals, self._seen, strict=True):
+            if np.isfinite([line, sample, r.distance]).all():
+                rows.append({**self._named(r), "line": _short(line), "sample": _short(sample),
+                             "dl": _short(r.line, 4), "ds": _short(r.sample, 4)})
+        return rows
+
+    @cached_property
+    def on_ground(self) -> list[Row]:
+        """Residuals with their places on the ground: x, y, dx, dy in the unit of the CRS."""
+        offsets = errors_on_ground(self.fit, self.residuals)
+        metres = in_metres(self.features.crs, self._ground, offsets)
+        rows = []
+        for i, (r, (dx, dy)) in enumerate(zip(self.residuals, offsets.tolist(), strict=True)):
+            if np.isfinite([dx, dy]).all():
+                away = None if metres is None else _short(float(np.hypot(*metres[i])), 4)
+                rows.append({**self._named(r), "x": _short(r.x, 12), "y": _short(r.y, 12),
+                             "dx": _short(dx, 4), "dy": _short(dy, 4), "metres": away})
+        return rows
+
+    @cached_property
+    def worst(self) -> list[Row]:
+        """Features by their largest residual, the largest first."""
+        largest: dict[str, Row] = {}
+        for r in self.residuals:
+            if np.isfinite(r.distance) and (
+                    r.id not in largest or r.distance > largest[r.id]["distance"]):
+                largest[r.id] = self._named(r)
+        return sorted(largest.values(), key=lambda row: -row["distance"])
+
+    @cached_property
+    def lines(self) -> list[Row]:
+        """Control lines as measured in the image."""
+        lines = self.features.lines
+        chosen = set(self.record.selection.features)
+        return [{"id": name, "role": "control" if name in chosen else "left out",
+                 "blunder": name in self._blunders, "line": _short(l1), "sample": _short(s1),
+                 "line2": _short(l2), "sample2": _short(s2)}
+                for name, ((l1, s1), (l2, s2)) in zip(lines.ids, lines.image.tolist(),
+                                                      strict=True)]
+
+    @cached_property
+    def ground_box(self) -> tuple[float, float, float, float]:
+        """Least x and y, greatest x and y of the features, in the unit of the CRS."""
+        return _box(self._ground[np.isfinite(self._ground[:, :2]).all(axis=1), :2])
+
+    @property
+    def flattening(self) -> float:
+        """Length of a unit of x over that of a unit of y on the ground."""
+        if not is_geographic(self.features.crs):
+            return 1.0
+        return max(float(np.cos(np.radians(np.nanmean(self._ground[:, 1])))), 0.05)
+
+    @cached_property
+    def units_per_metre(self) -> float | None:
+        """Units of y on the ground in a metre; None where that is not known."""
+        middle = np.nanmean(self._ground[:, :2], axis=0, keepdims=True)  # heights may be unknown
+        step = 1e-5 if is_geographic(self.features.crs) else 1.0
+        metres = in_metres(self.features.crs, middle, np.array([[0.0, step]]))
+        return None if metres is None else step / float(metres[0, 1])
+
+    @cached_property
+    def sigma(self) -> list[Row]:
+        """Standard deviation of the fit in cells of the image: its ends and sigma [px]."""
+        image, ground = scene_grid(self.fit, SIGMA_SIDE, SMOOTH, self.image_box)
+        sigma = np.linalg.norm(self.fit.sigma(ground), axis=1)
+        half_line, half_sample = ((image[-1] - image[0]) / (SIGMA_SIDE - 1) / 2).tolist()
+        return [{"line": _short(line - half_line), "line2": _short(line + half_line),
+                 "sample": _short(sample - half_sample), "sample2": _short(sample + half_sample),
+                 "sigma": _short(value, 4)}
+                for (line, sample), value in zip(image.tolist(), sigma.tolist(), strict=True)
+                if np.isfinite(value)]
+
+    @cached_property
+    def control(self) -> list[Row]:
+        """Control in use as measured in the image."""
+        return [{"line": line, "sample": sample} for line, sample in self._in_use.tolist()]
+
+    @cached_property
+    def hull(self) -> list[Row]:
+        """Corners of the control's convex hull; none of places on one straight line."""
+        from scipy.spatial import ConvexHull, QhullError
+
+        try:
+            around = ConvexHull(self._in_use).vertices
+        except (QhullError, ValueError):  # on one straight line, or fewer than three
+            return []
+        return [{"i": i, "line": float(self._in_use[v, 0]), "sample": float(self._in_use[v, 1])}
+                for i, v in enumerate([*around, around[0]])]
+
+    @cached_property
+    def correlations(self) -> list[Row]:
+        """Correlations of the coefficients in use; none where they are not of least squares."""
+        matrix = self.fit.adjustment.correlations
+        if matrix is None or not self.fit.estimator.least_squares:
+            return []
+        names = select(self.fit.model.terms, self.fit.terms)
+        return [{"one": names[i], "other": names[j], "correlation": float(matrix[i, j])}
+                for i in range(len(names)) for j in range(i) if np.isfinite(matrix[i, j])]
+
+    @cached_property
+    def members(self) -> list[Row]:
+        """Residuals in the image by all members of the front: dls, dss [`unit`], one a member."""
+        each, unit, rows = self._by_member, self.unit, []
+        for i, (r, (line, sample)) in enumerate(zip(self.residuals, self._seen, strict=True)):
+            if np.isfinite([line, sample, *(value for member in each for value in (
+                    member[i].line, member[i].sample))]).all():
+                rows.append({**self._named(r), "line": _short(line), "sample": _short(sample),
+                             "dls": [round(member[i].line / unit) for member in each],
+                             "dss": [round(member[i].sample / unit) for member in each],
+                             "uses": [int(member[i].used) for member in each]})
+        return rows
+
+    @cached_property
+    def unit(self) -> float:
+        """Unit of the residuals of members [px]: their median has three digits or four in it.
+
+        Whole numbers of it take half the space of numbers in px.
+        """
+        lengths = [r.distance for member in self._by_member for r in member]
+        median = float(np.median([one for one in lengths if np.isfinite(one)] or [0.0]))
+        return float(f"{10.0 ** (np.floor(np.log10(median)) - 2):.0e}") if median > 0 else 1.0
+
+    @cached_property
+    def command(self) -> str:
+        """The command that repeats the run; "" where none does."""
+        return "" if self.no_command else command(self.record)
+
+    @cached_property
+    def no_command(self) -> str:
+        """Why no command repeats the run; "" where one does."""
+        return not_by_command(self.record)
+
+    @cached_property
+    def _blunders(self) -> frozenset[str]:
+        doubts = self.record.doubts
+        return frozenset(one.id for one in self.record.outliers) \
+            | frozenset(doubts.wrong if doubts else ())
+
+    @cached_property
+    def _ground(self) -> FloatArray:
+        """Ground positions of the residuals, shape (n, 3)."""
+        return np.array([(r.x, r.y, r.z) for r in self.residuals]).reshape(-1, 3)
+
+    @cached_property
+    def _seen(self) -> list[list[float]]:
+        """Places of the residuals in the image: as measured, of vertices as computed."""
+        measured = dict(zip(self.features.points.ids, self.features.points.image.tolist(),
+                            strict=True))
+        return [measured[r.id] if r.kind == "point" else computed for r, computed in zip(
+            self.residuals, self.fit.project(self._ground).tolist(), strict=True)]
+
+    @cached_property
+    def _in_use(self) -> FloatArray:
+        """Places of the control in use in the image, shape (n, 2)."""
+        made = self.fit.made or self.fit
+        return made.control.take(made.used).image_vertices()
+
+    @cached_property
+    def _by_member(self) -> list[Residuals]:
+        roles = by_roles(self.features)
+        return [residuals_of(fitted, roles) for fitted in self.fits_of_front()]
+
+    def _named(self, r: Residual) -> Row:
+        fitted_to = r.used or r.role != "control"
+        return {"id": r.id, "kind": "point" if r.kind == "point" else "line",
+                "role": r.role if fitted_to else "left out", "blunder": r.id in self._blunders,
+                "distance": _short(r.distance, 4)}
+
+
+def _box(places: FloatArray) -> tuple[float, float, float, float]:
+    """Return the least, then the greatest of both coordinates, shape (n, 2)."""
+    (a, b), (c, d) = places.min(axis=0).tolist(), places.max(axis=0).tolist()
+    return a, b, c, d
+
+
+def _short(value: float, digits: int = 7) -> float:
+    """Return a number with fewer digits, as data of a page."""
+    return float(f"{value:.{digits}g}")
