@@ -40,12 +40,6 @@ def folder(chain: ModuleType, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def test_a_checkerboard_begins_dark_at_its_origin(chain: ModuleType) -> None:
-    pattern = sys.modules["render"].checkerboard((10.0, 20.0), (5.0, 2.0))
-    places = np.array([[11.0, 21.0], [16.0, 21.0], [16.0, 23.0], [9.0, 21.0]])
-    assert pattern(places).tolist() == [60.0, 190.0, 60.0, 190.0]
-
-
 def _termsel(*arguments: str) -> str:
     done = CliRunner().invoke(cli, arguments, catch_exceptions=False)
     assert done.exit_code == 0, done.output

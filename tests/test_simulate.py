@@ -18,6 +18,7 @@ from termsel.simulate import (
     simulate_scene,
 )
 from termsel.simulate.geometry_files import geometry_from, geometry_text
+from termsel.simulate.render import checkerboard
 
 NAMES = tuple(SCENES)
 PLACE = {"lon": 48.5, "lat": 34.8, "height": 1850.0, "gsd": 1.0, "image_size": (7000, 8000),
@@ -334,6 +335,12 @@ def test_a_geometry_is_read_as_it_was_written():
     for name in NAMES:
         sensor = scene_truth(name).sensor
         assert geometry_from(geometry_text(sensor)) == sensor
+
+
+def test_a_checkerboard_begins_dark_at_its_origin():
+    pattern = checkerboard((10.0, 20.0), (5.0, 2.0))
+    places = np.array([[11.0, 21.0], [16.0, 21.0], [16.0, 23.0], [9.0, 21.0]])
+    assert pattern(places).tolist() == [60.0, 190.0, 60.0, 190.0]
 
 
 def test_loading_needs_numpy_alone():

@@ -16,11 +16,11 @@ import numpy as np
 import rasterio
 from affine import Affine
 from rasterio.errors import NotGeoreferencedWarning
-from render import checkerboard, render
 
 from termsel import write_points_csv
 from termsel.measurements.features import Points
 from termsel.simulate import pushbroom_at
+from termsel.simulate.render import checkerboard, render
 from termsel.simulate.terrain import Terrain, hilly
 
 LON, LAT, LOW, HIGH = 48.5, 34.8, 1500.0, 2200.0
