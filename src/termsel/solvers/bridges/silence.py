@@ -41,10 +41,10 @@ class _Silence:
             if (quiet := time.perf_counter() - self.since) < LONG:
                 continue
             what = f"{name_of(self.solver)} has yielded nothing for {quiet:.0f} s"
-            self.tell(what)
             if not said:
                 said = True
                 log.info("Note: %s. Ctrl-C ends the run with the best so far.", what)
+            self.tell(what)
 
 
 def heard(running: Iterator[Generation], solver: Solver, ledger: Ledger,
