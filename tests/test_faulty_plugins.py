@@ -211,7 +211,8 @@ def test_stdout_has_the_result_alone(install: Callable[..., None], thread: str, 
     done = _termsel(tmp_path, "run", "--problem", "poly-terms", "--criterion", "talking",
                     "--generations", "1", "--set", "population=10", "--json")
     assert json.loads(done.stdout)["criterion"] == "talking"
-    assert {"imported", "asked"} <= set(done.stderr.splitlines())
+    assert "imported" in done.stderr
+    assert "asked" in done.stderr  # anywhere: lines of two threads run into each other
 
 
 def test_a_command_of_a_plugin_has_stdout(install: Callable[..., None], tmp_path: Path) -> None:
