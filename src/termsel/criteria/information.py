@@ -56,13 +56,7 @@ class Ebic(Criterion):
     )
 
     def score(self, fits: Fits) -> FloatArray:
-        """Return the criterion.
-
-        Raises
-        ------
-        TermselError
-            If features are selected.
-        """
+        """Return the criterion; refuse a selection of features, whose observations would differ."""
         if fits.used is not None:
             raise TermselError("criterion 'ebic' cannot select control features, as it compares "
                                "models of the same observations",

@@ -23,23 +23,13 @@ sqrt(2 ln 2)."""
 
 def figure(distances: FloatArray, weights: FloatArray, loss: str = SQUARES,
            threshold: float = 2.0) -> FloatArray:
-    """Return the RMSE of errors, or a figure close to it for normal errors without blunders.
+    """Return the RMSE of errors, or a figure close to it for normal errors without blunders; (p,).
 
-    Parameters
-    ----------
-    distances : ndarray, shape (p, n)
-        Error of each feature [px].
-    weights : ndarray, shape (p, n)
-        Number of errors that each represents; 0 for a feature that is not in use.
-    loss : {"squares", "huber", "median"}
-        sqrt(mean(rho(d))) with rho(d) = d^2, or for "huber" d^2 up to c and 2 c d - c^2 beyond, c
-        the threshold times the median distance; or the median distance times 1 / sqrt(ln 2).
-    threshold : float
-
-    Returns
-    -------
-    ndarray, shape (p,)
-        Infinite without a feature in use, and if the error of one in use is not finite.
+    Of distances [px] (p, n), with the number of errors that each represents, 0 for a feature that
+    is not in use. The figure is sqrt(mean(rho(d))) with rho(d) = d^2, or for "huber" d^2 up to c
+    and 2 c d - c^2 beyond, c the threshold times the median distance; or for "median" the median
+    distance times 1 / sqrt(ln 2). It is infinite without a feature in use, and if the error of one
+    in use is not finite.
     """
     used: BoolArray = weights > 0
     counted = np.asarray(used.any(axis=1) & ~(used & ~np.isfinite(distances)).any(axis=1))

@@ -56,27 +56,18 @@ def predicted_rmse(errors: FloatArray, effective: float, points: int,
                    shared: float | None = None) -> Predicted:
     """Return the RMSE that held-out errors predict, with an interval.
 
-    Its logarithm has three uncertainties, and no constant says how large they are. One is that of
-    a mean of so many squares, of the redundancy of those held out and of those to come, with the
-    spread that the squares show, or that of normal errors where this is larger. The others are
-    what all places have in common: coefficients that few points determine, and the doubt which
+    Errors [px] (n, 2) are of points under choices made without them, `effective` the parameters of
+    both axes together, `points` the number of independent points, and `shared` the relative
+    variance of the mean square error that all places have in common; by default that of as many
+    equally uncertain coefficients as are effective.
+
+    The logarithm of the RMSE has three uncertainties, and no constant says how large they are. One
+    is that of a mean of so many squares, of the redundancy of those held out and of those to come,
+    with the spread that the squares show, or that of normal errors where this is larger. The others
+    are what all places have in common: coefficients that few points determine, and the doubt which
     solution is right (see `termsel.fits.uncertainty.shared_variance`). The middle is half the
     variance below the logarithm of the prediction, which is then the mean of a log-normal RMSE. The
-    interval is that of Student's t with the redundancy. The variance is at most the square of its
-    quantile, as a greater one would lower the upper limit: that of a random field near
-    interpolation has no bound.
-
-    Parameters
-    ----------
-    errors : ndarray, shape (n, 2)
-        Of points under choices made without them [px].
-    effective : float
-        Effective parameters of the fit, of both axes together.
-    points : int
-        Number of independent points; 0 if there are none.
-    shared : float, optional
-        Relative variance of the mean square error that all places have in common. By default that
-        of as many equally uncertain coefficients as are effective.
+    interval is that of Student's t with the redundancy.
     """
     squares, n = (errors**2).sum(axis=1), len(errors)
     rmse = float(np.sqrt(squares.mean()))
@@ -100,19 +91,10 @@ def predicted_by(fitted: Fit, errors: FloatArray, points: int) -> Predicted:
 
 
 def rmse_interval(total: float, points: int, level: float = LEVEL) -> tuple[float, float]:
-    """Return the interval of the RMSE that endlessly many such points would have.
+    """Return the interval of the RMSE [px] that endlessly many such points would have.
 
     Of errors in line and sample that are independent, normal and alike, so that their squares have
-    a chi-squared distribution.
-
-    Parameters
-    ----------
-    total : float
-        RMSE of the points [px].
-    points : int
-        Their number, at least 1.
-    level : float
-        Probability of the interval.
+    a chi-squared distribution; `level` is the probability of the interval.
     """
     tail, freedom = (1 - level) / 2, 2 * points
     return (total * float(np.sqrt(freedom / chdtri(freedom, tail))),
@@ -124,14 +106,7 @@ _Distances = TypeVar("_Distances", InImage, OnGround)
 
 def distances(kind: Callable[[int, float, float, float, float, float], _Distances],
               errors: FloatArray) -> _Distances:
-    """Return the figures of errors in two coordinates.
-
-    Parameters
-    ----------
-    kind : {InImage, OnGround}
-    errors : ndarray, shape (n, 2)
-        Of line and sample [px], or of x and y [m].
-    """
+    """Return the figures of errors (n, 2), of line and sample [px], or of x and y [m]."""
     first, second = np.sqrt((errors**2).mean(axis=0)).tolist()
     return kind(len(errors), first, second, float(np.hypot(first, second)),
                 float(np.linalg.norm(errors, axis=1).max()), float(ce90(errors)))

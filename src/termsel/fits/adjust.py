@@ -22,17 +22,9 @@ def adjust(model: Fittable, features: FeatureSet, terms: BoolArray,
            used: BoolArray) -> Adjustment:
     """Return the least squares of distances, by Gauss-Newton where equations are not exact.
 
-    A step that does not lessen the sum of squared distances is halved, and where that does not
-    help the search ends.
-
-    Parameters
-    ----------
-    model : Fittable
-        Prepared for the features.
-    features : FeatureSet
-        In scaled coordinates.
-    terms, used : ndarray of bool
-        As for `termsel.fits.fit.fit`.
+    The model is prepared, the features are scaled; `terms` (k,) and `used` (features,) are in use.
+    A step that does not lessen the sum of squared distances is halved, and where that does not help
+    the search ends.
     """
     adjustment = solve(model.equations(features), terms, used)
 

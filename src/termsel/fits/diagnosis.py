@@ -94,15 +94,9 @@ def correlations(fit: Fit) -> Iterator[tuple[str, str, float]]:
 class Diagnosis:
     """What a fit says about its terms and about the features it was offered.
 
-    Parameters
-    ----------
-    significance : mapping
-        Of each term in use, by its name.
-    correlations : tuple of (str, str, float)
-        Pairs of terms whose coefficients correlate by CORRELATED or more, highest first.
-    doubts : Doubts or None
-    orientation_spread : float or None
-        Of the lines in use; None without lines.
+    Significance is by the name of each term in use, correlations are pairs of terms as
+    `correlations` yields them, and the orientation spread is of the lines in use; None without
+    lines.
     """
 
     significance: Mapping[str, Significance]
@@ -119,15 +113,10 @@ def diagnose(fit: Fit) -> Diagnosis:
 
 
 def orientation_spread(lines: Lines) -> float:
-    """Return how widely the directions of image lines spread.
+    """Return how widely the directions of image lines, at least one, spread.
 
     Twice the smaller eigenvalue of the mean of n n^T over the unit normals n: 1 where all
     directions occur alike, 0 where all lines are parallel and fix one image axis alone.
-
-    Parameters
-    ----------
-    lines : Lines
-        At least one.
     """
     normal: FloatArray = line_normals(lines)[0]
     return float(max(0.0, 2.0 * np.linalg.eigvalsh(normal.T @ normal / len(normal))[0]))

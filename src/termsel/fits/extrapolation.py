@@ -16,18 +16,10 @@ as far outside: a quadratic term is then 4 times what it is at the hull's edge."
 
 
 def outside(control: FloatArray, places: FloatArray) -> FloatArray:
-    """Return how far places on the ground are outside the control.
+    """Return how far places on the ground (m, 3) are outside the control (n, 3), shape (m,).
 
-    Parameters
-    ----------
-    control, places : ndarray, shape (n, 3) and (m, 3)
-        NaN for a height that is not known.
-
-    Returns
-    -------
-    ndarray, shape (m,)
-        Distance from the hull by its longer side, or above or below its heights by their range,
-        whichever is larger; 0 inside. Infinite if the control has no hull, NaN for no place.
+    Distance from the hull by its longer side, or above or below its heights by their range,
+    whichever is larger; 0 inside. Infinite if the control has no hull, NaN for no place.
     """
     apart = beyond(control[:, :2], places[:, :2])
     low, high = control[:, 2].min(), control[:, 2].max()

@@ -29,20 +29,10 @@ Rmses = Mapping[str, Rmse | None]
 class Baseline:
     """A fit without any search, with which the selection is compared.
 
-    Parameters
-    ----------
-    name : str
-    n_terms : int
-        Terms of both axes together.
-    fitted_to : tuple of str
-        Roles whose features took part in the adjustment.
-    determined : bool
-        False if the control does not determine the terms; the figures are then those of
-        the least-norm solution.
-    rmse : mapping
-        By role; None where there are no points, or where the model is not determined.
-    predicted : float, optional
-        RMSE by leave-one-out over the features it was fitted to [px].
+    It has `n_terms` of both axes, and was fitted to the features of the roles `fitted_to`. If the
+    control does not determine it, its figures are those of the least-norm solution. RMSE [px] are
+    by role, None without points; `predicted` is that by leave-one-out over the features it was
+    fitted to.
     """
 
     name: str
@@ -59,12 +49,7 @@ class Baseline:
 
 
 def rmse_record(rmse: Rmses) -> RmseByRole:
-    """Return RMSE by role as result.json holds them; null where there are no points.
-
-    Parameters
-    ----------
-    rmse : mapping
-        By role, that by leave-one-out with them if there is one.
+    """Return RMSE by role, with that by leave-one-out if there is one, as result.json holds them.
     """
     control, check, independent = (_of_role(rmse.get(role)) for role in ROLES)
     return RmseByRole(control, check, independent,
@@ -94,14 +79,7 @@ def finite_or_none(value: float) -> float | None:
 
 def baseline(name: str, fitted: Fit, predicted: float | None, observations: Observations,
              roles: tuple[Role, ...] = BOTH) -> Baseline:
-    """Return the figures of a fit.
-
-    Parameters
-    ----------
-    predicted : float or None
-        RMSE by leave-one-out [px].
-    roles : tuple of str
-        What it was fitted to.
+    """Return the figures of a fit to some roles, whose RMSE by leave-one-out [px] is `predicted`.
     """
     return Baseline(name, int(fitted.terms.sum()), roles, fitted.determined,
                     figures(in_role(fitted, observations), observations), predicted)
@@ -135,16 +113,9 @@ def figures(fitted: Fit, observations: Observations) -> dict[str, Rmse | None]:
 def residuals_of(chosen: Fit, observations: Observations, *,
                  check_used: bool = False,
                  independent_used: Collection[str] = ()) -> Residuals:
-    """Return the residuals of all features that have a role.
+    """Return the residuals of all features that have a role, of a fit to the control.
 
-    Parameters
-    ----------
-    chosen : Fit
-        Fitted to the control of the observations.
-    check_used : bool
-        Whether the check points took part in the adjustment too.
-    independent_used : collection of str
-        Ids of independent points that did.
+    Whether check points, and the ids of which independent points, took part in the adjustment too.
     """
     check, independent = observations.check, observations.independent
     return Residuals((

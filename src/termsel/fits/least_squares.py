@@ -21,11 +21,8 @@ from termsel.measurements.scaling import Scaling
 class LeastSquares(Estimator):
     """The coefficients of the least squares of distances in the image.
 
-    Parameters
-    ----------
-    iterated : bool
-        Whether to go on from equations that hold to first order to the least squares of
-        distances; else the fit is the one a search judges.
+    If `iterated`, it goes on from equations that hold to first order to the least squares of
+    distances; else the fit is the one a search judges.
     """
 
     name = "least-squares"
@@ -68,19 +65,10 @@ LEAST_SQUARES = LeastSquares()
 
 def solutions_without_each(parts: tuple[IndependentPart, ...], terms: BoolArray,
                            used: BoolArray) -> FloatArray | None:
-    """Return the least-squares solutions without each feature, in closed form.
+    """Return the least-squares solutions without each feature, in closed form, shape (n, k).
 
-    Parameters
-    ----------
-    parts : tuple of IndependentPart
-        Of the equations of n features.
-    terms : ndarray of bool, shape (k,)
-    used : ndarray of bool, shape (n,)
-
-    Returns
-    -------
-    ndarray, shape (n, k), or None
-        None where the terms are not determined, or some feature is indispensable.
+    Parts are of the equations of n features, `terms` (k,) and `used` (n,) are in use. None where
+    the terms are not determined, or some feature is indispensable.
     """
     solutions = np.zeros((len(used), len(terms)))
     for part in parts:
@@ -96,18 +84,8 @@ def fit(model: Fittable, control: FeatureSet, scaling: Scaling,
         iterated: bool = True) -> Fit:
     """Fit a model to control features by least squares, whether or not they determine it.
 
-    Parameters
-    ----------
-    model : Fittable
-    control : FeatureSet
-        In px and ground units.
-    scaling : Scaling
-    terms : ndarray of bool, shape (k,), optional
-        Terms in use; all by default.
-    used : ndarray of bool, shape (len(control),), optional
-        Features in use; all by default.
-    iterated : bool
-        As for `LeastSquares`.
+    Features are in px and ground units; terms (k,) and features in use are all by default.
+    `iterated` is as for `LeastSquares`.
     """
     terms = np.ones(len(model.terms), dtype=bool) if terms is None else terms
     used = np.ones(len(control), dtype=bool) if used is None else used

@@ -34,35 +34,15 @@ def locate(
     centre: ArrayLike,
     scale: ArrayLike,
 ) -> FloatArray:
-    """Return where the rays of image points reach given heights, or a surface.
+    """Return where the rays of image points [px] (n, 2) reach heights or a surface, shape (n, 3).
 
-    Parameters
-    ----------
-    project : callable
-        From ground to image.
-    image : array_like, shape (n, 2)
-        Line and sample [px].
-    height : array_like, shape (n,), a number, or callable
-        Heights, or a surface that gives them for x and y.
-    centre, scale : array_like, shape (3,)
-        Middle and half-range of the ground coordinates; the search starts in the middle.
+    Heights are (n,), one number, or a surface that gives them for x and y; the search starts in the
+    middle, `centre` and half-range `scale` of the ground (3,). NaN where the ray meets no ground
+    point, or the surface has no height there. Raises TermselError for other shapes.
 
-    Returns
-    -------
-    ndarray, shape (n, 3)
-        Ground coordinates; NaN where the ray meets no ground point, or the surface has no
-        height there.
-
-    Raises
-    ------
-    TermselError
-        If the image points are not of this shape, or the heights are of another number.
-
-    Notes
-    -----
-    Newton's method at fixed heights; derivatives are kept for some steps. On a surface, the
-    secant method finds the height at which ray and surface agree. Where a ray meets a steep
-    surface several times, one of the places is returned, not always the visible one.
+    Newton's method at fixed heights; derivatives are kept for some steps. On a surface, the secant
+    method finds the height at which ray and surface agree. Where a ray meets a steep surface
+    several times, one of the places is returned, not always the visible one.
     """
     image = np.asarray(image, dtype=np.float64)
     if image.ndim != 2 or image.shape[1] != 2:

@@ -31,14 +31,8 @@ APART = 0.2
 class Ranking:
     """Places in the order in which they should be measured.
 
-    Parameters
-    ----------
-    order : ndarray of int, shape (n,)
-        Numbers of candidates.
-    sigma : ndarray, shape (n,)
-        Root mean square uncertainty of a position over the scene after each of them [px].
-    now : float
-        The same before.
+    `order` has numbers of candidates, `sigma` the root mean square uncertainty of a position over
+    the scene after each of them [px], `now` the same before.
     """
 
     order: IntArray
@@ -48,26 +42,12 @@ class Ranking:
 
 def rank_places(fitted: Fit, candidates: FloatArray, scene: FloatArray, count: int,
                 apart: float = APART) -> Ranking:
-    """Return the best places to measure next.
+    """Return the best places to measure next, at most `count` of the candidates.
 
-    Parameters
-    ----------
-    fitted : Fit
-        A spline or a field is taken for the shrunken cubic polynomial of its control.
-    candidates : ndarray, shape (c, 3)
-        Ground positions where a point could be measured.
-    scene : ndarray, shape (m, 3)
-        Ground positions, spread over the scene, where the model is to be good.
-    count : int
-        How many places; at most as many as there are candidates.
-    apart : float
-        Least distance of two places in the image, as a share of its longer side. Where no
-        candidate is as far from all places before it, any may follow.
-
-    Raises
-    ------
-    TermselError
-        If the uncertainty of the fit is not known.
+    Candidates (c, 3) and the scene where the model is to be good (m, 3) are on the ground. A spline
+    or a field is taken for the shrunken cubic polynomial of its control. Two places are `apart` in
+    the image, as a share of its longer side; where no candidate is as far from all places before
+    it, any may follow. Raises TermselError if the uncertainty of the fit is not known.
     """
     made = fitted.made or fitted
     places = made.scaling.ground(np.concatenate([candidates, scene]))

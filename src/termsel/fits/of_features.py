@@ -17,18 +17,9 @@ AS_CONTROL = ("control", "")
 
 
 def control_of(features: FeatureSet) -> FeatureSet:
-    """Return the features that a fit takes as control.
+    """Return the features that a fit takes as control: lines, and points of `AS_CONTROL`.
 
-    Parameters
-    ----------
-    features : FeatureSet
-        Lines, and points with the role control or none, are control. Points with the role check,
-        independent or off are left out.
-
-    Raises
-    ------
-    TermselError
-        If none is left.
+    Raises TermselError if there are none.
     """
     points = features.points
     taken = np.isin(np.array(points.roles, dtype=object), AS_CONTROL)
@@ -45,17 +36,9 @@ def control_of(features: FeatureSet) -> FeatureSet:
 
 @one_blas_thread
 def fit_all_terms(model: Fittable, control: FeatureSet) -> Fit:
-    """Fit all terms of a model by least squares.
+    """Fit all terms of a model by least squares to the features that `control_of` returns.
 
-    Parameters
-    ----------
-    control : FeatureSet
-        As `control_of` returns it.
-
-    Raises
-    ------
-    Undetermined
-        If the control does not determine the terms.
+    Raises `Undetermined` if the control does not determine the terms.
     """
     terms, used = (np.ones(n, dtype=bool) for n in (len(model.terms), len(control)))
     return require_determined(
@@ -63,12 +46,7 @@ def fit_all_terms(model: Fittable, control: FeatureSet) -> Fit:
 
 
 def require_determined(fitted: Fit) -> Fit:
-    """Return a fit, and refuse one whose terms the control does not determine.
-
-    Raises
-    ------
-    Undetermined
-    """
+    """Return a fit; raise `Undetermined` for one whose terms the control does not determine."""
     if fitted.determined:
         return fitted
     adjustment, name = fitted.adjustment, fitted.model.name

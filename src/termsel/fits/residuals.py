@@ -17,20 +17,10 @@ from termsel.measurements.tables.frames import frame, geo_frame
 class Residual:
     """What is left at one point, or at one ground vertex of a control line.
 
-    Parameters
-    ----------
-    id : str
-    kind : str
-        "point", or "vertex 1" and "vertex 2" of a line and of its further pieces from 3 on.
-    role : str
-    used : bool
-        Whether the feature took part in the adjustment.
-    line, sample : float
-        Measured minus computed [px]; for a vertex, from its projection to the image line.
-    x, y, z : float
-        Ground coordinates; NaN for a height that is not known.
-    distance : float
-        Length of that vector [px].
+    Its kind is "point", or "vertex 1" and "vertex 2" of a line and of its further pieces from 3 on.
+    Line and sample are measured minus computed [px], for a vertex from its projection to the image
+    line; the distance is the length of that vector. Ground coordinates have NaN for a height that
+    is not known.
     """
 
     id: str
@@ -90,15 +80,9 @@ class Residuals(tuple[Residual, ...]):
 
 def control_residuals(control: FeatureSet, used: Iterable[bool], errors: FloatArray,
                       line_errors: FloatArray) -> Residuals:
-    """Return the errors of control features as a table.
+    """Return the errors [px] of control features as a table.
 
-    Parameters
-    ----------
-    used : iterable of bool, length len(control)
-    errors : ndarray, shape (n, 2)
-        Of the points [px].
-    line_errors : ndarray, shape (n_lines, 2, 2)
-        Of both ground vertices of the lines [px].
+    Of points (n, 2), and of both ground vertices of the lines (n_lines, 2, 2).
     """
     return Residuals(_of_control(control, tuple(bool(on) for on in used), errors, line_errors))
 

@@ -15,25 +15,12 @@ INSET = 0.02
 def scene_grid(fitted: Fit, side: int, neighbours: int = 1,
                box: tuple[float, float, float, float] | None = None,
                ) -> tuple[FloatArray, FloatArray]:
-    """Return positions on a grid over the image, and what is seen there on the ground.
+    """Return a grid of `side` by `side` positions over the image, and what is seen there.
 
-    Parameters
-    ----------
-    side : int
-        Positions along either side of the image.
-    neighbours : int
-        Number of nearest control vertices whose heights a position has the mean of, with weights
-        by inverse squares of their distances.
-    box : tuple of float, optional
-        First line, first sample, last line, last sample of the grid [px]; by default those of the
-        image, or of the control where its size is not known.
-
-    Returns
-    -------
-    image : ndarray, shape (side * side, 2)
-        Line and sample [px], line by line.
-    ground : ndarray, shape (side * side, 3)
-        In the CRS of the control; NaN where the fit sees nothing.
+    Line and sample [px] (side * side, 2), line by line; and ground in the CRS of the control (side
+    * side, 3), NaN where the fit sees nothing. A position has the mean height of the nearest
+    control vertices (`neighbours`), weighted by inverse squares of their distances. The box is
+    first line, first sample, last line and last sample [px]; by default that of `Fit.image_box`.
     """
     from scipy.spatial import cKDTree
 
@@ -55,14 +42,10 @@ def scene_grid(fitted: Fit, side: int, neighbours: int = 1,
 
 
 def errors_on_ground(fitted: Fit, residuals: Residuals) -> FloatArray:
-    """Return residuals as vectors on the ground, at the height of each feature.
+    """Return residuals as vectors on the ground (n, 2), at the height of each feature.
 
-    Each leads from the feature to the place where the fit sees its measured image position.
-
-    Returns
-    -------
-    ndarray, shape (n, 2)
-        In the unit of the CRS; NaN where the fit sees nothing.
+    Each leads from the feature to the place where the fit sees its measured image position, in the
+    unit of the CRS; NaN where the fit sees nothing.
     """
     ground = np.array([(r.x, r.y, r.z) for r in residuals]).reshape(-1, 3)
     errors = np.array([(r.line, r.sample) for r in residuals]).reshape(-1, 2)

@@ -35,15 +35,9 @@ STEP = 1e-6
 class Spread:
     """Mean square errors of predictions, in scaled coordinates.
 
-    Parameters
-    ----------
-    variance : ndarray, shape (m, 2)
-        Of line and sample, without the noise of a measurement at the place.
-    noise : ndarray, shape (2,)
-        Variance of that noise, for measurements of unit weight.
-    factors : ndarray, shape (m, 2, d), optional
-        Their products are the covariances of what is not known, at all places and of both axes: a
-        measurement lessens it elsewhere too.
+    The variance (m, 2) is of line and sample without the noise (2,) of a measurement of unit weight
+    at the place. Products of the factors (m, 2, d), where known, are the covariances of what is not
+    known, at all places and of both axes: a measurement lessens it elsewhere too.
     """
 
     variance: FloatArray
@@ -53,26 +47,10 @@ class Spread:
 
 def spread_of(model: Fittable, control: FeatureSet, terms: BoolArray, adjustment: Adjustment,
               ground: FloatArray, image: FloatArray, *, least_squares: bool) -> Spread:
-    """Return the mean square errors of what a fit predicts.
+    """Return the mean square errors of what a fit predicts; NaN where there is no redundancy.
 
-    Parameters
-    ----------
-    model : Fittable
-        Prepared.
-    control : FeatureSet
-        Features in use, in scaled coordinates.
-    terms : ndarray of bool, shape (k,)
-    ground : ndarray, shape (m, 3)
-        Scaled.
-    image : ndarray, shape (m, 2)
-        What the fit predicts there, scaled.
-    least_squares : bool
-        Whether the coefficients are those of least squares.
-
-    Returns
-    -------
-    Spread
-        NaN where the control has no redundancy.
+    All is scaled: the prepared model, the features in use, ground (m, 3) and the image that the fit
+    predicts there (m, 2). `least_squares` says whether the coefficients are its own.
     """
     own = None if len(control.lines) else model.interpolation(control)
     if own is not None:
@@ -101,17 +79,8 @@ def shared_variance(model: Fittable, control: FeatureSet) -> float | None:
     Errors of coefficients spread over the scene: where few coefficients are uncertain, the mean
     square of errors all over it is so, too. Places are those of the control points, each predicted
     by the others. What they have in common is seen by the posterior; to this comes how much the
-    mean squares of its solutions differ.
-
-    Parameters
-    ----------
-    model, control
-        As for `spread_of`.
-
-    Returns
-    -------
-    float or None
-        None with lines, and where points are too few for a posterior.
+    mean squares of its solutions differ. None with lines, and where points are too few for a
+    posterior.
     """
     believed = _Belief.of(model, control)
     if believed is None:

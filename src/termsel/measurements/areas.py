@@ -20,13 +20,7 @@ _MANY = 1000  # most corners for which crossing edges, at quadratic cost, are lo
 
 
 class CornerError(TermselError):
-    """An invalid area, and the corner that shows it.
-
-    Parameters
-    ----------
-    corner : int
-        Counted from 0.
-    where : {"image", "ground"}
+    """An invalid area, and the corner, counted from 0, that shows it in the image or on the ground.
     """
 
     def __init__(self, what: str, corner: int, where: str, hint: str) -> None:
@@ -39,24 +33,11 @@ class CornerError(TermselError):
 class Area:
     """A polygon given by its corners, in the image and on the ground.
 
-    Parameters
-    ----------
-    id : str
-    image : array_like, shape (n, 2)
-        Line and sample [px] of at least three corners, in order around the area. The first
-        may be repeated at the end.
-    ground : array_like, shape (n, 3)
-        X, Y, Z of the same corners; NaN for heights that are not known.
-    role : str
-        "control", "check", "independent", "off" or "".
-    attributes : mapping
-        Further text by name, such as source or date.
-
-    Raises
-    ------
-    TermselError
-        If image and ground have different numbers of corners; a `CornerError` for fewer than
-        three, for a repeated one, for corners on one straight line and for edges that cross.
+    At least three corners in order around the area, line and sample [px] (n, 2) and X, Y, Z (n, 3)
+    with NaN for heights that are not known; the first may be repeated at the end. Role and
+    attributes are those of features. Raises TermselError if image and ground have different numbers
+    of corners; a `CornerError` for fewer than three, for a repeated one, for corners on one
+    straight line and for edges that cross.
     """
 
     id: str
@@ -89,29 +70,15 @@ class Area:
 
 
 def boundary(areas: Sequence[Area]) -> Lines:
-    """Return the edges of areas as lines, those of one area under its id.
+    """Return the edges of areas as lines, those of one area under its id; "off" ones stay out.
 
-    Parameters
-    ----------
-    areas : sequence of Area
-        Those in the role "off" stay out.
+    Those of one area are pieces of one feature. An edge that neighbours share, with the same X and
+    Y at its ends, is used once, by the area that has fewer so far: each keeps some. Raises
+    TermselError for an area in the role check or independent, which lines cannot have; for one
+    whose edges others have all taken; and as `Lines`.
 
-    Returns
-    -------
-    Lines
-        Those of one area are pieces of one feature. An edge that neighbours share, with the same
-        X and Y at its ends, is used once, by the area that has fewer so far: each keeps some.
-
-    Raises
-    ------
-    TermselError
-        For an area in the role check or independent, which lines cannot have; for one whose
-        edges others have all taken; and as `Lines`.
-
-    Notes
-    -----
-    Yavari, Valadan Zoej and Salehi (2018) name areas as control features, next to points
-    and lines; that an area enters by its boundary or its centroid is termsel's own formulation.
+    Yavari, Valadan Zoej and Salehi (2018) name areas as control features, next to points and lines;
+    that an area enters by its boundary or its centroid is termsel's own formulation.
     """
     for area in areas:
         if area.role in ("check", "independent"):
@@ -135,21 +102,10 @@ def boundary(areas: Sequence[Area]) -> Lines:
 
 
 def centroids(areas: Sequence[Area]) -> Points:
-    """Return the centroids of areas as points.
+    """Return the centroids of areas as points; without a role they become control.
 
-    Parameters
-    ----------
-    areas : sequence of Area
-        Without a role they become control.
-
-    Returns
-    -------
-    Points
-
-    Notes
-    -----
-    The image of a centroid is the centroid of the image where the area is plane and so small
-    that the projection is affine across it.
+    The image of a centroid is the centroid of the image where the area is plane and so small that
+    the projection is affine across it.
     """
     return Points(tuple(area.id for area in areas),
                   np.reshape([centroid(area.image) for area in areas], (-1, 2)),
@@ -159,19 +115,11 @@ def centroids(areas: Sequence[Area]) -> Points:
 
 
 def centroid(ring: ArrayLike) -> FloatArray:
-    """Return the centroid of the area a ring bounds.
+    """Return the centroid of the area that a ring of corners, (n, 2) or (n, 3), bounds.
 
-    Parameters
-    ----------
-    ring : array_like, shape (n, 2) or (n, 3)
-        Corners in order, in either direction, without the first repeated.
-
-    Returns
-    -------
-    ndarray, shape (2,) or (3,)
-        By the area in the plane of the first two coordinates, from the triangles between the
-        mean corner and each edge. The third coordinate is the mean over that area; NaN if one is
-        unknown.
+    Corners are in order, in either direction, without the first repeated. By the area in the plane
+    of the first two coordinates, from the triangles between the mean corner and each edge. The
+    third coordinate is the mean over that area; NaN if one is unknown.
     """
     corners = np.asarray(ring, dtype=np.float64)
     # About the mean corner, so that large coordinates do not cancel.

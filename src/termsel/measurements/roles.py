@@ -34,18 +34,9 @@ THIRDS = (1 / 3, 1 / 3, 1 / 3)
 class Observations:
     """Measured features, each point in the one role it plays in a run.
 
-    What follows from features and roles is derived once and kept here.
-
-    Parameters
-    ----------
-    features : FeatureSet
-        All points, each with its role, and the control lines.
-    control : FeatureSet
-        Control points and control lines; lines are always control.
-    check : Points
-        Judge the fitness of a choice.
-    independent : Points
-        Judge the result; no choice ever sees them.
+    `features` are all points and the control lines; `control` control points and lines, which are
+    always control. Check points judge the fitness of a choice, independent points the result: no
+    choice ever sees them. What follows from features and roles is derived once and kept here.
     """
 
     features: FeatureSet
@@ -103,26 +94,11 @@ def assign(
     fractions: Sequence[float] = THIRDS,
     rng: np.random.Generator,
 ) -> tuple[str, ...]:
-    """Assign the roles control, check and independent.
+    """Assign the roles control, check and independent to points (n, 2), on the ground or image.
 
-    Parameters
-    ----------
-    xy : array_like, shape (n, 2)
-        Where the points are, on the ground or in the image.
-    how : {"stratified", "random"}
-        "stratified" gives neighbouring points different roles, so that each role covers
-        the scene; "random" draws without regard to place.
-    fractions : sequence of 3 floats
-        Shares of control, check and independent points; scaled to a sum of one.
-
-    Returns
-    -------
-    tuple of str, length n
-
-    Raises
-    ------
-    TermselError
-        For fractions that are negative or without control points.
+    "stratified" gives neighbouring points different roles, so that each role covers the scene;
+    "random" draws without regard to place. Shares of control, check and independent points are
+    scaled to a sum of one. Raises TermselError for negative ones, or none of control.
     """
     shares = np.asarray(fractions, dtype=np.float64)
     if shares.shape != (3,) or not np.isfinite(shares).all() or (shares < 0).any() or not shares[0]:
@@ -149,17 +125,8 @@ def assign(
 def asked_roles(off: str | None, role: str | None) -> dict[str, str]:
     """Return the role of each feature that the options `off` and `role` name.
 
-    Parameters
-    ----------
-    off : str or None
-        Ids with commas between them.
-    role : str or None
-        ID=ROLE with commas between them.
-
-    Raises
-    ------
-    TermselError
-        For what is not of this form, a role that does not exist, or a feature named twice.
+    Ids, and ID=ROLE, each with commas between them. Raises TermselError for what is not of this
+    form, a role that does not exist, or a feature named twice.
     """
     named: dict[str, str] = {}
     pairs = [(name, "off") for name in (off or "").split(",")]
@@ -179,15 +146,7 @@ def asked_roles(off: str | None, role: str | None) -> dict[str, str]:
 def with_roles(features: FeatureSet, named: Mapping[str, str]) -> FeatureSet:
     """Return the features with the roles that are named; lines that are off are not among them.
 
-    Parameters
-    ----------
-    named : mapping
-        Role by id. A line can be off, or stay control.
-
-    Raises
-    ------
-    TermselError
-        For an id that no feature has, or a line with the role of points.
+    Raises TermselError for an id that no feature has, or a line with the role of points.
     """
     points, lines = features.points, features.lines
     for name, role in named.items():
@@ -210,25 +169,14 @@ def observe(
     fractions: Sequence[float] = THIRDS,
     rng: np.random.Generator,
 ) -> Observations:
-    """Give every measured feature its role.
+    """Give every measured feature its role; in the order of ids, with longitudes that do not jump.
 
-    The features come in the order of their ids, with longitudes that do not jump.
-
-    Parameters
-    ----------
-    control : {"points", "lines", "both"}
-        Which features are control. With "lines", control points stay out.
-    how : {"file", "stratified", "random"}
-        "file" keeps the roles of the file and assigns the blank ones by stratification; the
-        others disregard the file's roles, except "off". Twins that are assigned share a role.
-    fractions : sequence of 3 floats
-        Shares of control, check and independent among the points that are assigned a role. With
-        control from lines alone, all of them become check and independent points.
-
-    Raises
-    ------
-    TermselError
-        If the control that is asked for is not there.
+    `control`, "points", "lines" or "both", says which features are control; with lines control
+    points stay out. How "file" keeps the roles of the file and assigns the blank ones by
+    stratification; "stratified" and "random" disregard the file's roles, except "off". Twins that
+    are assigned share a role. Fractions are those of control, check and independent among the
+    points that are assigned; with control from lines alone, all become check and independent
+    points. Raises TermselError if the control that is required is not there.
     """
     features = without_jump(in_order(features))
     points = features.points
@@ -299,19 +247,10 @@ def _assign_blank(xy: FloatArray, shares: Sequence[float], how: str,
 
 
 def parsed_shares(text: str, needs_check: bool) -> tuple[float, ...]:
-    """Return the shares of control, check and independent points, from the option "fractions".
+    """Return the shares of control, check and independent points, from an option such as "1:1:1".
 
-    Parameters
-    ----------
-    text : str
-        Such as "1:1:1".
-    needs_check : bool
-        Whether there must be check points.
-
-    Raises
-    ------
-    TermselError
-        If they are not three numbers of at least 0.
+    Raises TermselError if they are not three numbers of at least 0, or have none for check points
+    that are needed.
     """
     try:
         found = tuple(float(part) for part in text.replace(",", ":").split(":"))

@@ -113,14 +113,9 @@ _geographic = lru_cache(is_geographic)  # asked at every fit, and pyproj takes i
 
 
 def in_fit_crs(ground: FloatArray, crs: str, fit_crs: str) -> FloatArray:
-    """Return ground coordinates in the CRS a model is fitted in.
+    """Return ground coordinates (..., 3) in the CRS a model is fitted in; NaN stays NaN.
 
-    Parameters
-    ----------
-    ground : ndarray, shape (..., 3)
-        Unknown heights, NaN, stay unknown.
-    crs, fit_crs : str
-        If either is empty, the coordinates are returned as they are.
+    If either CRS is empty, they are returned as they are.
     """
     if not (crs and fit_crs):
         return ground

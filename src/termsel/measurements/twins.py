@@ -19,19 +19,11 @@ by the spread of all heights."""
 
 
 def twins(ground: FloatArray, typical: FloatArray | None = None) -> IntArray:
-    """Return which points are twins, by their place on the ground alone.
+    """Return which points (n, 3) are twins, by their place on the ground alone, shape (n,).
 
-    Parameters
-    ----------
-    ground : ndarray, shape (n, 3)
-        NaN for heights that are not known.
-    typical : ndarray, shape (m, 3), optional
-        Points whose spread decides what is near; all by default.
-
-    Returns
-    -------
-    ndarray of int, shape (n,)
-        A number for each group, counted from 0 in the order of their first points.
+    A number for each group, counted from 0 in the order of their first points. Points `typical` (m,
+    3), by default all, have the spread that decides what is near. NaN for heights that are not
+    known.
     """
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components

@@ -357,13 +357,7 @@ class SensorModel(Configurable, ABC):
 
 
 def require_heights(model: SensorModel, features: FeatureSet) -> None:
-    """Refuse features without height for a model that uses it.
-
-    Raises
-    ------
-    TermselError
-        Naming the features, and a model that needs no heights.
-    """
+    """Refuse features without height for a model that uses it, and name them."""
     missing = features.without_height()
     if model.uses_height and missing:
         some = ", ".join(missing[:5]) + (" ..." if len(missing) > 5 else "")

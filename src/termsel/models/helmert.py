@@ -72,19 +72,10 @@ class Helmert2D(SensorModel):
 
 
 def plane_units(model: SensorModel) -> tuple[float, float]:
-    """Return by what scaled X and Y are to be multiplied to have one unit on the ground.
+    """Return by what scaled X and Y are to be multiplied to have one unit; the larger is 1.
 
-    Longitudes are brought to the unit of latitudes in the middle of the control.
-
-    Parameters
-    ----------
-    model : SensorModel
-        Prepared; else both are 1.
-
-    Returns
-    -------
-    tuple of 2 floats
-        The larger is 1.
+    Longitudes are brought to the unit of latitudes in the middle of the control. Both are 1 for a
+    model that is not prepared.
     """
     if model.scaling is None:
         return 1.0, 1.0

@@ -59,12 +59,7 @@ class Radial(SensorModel):
         return np.repeat(np.array([LINE, SAMPLE, BOTH], dtype=np.intp), [n, n, len(POWERS)])
 
     def equations(self, features: FeatureSet) -> Equations:
-        """Return the equations of points, exact in the terms.
-
-        Raises
-        ------
-        TermselError
-            For lines, which distortion bends.
+        """Return the equations of points, exact in the terms; refuse lines, which distortion bends.
         """
         if len(features.lines):
             raise TermselError(f"model {self.name!r} takes no lines: distortion bends them",

@@ -36,14 +36,10 @@ _GRID, _LEVELS = 21, 7  # places along either side of the image, and heights
 class RpcFit:
     """An RPC and its distance from the model it replaces.
 
-    Parameters
-    ----------
-    how : str
-        "exact" if it was taken over as it is; else the terms it was refitted with: "the selected",
-        "all 78" or "all 40 polynomial".
-    worst, rms : float
-        Greatest and root mean square distance from the fitted model [px], over the image and the
-        heights of the control, between the places the RPC was fitted to.
+    `how` is "exact" if it was taken over as it is; else the terms it was refitted with: "the
+    selected", "all 78" or "all 40 polynomial". Greatest and root mean square distance from the
+    fitted model [px] are over the image and the heights of the control, between the places the RPC
+    was fitted to.
     """
 
     rpc: Rpc
@@ -106,12 +102,9 @@ def rpc_of(fitted: Fit) -> RpcFit:
 
 
 def taken_over(fitted: Fit) -> Rpc | None:
-    """Return the RPC with the coefficients of a fit, or None if its terms are not an RPC's.
+    """Return the RPC with the coefficients of a fit in longitude, latitude and height.
 
-    Parameters
-    ----------
-    fitted : Fit
-        In longitude, latitude and height.
+    None if its terms are not those of an RPC.
     """
     above, below = np.zeros((2, N_COEFFICIENTS)), np.zeros((2, N_COEFFICIENTS))
     below[:, 0] = 1.0

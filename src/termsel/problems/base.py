@@ -78,19 +78,10 @@ class Selection:
 class EnumerablePart:
     """Genes whose part of the objective depends on no others, and can be enumerated.
 
-    Parameters
-    ----------
-    genes : ndarray of int, shape (k,)
-        Which genes of the genome switch the system's columns.
-    system : SubsetSystem
-    score : str
-        As for `termsel.enumeration.subsets.search`.
-    cost : callable
-        Turns the best score of every size, shape (k + 1,), into what adds up over the parts.
-    folds : tuple of ndarray of int
-        For the score "kfold": the control rows of each fold.
-    pixels : float
-        px per unit of the system's target.
+    Genes (k,) are the numbers of those that switch the system's columns. The score is as for
+    `termsel.enumeration.subsets.search`; `cost` turns the best score of every size (k + 1,) into
+    what adds up over the parts. Folds are the control rows of each, for the score "kfold"; `pixels`
+    are px per unit of the system's target.
     """
 
     genes: IntArray

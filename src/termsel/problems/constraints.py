@@ -44,12 +44,7 @@ def forced(value: str | None, labels: tuple[str, ...], ids: tuple[str, ...]) -> 
     """Return the labels of the genes that the value of an option names.
 
     Labels are those of all genes of terms, such as "line.num:X", or "num:X" for both axes; ids
-    those of all features that are selected.
-
-    Raises
-    ------
-    TermselError
-        For a name that no term or feature has.
+    those of all features that are selected. Raises TermselError for a name that none has.
     """
     found: list[str] = []
     for name in listed(value):
@@ -120,12 +115,7 @@ def capped(segments: Iterable[Bits], gene_of_term: IntArray, parts: tuple[Indepe
 
     The maximum keeps a search from most of what `excess` would count. `excess` counts more where
     several segments share equations, or features are selected too. Segments are all those of terms,
-    in the order of the genes.
-
-    Raises
-    ------
-    TermselError
-        If a segment may not have any term.
+    in the order of the genes. Raises TermselError if one may not have any term.
     """
     found, start = [], 0
     for segment in segments:

@@ -37,12 +37,8 @@ def enumerable_parts(inputs: Inputs, equations: Equations, genome: Genome,
     With a mask for each axis, line and sample are two systems. With a shared mask they are one
     system with two right-hand sides, if their columns are the same. The genome is of terms alone.
     Denominators must reach the margin at the scaled ground points of the guard (g, 3). Pairs are of
-    terms, and for each a parent that must be selected with it.
-
-    Raises
-    ------
-    TermselError
-        If the axes are coupled, or criterion or model do not allow an enumeration.
+    terms, and for each a parent that must be selected with it. Raises TermselError if the axes are
+    coupled, or criterion or model do not allow an enumeration.
     """
     model, criterion = inputs.model, inputs.criterion
     if not isinstance(model, RationalModel):

@@ -129,12 +129,7 @@ class Objective:
 
 
 def scored(objective: Objective, selected: PopulationSelection) -> FloatArray:
-    """Return the figures of an objective; refuse any of a plugin that are not finite and one each.
-
-    Raises
-    ------
-    TermselError
-        Naming the plugin.
+    """Return the figures of an objective; refuse, naming the plugin, others than one finite each.
     """
     with blamed(objective.score, "score"):
         found = objective.score(selected)

@@ -111,10 +111,7 @@ class ParameterProblem(Problem):
 def segment_of(option: Option) -> Categories | Integers | Reals:
     """Return a segment for the values of an option; its name and that of its gene are the option's.
 
-    Raises
-    ------
-    TermselError
-        For text that may be anything, and for numbers without bounds.
+    Raises TermselError for text that may be anything, and for numbers without bounds.
     """
     name, bounds = option.name, (option.minimum, option.maximum)
     if option.choices:

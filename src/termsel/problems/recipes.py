@@ -155,18 +155,7 @@ def term_options(**defaults: Any) -> tuple[Option, ...]:
 
 
 def with_defaults(declared: tuple[Option, ...], **defaults: Any) -> tuple[Option, ...]:
-    """Return options of which some have other defaults, and no longer tell the usual one.
-
-    Parameters
-    ----------
-    declared : tuple of Option
-    **defaults
-        By the names of the options.
-
-    Raises
-    ------
-    TermselError
-        For a default of an option that there is not.
+    """Return options of which some, by name, have other defaults, and no longer tell the usual one.
     """
     options = {option.name: option for option in declared}
     for name, default in defaults.items():

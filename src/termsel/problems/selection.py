@@ -112,12 +112,7 @@ class SelectionProblem(Problem):
         return problem
 
     def with_model(self, model: SensorModel) -> SelectionProblem:
-        """Return the problem with another model of the same terms, for the same features.
-
-        Raises
-        ------
-        TermselError
-            If the model has other terms.
+        """Return the problem with another model, for the same features; refuse one of other terms.
         """
         if model.terms != self.inputs.model.terms:
             raise TermselError(f"model {model.name!r} with other options has other terms, so they "

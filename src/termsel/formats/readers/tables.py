@@ -265,16 +265,9 @@ def _signs(table: Table, decimal: str | None, *, points_only: bool) -> dict[str,
 
 
 class TableReader(Reader):
-    """Base of the readers of tables, which name the columns they know.
+    """Base of the readers of tables, which name the columns they know by meaning.
 
-    Attributes
-    ----------
-    known : mapping
-        Names of the columns by meaning.
-    needed : tuple of tuple of str
-        Meanings of which one group must be there, if there are any.
-    flat : bool
-        Whether the heights may all be missing.
+    One group of the meanings in `needed` must be there; if `flat`, the heights may all be missing.
     """
 
     known: ClassVar[Aliases]

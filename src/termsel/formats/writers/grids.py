@@ -96,14 +96,7 @@ class GcpGridVrt(GridWriter):
         IMAGE, *_GROUND, Option("across", 20, "Meshes along each side of the image.", int, 1, 60))
 
     def write(self, result: Result, path: Path) -> None:
-        """Write a VRT with a list of GCPs.
-
-        Raises
-        ------
-        TermselError
-            If fewer than three places of the grid have ground; as `open_dem`; if the file
-            cannot be written.
-        """
+        """Write a VRT with a list of GCPs, of at least three places that have ground."""
         picture = picture_for(result, self.options["image"])
         lines, samples = (np.linspace(0.0, size - 1.0, self.options["across"] + 1)
                           for size in picture.size)
@@ -149,12 +142,6 @@ class GeolocationVrt(GridWriter):
         A VRT that is replaced keeps its array until the new VRT is in place, so that an interrupt
         leaves no VRT with the array of another: where FILE_xy.tif is in use, the new array is
         FILE_xy_2.tif, and the next one FILE_xy.tif again.
-
-        Raises
-        ------
-        TermselError
-            If rasterio is not installed; if fewer than three places of the array have ground;
-            as `open_dem`; if a file cannot be written.
         """
         rasterio = require_rasterio()
         picture = picture_for(result, self.options["image"])

@@ -44,13 +44,7 @@ class ResidualsGeopackage(Writer):
         return True
 
     def write(self, result: Result, path: Path) -> None:
-        """Write the layers residuals and vectors, with their styles; needs the extra `gis`.
-
-        Raises
-        ------
-        TermselError
-            If pyogrio or shapely is not installed, or the file cannot be written.
-        """
+        """Write the layers residuals and vectors, with their styles; needs the extra `gis`."""
         try:
             import shapely
             from pyogrio import read_info

@@ -45,14 +45,7 @@ class RpcWriter(Writer):
         return normalise(result.fit.control.crs) != LOCAL
 
     def write(self, result: Result, path: Path) -> None:
-        """Write the RPC of a result, after GDAL or termsel has read it back.
-
-        Raises
-        ------
-        TermselError
-            As `termsel.models.rpc_fit.rpc_of`; if another RPC is read back; if the file
-            cannot be written.
-        """
+        """Write the RPC of a result, after GDAL or termsel has read it back and found the same."""
         image = self.options["image"]
         if image is not None:
             result = result.of_image(picture_for(result, image).size)

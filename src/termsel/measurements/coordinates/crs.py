@@ -53,23 +53,10 @@ _AUTHORITY = re.compile(r'(?:ID|AUTHORITY)\s*\[\s*"EPSG"\s*,\s*"?(\d{1,9})"?\s*\
 def normalise(crs: str) -> str:
     """Return the normal form of a CRS, in which names are compared.
 
-    Parameters
-    ----------
-    crs : str
-        "EPSG:n", "EPSG:n+m" with heights of their own, "OGC:CRS84", their URN forms, WKT, or
-        "local".
-
-    Returns
-    -------
-    str
-        "EPSG:n" where the code is known, pyproj finds it or WKT ends with it, else "EPSG:n+m" or
-        the WKT, or "local".
-
-    Raises
-    ------
-    TermselError
-        For text in none of these forms. If pyproj is installed, also for a code that does not
-        exist, WKT that cannot be read, or a CRS without horizontal coordinates.
+    It is "EPSG:n", "EPSG:n+m" with heights of their own, "OGC:CRS84", their URN forms, WKT, or
+    "local". "EPSG:n" is returned where the code is known, pyproj finds it or WKT ends with it.
+    Raises TermselError for text in none of these forms. If pyproj is installed, also for a code
+    that does not exist, WKT that cannot be read, or a CRS without horizontal coordinates.
     """
     text = crs.strip()
     if text.lower() == LOCAL:
@@ -131,26 +118,12 @@ def to_wgs84(crs: str) -> Transformation:
 
 @lru_cache
 def transformation(source: str, target: str, *, strict: bool = True) -> Transformation:
-    """Return a function that transforms ground coordinates from one CRS to another.
+    """Return a function that transforms ground coordinates (n, 3) from one CRS to another.
 
-    Parameters
-    ----------
-    source, target : str
-        As for `normalise`; if a CRS has no vertical datum, heights are taken as
-        ellipsoidal.
-    strict : bool
-        Whether coordinates that cannot be transformed are an error; else they become infinite.
-
-    Returns
-    -------
-    callable
-        From (n, 3) to (n, 3). Unknown heights are taken as 0.
-
-    Raises
-    ------
-    TermselError
-        For "local"; if pyproj, which is needed for all but WGS84 itself, is not installed or
-        cannot transform the CRS.
+    If a CRS has no vertical datum, heights are taken as ellipsoidal, unknown ones as 0. Coordinates
+    that cannot be transformed are an error if `strict`, else they become infinite. Raises
+    TermselError for "local"; if pyproj, which is needed for all but WGS84 itself, is not installed
+    or cannot transform the CRS.
     """
     source, target = normalise(source), normalise(target)
     if source == target or WGS84.issuperset((source, target)):
@@ -247,13 +220,7 @@ def short(crs: str) -> str:
 
 
 def kind_of(crs: str) -> str:
-    """Return the kind of a CRS in its normal form.
-
-    Returns
-    -------
-    str
-        "geographic", "projected", "geocentric", or "" where it is none of them or not known.
-    """
+    """Return "geographic", "projected" or "geocentric" for a CRS in its normal form; else ""."""
     if crs in WGS84:
         return "geographic"
     if UTM.fullmatch(crs):

@@ -14,17 +14,9 @@ TURN = 360.0
 
 
 def continuous(lon: FloatArray) -> FloatArray:
-    """Return longitudes that go on beyond 180 degrees where they would jump.
+    """Return longitudes [deg] (n,) that go on beyond 180 degrees where they would jump.
 
-    Parameters
-    ----------
-    lon : ndarray, shape (n,)
-        [deg]
-
-    Returns
-    -------
-    ndarray, shape (n,)
-        As they are, unless they span more than half a turn and need not.
+    They stay as they are unless they span more than half a turn and need not.
     """
     if np.ptp(lon) <= TURN / 2:
         return lon
@@ -51,15 +43,8 @@ def jumps(features: FeatureSet) -> bool:
 def without_jump(features: FeatureSet) -> FeatureSet:
     """Return features whose longitudes go on beyond 180 degrees where they would jump.
 
-    Parameters
-    ----------
-    features : FeatureSet
-        Independent points and those that are off take no part in what is decided.
-
-    Returns
-    -------
-    FeatureSet
-        The same object where nothing is to be changed.
+    Independent points and those that are off take no part in what is decided. The same object where
+    nothing is to be changed.
     """
     points, lines = features.points, features.lines
     every, decides = features.ground_vertices()[:, 0], _deciding(features)

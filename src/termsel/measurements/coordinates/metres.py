@@ -13,21 +13,10 @@ small distances differ by less than 0.02 %."""
 
 
 def in_metres(crs: str, places: FloatArray, offsets: FloatArray) -> FloatArray | None:
-    """Return small offsets to the east and to the north in metres.
+    """Return small offsets to the east and to the north (n, 2) in metres.
 
-    Parameters
-    ----------
-    crs : str
-        Of the coordinates.
-    places : ndarray, shape (n, 2) or (n, 3)
-        Where the offsets begin.
-    offsets : ndarray, shape (n, 2)
-        In x and y.
-
-    Returns
-    -------
-    ndarray, shape (n, 2), or None
-        None where the unit is not known, and for geocentric coordinates.
+    They begin at the places (n, 2) or (n, 3). None where the unit is not known, and for geocentric
+    coordinates.
     """
     if is_geographic(crs):
         latitude = np.radians(places[:, 1])

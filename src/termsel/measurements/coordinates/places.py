@@ -9,19 +9,10 @@ from termsel.measurements.features import FeatureSet, FloatArray, IntArray
 
 
 def spatial_order(xy: ArrayLike) -> IntArray:
-    """Return an order of points in which neighbours in the list are neighbours in the plane.
+    """Return an order (n,) of points (n, 2) in which neighbours in it are neighbours in the plane.
 
     The points are halved repeatedly at the median of their longer side; the order is that of the
     leaves.
-
-    Parameters
-    ----------
-    xy : array_like, shape (n, 2)
-        Plane positions.
-
-    Returns
-    -------
-    ndarray of int, shape (n,)
     """
     xy = np.asarray(xy, dtype=np.float64)
     order, starts = np.arange(len(xy)), np.zeros(1, dtype=np.intp)
@@ -52,18 +43,10 @@ def ground_centres(control: FeatureSet) -> FloatArray:
 
 
 def beyond(control: FloatArray, places: FloatArray) -> FloatArray:
-    """Return how far places are outside the convex hull of the control.
+    """Return how far places (m, 2) are outside the convex hull of the control (n, 2), shape (m,).
 
-    Parameters
-    ----------
-    control : ndarray, shape (n, 2)
-    places : ndarray, shape (m, 2)
-
-    Returns
-    -------
-    ndarray, shape (m,)
-        The largest distance from a side of the hull, divided by the longer side of the control's
-        box; 0 inside, infinite if the control has no hull.
+    The largest distance from a side of the hull, divided by the longer side of the control's box; 0
+    inside, infinite if the control has no hull.
     """
     from scipy.spatial import ConvexHull, QhullError
 

@@ -22,19 +22,11 @@ _UTM_RANGE = {"6": ((0.0, -9.4e6), (1e6, 9.4e6)), "7": ((0.0, 0.0), (1e6, 10.5e6
 
 
 def check_ground(features: FeatureSet) -> None:
-    """Refuse ground coordinates that cannot be in the CRS of the features.
+    """Refuse ground coordinates that cannot be in the CRS of the features; "local" takes any.
 
-    Parameters
-    ----------
-    features : FeatureSet
-        With a CRS; "local" takes any coordinates.
-
-    Raises
-    ------
-    TermselError
-        For longitudes outside -180 to 360 or latitudes outside -90 to 90 degrees in a
-        geographic CRS, coordinates that look like degrees in a projected one, and eastings
-        or northings that no UTM zone has.
+    Longitudes outside -180 to 360 or latitudes outside -90 to 90 degrees in a geographic CRS,
+    coordinates that look like degrees in a projected one, and eastings or northings that no UTM
+    zone has.
     """
     crs = normalise(features.crs)
     kind = kind_of(crs)
@@ -66,10 +58,7 @@ def say_mirrored(features: FeatureSet) -> None:
 def looks_mirrored(features: FeatureSet) -> bool:
     """Return whether the image is a mirror image of the ground, as where x and y are swapped.
 
-    Parameters
-    ----------
-    features : FeatureSet
-        With a CRS of the Earth, of which x points to the right of y; "local" never looks so.
+    It takes a CRS of the Earth, of which x points to the right of y; "local" never looks so.
     """
     points, kind = features.points, kind_of(normalise(features.crs))
     if len(points) < _TELLING or kind not in ("geographic", "projected"):

@@ -12,10 +12,7 @@ from termsel.measurements.features import FloatArray
 def utm_zone(lon: float, lat: float) -> str:
     """Return the CRS of the zone of a place [deg]; longitudes may go on beyond 180 degrees.
 
-    Raises
-    ------
-    TermselError
-        Near the poles, where there is none; without pyproj.
+    Raises TermselError near the poles, where there is none; without pyproj.
     """
     lon = (lon + 180) % 360 - 180
     try:

@@ -39,20 +39,10 @@ def decimal_signs(columns: Mapping[str, Sequence[str]], asked: str = "", *,
     """Return the decimal sign of each column of numbers, by the evidence of all its rows.
 
     1,234 alone may be one thousand or little more than one. A column where that is open takes the
-    sign of the columns where it is not, if they agree, or the sign `asked`. With `points_only`
-    commas separate the columns, so that points without commas are decimal.
-
-    Returns
-    -------
-    signs : dict
-        By column, "" where it is open.
-    resolved : list of str
-        Open columns that others, or the user, decided.
-
-    Raises
-    ------
-    BadCell
-        If cells of one column contradict each other.
+    sign of the columns where it is not, if they agree, or the sign `asked`; else its sign is "".
+    With `points_only` commas separate the columns, so that points without commas are decimal. The
+    open columns that others, or the user, decided come second. Raises BadCell if cells of one
+    column contradict each other.
     """
     evidence = {name: _sign(name, cells, points_only) for name, cells in columns.items()}
     certain = {sign for sign in evidence.values() if sign in (POINT, COMMA)}
