@@ -21,7 +21,6 @@ from termsel.formats.readers.areas_table import AreasCsv
 from termsel.formats.readers.csv_tables import table_text, write_lines_csv, write_points_csv
 from termsel.measurements.areas import Area, boundary, centroid, centroids
 from termsel.measurements.features import FloatArray, Points
-from termsel.measurements.joined import join_points
 from termsel.simulate import scene_truth, simulate_scene
 from termsel.testing import check
 
@@ -137,7 +136,7 @@ def test_image_and_ground_of_different_numbers() -> None:
 
 def test_unknown_deviations_next_to_known_ones() -> None:
     known = Points(("a", "b"), [[0, 0], [1, 1]], [[0, 0, 0], [1, 1, 1]], [[1, 2], [3, 4]])
-    both = join_points(known, Points(("c",), [[2, 2]], [[2, 2, 2]], roles=("check",)))
+    both = known.join(Points(("c",), [[2, 2]], [[2, 2, 2]], roles=("check",)))
     np.testing.assert_array_equal(both.sigma, [[1, 2], [3, 4], [2.5, 2.5]])
     assert both.roles == ("", "", "check")
 

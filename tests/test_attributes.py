@@ -18,8 +18,7 @@ import termsel
 from termsel import FeatureSet, Lines, Objective, Option, Points, Recipe, SelectionProblem
 from termsel.errors import TermselError
 from termsel.formats.readers.csv_tables import write_lines_csv, write_points_csv
-from termsel.measurements.joined import join_lines, join_points
-from termsel.measurements.order import in_order
+from termsel.measurements.roles import in_order
 from termsel.measurements.scaling import scaling_of
 from termsel.measurements.twins import merged
 from termsel.plugins.registry import registry
@@ -58,7 +57,7 @@ def test_attributes_are_text_that_cannot_be_changed() -> None:
     assert part.attributes["year"].tolist() == ["2020", "2021.5", ""]
     assert part.attributes["known"].tolist() == ["True", "", "x"]
     for one in (part, part.take([0, 2]), pickle.loads(pickle.dumps(part)), copy.deepcopy(part),
-                FeatureSet(part).lines, join_points(part, points(1, "Q"))):
+                FeatureSet(part).lines, part.join(points(1, "Q"))):
         with pytest.raises(TypeError, match="does not support item assignment"):
             one.attributes["width"] = ["a"] * len(one)  # type: ignore[index]
         for cells in one.attributes.values():
@@ -91,7 +90,7 @@ def test_rows_stay_together() -> None:
     assert aligned(scaled)
     assert scaled.attributes["source"].tolist() == shuffled.points.attributes["source"].tolist()
     again = replace(both, ids=tuple(f"Q{i}" for i in range(16)), ground=both.ground + 1e-7)
-    alone = merged(FeatureSet(join_points(both, again)))
+    alone = merged(FeatureSet(both.join(again)))
     assert len(alone) == 16
     assert aligned(alone.points)
     assert aligned(pickle.loads(pickle.dumps(both)))
@@ -100,13 +99,13 @@ def test_rows_stay_together() -> None:
 
 def test_joined_tables_have_the_columns_of_both() -> None:
     one, other = points(2, date=["a", "b"]), points(3, "Q", person=["c", "d", "e"])
-    both = join_points(one, other)
+    both = one.join(other)
     assert both.attributes["date"].tolist() == ["a", "b", "", "", ""]
     assert both.attributes["person"].tolist() == ["", "", "c", "d", "e"]
     assert aligned(both)
-    twice = join_lines(lines().take([0]), lines().take([2]))
+    twice = lines().take([0]).join(lines().take([2]))
     assert twice.attributes["width"].tolist() == ["3", ""]
-    capitals = join_points(one, points(1, "R", Date=["f"]))
+    capitals = one.join(points(1, "R", Date=["f"]))
     assert capitals.attributes["date"].tolist() == ["a", "b", "f"]
 
 

@@ -9,7 +9,7 @@ from termsel.candidates.base import Candidate
 from termsel.candidates.structures import named
 from termsel.errors import counted
 from termsel.fits.figures import Baseline
-from termsel.fits.rmse import Rmse
+from termsel.fits.residuals import Rmse
 from termsel.runs.judgement.judge import judge, judge_choice, name_conventional
 
 

@@ -20,7 +20,6 @@ from termsel.fits.least_squares import LEAST_SQUARES
 from termsel.measurements.coordinates.places import beyond
 from termsel.measurements.coordinates.plausible import check_ground
 from termsel.measurements.features import FeatureSet, FloatArray, Lines, Points
-from termsel.measurements.joined import join_points
 from termsel.measurements.roles import by_roles, observe
 from termsel.measurements.scaling import scaling_of
 from termsel.models.poles import pole_violation
@@ -59,7 +58,7 @@ def fitted(control: FeatureSet, used: np.ndarray | None = None) -> Fit:
 
 def test_unknown_deviations_are_the_median_known_one() -> None:
     known = replace(points(3, "A"), sigma=np.array([[1.0, 1.0], [2.0, 3.0], [5.0, 9.0]]))
-    both = join_points(known, points(2, "B", seed=1))
+    both = known.join(points(2, "B", seed=1))
     assert both.sigma is not None
     np.testing.assert_array_equal(both.sigma[3:], np.full((2, 2), 2.5))
 

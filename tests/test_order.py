@@ -9,7 +9,7 @@ import pytest
 
 import termsel
 from termsel.measurements.features import FeatureSet, Points
-from termsel.measurements.order import in_order
+from termsel.measurements.roles import in_order
 
 SMALL = {"population": 30, "polish": False}
 

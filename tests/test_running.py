@@ -13,7 +13,6 @@ from threadpoolctl import threadpool_info, threadpool_limits
 
 import termsel
 from termsel.measurements.features import FeatureSet, Points
-from termsel.measurements.joined import join_points
 from termsel.record.base import plain
 from termsel.simulate import simulate_scene
 
@@ -122,7 +121,7 @@ def scene_of(path: str) -> FeatureSet:
     if "blank" in path:
         return features.with_(points=replace(features.points, roles=()))
     off = Points(("off",), [[0.0, 0.0]], [[48.5, 34.0, 9.0]], roles=("off",))
-    return features.with_(points=join_points(features.points, off))
+    return features.with_(points=features.points.join(off))
 
 
 @pytest.mark.parametrize("path", PATHS)

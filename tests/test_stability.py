@@ -17,7 +17,6 @@ import termsel
 from termsel.cli.main import cli
 from termsel.formats.readers.csv_tables import write_lines_csv, write_points_csv
 from termsel.measurements.features import FeatureSet, Lines, Points
-from termsel.measurements.joined import join_points
 from termsel.models.polynomial import Polynomial3D
 from termsel.runs import stability as module
 from termsel.runs.stability import stability
@@ -227,7 +226,7 @@ def test_twins_share_a_role_in_every_repetition(monkeypatch: pytest.MonkeyPatch)
         return prepared(setup)
 
     monkeypatch.setattr(module, "prepared", recorded)
-    stability("rfm-terms", features=FeatureSet(join_points(points, twins)), **QUICK)
+    stability("rfm-terms", features=FeatureSet(points.join(twins)), **QUICK)
     assert len(drawn) == 5
     for roles in drawn:
         assert all(roles[name] == roles[f"T{name}"] for name in points.ids)

@@ -10,7 +10,6 @@ import pytest
 import termsel
 from termsel.criteria import KFold
 from termsel.measurements.features import FeatureSet, Points, no_lines
-from termsel.measurements.joined import join_points
 from termsel.measurements.twins import merged, twins
 
 
@@ -24,7 +23,7 @@ def twice(features: FeatureSet, shift: float = 1e-8) -> FeatureSet:
     points = features.points
     again = Points(tuple(f"{name}-again" for name in points.ids), points.image,
                    points.ground + np.array([shift, 0.0, 0.0]))
-    return features.with_(points=join_points(points, again))
+    return features.with_(points=points.join(again))
 
 
 def test_repeated_points_promise_no_accuracy_that_is_not_there() -> None:

@@ -43,7 +43,6 @@ from termsel.candidates.shrunken import Averaging
 from termsel.fits.fit import Fit
 from termsel.measurements.control import Control
 from termsel.measurements.features import BoolArray, FeatureSet, FloatArray, Points
-from termsel.measurements.joined import join_points
 from termsel.priors.field import Collocation
 from termsel.priors.held_out import chance_of
 
@@ -146,7 +145,7 @@ def judge_others(chosen: Judged, heights: bool, others: Points) -> Suspects | No
     control, count = chosen.fit.control, len(chosen.fit.control.points)
     if not len(others):
         return None
-    every = Control.of(control.with_(points=join_points(control.points, others)), heights)
+    every = Control.of(control.with_(points=control.points.join(others)), heights)
     used = np.ones(len(every), dtype=bool)
     used[count:count + len(others)] = False
     test = Division(every, used).test()

@@ -8,8 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from termsel.fits.fit import GIVEN, Fit
-from termsel.fits.residuals import Residuals, control_residuals, point_residuals
-from termsel.fits.rmse import Rmse
+from termsel.fits.residuals import Residuals, Rmse, control_residuals, point_residuals
 from termsel.measurements.roles import Observations
 from termsel.record.base import Role
 from termsel.record.figures import BaselineRow, RmseByRole, RoleRmse

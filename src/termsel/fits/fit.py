@@ -18,8 +18,7 @@ from termsel.display import Glance
 from termsel.errors import TermselError
 from termsel.fits.fittable import Fittable
 from termsel.fits.locate import Surface, locate
-from termsel.fits.residuals import Residuals, control_residuals
-from termsel.fits.rmse import Rmse, rmse_of
+from termsel.fits.residuals import Residuals, Rmse, control_residuals, rmse_of
 from termsel.fits.uncertainty import Spread, spread_of
 from termsel.measurements.features import BoolArray, FeatureSet, FloatArray, Lines, Points
 from termsel.measurements.scaling import Scaling, scaling_of

@@ -1,4 +1,4 @@
-"""What is left at every feature once a model is fitted."""
+"""What is left at every feature once a model is fitted, and its root mean square."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from termsel.measurements.features import FeatureSet, FloatArray, IntArray, Lines, Points, select
-from termsel.measurements.tables.frames import frame, geo_frame
+from termsel.measurements.tables.tabular import Framed
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class Residual:
         object.__setattr__(self, "distance", float(np.hypot(self.line, self.sample)))
 
 
-class Residuals(tuple[Residual, ...]):
+class Residuals(tuple[Residual, ...], Framed):
     """Residuals as a table.
 
     `to_pandas` gives a row for each, `to_geopandas` also its point on the ground.
@@ -50,20 +50,13 @@ class Residuals(tuple[Residual, ...]):
         worst = max((r.distance for r in self), default=0.0)
         return f"<Residuals: {len(self)}, largest {worst:.3g} px>"
 
-    def to_pandas(self) -> Any:
-        """Return a pandas DataFrame with a row for each residual."""
-        return frame(self._columns())
+    @property
+    def ground(self) -> FloatArray:
+        """Ground coordinates of each, shape (n, 3)."""
+        return np.array([(r.x, r.y, r.z) for r in self]).reshape(-1, 3)
 
-    def to_geopandas(self, crs: str = "local") -> Any:
-        """Return a geopandas GeoDataFrame of the features' points on the ground.
-
-        Parameters
-        ----------
-        crs : str
-            As of the feature set.
-        """
-        places = np.array([(r.x, r.y, r.z) for r in self]).reshape(-1, 3)
-        return geo_frame(self._columns(), places, crs)
+    def _places(self) -> FloatArray:
+        return self.ground
 
     def _columns(self) -> dict[str, list[Any]]:
         return {one.name: [getattr(r, one.name) for r in self] for one in fields(Residual)}
@@ -121,3 +114,26 @@ def _pieces(lines: Lines) -> IntArray:
         piece[i] = seen[name]
         seen[name] += 1
     return piece
+
+
+@dataclass(frozen=True)
+class Rmse:
+    """Root mean square errors [px] over n features.
+
+    `total` is sqrt(mean(dl^2 + ds^2)) over points. For control lines the error is the
+    distance of each projected ground vertex from the image line, taken along its normal.
+    """
+
+    line: float
+    sample: float
+    total: float
+    n: int
+
+
+def rmse_of(errors: FloatArray, n: int) -> Rmse | None:
+    """Return the RMSE of errors, shape (..., 2), of n features; None without any."""
+    if not n:
+        return None
+    with np.errstate(over="ignore"):  # beyond all numbers is infinite
+        line, sample = np.sqrt((errors**2).mean(axis=0)).tolist()
+    return Rmse(line, sample, float(np.hypot(line, sample)), n)

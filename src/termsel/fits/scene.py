@@ -47,7 +47,7 @@ def errors_on_ground(fitted: Fit, residuals: Residuals) -> FloatArray:
     Each leads from the feature to the place where the fit sees its measured image position, in the
     unit of the CRS; NaN where the fit sees nothing.
     """
-    ground = np.array([(r.x, r.y, r.z) for r in residuals]).reshape(-1, 3)
+    ground = residuals.ground
     errors = np.array([(r.line, r.sample) for r in residuals]).reshape(-1, 2)
     seen = fitted.locate(fitted.project(ground) + errors, ground[:, 2])
     return np.asarray((seen - ground)[:, :2])

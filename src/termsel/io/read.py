@@ -20,7 +20,6 @@ from termsel.guard.faults import PluginFault, is_own, name_of
 from termsel.measurements.coordinates.crs import EXAMPLES, normalise
 from termsel.measurements.coordinates.plausible import check_ground, say_mirrored
 from termsel.measurements.features import FeatureSet, no_lines, no_points
-from termsel.measurements.joined import join_lines, join_points
 from termsel.measurements.tables.columns import LINES, OPTIONAL, POINTS, columns_text
 from termsel.plugins.registry import built_in, registry
 
@@ -339,8 +338,8 @@ def _with_areas(features: FeatureSet, areas: FeatureSet, path: Path) -> FeatureS
         raise TermselError(f"{min(both)!r} is the id of an area and of a point or line",
                            file=path, hint="Give every feature an id of its own.", ids=both)
     try:
-        return features.with_(points=join_points(features.points, areas.points),
-                              lines=join_lines(features.lines, areas.lines))
+        return features.with_(points=features.points.join(areas.points),
+                              lines=features.lines.join(areas.lines))
     except TermselError as error:
         raise located(error, path) from error
 

@@ -13,7 +13,7 @@ from termsel.files.atomic import encoded, private_folder, put_in_place, sync, wr
 from termsel.files.names import JOURNAL, is_there
 from termsel.formats.base import located, parse_json, read_text
 from termsel.formats.readers.csv_tables import LinesCsv, PointsCsv, lines_text, points_text
-from termsel.formats.readers.formulas import guarded
+from termsel.formats.readers.table import guarded
 from termsel.io.result_of_record import AGAIN, record_from, result_from
 from termsel.measurements.coordinates.crs import normalise
 from termsel.measurements.features import FeatureSet, no_lines, no_points

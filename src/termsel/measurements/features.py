@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from termsel.display import Glance
 from termsel.errors import TermselError, counted
@@ -16,21 +16,11 @@ from termsel.measurements.tables.attributes import (
     Attributes,
     TextArray,
     all_rows,
-    as_attributes,
     as_numbers,
     rows_at,
 )
-from termsel.measurements.tables.frames import Tabular
-from termsel.measurements.tables.ids import check_ids
-from termsel.measurements.tables.parts import names_at, rows_of, unchecked
-from termsel.measurements.values import (
-    check_deviations,
-    check_finite,
-    check_heights,
-    check_places,
-    check_segments,
-    frozen,
-)
+from termsel.measurements.tables.tabular import Tabular
+from termsel.measurements.values import check_places, check_segments
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -74,33 +64,19 @@ class Points(Tabular):
     attributes: Attributes = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        ids = tuple(str(name).strip() for name in self.ids)  # as files hold them
-        n = len(ids)
+        self._check("point", ())
+        n = len(self.ids)
         roles = tuple(self.roles) or ("",) * n
-        object.__setattr__(self, "ids", ids)
         object.__setattr__(self, "roles", roles)
-        object.__setattr__(self, "image", frozen(self.image, (n, 2), "image of points"))
-        object.__setattr__(self, "ground", frozen(self.ground, (n, 3), "ground of points"))
-        object.__setattr__(self, "attributes", as_attributes(self.attributes, n))
-        check_ids(ids, "point", unique=True)
         if n == 0:
             return
-        check_finite(self.image, ids, "point", "image coordinates")
-        check_finite(self.ground[:, :2], ids, "point", "ground coordinates")
-        check_heights(self.ground[:, 2], ids, "point")
-        if self.sigma is not None:
-            object.__setattr__(self, "sigma", frozen(self.sigma, (n, 2), "sigma of points"))
-            check_deviations(self.sigma, ids, "point")
         if len(roles) != n:
             raise TermselError(f"{len(roles)} roles for {n} points")
-        for name, role in zip(ids, roles, strict=True):
+        for name, role in zip(self.ids, roles, strict=True):
             if role and role not in ROLES:
                 raise TermselError(f"point {name!r} has the unknown role {role!r}",
                                    hint=f"Roles are {', '.join(ROLES)}, or blank.", ids=[name])
-        check_places(self.ground, ids)
-
-    def __len__(self) -> int:
-        return len(self.ids)
+        check_places(self.ground, self.ids)
 
     def _glance(self) -> tuple[str, Mapping[str, str]]:
         roles = Counter(role or "no role" for role in self.roles)
@@ -114,14 +90,6 @@ class Points(Tabular):
         x, y, z = self.ground.T
         return {"id": self.ids, "role": self.roles, "line": self.image[:, 0],
                 "sample": self.image[:, 1], "x": x, "y": y, "z": z, **sigma, **self.attributes}
-
-    def take(self, index: ArrayLike) -> Points:
-        """Return the points at `index` (integers or a mask)."""
-        rows = rows_of(self.ids, index)
-        return unchecked(
-            self, ids=names_at(self.ids, rows), image=self.image[rows],
-            ground=self.ground[rows], sigma=None if self.sigma is None else self.sigma[rows],
-            roles=names_at(self.roles, rows), attributes=rows_at(self.attributes, rows))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -158,33 +126,17 @@ class Lines(Tabular):
     attributes: Attributes = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        ids = tuple(str(name).strip() for name in self.ids)  # as files hold them
-        n = len(ids)
-        object.__setattr__(self, "ids", ids)
-        object.__setattr__(self, "image", frozen(self.image, (n, 2, 2), "image of lines"))
-        object.__setattr__(self, "ground", frozen(self.ground, (n, 2, 3), "ground of lines"))
-        object.__setattr__(self, "attributes", as_attributes(self.attributes, n, "sigma"))
-        check_ids(ids, "line", unique=False)
-        if n == 0:
+        self._check("line", (2,), "sigma")
+        if not self.ids:
             return
-        check_finite(self.image, ids, "line", "image coordinates")
-        check_finite(self.ground[..., :2], ids, "line", "ground coordinates")
-        check_heights(self.ground[..., 2], ids, "line")
-        if self.sigma is not None:
-            object.__setattr__(self, "sigma", frozen(self.sigma, (n,), "sigma of lines"))
-            check_deviations(self.sigma, ids, "line")
-        for values, where in ((self.image, "image"), (self.ground[..., :2], "ground")):
+        for values, where in ((self.image, "in the image"),
+                              (self.ground[..., :2], "on the ground")):
             short = (values[:, 0] == values[:, 1]).all(axis=1)
             if short.any():
-                name = ids[int(np.argmax(short))]
-                raise TermselError(f"line {name!r} has zero length on the {where}"
-                                   if where == "ground" else
-                                   f"line {name!r} has zero length in the {where}",
+                name = self.ids[int(np.argmax(short))]
+                raise TermselError(f"line {name!r} has zero length {where}",
                                    hint="A control line needs two different points.", ids=[name])
-        check_segments(self.ground, ids)
-
-    def __len__(self) -> int:
-        return len(self.ids)
+        check_segments(self.ground, self.ids)
 
     def _glance(self) -> tuple[str, Mapping[str, str]]:
         return f"Lines: {len(self)}", {
@@ -223,14 +175,6 @@ class Lines(Tabular):
         np.add.at(total, self.feature, values)
         count = np.bincount(self.feature, minlength=len(total))
         return np.asarray(total / count.reshape(-1, *[1] * (values.ndim - 1)))
-
-    def take(self, index: ArrayLike) -> Lines:
-        """Return the lines at `index` (integers or a mask)."""
-        rows = rows_of(self.ids, index)
-        return unchecked(
-            self, ids=names_at(self.ids, rows), image=self.image[rows],
-            ground=self.ground[rows], sigma=None if self.sigma is None else self.sigma[rows],
-            attributes=rows_at(self.attributes, rows))
 
 
 _POINTS = Points((), np.empty((0, 2)), np.empty((0, 3)))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -22,12 +23,11 @@ from termsel.measurements.features import (
     no_lines,
     no_points,
 )
-from termsel.measurements.joined import join_points
-from termsel.measurements.order import in_order
 from termsel.measurements.twins import merged, twins
 
 ASSIGNABLE = ("control", "check", "independent")
 THIRDS = (1 / 3, 1 / 3, 1 / 3)
+_NUMBER = re.compile(r"([0-9]+)")
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +54,7 @@ class Observations:
     @cached_property
     def together(self) -> FeatureSet:
         """Control and check points as control, and the control lines."""
-        return self.control.with_(points=join_points(self.control.points, self.check))
+        return self.control.with_(points=self.control.points.join(self.check))
 
     @cached_property
     def carriers(self) -> tuple[str, ...]:
@@ -207,6 +207,23 @@ def observe(
         roles[roles == "control"] = "off"
     return by_roles(features.with_(points=replace(points, roles=tuple(roles)),
                                    lines=no_lines() if control == "points" else features.lines))
+
+
+def in_order(features: FeatureSet) -> FeatureSet:
+    """Return features in the order of their ids, in which P2 comes before P10.
+
+    What chance or ties decide is then the same, however the rows of a file are ordered.
+    """
+    points, lines = ([i for _, i in sorted((_by_name(name), i) for i, name in enumerate(part.ids))]
+                     for part in (features.points, features.lines))
+    return features.with_(points=features.points.take(points), lines=features.lines.take(lines))
+
+
+def _by_name(name: str) -> tuple[list[tuple[int, str]], str]:
+    """Return what sorts numbers in a name by their value; names that differ sort apart."""
+    # Of two numbers without leading zeros the longer one is larger, however long they are.
+    parts = [part.lstrip("0") if i % 2 else part for i, part in enumerate(_NUMBER.split(name))]
+    return [(len(part) if i % 2 else 0, part) for i, part in enumerate(parts)], name
 
 
 def by_roles(features: FeatureSet) -> Observations:

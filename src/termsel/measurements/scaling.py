@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -11,8 +12,10 @@ from numpy.typing import ArrayLike
 from termsel.measurements.coordinates.crs import is_geographic, transformation
 from termsel.measurements.coordinates.longitudes import TURN, continuous
 from termsel.measurements.features import FeatureSet, FloatArray, Lines, Points
-from termsel.measurements.tables.parts import unchecked
+from termsel.measurements.tables.tabular import unchecked
 from termsel.record.record import ScalingNumbers
+
+_Table = TypeVar("_Table", Points, Lines)
 
 
 @dataclass(frozen=True)
@@ -70,15 +73,14 @@ class Scaling:
         """Return image coordinates [px] from scaled ones."""
         return np.asarray(np.asarray(scaled) * self.image_scale + self.image_offset)
 
-    def points(self, points: Points) -> Points:
-        """Return the points in scaled coordinates."""
+    def points(self, points: _Table) -> _Table:
+        """Return points, or lines, in scaled coordinates."""
         return unchecked(points, image=self.image(points.image), ground=self.ground(points.ground),
                          sigma=None if points.sigma is None else points.sigma / self.image_scale)
 
     def lines(self, lines: Lines) -> Lines:
         """Return the lines in scaled coordinates."""
-        return unchecked(lines, image=self.image(lines.image), ground=self.ground(lines.ground),
-                         sigma=None if lines.sigma is None else lines.sigma / self.image_scale)
+        return self.points(lines)
 
     def features(self, features: FeatureSet) -> FeatureSet:
         """Return the features in scaled coordinates."""

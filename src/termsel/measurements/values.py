@@ -1,18 +1,22 @@
-"""Coordinates and deviations that can be computed with, and places that differ."""
+"""Ids, coordinates and deviations that every reader, plugin and program takes."""
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from termsel.errors import TermselError
+from termsel.errors import TermselError, cut, is_printable
 
 FloatArray = NDArray[np.float64]
 
 FARTHEST = 1e50
 """Coordinates from which on squares and products of some of them overflow."""
+
+LONGEST = 200
+"""Characters of an id."""
 
 _CORRECT = "Correct the values or remove the feature."
 
@@ -93,3 +97,31 @@ def _repeated(rows: FloatArray) -> tuple[int, int] | None:
     earlier = first[inverse.ravel()]
     repeated = np.flatnonzero(earlier != np.arange(len(rows)))
     return (int(earlier[repeated[0]]), int(repeated[0])) if repeated.size else None
+
+
+def refused(name: str) -> str:
+    """Return what is wrong with an id, "" if nothing.
+
+    An id is printable, without line breaks, and not blank, so that tables keep it and a terminal
+    shows it.
+    """
+    if not name:
+        return "is blank"
+    if len(name) > LONGEST:
+        return f"has {len(name):,} characters, more than {LONGEST}"
+    return "" if is_printable(name) else "has a line break or a character that cannot be printed"
+
+
+def check_ids(ids: Sequence[str], kind: str, *, unique: bool) -> None:
+    """Refuse ids that break the rule, or are not `unique`; the TermselError has the id.
+
+    `kind` is that of the features: "point" or "line".
+    """
+    for name in ids:
+        if wrong := refused(name):
+            raise TermselError(f"the id {cut(name, 40)!r} of a {kind} {wrong}", ids=[name],
+                               hint="Give every feature a short id of letters, digits and signs.")
+    twice = [name for name, count in Counter(ids).items() if count > 1] if unique else []
+    if twice:
+        raise TermselError(f"{kind} id {twice[0]!r} is used {Counter(ids)[twice[0]]} times",
+                           hint="Give every feature an id of its own.", ids=twice[:1])

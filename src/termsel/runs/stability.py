@@ -11,7 +11,7 @@ import numpy as np
 from termsel.errors import TermselError
 from termsel.fits.figures import Rmses, figures, in_role, rmse_record
 from termsel.fits.least_squares import fit
-from termsel.fits.rmse import Rmse
+from termsel.fits.residuals import Rmse
 from termsel.interrupts import answered
 from termsel.measurements.features import BoolArray, FeatureSet, FloatArray, select
 from termsel.measurements.scaling import scaling_of

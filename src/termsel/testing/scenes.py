@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from termsel.errors import TermselError
-from termsel.fits.adjust import adjust
+from termsel.fits.least_squares import adjust
 from termsel.measurements.features import FeatureSet, FloatArray, Lines, Points, no_lines, no_points
 from termsel.models.base import SensorModel
 

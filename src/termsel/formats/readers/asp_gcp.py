@@ -13,8 +13,7 @@ from pathlib import Path
 
 from termsel.errors import TermselError
 from termsel.formats.base import IMAGE_NAME, Reader, image_of, read_text
-from termsel.formats.readers.formulas import is_number
-from termsel.formats.readers.table import Table
+from termsel.formats.readers.table import Table, is_number
 from termsel.measurements.features import FeatureSet
 
 _GROUND = ("id", "lat", "lon", "height", "sigma_x", "sigma_y", "sigma_z")

@@ -25,8 +25,7 @@ from termsel.formats.readers.cells import (
     sniffed,
     without_header,
 )
-from termsel.formats.readers.formulas import unguarded
-from termsel.formats.readers.table import Table
+from termsel.formats.readers.table import Table, unguarded
 from termsel.measurements.coordinates.crs import normalise
 from termsel.measurements.features import FeatureSet
 from termsel.measurements.tables.attributes import is_free, text_array

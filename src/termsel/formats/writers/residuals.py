@@ -58,7 +58,7 @@ class ResidualsGeopackage(Writer):
         columns: dict[str, Any] = {
             name: np.array([getattr(r, name) for r in residuals]) for name in (
                 "id", "kind", "role", "used", "line", "sample", "distance")}
-        ground = np.array([(r.x, r.y, r.z) for r in residuals])
+        ground = residuals.ground
         ends, exaggeration = self._ends(result, ground)
         layers = {
             "residuals": shapely.points(ground[:, :2]),

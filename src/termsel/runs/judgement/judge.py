@@ -15,7 +15,7 @@ from termsel.fits.extrapolation import warnings_of
 from termsel.fits.figures import Baseline
 from termsel.fits.fit import Fit
 from termsel.fits.least_squares import fit
-from termsel.fits.rmse import Rmse
+from termsel.fits.residuals import Rmse
 from termsel.measurements.roles import Observations
 from termsel.plugins.registry import registry
 from termsel.problems.genome import Genome

@@ -10,7 +10,6 @@ from termsel.measurements.coordinates.crs import is_geocentric
 from termsel.measurements.coordinates.longitudes import jumps
 from termsel.measurements.coordinates.metres import in_metres
 from termsel.measurements.features import FeatureSet, FloatArray, Points
-from termsel.measurements.joined import join_points
 from termsel.measurements.roles import Observations
 from termsel.measurements.twins import groups, twins
 from termsel.runs.task.blank_heights import note_on_blank
@@ -96,7 +95,7 @@ def _on_twins(both: Points, independent: Points) -> Iterator[str]:
     if found:
         yield (f"Points too close to each other to tell anything apart share a role and a fold: "
                f"{_listed(found)}.")
-    every = join_points(both, independent)
+    every = both.join(independent)
     apart = set(independent.ids)
     shared = [group for group in groups(every.ids, twins(every.ground, both.ground))
               if 0 < len(apart.intersection(group)) < len(group)]

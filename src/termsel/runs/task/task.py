@@ -14,7 +14,6 @@ from termsel.errors import TermselError
 from termsel.guard.faults import blamed
 from termsel.measurements.datasets import DatasetSpec
 from termsel.measurements.features import FeatureSet
-from termsel.measurements.joined import join_points
 from termsel.measurements.roles import Observations, check_as_control, parsed_shares
 from termsel.measurements.roles import observe as assign_roles
 from termsel.measurements.scaling import Scaling, scaling_of
@@ -127,8 +126,8 @@ def observe(setup: Setup, least: int = MIN_CONTROL) -> Observations:
     if _check_as(setup, observations) == "control":
         observations = check_as_control(observations)
     together = observations.together
-    require_heights(setup.model, together.with_(points=join_points(
-        together.points, observations.independent)))
+    require_heights(setup.model, together.with_(
+        points=together.points.join(observations.independent)))
     require_enough(observations, recipe, criterion, least)
     if of_data["fit_crs"] is not None:
         observations = with_fit_crs(of_data["fit_crs"], observations, setup.model)

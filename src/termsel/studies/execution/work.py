@@ -15,7 +15,7 @@ from typing import Any, Final
 from termsel.errors import TermselError
 from termsel.files.atomic import private_folder
 from termsel.fits.figures import finite_or_none
-from termsel.fits.rmse import Rmse
+from termsel.fits.residuals import Rmse
 from termsel.io.export import export, writer_of
 from termsel.measurements.features import BoolArray, FeatureSet
 from termsel.plugins.loading import attempt
