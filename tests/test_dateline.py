@@ -14,7 +14,6 @@ import termsel
 from termsel.formats.readers.csv_tables import write_points_csv
 from termsel.measurements.coordinates.longitudes import continuous, without_jump
 from termsel.measurements.features import FeatureSet
-from termsel.models.rpc_fit import rpc_of
 
 Call = Callable[..., SimpleNamespace]
 
@@ -63,7 +62,7 @@ def test_places_are_projected_from_either_side() -> None:
     assert np.abs(result.project(np.array([[500_000.0, 34.8, 1800.0]]))).max() > 1e6
     ground = result.locate(image[:1], 1800.0)
     np.testing.assert_allclose(ground[0, :2], [180.01, 34.8], rtol=0, atol=1e-6)
-    rpc = rpc_of(result.fit).rpc
+    rpc = result.to_rpc()
     assert abs(rpc.ground_offset[0]) <= 180.0
     for lon in (180.01, -179.99):
         np.testing.assert_allclose(rpc.project(np.array([[lon, 34.8, 1800.0]])), image[:1],

@@ -11,6 +11,7 @@ from click.testing import CliRunner
 
 import termsel
 from termsel.cli.main import cli
+from termsel.measurements.coordinates.crs import to_wgs84
 from termsel.measurements.features import FeatureSet
 from termsel.results.result import Result
 from termsel.simulate import scene_truth, simulate_scene
@@ -47,7 +48,7 @@ def test_final_fit_is_of_all_points_and_nearer_to_the_truth() -> None:
         found = termsel.run("rfm-terms", features=_features(seed))
         assert found.final is not None
         assert set(found.final.control.ids) == set(found.features.points.ids)
-        gains.append(_error(found.as_exported(), seed) / _error(found, seed))
+        gains.append(_error(found, seed) / _error(found.as_exported(False), seed))
     assert np.mean(gains) < 0.95
 
 
@@ -114,27 +115,79 @@ def test_without_independent_points_there_is_one_fit() -> None:
     assert found.to_dict()["final"] is None
 
 
-@pytest.mark.parametrize(("option", "words"), [
-    ((), "all 42 points"), (("--final",), "all 42 points"), (("--no-final",), "without")])
-def test_export_and_project_take_the_same_fit_and_say_which(
-        result: Result, folder: Path, tmp_path: Path, option: tuple[str, ...],
+@pytest.fixture(scope="module")
+def plane(tmp_path_factory: pytest.TempPathFactory) -> tuple[Result, Path]:
+    """Return a result of an image whose values are its lines and samples, and its folder.
+
+    Its independent points are measured 2 px off, so that the two fits are far apart.
+    """
+    import rasterio
+
+    folder = tmp_path_factory.mktemp("plane")
+    rng, size = np.random.default_rng(5), (240, 200)
+    with rasterio.open(folder / "s.tif", "w", driver="GTiff", width=size[1], height=size[0],
+                       count=2, dtype="float32") as raster:
+        raster.write(np.indices(size).astype("float32"))
+    image = rng.uniform(4, [size[0] - 5, size[1] - 5], (40, 2))
+    ground = np.column_stack([250000 + 10 * image[:, 1], 3850000 - 10 * image[:, 0], [0.0] * 40])
+    role = ("control", "control", "independent", "independent")
+    shift = np.array([name == "independent" for name in role * 10])[:, None] * [1.6, 1.2]
+    points = termsel.Points(tuple(map(str, range(40))),
+                            image + shift + rng.normal(0, 0.3, (40, 2)), ground, roles=role * 10)
+    features = FeatureSet(points, crs="EPSG:32639", image_size=size)
+    return termsel.run("poly-terms", features=features, out=folder / "r"), folder
+
+
+@pytest.mark.parametrize(("option", "final", "words"), [
+    ((), None, "all 40 points"), (("--final",), True, "all 40 points"),
+    (("--no-final",), False, "without independent ones")])
+def test_all_that_uses_a_result_takes_the_same_fit_and_says_which(
+        plane: tuple[Result, Path], tmp_path: Path, option: tuple[str, ...], final: bool | None,
         words: str, caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level("INFO", "termsel")
-    expected = result if option == ("--no-final",) else result.as_exported()
-    rpc, runner = tmp_path / "a_RPC.TXT", CliRunner()
-    done = runner.invoke(cli, ["export", str(folder), "--to", "rpc-txt", "-o", str(rpc), *option])
-    assert done.exit_code == 0
-    ground = result.features.points.ground
-    np.testing.assert_allclose(termsel.read_rpc(rpc).project(ground), expected.project(ground),
-                               atol=1e-3)
-    table = tmp_path / "t.csv"
-    done = runner.invoke(cli, ["project", str(folder), "--points", str(folder / "points.csv"),
-                                "-o", str(table), *option])
-    assert done.exit_code == 0
-    rows = [line.split(",") for line in table.read_text().splitlines()[2:]]
-    np.testing.assert_allclose(np.array([[float(cell) for cell in row[1:3]] for row in rows]),
-                               expected.project(ground), rtol=1e-12)
-    assert caplog.text.count(words) >= 2
+    result, folder = plane
+
+    def call(name: str, *words: str) -> Path:
+        target = tmp_path / words[-1]
+        done = CliRunner().invoke(
+            cli, [name, str(folder / "r"), *words[:-1], "-o", str(target), *option])
+        assert done.exit_code == 0, done.output
+        return target
+
+    def columns(table: Path, *names: str) -> np.ndarray:
+        header, *rows = [one.split(",") for one in table.read_text().splitlines()[1:]]
+        return np.array([[float(row[header.index(name)]) for name in names] for row in rows])
+
+    ground, image = result.features.points.ground, result.features.points.image
+    used = result.as_exported(final)
+    assert result.final is not None
+    fitted = result.fit if final is False else result.final
+    assert np.abs(result.fit.project(ground) - result.final.project(ground)).mean() > 0.3
+    expected, degrees = fitted.project(ground), to_wgs84("EPSG:32639")(ground)
+    there = call("project", "--points", str(folder / "r/points.csv"), "t.csv")
+    back = call("project", "--inverse", "--points", str(folder / "r/points.csv"), "b.csv")
+    rpc = termsel.read_rpc(call("export", "--to", "rpc-txt", "a_RPC.TXT"))
+    for found, wanted, within in (
+            (used.project(ground), expected, 0),
+            (used.sigma(ground), fitted.sigma(ground), 0),
+            (used.locate(image, 0.0), fitted.locate(image, 0.0), 0),
+            (used.to_rpc().project(degrees), expected, 0.01),
+            (rpc.project(degrees), expected, 0.01),
+            (columns(there, "line", "sample"), expected, 1e-6),
+            (columns(back, "x", "y"), fitted.locate(image, 0.0)[:, :2], 1e-3)):
+        np.testing.assert_allclose(found, wanted, rtol=1e-9, atol=within)
+    if final is not False:
+        np.testing.assert_array_equal(result.project(ground), expected)
+    map_ = call("rectify", str(folder / "s.tif"), "--res", "10", "--resampling", "bilinear",
+                "m.tif")
+    import rasterio
+
+    with rasterio.open(map_) as raster:
+        centres = np.array([raster.xy(*raster.index(x, y)) for x, y, _ in ground.tolist()])
+        seen = np.array(list(raster.sample(centres)))
+    centres = np.column_stack([centres, ground[:, 2]])
+    np.testing.assert_allclose(seen, fitted.project(centres), atol=0.15)
+    assert caplog.text.count(words) == 4  # project twice, export, rectify
 
 
 def test_summary_says_what_is_exported(result: Result) -> None:

@@ -122,7 +122,7 @@ def _listed(ids: Sequence[str]) -> str:
 
 def _control(result: Result) -> FloatArray:
     """Return the ground coordinates of what a result was fitted to."""
-    made = result.fit.made or result.fit
+    made = result.exported.made or result.exported
     return made.control.take(made.used).ground_vertices()
 
 

@@ -126,7 +126,8 @@ class Result(Glance):
         Of the independent points, in px and on the ground, and by standards.
     final : Fit, optional
         Of a choice by the strategy "auto": the same structure fitted to all points, independent
-        ones included, which is exported. All figures are those of `fit`.
+        ones included. It is exported, and `project`, `sigma`, `locate` and `to_rpc` use it. All
+        figures are those of `fit`.
     strategy : Strategy, optional
         Of a choice by the strategy "auto": what was chosen, the accuracy it predicts, and all
         candidates with theirs.
@@ -237,12 +238,12 @@ class Result(Glance):
                        fit=replace(self.fit, control=control))
 
     def as_exported(self, final: bool | None = None) -> Result:
-        """Return the result with the fit that is exported as its fit.
+        """Return the result with the fit that is exported as its only fit.
 
         Parameters
         ----------
         final : bool, optional
-            Whether to take the final fit; by default if there is one.
+            Whether to take the final fit; by default if there is one. False takes the other.
 
         Raises
         ------
@@ -256,7 +257,7 @@ class Result(Glance):
                                         "points. Leave --final out.")
             return self
         if final is False:
-            return self
+            return replace(self, final=None)
         observations = by_roles(self.features)
         # Of independent points, the outliers stay out of the final fit; twins of others are in it.
         taken = set(observations.independent.ids) - {one.id for one in self.outliers}
@@ -264,16 +265,24 @@ class Result(Glance):
             in_role(self.final, observations), observations, check_used=True,
             independent_used=taken))
 
+    @property
+    def exported(self) -> Fit:
+        """The fit that is exported and that `project`, `sigma`, `locate` and `to_rpc` use.
+
+        The final one if there is one. `Result.fit` is the one whose figures these are.
+        """
+        return self.final or self.fit
+
     def project(self, ground: ArrayLike) -> FloatArray:
-        """Return where the fitted model sees ground points (see `termsel.Fit.project`)."""
-        return self.fit.project(ground)
+        """Return where the exported fit sees ground points (see `termsel.Fit.project`)."""
+        return self.exported.project(ground)
 
     def sigma(self, ground: ArrayLike, *, measured: bool = False) -> FloatArray:
         """Return the standard deviation of the error of `project` (see `termsel.Fit.sigma`)."""
-        return self.fit.sigma(ground, measured=measured)
+        return self.exported.sigma(ground, measured=measured)
 
     def locate(self, image: ArrayLike, height: ArrayLike | Surface) -> FloatArray:
-        """Return the ground points seen at image points, by the fitted model.
+        """Return the ground points seen at image points, by the exported fit.
 
         Parameters
         ----------
@@ -287,10 +296,10 @@ class Result(Glance):
         ndarray, shape (n, 3)
             In the CRS of the control; NaN where there is none.
         """
-        return self.fit.locate(image, height)
+        return self.exported.locate(image, height)
 
     def to_rpc(self) -> Rpc:
-        """Return the fitted model as RPC.
+        """Return the exported fit as RPC.
 
         Rational functions and polynomials to the third degree of WGS84 longitude, latitude and
         ellipsoidal height are RPCs as they are. Any other fit is replaced by the RPC next to
@@ -304,7 +313,7 @@ class Result(Glance):
         """
         from termsel.models.rpc_fit import rpc_of
 
-        return rpc_of(self.fit).rpc
+        return rpc_of(self.exported).rpc
 
     def to_json(self) -> str:
         """Return result.json as text: `to_dict` and its checksums."""
