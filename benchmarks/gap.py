@@ -22,7 +22,7 @@ import termsel
 from benchmarks.sets import ROOT, put, rmse_of
 from termsel.enumeration.columns.system import Piece
 from termsel.enumeration.stack import Stack, stack
-from termsel.fits.rmse import Rmse
+from termsel.fits.residuals import Rmse
 from termsel.measurements.features import FloatArray, no_lines
 from termsel.report.theme import BLUNDER, CONTROL, INDEPENDENT, UNUSED, data, require_altair, styled
 from termsel.simulate import simulate_scene
