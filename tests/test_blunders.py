@@ -84,7 +84,7 @@ def test_blunders_do_not_spoil_the_accuracy_and_are_told() -> None:
     assert without == pytest.approx(plain.total, rel=0.1)
     assert spoilt.strategy is not None
     assert before.strategy is not None
-    assert spoilt.strategy["predicted"] == pytest.approx(before.strategy.predicted, rel=0.1)
+    assert spoilt.strategy.predicted == pytest.approx(before.strategy.predicted, rel=0.1)
 
 
 def test_independent_points_change_nothing_but_their_own_figures() -> None:

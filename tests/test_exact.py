@@ -67,15 +67,15 @@ def test_exact_finds_what_brute_force_finds(case: str, dataset: str) -> None:
             by_size[size] = least
         if least < best * (1 - 1e-12):
             expected[size] = best = least
-    found = {m["objectives"]["n_terms"]: m["objectives"]["check-rmse"] for m in result.front}
+    found = {m.objectives["n_terms"]: m.objectives["check-rmse"] for m in result.front}
     assert found == pytest.approx(expected, rel=1e-9)
     # The best of every size has its own proof, on the front or not.
-    rows = {m["objectives"]["n_terms"]: m for m in result.by_size}
-    assert {n: m["objectives"]["check-rmse"] for n, m in rows.items()} == pytest.approx(
+    rows = {m.objectives["n_terms"]: m for m in result.by_size}
+    assert {n: m.objectives["check-rmse"] for n, m in rows.items()} == pytest.approx(
         by_size, rel=1e-9)
-    assert all(m["optimal"] and m["gap"] == 0 and m["bound"] == m["objectives"]["check-rmse"]
+    assert all(m.optimal and m.gap == 0 and m.bound == m.objectives["check-rmse"]
                for m in rows.values())
-    assert {n for n, m in rows.items() if m["better"]} == set(expected)
+    assert {n for n, m in rows.items() if m.better} == set(expected)
 
 
 def test_forced_genes_and_cardinality_hold() -> None:
@@ -106,9 +106,9 @@ def test_a_large_space_is_not_cut_and_ends_with_a_certificate(
     assert re.search(r"exact: deciding 132,955,328,176 subsets \(all selections of up to 23 terms "
                      r"an axis, 2 parts\)", caplog.text)
     certificate = assessed(task, found).certificate
-    assert not certificate["optimal"]
-    assert certificate["subsets"] < certificate["of"] == count(task.problem)
-    assert 0 <= certificate["bound"] <= found.objectives[0]
+    assert not certificate.optimal
+    assert certificate.subsets < certificate.of == count(task.problem)
+    assert 0 <= certificate.bound <= found.objectives[0]
 
 
 @pytest.mark.parametrize("criterion", ["check-rmse", "ebic"])
@@ -203,7 +203,7 @@ def test_an_interrupted_proof_proves_nothing_but_has_the_best_so_far() -> None:
     result = assessed(task, found)
     assert plain(result.certificate) == found.certificate
     assert not result.front
-    assert not all(one["optimal"] for one in result.by_size)
+    assert not all(one.optimal for one in result.by_size)
     assert re.search(r"^Front\n.* best of its size$", result.summary(), re.MULTILINE)
 
 
@@ -213,9 +213,9 @@ def test_a_heuristic_states_its_gap() -> None:
     optimum = termsel.run("poly-terms", solver="exact", options={"degree": 4})
     certificate = result.certificate
     best = optimum.objectives["check-rmse"]
-    assert certificate["optimum"] == pytest.approx(best, rel=1e-9)
-    assert certificate["gap"] == pytest.approx(result.objectives["check-rmse"] / best - 1)
-    assert not certificate["optimal"]
+    assert certificate.optimum == pytest.approx(best, rel=1e-9)
+    assert certificate.gap == pytest.approx(result.objectives["check-rmse"] / best - 1)
+    assert not certificate.optimal
     assert "above the proven optimum" in result.summary()
 
 
@@ -240,10 +240,10 @@ def test_polish_says_what_it_added() -> None:
     alone = termsel.run("poly-terms", generations=3, options={**bare, "polish": False})
     polished = termsel.run("poly-terms", generations=3, options=bare)
     assert alone.polish is None
-    assert polished.polish["found"] == alone.objectives["check-rmse"]
-    assert polished.polish["polished"] == polished.objectives["check-rmse"]
-    assert polished.polish["polished"] < polished.polish["found"]
-    assert polished.evaluations - polished.polish["evaluations"] == alone.evaluations
+    assert polished.polish.found == alone.objectives["check-rmse"]
+    assert polished.polish.polished == polished.objectives["check-rmse"]
+    assert polished.polish.polished < polished.polish.found
+    assert polished.evaluations - polished.polish.evaluations == alone.evaluations
 
 
 def test_a_polished_selection_has_no_better_neighbour() -> None:
@@ -266,7 +266,7 @@ def test_swap_reaches_the_optimum_of_a_small_space() -> None:
     swapped = termsel.run("poly-terms", solver="swap", options={"degree": 3})
     assert swapped.objectives["check-rmse"] == pytest.approx(
         optimum.objectives["check-rmse"], rel=1e-9)
-    assert swapped.certificate["optimal"]
+    assert swapped.certificate.optimal
 
 
 class Median(CheckRmse):

@@ -15,6 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
+import termsel
 from termsel.errors import TermselError
 from termsel.files.atomic import atomic_path, write_bytes, write_text
 from termsel.formats.base import Reader
@@ -551,3 +552,19 @@ def test_without_columns_of_heights_all_are_blank_with_a_note(
                              readers=READERS)
     assert np.isnan(features.ground_vertices()[:, 2]).all()
     assert f"a.csv has no column for {missing}, so its heights are unknown." in caplog.text
+
+
+@pytest.mark.parametrize(("first", "row", "line"), [
+    ("id,line,sample,x,y,z", "a,1,2,3,4,5", 1), ("1.5;2.5", "1.5;2.5", 1),
+    ("# crs: local\n\nid\tline\tsample\tx\ty", "a\t1\t2\t3\t4", 3), ("name", "a", 1)])
+def test_a_table_of_very_many_columns_is_refused_at_once(tmp_path: Path, first: str, row: str,
+                                                         line: int) -> None:
+    sign = next((sign for sign in ",;\t" if sign in first), ",")
+    more = sign.join(["", *(f"c{i}" for i in range(2_000))])
+    path = tmp_path / "wide.csv"
+    path.write_text(f"{first}{more}\n{row}{more}\n" * 2)
+    with pytest.raises(TermselError, match=r"the first row has 2,00\d cells, more than 1,000"
+                       ) as error:
+        termsel.read(path, crs="local")
+    assert error.value.line == line
+    assert error.value.hint == "Give a table with a row per point."

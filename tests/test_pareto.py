@@ -25,17 +25,17 @@ SOLVERS = ("nsga2", "age-moea2", "sms-emoa", "spea2")
 def test_a_front_has_neither_dominated_members_nor_duplicates(solver: str) -> None:
     result = termsel.run("poly-terms", solver=solver, evaluations=800,
                          options={"degree": 4, "population": 40})
-    points = np.array([[m["objectives"]["check-rmse"], m["objectives"]["n_terms"]]
+    points = np.array([[m.objectives["check-rmse"], m.objectives["n_terms"]]
                        for m in result.front])
     assert len(np.unique(points, axis=0)) == len(points) > 3
     for point in points:
         others = (points <= point).all(axis=1) & (points < point).any(axis=1)
         assert not others.any()
     for member in result.front:
-        assert member["rmse"]["check"]["total"] == pytest.approx(
-            member["objectives"]["check-rmse"], rel=1e-6)
-        assert member["rmse"]["independent"]["n"] == 26
-        assert member["selection"]["n_terms"] == member["objectives"]["n_terms"]
+        assert member.rmse.check.total == pytest.approx(
+            member.objectives["check-rmse"], rel=1e-6)
+        assert member.rmse.independent.n == 26
+        assert member.selection.n_terms == member.objectives["n_terms"]
 
 
 @pytest.mark.slow
@@ -94,14 +94,14 @@ def test_the_least_ebic_of_a_front() -> None:
 def test_the_proven_front_is_recommended_from_where_a_rule_is_given() -> None:
     given = {"solver": "exact", "model": "poly2d"}
     best = termsel.run("rfm-terms", options={"degree": 4}, **given)
-    assert best.certificate["optimal"]
+    assert best.certificate.optimal
     assert best.options["problem"]["recommend"] == "best"
     for rule in ("one-standard-error", "knee", "ebic"):
         found = termsel.run("rfm-terms", options={"degree": 4, "recommend": rule}, **given)
         assert found.front == best.front
         assert len(found.selection.terms) < len(best.selection.terms)
-        assert not found.certificate["optimal"]
-        assert found.certificate["gap"] == pytest.approx(
+        assert not found.certificate.optimal
+        assert found.certificate.gap == pytest.approx(
             found.objectives["check-rmse"] / best.objectives["check-rmse"] - 1)
         text = found.summary()
         assert f"recommended by the rule {rule}" in text

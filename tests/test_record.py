@@ -243,3 +243,13 @@ def test_a_record_without_checksums_is_of_an_earlier_version(tmp_path: Path) -> 
     file.write_text(json.dumps(content))
     with pytest.raises(TermselError, match="of an earlier version of termsel, without checksums"):
         read_result(tmp_path / "r")
+
+
+def test_parts_by_key_warn_and_say_what_to_use() -> None:
+    result = termsel.run("poly-terms", solver="random", evaluations=20, options={"degree": 2})
+    with pytest.warns(DeprecationWarning, match=r'\["counts"\], goes away in 0\.4: use \.counts'
+                      ) as seen:
+        assert result.data["counts"] is result.data.counts
+    assert seen[0].filename == __file__
+    with pytest.raises(KeyError):
+        result.data["count"]

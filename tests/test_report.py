@@ -119,13 +119,14 @@ def test_the_interval_covers_the_rmse_as_often_as_it_says() -> None:
 
 def test_members_of_a_front_have_the_errors_that_the_record_says(searched: Path) -> None:
     view = termsel.read_result(searched).view
-    front = view.record["front"]
+    front = view.record.front
     assert len(front) > 3
     for i, said in enumerate(front):
         for role in ("check", "independent"):
             squares = [(row["dls"][i] ** 2 + row["dss"][i] ** 2) * view.unit**2
                        for row in view.members if row["role"] == role]
-            assert np.sqrt(np.mean(squares)) == pytest.approx(said["rmse"][role]["total"], rel=5e-3)
+            assert np.sqrt(np.mean(squares)) == pytest.approx(
+                getattr(said.rmse, role).total, rel=5e-3)
 
 
 def test_every_chart_is_one_altair_chart_that_says_what_to_look_for(
@@ -197,14 +198,14 @@ def test_frequencies_are_those_of_the_selections(searched: Path, repeated: Path)
     front = termsel.read_result(searched)
     shown = {row["term"]: row["share"]
              for row in max(rows_of(front.plot.frequency()).values(), key=len)}
-    members = [set(one["selection"]["terms"]) for one in front.front]
+    members = [set(one.selection.terms) for one in front.front]
     assert set(shown) == set.union(*members)
     for term, share in shown.items():
         assert share == pytest.approx(sum(term in one for one in members) / len(members), abs=1e-4)
     said = json.loads((repeated / "stability.json").read_text())
     again = termsel.read_result(repeated)
     assert again.stability is not None
-    assert again.stability["frequency"] == said["frequency"]
+    assert again.stability.frequency == said["frequency"]
     assert list(again.selection.terms) == said["stable"]
     page = (repeated / "report.html").read_text()
     assert "terms are in at least 60% of 3 selections" in page

@@ -278,7 +278,7 @@ def test_auto_for_lines_leaves_out_blunders_and_says_which(of_lines: termsel.Res
     assert any(note.startswith("Left out as blunders: L") for note in of_lines.notes)
     searched = termsel.run("owdis-lines", generations=8, options=QUICK)
     assert of_lines.rmse["independent"].total < searched.rmse["independent"].total
-    assert of_lines.data["counts"]["lines"] == 120
+    assert of_lines.data.counts.lines == 120
     used = {r.id for r in of_lines.residuals if r.kind == "vertex 1" and not r.used}
     assert used == out
 
@@ -340,7 +340,7 @@ def test_the_search_stays_the_default_of_its_problem() -> None:
     unnamed = termsel.run(features=scene)
     assert unnamed.problem == "owdis-lines"
     assert unnamed.strategy is not None
-    assert unnamed.strategy["name"] == "auto"
+    assert unnamed.strategy.name == "auto"
     asked = termsel.run(features=scene, generations=2, options=QUICK)
     assert asked.strategy is None
 

@@ -63,7 +63,7 @@ def frame_camera(n: int, seed: int = 1) -> FeatureSet:
 def test_auto_is_the_default_where_only_points_are_given(result: termsel.Result) -> None:
     assert result.strategy is not None
     assert result.strategy.name == "auto"
-    names = [one["name"] for one in result.strategy.candidates]
+    names = [one.name for one in result.strategy.candidates]
     assert result.strategy.chosen in names
     assert {"affine", "dlt", "quadratic", "cubic", "selected", "shrunken-quadratic",
             "shrunken-cubic"} <= set(names)
@@ -142,7 +142,7 @@ def test_options_of_the_data_leave_the_strategy() -> None:
     assert other.strategy is not None
     given = dict(zip(features.points.ids, features.points.roles, strict=True))
     assert any(given[name] != role for role in ("control", "check", "independent")
-               for name in other.data.roles[role])
+               for name in getattr(other.data.roles, role))
 
 
 @pytest.mark.parametrize(("problem", "more", "message"), [
@@ -318,7 +318,7 @@ def test_plane_points_get_plane_models() -> None:
     flat[:, 2] = np.nan
     found = termsel.run("poly-terms", features=FeatureSet(replace(points, ground=flat)))
     assert found.strategy is not None
-    assert "projective" in {one["name"] for one in found.strategy.candidates}
+    assert "projective" in {one.name for one in found.strategy.candidates}
     assert not found.fit.model.uses_height
 
 

@@ -34,12 +34,12 @@ def test_repeated_points_promise_no_accuracy_that_is_not_there() -> None:
         assert theirs is not None
         assert ours.total == pytest.approx(theirs.total, rel=1e-3)
         assert ours.n == 2 * theirs.n
-        ids = set(repeated.data["roles"][role])
-        assert {name.removesuffix("-again") for name in ids} == set(plain.data["roles"][role])
+        ids = set(getattr(repeated.data.roles, role))
+        assert {name.removesuffix("-again") for name in ids} == set(getattr(plain.data.roles, role))
     assert repeated.strategy is not None
     assert plain.strategy is not None
-    assert repeated.strategy["predicted"] == pytest.approx(plain.strategy["predicted"], rel=1e-3)
-    assert repeated.strategy["folds"] == plain.strategy["folds"]
+    assert repeated.strategy.predicted == pytest.approx(plain.strategy.predicted, rel=1e-3)
+    assert repeated.strategy.folds == plain.strategy.folds
     assert repeated.final is not None
     assert plain.final is not None
     np.testing.assert_allclose(repeated.final.adjustment.coefficients,

@@ -36,7 +36,7 @@ from termsel.formats.writers.selections import (
     LinesTable,
     OrthorityGeojson,
     PointsTable,
-    QgisPoints,
+    QgisPointsWriter,
 )
 from termsel.measurements.features import FeatureSet, Points
 from termsel.models.rpc_fit import rpc_of
@@ -80,7 +80,7 @@ def of_lines() -> Result:
 
 SUITES: dict[str, tuple[Check, ...]] = {
     writer.name: checks(writer, filename=f"scene{writer.suffix}")
-    for writer in (QgisPoints(), OrthorityGeojson(), GcpVrt(), PointsTable(),
+    for writer in (QgisPointsWriter(), OrthorityGeojson(), GcpVrt(), PointsTable(),
                    ResidualsGeopackage())}
 
 
@@ -224,7 +224,7 @@ def _lines(path: Path) -> list[list[str]]:
 
 def test_qgis_points(selected: Result, tmp_path: Path) -> None:
     path = tmp_path / "scene.points"
-    QgisPoints().write(selected, path)
+    QgisPointsWriter().write(selected, path)
     assert path.read_text().startswith('#CRS: PROJCRS["WGS 84 / UTM zone 40N"')
     header, *rows = _lines(path)
     assert header == ["mapX", "mapY", "sourceX", "sourceY", "enable", "dX", "dY", "residual"]
@@ -261,7 +261,7 @@ def test_lines_csv_is_read_again_with_the_selection(of_lines: Result, tmp_path: 
     read = LinesCsv().read(path)
     assert read.lines.ids == of_lines.selection.features
     with pytest.raises(TermselError, match=r"cannot be written as qgis-points.*residuals-gpkg"):
-        QgisPoints().write(of_lines, path)
+        QgisPointsWriter().write(of_lines, path)
 
 
 def test_lines_csv_keeps_deviations(of_lines: Result, tmp_path: Path) -> None:
@@ -401,7 +401,7 @@ def test_a_gis_shows_residuals_by_role(of_lines: Result, tmp_path: Path) -> None
 def test_readers_take_what_is_written(selected: Result, tmp_path: Path) -> None:
     points, chosen = selected.features.points, set(selected.selection.features)
     which = [name in chosen for name in points.ids]
-    for writer in (QgisPoints(), GcpVrt(), OrthorityGeojson()):
+    for writer in (QgisPointsWriter(), GcpVrt(), OrthorityGeojson()):
         path = tmp_path / f"scene{writer.suffix}"
         writer.write(selected, path)
         read = termsel.read(path)
@@ -490,7 +490,7 @@ def test_plane_models_need_no_heights(tmp_path: Path) -> None:
     points = Points(tuple(f"p{i}" for i in range(40)), image, ground)
     result = termsel.run("poly-terms", features=FeatureSet(points, crs="EPSG:32640"),
                          solver="all-terms", model="poly2d", options={"degree": 2})
-    for writer in (GcpGridVrt(), GcpVrt(), QgisPoints(), PointsTable(), ResidualsGeopackage(),
+    for writer in (GcpGridVrt(), GcpVrt(), QgisPointsWriter(), PointsTable(), ResidualsGeopackage(),
                    GeolocationVrt(step=50), RpcVrt()):
         writer.write(result, tmp_path / f"scene{writer.suffix}")
     assert not OrthorityGeojson().accepts(result)

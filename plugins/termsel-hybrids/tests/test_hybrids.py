@@ -146,7 +146,7 @@ def test_the_best_terms_under_hybrid_3_are_proven() -> None:
     found = termsel.run("poly-terms", model="hybrid-3", solver="exact", options={"degree": 3})
     searched = termsel.run("poly-terms", model="hybrid-3", options={"degree": 3}, generations=20)
     assert found.certificate is not None
-    assert found.certificate["optimal"]
+    assert found.certificate.optimal
     assert found.objectives["check-rmse"] <= searched.objectives["check-rmse"] + 1e-9
 
 

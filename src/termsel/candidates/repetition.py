@@ -9,7 +9,7 @@ import numpy as np
 
 from termsel.adjustment.lines import row_weights
 from termsel.candidates.portfolio import EXACT, Portfolio, Watch, choose, choose_features
-from termsel.measurements.control import Control, heights_hold
+from termsel.measurements.control import Control, carriers
 from termsel.measurements.coordinates.places import ground_centres, spatial_order
 from termsel.measurements.features import FeatureSet, FloatArray
 
@@ -53,7 +53,7 @@ def repeated(control: Control, portfolio: Portfolio | None = None,
         out[order[fold::folds]] = True
         rest, held = control.take(~out), features.take(out)
         # Relief that rests on one feature of the others tells nothing of those held out.
-        flat = replace(rest, heights=rest.heights and heights_hold(rest, most=1))
+        flat = replace(rest, heights=rest.heights and not carriers(rest, most=1))
         choice = None if len(rest) <= EXACT else choose_features(
             flat, portfolio, watch, whole=False)
         fitted = choice.chosen.fit if choice else None

@@ -70,27 +70,21 @@ def heights_differ(control: Control) -> bool:
     if control.features.without_height():
         return False
     plane, z, _ = _vertices(control)
-    rest = z - plane @ np.linalg.lstsq(plane, z)[0]
-    return bool(np.abs(rest).max() > FLAT)
-
-
-def heights_hold(control: Control, most: int = 2) -> bool:
-    """Return whether heights differ from a plane, also without any one or two of the features.
-
-    `most`, 1 or 2, is how many features the relief must not rest on.
-    """
-    return heights_differ(control) and not carriers(control, most)
+    return bool(np.abs(_about_plane(plane, z)[0]).max() > FLAT)
 
 
 def carriers(control: Control, most: int = 2) -> tuple[str, ...]:
     """Return the ids of one or two features without which all heights lie on a plane; or none.
 
-    Heights are known. `most`, 1 or 2, is how many are looked for; of fewer than `ENOUGH` one.
+    All ids where heights lie on a plane already. Heights are known. `most`, 1 or 2, is how many
+    are looked for; of fewer than `ENOUGH` one.
     """
     most = most if len(control) >= ENOUGH else 1
     plane, z, owner = _vertices(control)
     keep, chosen = np.ones(len(z), dtype=bool), list[int]()
     rest, free = _about_plane(plane, z)
+    if np.abs(rest).max() <= FLAT:
+        return control.features.ids
     total = float(rest @ rest)
     while len(chosen) < most:
         # What the sum of squares falls by without a vertex: its residual squared by 1 - leverage.

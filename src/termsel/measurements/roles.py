@@ -236,7 +236,8 @@ def by_roles(features: FeatureSet) -> Observations:
 
 def leave_out(observations: Observations, ids: Iterable[str]) -> Observations:
     """Return the observations with some points in the role off, and without some lines."""
-    return by_roles(with_roles(observations.features, dict.fromkeys(ids, "off")))
+    off = dict.fromkeys(ids, "off")
+    return by_roles(with_roles(observations.features, off)) if off else observations
 
 
 def with_lines(observations: Observations, lines: Lines) -> Observations:

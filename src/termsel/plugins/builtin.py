@@ -139,8 +139,8 @@ def termsel_writers() -> Iterable[type[Writer]]:
         LinesTable,
         OrthorityGeojson,
         PointsTable,
-        QgisPoints,
+        QgisPointsWriter,
     )
 
-    return [Rpb, RpcTxt, RpcVrt, GcpGridVrt, GeolocationVrt, QgisPoints, GcpVrt,
+    return [Rpb, RpcTxt, RpcVrt, GcpGridVrt, GeolocationVrt, QgisPointsWriter, GcpVrt,
             OrthorityGeojson, PointsTable, LinesTable, ResidualsGeopackage]

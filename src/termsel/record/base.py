@@ -10,6 +10,7 @@ dependencies.
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
@@ -38,6 +39,8 @@ class RecordPart(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_d
     def __getitem__(self, key: str) -> Any:
         """Return the value of a key of the JSON: parts of results were mappings before 0.3."""
         names = dict(zip(self.__struct_encode_fields__, self.__struct_fields__, strict=True))
+        warnings.warn(f'access by key, ["{key}"], goes away in 0.4: use .{names[key]}',
+                      DeprecationWarning, stacklevel=2)
         return getattr(self, names[key])
 
 

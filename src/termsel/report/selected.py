@@ -145,7 +145,7 @@ def _front(record: Record, view: View | None, picture: str) -> Iterator[Block]:
             (*("-" if value is None else f"{value:.5g}" for value in one.objectives.values()),
              _px(one.rmse.check), _px(one.rmse.independent),
              *[proven.get(one.objectives[size], "")] * bool(proven),
-             " ".join(one.selection[names])) for one in members],
+             " ".join(getattr(one.selection, names))) for one in members],
         choice="member" * bool(front), keys=list(range(len(front))),
         marked=sizes.recommended(members, record.selection),
         page_only=(len(members[0].objectives),
@@ -160,7 +160,7 @@ def _front(record: Record, view: View | None, picture: str) -> Iterator[Block]:
             counts, criterion, "lower bound", sizes.TITLE, "independent [px]", names), [
                 (f"{one.objectives[size]:g}", f"{one.objectives[criterion]:.4g}",
                  "-" if one.bound is None else f"{one.bound:.4g}", sizes.proven(one),
-                 _px(one.rmse.independent), " ".join(one.selection[names])) for one in by_size],
+                 _px(one.rmse.independent), " ".join(getattr(one.selection, names))) for one in by_size],
             folded=True)
 
 

@@ -368,12 +368,12 @@ class Result(Glance):
         return text_of(document(self.record))
 
     def _glance(self) -> tuple[str, Mapping[str, str]]:
-        counts = self.data["counts"]
-        features = [counted(counts[key], word) for key, word in (
+        counts = self.data.counts
+        features = [counted(getattr(counts, key), word) for key, word in (
             ("control", "control point"), ("lines", "control line"), ("check", "check point"),
-            ("independent", "independent point")) if counts[key]]
+            ("independent", "independent point")) if getattr(counts, key)]
         return f"Result of {self.problem}: model {self.model}", {
-            "data": f"{self.data['source']}; {', '.join(features)}",
+            "data": f"{self.data.source}; {', '.join(features)}",
             "selected": f"{len(self.selection.terms)} terms, {len(self.selection.features)} "
                         "features",
             "accuracy": statement(self.record),

@@ -18,7 +18,7 @@ from termsel.plugins.registry import registry
 from termsel.runs.notebook import line_of_many
 from termsel.runs.task.provenance import versions
 from termsel.studies.cells.cell import Cell, cells_of, kind_of
-from termsel.studies.cells.folder import PLAN, Plan, write_plan
+from termsel.studies.cells.folder import PLAN, StudyPlan, write_plan
 from termsel.studies.cells.images import IMAGES, folders_of, write_files
 from termsel.studies.cells.journal import Journal, read_journal
 from termsel.studies.cells.lock import locked
@@ -89,7 +89,7 @@ def compare(
         raise TermselError(f"{workers} workers cannot run anything", hint="Give 1 or more.")
     spec, folder = asked(study, keys)
     cells = plan_cells(spec, folder)
-    plan = Plan(spec, {cell.data.label: cell.data.key for cell in cells}, workers,
+    plan = StudyPlan(spec, {cell.data.label: cell.data.key for cell in cells}, workers,
                 {cell.key: cell.labels for cell in cells})
     folders = folders_of(plan.cells)
     with ExitStack() as stack:

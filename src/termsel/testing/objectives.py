@@ -21,17 +21,6 @@ ALONE = (slice(0, 1), slice(3, 4), slice(-1, None))
 """Individuals that are judged without the others."""
 
 
-class _Recorder:
-    """Records the selections that a problem shows to its objectives."""
-
-    def __init__(self) -> None:
-        self.seen: list[PopulationSelection] = []
-
-    def score(self, selected: PopulationSelection) -> FloatArray:
-        self.seen.append(selected)
-        return np.zeros(len(selected.terms))
-
-
 def figure_each(objective: Objective) -> None:
     """It gives one finite figure for each individual, also where none or all is selected."""
     for selected in _selections():
@@ -97,12 +86,17 @@ def _selections(points: int = 14, lines: int = 0) -> list[PopulationSelection]:
     truth = random_coefficients(model, rng)
     control = imaged(model, truth, rng, points=points, lines=lines)
     check: Points = imaged(model, truth, rng, points=10).points
-    recorder = _Recorder()
+    seen: list[PopulationSelection] = []
+
+    def record(selected: PopulationSelection) -> FloatArray:
+        seen.append(selected)
+        return np.zeros(len(selected.terms))
+
     inputs = Inputs(model, control, check, 1000.0, CheckRmse(), {},
-                    (Objective("recorder", "Records.", recorder.score),))
+                    (Objective("recorder", "Records.", record),))
     for terms in (True, False):
         problem = SelectionProblem(inputs, terms=terms, features=not terms)
         size = problem.genome.size
         problem.evaluate(np.concatenate([np.zeros((1, size)), np.ones((1, size)),
                                          rng.random((6, size))]) > 0.5)
-    return recorder.seen
+    return seen

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from termsel.errors import TermselError
-from termsel.formats.readers.cells import WIDEST, read_cells
+from termsel.formats.readers.cells import WIDEST, BadText, read_cells
 from termsel.measurements.features import FloatArray
 from termsel.measurements.tables.columns import POINTS, Aliases, declared, matches, parse_columns
 from termsel.measurements.tables.numbers import COMMA, POINT, BadCell, decimal_signs, read_numbers
@@ -54,8 +54,8 @@ def unknown_table(path: Path, expected: str, columns: str) -> TermselError | Non
     try:
         cells = read_cells(path, POINTS, own)
     except TermselError as error:
-        spoken = "not UTF" in error.what or path.suffix.lower() in _SPREADSHEETS
-        return error if spoken else None
+        known = isinstance(error, BadText) or path.suffix.lower() in _SPREADSHEETS
+        return error if known else None
     rows = [row for row in cells.rows[:_ROWS] if len(row) == len(cells.rows[-1]) <= WIDEST]
     values = _numbers(rows[1:])
     if len(rows) < 3 or len(values) < 4:

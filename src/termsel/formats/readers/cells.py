@@ -26,6 +26,10 @@ WIDEST = 1_000  # columns
 _SHEETS = (b"PK\x03\x04", b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1")  # zip of .xlsx and .ods; .xls
 
 
+class BadText(TermselError):
+    """What is surely text, but cannot be read as a table or in any other format."""
+
+
 @dataclass(frozen=True)
 class Cells:
     """Rows of a table before their meaning is known, without blank ones and comments.
@@ -80,6 +84,7 @@ def read_cells(path: Path, aliases: Aliases, own: Mapping[str, str], layer: str 
     if data.startswith(_SHEETS):
         return _sheet(path, aliases, own, layer)
     text, encoding = decoded(data, path)
+    _refuse_wide(path, text)
     known = encoding.startswith("utf")
     return replace(_of_text(path, text, _delimiter(text, aliases, own)), notes=() if known else (
         f"the text of {path} is not UTF-8; it is read as {encoding}",))
@@ -124,9 +129,21 @@ def decoded(data: bytes, path: Path, *, final: bool = True) -> tuple[str, str]:
             return text, encoding
     if bad is None or (b"\0" in data and not wide):
         raise TermselError("this file is binary, expected text or a spreadsheet", file=path)
-    raise TermselError(f"the text of this file is not {'UTF-16' if wide else 'UTF-8'}", file=path,
-                       line=data[:bad.start].count(b"\n") + 1,
-                       hint="Save it with the encoding UTF-8.")
+    raise BadText(f"the text of this file is not {'UTF-16' if wide else 'UTF-8'}", file=path,
+                  line=data[:bad.start].count(b"\n") + 1, hint="Save it with the encoding UTF-8.")
+
+
+def _refuse_wide(path: Path, text: str) -> None:
+    """Refuse what has an endless first row, before its names are compared with all that is known.
+
+    Raises BadText.
+    """
+    first = next(_first_lines(text), "")
+    cells = max(len(_split(first, delimiter)) for delimiter in _DELIMITERS)
+    if cells > WIDEST:
+        raise BadText(f"the first row has {cells:,} cells, more than {WIDEST:,}", file=path,
+                      line=text[:text.index(first)].count("\n") + 1,
+                      hint="Give a table with a row per point.")
 
 
 def _first_lines(text: str) -> Iterator[str]:
@@ -187,9 +204,6 @@ def _of_text(path: Path, text: str, delimiter: str) -> Cells:
         raise TermselError(f"the row that begins here cannot be read: {error}", file=path,
                            line=end + 1, hint='Look for a quotation mark (") that is not closed.'
                            ) from error
-    if rows and len(rows[0]) > WIDEST:
-        raise TermselError(f"the first row has {len(rows[0]):,} cells, more than {WIDEST:,}",
-                           file=path, line=lines[0], hint="Give a table with a row per point.")
     return Cells(rows, lines, comments, delimiter)
 
 

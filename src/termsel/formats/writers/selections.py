@@ -60,7 +60,7 @@ def _errors(result: Result) -> FloatArray:
 _NO_POINTS = "It has no control points; residuals-gpkg and lines-csv take control lines."
 
 
-class QgisPoints(SelectionWriter):
+class QgisPointsWriter(SelectionWriter):
     """All points, the selected ones enabled, with residuals, as QGIS's georeferencer saves them.
 
     The format has no heights.

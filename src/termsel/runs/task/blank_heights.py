@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from termsel.errors import counted
-from termsel.measurements.control import Control, heights_hold
+from termsel.measurements.control import Control, carriers
 from termsel.measurements.features import FeatureSet
 
 _NAMED = 10
@@ -29,7 +29,7 @@ def to_leave_out(features: FeatureSet) -> tuple[str, ...]:
     judged = rest.with_(points=rest.points.take(
         [role != "independent" for role in rest.points.roles]))
     return tuple(missing) if len(rest) > len(missing) and len(judged) \
-        and heights_hold(Control.of(judged, heights=False)) else ()
+        and not carriers(Control.of(judged, heights=False)) else ()
 
 
 def note_on_blank(ids: Sequence[str], features: FeatureSet) -> str:

@@ -22,7 +22,7 @@ PLAN = "plan.json"
 
 
 @dataclass(frozen=True)
-class Plan:
+class StudyPlan:
     """Content of plan.json.
 
     Parameters
@@ -43,14 +43,14 @@ class Plan:
     cells: Mapping[str, Mapping[str, Any]]
 
 
-def write_plan(plan: Plan, folder: Path) -> None:
+def write_plan(plan: StudyPlan, folder: Path) -> None:
     """Write a plan into the folder of its study."""
     write_text(folder / PLAN, json.dumps(
         {"study": table_of(plan.spec), "data": plan.data, "workers": plan.workers,
          "cells": plan.cells}, indent=1) + "\n")
 
 
-def read_plan(folder: Path) -> Plan:
+def read_plan(folder: Path) -> StudyPlan:
     """Return the plan of a study.
 
     Raises
@@ -69,7 +69,7 @@ def read_plan(folder: Path) -> Plan:
     try:
         cells = {key: {name: labels[name] for name in LABELS}
                  for key, labels in table["cells"].items()}
-        return Plan(spec_of(table["study"]), dict(table["data"]), int(table["workers"]), cells)
+        return StudyPlan(spec_of(table["study"]), dict(table["data"]), int(table["workers"]), cells)
     except (KeyError, TypeError, ValueError, AttributeError, OverflowError,
             TermselError) as error:
         raise TermselError("this is not the plan of a study", file=file, hint=repeat) from error
