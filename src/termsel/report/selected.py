@@ -160,7 +160,8 @@ def _front(record: Record, view: View | None, picture: str) -> Iterator[Block]:
             counts, criterion, "lower bound", sizes.TITLE, "independent [px]", names), [
                 (f"{one.objectives[size]:g}", f"{one.objectives[criterion]:.4g}",
                  "-" if one.bound is None else f"{one.bound:.4g}", sizes.proven(one),
-                 _px(one.rmse.independent), " ".join(getattr(one.selection, names))) for one in by_size],
+                 _px(one.rmse.independent), " ".join(getattr(one.selection, names)))
+                for one in by_size],
             folded=True)
 
 
