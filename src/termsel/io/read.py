@@ -18,7 +18,8 @@ from termsel.formats.base import Reader, is_utf16, located, read_head, read_once
 from termsel.formats.readers.advice import unknown_table
 from termsel.guard.faults import PluginFault, is_own, name_of
 from termsel.measurements.coordinates.crs import EXAMPLES, normalise
-from termsel.measurements.coordinates.plausible import check_ground, say_mirrored
+from termsel.measurements.coordinates.earth import say_turned
+from termsel.measurements.coordinates.plausible import check_ground
 from termsel.measurements.features import FeatureSet, no_lines, no_points
 from termsel.measurements.tables.columns import LINES, OPTIONAL, POINTS, columns_text
 from termsel.plugins.registry import built_in, registry
@@ -153,7 +154,7 @@ def _read_frame(frame: Any, crs: str | None, options: Mapping[str, Any]) -> Feat
         {place: features}, None if crs is None else normalise(crs)))
     _say_misspelt(place, measured)
     check_ground(measured)
-    say_mirrored(measured)
+    say_turned(measured)
     return measured
 
 
@@ -306,7 +307,7 @@ def read_features(points: Path | None, lines: Path | None, *, areas: Path | None
     except TermselError as error:
         place = next(path for path, one in sets.items() if error.ids[0] in one.ids)
         raise chosen[place].placed(error, place) from error
-    say_mirrored(measured)
+    say_turned(measured)
     return measured
 
 

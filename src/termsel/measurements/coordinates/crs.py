@@ -164,6 +164,14 @@ def transformation(source: str, target: str, *, strict: bool = True) -> Transfor
     return convert
 
 
+def area_of_use(crs: str) -> tuple[float, float, float, float] | None:
+    """Return west, south, east and north [deg] of the area that a CRS is for, as far as known."""
+    name = normalise(crs)
+    known = None if name == LOCAL or name in WGS84 else _with_pyproj(name)
+    area = None if known is None else known.area_of_use
+    return None if area is None else tuple(area.bounds)
+
+
 def is_geocentric(crs: str) -> bool:
     """Return True where coordinates are counted from the centre of the Earth."""
     return kind_of(normalise(crs)) == "geocentric"

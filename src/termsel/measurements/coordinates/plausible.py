@@ -2,19 +2,13 @@
 
 from __future__ import annotations
 
-import logging
-
 import numpy as np
 
 from termsel.errors import TermselError, counted
 from termsel.measurements.coordinates.crs import UTM, kind_of, normalise, short
 from termsel.measurements.features import BoolArray, FeatureSet, FloatArray
 
-log = logging.getLogger(__name__)
-
 _NEAR = 1000.0  # metres from the origin of a CRS
-_TELLING = 6  # points from which on a mirror image shows
-_UNLIKE = 0.2  # share of the image coordinates' variance that relief and distortion may leave
 _DEGREES = ((-180.0, -90.0), (360.0, 90.0))
 # Generous: scenes reach into the next zone, and some producers keep northern zones with
 # negative northings south of the equator.
@@ -45,31 +39,6 @@ def check_ground(features: FeatureSet) -> None:
             _check_range(xy, features, *_UTM_RANGE[utm[1]],
                          f"cannot be easting and northing in {crs} (UTM)",
                          "x must be easting and y northing, in metres; check the CRS of the file.")
-
-
-def say_mirrored(features: FeatureSet) -> None:
-    """Say so where the image is a mirror image of the ground."""
-    if looks_mirrored(features):
-        log.warning("Note: the image is a mirror image of the ground, as some radar images are. If "
-                    "this one is not, x and y are swapped, or line and sample: correct it with "
-                    "--columns, such as --columns x=y,y=x.")
-
-
-def looks_mirrored(features: FeatureSet) -> bool:
-    """Return whether the image is a mirror image of the ground, as where x and y are swapped.
-
-    It takes a CRS of the Earth, of which x points to the right of y; "local" never looks so.
-    """
-    points, kind = features.points, kind_of(normalise(features.crs))
-    if len(points) < _TELLING or kind not in ("geographic", "projected"):
-        return False
-    ground, image = (values - values.mean(axis=0) for values in (points.ground[:, :2],
-                                                                 points.image))
-    ground = ground / np.maximum(np.abs(ground).max(axis=0), np.finfo(float).tiny)
-    turn = np.linalg.lstsq(ground, image)[0]
-    rest = ((image - ground @ turn)**2).sum(axis=0)
-    # Lines count downwards: from x, y to line, sample an image seen from above turns to the right.
-    return bool(np.linalg.det(turn) < 0 and (rest < _UNLIKE * (image**2).sum(axis=0)).all())
 
 
 def _check_metres(xy: FloatArray, features: FeatureSet, crs: str) -> None:

@@ -1,0 +1,168 @@
+"""Where on Earth features are, and whether their axes look swapped or turned round."""
+
+from __future__ import annotations
+
+import logging
+
+import numpy as np
+
+from termsel.errors import TermselError
+from termsel.measurements.coordinates.crs import (
+    area_of_use,
+    horizontal,
+    is_geocentric,
+    is_geographic,
+    kind_of,
+    normalise,
+    short,
+    to_wgs84,
+    transformation,
+)
+from termsel.measurements.coordinates.longitudes import continuous
+from termsel.measurements.coordinates.metres import in_metres
+from termsel.measurements.features import FeatureSet, FloatArray
+
+log = logging.getLogger(__name__)
+
+_TELLING = 4  # points from which on a mirror image shows, or half as many again lines
+_UNLIKE = 0.2  # share of the image coordinates' variance that relief and distortion may leave
+_FLAT = 0.05  # ratio of the axes of what a matrix makes of a circle, below which nothing tells
+_BEYOND = 5.0  # degrees outside the area of a CRS at which features may still be
+
+
+def place_of(features: FeatureSet) -> str:
+    """Return where the middle of features is, such as "34.8 N, 48.5 E"; "" if nothing tells."""
+    ground = features.ground_vertices()
+    middle = _on_earth(features.crs, ground) if len(ground) else None
+    if middle is None:
+        return ""
+    lon, lat = (round(degrees, 1) for degrees in middle)
+    return f"{abs(lat):.1f} {'N' if lat >= 0 else 'S'}, {abs(lon):.1f} {'E' if lon >= 0 else 'W'}"
+
+
+def say_turned(features: FeatureSet) -> None:
+    """Say so where axes look swapped, or where lines or samples are counted the other way."""
+    if doubt := swapped(features):
+        which, other = ("x=y,y=x", "line=sample,sample=line")[::-1 if doubt[0] == "l" else 1]
+        place = place_of(features)
+        where = f" As they stand, x and y are near {place}." if place else ""
+        log.warning("Warning: %s.%s Name the columns the other way round, as in --columns %s; "
+                    "or else --columns %s.", doubt, where, which, other)
+    elif counted := _counted(features):
+        log.warning("Note: %s here, as on maps whose y points up and in some radar images. If "
+                    "this is neither, check whether x and y are swapped.", counted)
+
+
+def swapped(features: FeatureSet) -> str:
+    """Return which axes look swapped, and why; "" if none do.
+
+    An image that lies outside the area of its CRS, and inside with x and y exchanged, has them
+    swapped. So has one that is a mirror image of the ground about a diagonal, or its line and
+    sample: exchanging them makes it the view from above. A mirror image about an axis is none:
+    maps may count lines upwards, and radar images show what lies to their right.
+    """
+    if _misplaced(features):
+        return (f"x and y look swapped: exchanged, they lie in the area of "
+                f"{short(features.crs)}, and not as they stand")
+    turn = _turn(features)
+    if turn is None or np.linalg.det(turn) >= 0 or not _is_diagonal(turn):
+        return ""
+    pair = "x and y" if turn[0, 1] + turn[1, 0] > 0 else "line and sample"
+    return f"{pair} look swapped: the image is a mirror image of the ground about its diagonal"
+
+
+def _counted(features: FeatureSet) -> str:
+    """Return which image coordinate is counted the other way than from the upper left corner."""
+    turn = _turn(features)
+    if turn is None or np.linalg.det(turn) >= 0:
+        return ""
+    return ("line numbers grow to the north" if turn[0, 0] > turn[1, 1]
+            else "sample numbers grow to the west")
+
+
+def _is_diagonal(turn: FloatArray) -> bool:
+    """Return whether a reflection exchanges both axes, and does not turn one of them round.
+
+    The reflection next to the matrix has cos 2t and sin 2t proportional to these.
+    """
+    return bool(abs(turn[0, 1] + turn[1, 0]) > abs(turn[0, 0] - turn[1, 1]))
+
+
+def _turn(features: FeatureSet) -> FloatArray | None:
+    """Return the matrix from metres (east, north) to the image (sample, up), if one describes it.
+
+    Of lines each vertex on the ground lies on the line in the image. None for "local", whose x and
+    y may point anywhere, for too few features, and where the matrix explains too little.
+    """
+    if kind_of(normalise(features.crs)) not in ("geographic", "projected"):
+        return None
+    points, lines = features.points, features.lines
+    if len(points) + len(lines) // 1.5 < _TELLING:
+        return None
+    ground = features.ground_vertices()[:, :2]
+    apart = ground - ground.mean(axis=0)
+    metres = in_metres(features.crs, ground, apart)
+    design = np.column_stack([apart if metres is None else metres, np.ones(len(ground))])
+    design[:, :2] /= max(float(np.abs(design[:, :2]).max()), np.finfo(float).tiny)
+    seen = features.image_vertices()
+    middle, zero = seen.mean(axis=0), np.zeros((len(points), 3))
+    size = max(float(np.abs(seen - middle).max()), np.finfo(float).tiny)
+    of_points = design[:len(points)]
+    sample, up = ((points.image - middle) / size).T[::-1] * [[1.0], [-1.0]]
+    first, second = ((end - middle) / size for end in (lines.image[:, 0], lines.image[:, 1]))
+    along = second - first
+    length = np.maximum(np.linalg.norm(along, axis=1, keepdims=True), np.finfo(float).tiny)
+    # Of a line in the image: its normal in (sample, up), and its distance from the middle.
+    normal = along / length
+    rho = normal[:, 0] * first[:, 1] - normal[:, 1] * first[:, 0]
+    both, of_lines = np.repeat(normal, 2, axis=0), design[len(points):]
+    matrix = np.vstack([np.hstack([of_points, zero]), np.hstack([zero, of_points]),
+                        np.hstack([both[:, :1] * of_lines, both[:, 1:] * of_lines])])
+    image = np.concatenate([sample, up, np.repeat(rho, 2)])
+    found = np.linalg.lstsq(matrix, image)[0]
+    rest = float(((image - matrix @ found)**2).mean())
+    if rest > _UNLIKE * float(((seen - middle)**2).mean()) / size**2:
+        return None
+    turn = np.array([found[:2], found[3:5]])
+    wide, narrow = np.linalg.svd(turn, compute_uv=False)
+    return turn if narrow > _FLAT * wide else None
+
+
+def _misplaced(features: FeatureSet) -> bool:
+    """Return whether features lie outside the area of their CRS, and inside with x and y swapped.
+
+    Scenes may reach beyond the area, so one that is near it is not outside.
+    """
+    ground = features.ground_vertices()
+    area = area_of_use(features.crs) if len(ground) else None
+    if area is None or is_geocentric(features.crs):
+        return False
+    here, there = (_on_earth(features.crs, place) for place in (ground, ground[:, [1, 0, 2]]))
+    return there is not None and _is_inside(there, area, 0.0) \
+        and (here is None or not _is_inside(here, area, _BEYOND))
+
+
+def _is_inside(place: tuple[float, float], area: tuple[float, float, float, float],
+               beyond: float) -> bool:
+    lon, lat = place
+    west, south, east, north = area
+    wide = (east - west) % 360 or 360.0
+    return south - beyond <= lat <= north + beyond \
+        and ((lon - west + beyond) % 360 <= wide + 2 * beyond or wide + 2 * beyond >= 360)
+
+
+def _on_earth(crs: str, ground: FloatArray) -> tuple[float, float] | None:
+    """Return longitude and latitude [deg] of the middle of places, None where nothing tells."""
+    try:
+        if is_geographic(crs):
+            lon, lat = float(np.median(continuous(ground[:, 0]))), float(np.median(ground[:, 1]))
+        else:
+            middle = np.nanmedian(np.nan_to_num(ground), axis=0)[None]
+            turn = to_wgs84(crs) if is_geocentric(crs) else transformation(
+                horizontal(crs), "EPSG:4326", strict=False)
+            lon, lat = turn(middle)[0, :2].tolist()
+    except TermselError:  # without a CRS or without pyproj nothing tells
+        return None
+    return ((lon + 180.0) % 360.0 - 180.0, lat) if np.isfinite([lon, lat]).all() \
+        and abs(lat) <= 90 else None
+

@@ -1,0 +1,88 @@
+"""Where on Earth features are, and which axes look swapped."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import termsel
+from termsel.measurements.coordinates.earth import place_of, say_turned
+from termsel.measurements.features import FeatureSet, FloatArray, Lines, Points, no_lines, no_points
+
+SEEN = np.random.default_rng(5).uniform(0, 5000, (12, 2))
+NORTH_UP = np.array([[0.0, 1.0], [-1.0, 0.0]])
+"""From line and sample to east and north."""
+
+
+def scene(crs: str, origin: tuple[float, float], unit: float, turn: float = 0.0,
+          axes: FloatArray = NORTH_UP) -> FeatureSet:
+    """Return points of an image that is turned by some degrees against north."""
+    c, s = np.cos(np.radians(turn)), np.sin(np.radians(turn))
+    ground = (SEEN - 2500) @ (np.array([[c, -s], [s, c]]) @ axes).T * unit + origin
+    return FeatureSet(Points([f"P{i}" for i in range(12)], SEEN, np.column_stack(
+        [ground, np.full(12, np.nan)])), no_lines(), crs)
+
+
+def exchanged(features: FeatureSet, what: str) -> FeatureSet:
+    points = features.points
+    return features.with_(points=replace(points, ground=points.ground[:, [1, 0, 2]]) if what == "xy"
+                          else replace(points, image=points.image[:, ::-1]))
+
+
+def said(features: FeatureSet, caplog: pytest.LogCaptureFixture) -> str:
+    caplog.clear()
+    say_turned(features)
+    return caplog.text
+
+
+@pytest.mark.parametrize("turn", [0, 12, -35, 40])
+def test_swapped_axes_of_an_image_seen_from_above_are_told(
+        turn: float, caplog: pytest.LogCaptureFixture) -> None:
+    image = scene("EPSG:4326", (11.0, 47.4), 1e-5, turn)
+    assert said(image, caplog) == ""
+    assert "Warning: x and y look swapped" in said(exchanged(image, "xy"), caplog)
+    assert "near 11.0 N, 47.4 E" in caplog.text
+    assert "Warning: line and sample look swapped" in said(exchanged(image, "image"), caplog)
+
+
+@pytest.mark.parametrize("turn", [0, 12, -35, 180, 192])
+def test_a_map_that_counts_to_the_north_and_a_radar_image_are_not_swapped(
+        turn: float, caplog: pytest.LogCaptureFixture) -> None:
+    image = scene("EPSG:2100", (268900, 4488300), 0.5, turn, np.array([[0.0, 1.0], [1.0, 0.0]]))
+    assert "Note: " + ("line numbers grow to the north" if turn < 90
+                       else "sample numbers grow to the west") in said(image, caplog)
+    # Swapped, it is turned and no mirror image; the area of the CRS tells.
+    assert "x and y look swapped: exchanged, they lie in the area of EPSG:2100" in said(
+        exchanged(image, "xy"), caplog)
+
+
+def test_lines_alone_tell(caplog: pytest.LogCaptureFixture) -> None:
+    points = scene("EPSG:32632", (690000, 5335000), 0.5).points
+    # The ends on the ground are not those in the image.
+    ends = [points.ground[::2] * 0.7 + points.ground[1::2] * 0.3, points.ground[1::2]]
+    image = np.stack([points.image[::2], points.image[1::2]], axis=1)
+    ground = np.stack(ends, axis=1)
+    for shown, word in ((image, ""), (image[..., ::-1], "line and sample look swapped")):
+        lines = Lines(tuple("ABCDEF"), shown, ground)
+        text = said(FeatureSet(no_points(), lines, "EPSG:32632"), caplog)
+        assert word in text and bool(text) == bool(word)
+
+
+@pytest.mark.parametrize(("crs", "place"), [
+    ("EPSG:4326", (11.0, 47.4)), ("EPSG:25832", (690000, 5335000)), ("local", (100, 100))])
+def test_few_points_and_points_on_one_line_are_not_doubted(
+        crs: str, place: tuple[float, float], caplog: pytest.LogCaptureFixture) -> None:
+    image = exchanged(scene(crs, place, 1e-5), "image")
+    assert said(image.take(np.arange(12) < 3), caplog) == ""
+    flat = replace(image.points, image=np.column_stack([SEEN[:, 0], SEEN[:, 0]]))
+    assert said(image.with_(points=flat), caplog) == ""
+
+
+@pytest.mark.parametrize(("crs", "place", "text"), [
+    ("EPSG:4326", (-56.1, -34.9), "34.9 S, 56.1 W"), ("EPSG:4979", (190.0, 0.0), "0.0 N, 170.0 W"),
+    ("EPSG:32632", (500000, 5200000), "47.0 N, 9.0 E"), ("local", (5.0, 5.0), "")])
+def test_the_place_is_named(crs: str, place: tuple[float, float], text: str) -> None:
+    assert place_of(scene(crs, place, 1e-6)) == text
+    assert place_of(termsel.FeatureSet(no_points(), no_lines(), crs)) == ""
