@@ -38,22 +38,12 @@ _CACHED = 32  # blocks that stay in the cache for all individuals
 
 
 def blocks_of(source: FloatArray, feature: IntArray, triangle: FloatArray) -> FloatArray | None:
-    """Return the block of every feature, or None where blocks do not pay or are not safe.
+    """Return the block of each feature, (n + 1, w); None where blocks do not pay or are not safe.
 
-    Parameters
-    ----------
-    source : ndarray, shape (m, k + 2)
-        Design matrix, right-hand side and a column of zeros.
-    feature : ndarray of int, shape (m,)
-        Feature of each row, from 0; -1 for rows that are always in use.
-    triangle : ndarray, shape (k, k + 2)
-        R of all rows.
-
-    Returns
-    -------
-    ndarray, shape (n + 1, w), or None
-        Lower triangles of Q_i'Q_i row by row, each with its entry of Q_i'b_i; the last block is
-        that of the rows that are always in use.
+    Blocks are lower triangles of Q_i'Q_i row by row, each with its entry of Q_i'b_i; the last one
+    is of the rows that are always in use. The source (m, k + 2) is the design matrix, the
+    right-hand side and a column of zeros; of each of its rows comes the feature (m,), from 0, or -1
+    if it is always in use. The triangle (k, k + 2) is R of all rows.
     """
     k, n = source.shape[1] - 2, int(feature.max(initial=-1)) + 1
     width = k * (k + 3) // 2
@@ -164,14 +154,8 @@ def _reduce(total: FloatArray, triangle: FloatArray, lower: FloatArray,
 def paying(feature: IntArray, terms: BoolArray, features: BoolArray) -> BoolArray:
     """Return the individuals for which blocks are faster than factoring their rows, shape (p,).
 
-    A row takes time in proportion to its selected terms, a block does not.
-
-    Parameters
-    ----------
-    feature : ndarray of int, shape (m,)
-        As for `blocks_of`.
-    terms : ndarray of bool, shape (p, k)
-    features : ndarray of bool, shape (p, n) or (p, n + 1)
+    A row takes time in proportion to its selected terms, a block does not. The feature of each row
+    (m,) is as for `blocks_of`, terms are (p, k), features (p, n) or (p, n + 1).
     """
     k, selected = terms.shape[1], np.count_nonzero(terms, axis=1)
     count = np.count_nonzero(features, axis=1)
@@ -184,23 +168,10 @@ def reduced(blocks: FloatArray, triangle: FloatArray, features: BoolArray, those
             part: slice) -> Iterator[tuple[slice, FloatArray | None]]:
     """Yield k rows for each individual of a part, with the same solutions as all of its rows.
 
-    Parameters
-    ----------
-    blocks : ndarray, shape (n + 1, w)
-        As `blocks_of` gives them.
-    triangle : ndarray, shape (k, k)
-    features : ndarray of bool, shape (p, n) or (p, n + 1)
-    those : ndarray of bool, shape (p,)
-        Individuals for which blocks pay.
-    part : slice
-
-    Yields
-    ------
-    slice
-        One individual; several where blocks do not pay.
-    ndarray, shape (k, k + 2), or None
-        Triangle, right-hand side and a column of zeros; None where that is not safe, or does not
-        pay.
+    Blocks (n + 1, w) are as `blocks_of` gives them, the triangle is (k, k), features are (p, n) or
+    (p, n + 1), and those (p,) are the individuals for which blocks pay. With one individual come
+    its triangle, right-hand side and a column of zeros, (k, k + 2), or None where that is not safe.
+    With several comes None: blocks do not pay for them.
     """
     k, n = len(triangle), len(blocks) - 1
     lower, system = np.empty((k, k)), np.zeros((k, k + 2))

@@ -55,11 +55,7 @@ class _Cache(FunctionCache):  # type: ignore[misc]  # numba has no types
 def compiled(function: _Function, **flags: Any) -> _Function:
     """Compile on first call and keep the machine code on disk, where there is a place for it.
 
-    Parameters
-    ----------
-    function : callable
-    **flags
-        Of numba.njit.
+    Flags are those of `numba.njit`.
     """
     dispatcher = numba.njit(nogil=True, error_model="numpy", no_cfunc_wrapper=True,
                             **flags)(function)
@@ -80,13 +76,7 @@ def compiled(function: _Function, **flags: Any) -> _Function:
 
 
 def is_compiled(function: Callable[..., Any]) -> bool:
-    """Return whether a compiled function can be called at once.
-
-    Parameters
-    ----------
-    function : callable
-        As `compiled` returned it.
-    """
+    """Return whether a function that `compiled` returned can be called at once."""
     kept = cast(Any, function)._cache
     return bool(cast(Any, function).signatures) or (isinstance(kept, _Cache) and kept.has_code())
 

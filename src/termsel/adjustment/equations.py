@@ -75,13 +75,9 @@ def line_normals(lines: Lines) -> tuple[FloatArray, FloatArray]:
 
 
 def row_axes(A: FloatArray, axis: IntArray) -> IntArray:
-    """Return the image axis of each row: 0 line, 1 sample, 2 both.
+    """Return the image axis of each row of A (m, k), given that of each term (k,).
 
-    Parameters
-    ----------
-    A : ndarray, shape (m, k)
-    axis : ndarray of int, shape (k,)
-        Axis of each term, in the same code.
+    0 is line, 1 sample, 2 both.
     """
     # A term of both axes counts for each of them.
     line = (A[:, axis != 1] != 0).any(axis=1)

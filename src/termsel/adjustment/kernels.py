@@ -307,29 +307,15 @@ def solve_many(
 ) -> tuple[FloatArray, IntArray]:
     """Solve a population of masked least-squares systems.
 
-    A term is dependent if it keeps no more than `termsel.adjustment.solve.TOLERANCE` of its
-    length over the selected rows once the selected terms before it are removed. Masks that
-    occur several times are solved once. The result depends neither on the other individuals
-    nor on the number of threads.
+    A term is dependent if it keeps no more than `termsel.adjustment.solve.TOLERANCE` of its length
+    over the selected rows once the selected terms before it are removed. Masks that occur several
+    times are solved once. The result depends neither on the other individuals nor on the number of
+    threads. What is computed from the equations alone is kept as long as the object lives, so its
+    arrays must not be changed afterwards.
 
-    Parameters
-    ----------
-    equations : Equations
-        m rows, k columns. Results computed from them are kept as long as the object lives, so
-        its arrays must not be changed afterwards.
-    terms : ndarray of bool, shape (p, k), optional
-        Selected columns of each individual; all by default.
-    features : ndarray of bool, shape (p, n_features), optional
-        Selected features of each individual; all by default.
-    threads : int
-        Number of threads.
-
-    Returns
-    -------
-    coefficients : ndarray, shape (p, k)
-        0 where a term is not selected, and throughout where the mask has no unique solution.
-    violation : ndarray of int, shape (p,)
-        Selected terms minus rank; 0 is feasible.
+    Terms (p, k) and features (p, n_features) are masks of what is selected; None is all. Returned
+    are the coefficients (p, k), 0 where a term is not selected, and throughout where a mask has no
+    unique solution; and the violations (p,), selected terms minus rank.
     """
     shared = _prepared(equations)
     k = equations.A.shape[1]

@@ -182,24 +182,10 @@ def leave_one_out(equations: Equations, terms: BoolArray, features: BoolArray,
                   ) -> tuple[FloatArray, BoolArray]:
     """Solve a population of masked least-squares systems, holding out one feature at a time.
 
-    Parameters
-    ----------
-    equations : Equations
-        m rows, k columns.
-    terms : ndarray of bool, shape (p, k)
-        Selected columns of each individual.
-    features : ndarray of bool, shape (p, n)
-        Selected features of each individual.
-
-    Returns
-    -------
-    solutions : ndarray, shape (n, p, k)
-        Coefficients with feature 0 to n - 1 held out; 0 where a term or that feature is
-        not selected.
-    determined : ndarray of bool, shape (p,)
-        False where the selected terms are dependent or some feature is indispensable: I - Q_i
-        Q_i' then has a pivot of `termsel.adjustment.solve.TOLERANCE` or less. The solutions of
-        such an individual must not be used.
+    Terms are (p, k), features (p, n). Returned are the coefficients with feature 0 to n - 1 held
+    out, (n, p, k), 0 where a term or that feature is not selected; and which individuals are
+    determined, (p,). Others have dependent terms or an indispensable feature: I - Q_i Q_i' then has
+    a pivot of `termsel.adjustment.solve.TOLERANCE` or less. Their solutions must not be used.
     """
     order = np.argsort(equations.feature, kind="stable")
     n = features.shape[1]

@@ -9,21 +9,11 @@ from termsel.measurements.features import FeatureSet, FloatArray
 
 
 def approximate_image(features: FeatureSet, *, heights: bool = True) -> FloatArray:
-    """Return approximate image positions of the ground vertices of control lines.
+    """Return approximate image positions of the ground vertices of control lines, (2 n_lines, 2).
 
-    A polynomial without denominators (quadratic if the features determine it twice over,
-    else affine) is fitted to all control features and evaluated at the vertices.
-
-    Parameters
-    ----------
-    features : FeatureSet
-        In scaled coordinates.
-    heights : bool
-        Whether the polynomial uses heights.
-
-    Returns
-    -------
-    ndarray, shape (2 n_lines, 2)
+    A polynomial without denominators (quadratic if the features determine it twice over, else
+    affine), of heights or not, is fitted to all control features and evaluated at the vertices. All
+    coordinates are scaled.
     """
     def columns(ground: FloatArray, degree: int) -> FloatArray:
         x, y, z = ground.T if heights else (*ground.T[:2], np.zeros(len(ground)))
@@ -49,12 +39,9 @@ def approximate_image(features: FeatureSet, *, heights: bool = True) -> FloatArr
 
 
 def relative_deviations(features: FeatureSet) -> FloatArray:
-    """Return the standard deviations of points, then of lines, relative to the median one.
+    """Return the standard deviations of points, then of lines, relative to the median one, (n, 2).
 
-    Returns
-    -------
-    ndarray, shape (n_points + n_lines, 2)
-        Of line and sample, of lines across them; 1 if none is given.
+    They are of line and sample, of lines across them; 1 if none is given.
     """
     points, lines = features.points, features.lines
     deviations = [sigma.ravel() for sigma in (points.sigma, lines.sigma) if sigma is not None]

@@ -13,15 +13,9 @@ Exponents = tuple[Exponent, ...]
 
 
 def graded_exponents(degree: int, variables: int) -> Exponents:
-    """Return the exponents of all monomials up to a total degree.
+    """Return the exponents of all monomials up to a total degree, of 2 variables, X and Y, or of 3.
 
     Lower degrees come first; within a degree X comes before Y before Z.
-
-    Parameters
-    ----------
-    degree : int
-    variables : {2, 3}
-        2 for X and Y, 3 for X, Y and Z.
 
     Examples
     --------
@@ -60,19 +54,7 @@ def monomial_name(exponent: Exponent) -> str:
 
 
 def monomials(ground: FloatArray, exponents: Exponents) -> FloatArray:
-    """Return the monomials at ground points.
-
-    Parameters
-    ----------
-    ground : ndarray, shape (n, 3)
-        X, Y and Z.
-    exponents : k exponents of X, Y, Z
-        One for each monomial.
-
-    Returns
-    -------
-    ndarray, shape (n, k)
-    """
+    """Return k monomials, by their exponents of X, Y, Z, at ground points (n, 3), shape (n, k)."""
     highest = max(max(e) for e in exponents)
     powers = np.ones((highest + 1, *ground.shape))
     for i in range(1, highest + 1):

@@ -19,23 +19,10 @@ def orthogonal(columns: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return Q and R of a matrix, as `numpy.linalg.qr` does, up to signs.
 
     Of tall matrices by Cholesky's method, twice: the first Q has an error of the square of the
-    condition, which the second factor takes away. Where the first is not nearly orthogonal, by
-    Householder's method.
-
-    Parameters
-    ----------
-    columns : ndarray, shape (n, k)
-        Columns of any rank; n may be less than k.
-
-    Returns
-    -------
-    q : ndarray, shape (n, min(n, k))
-    r : ndarray, shape (min(n, k), k)
-
-    References
-    ----------
-    Yamamoto, Nakatsukasa, Yanagisawa and Fukaya 2015, Electron. Trans. Numer. Anal. 44: Cholesky's
-    method twice is as exact as Householder's.
+    condition, which the second factor takes away (Yamamoto, Nakatsukasa, Yanagisawa and Fukaya
+    2015, Electron. Trans. Numer. Anal. 44). Where the first is not nearly orthogonal, by
+    Householder's method. The columns (n, k) may have any rank; Q is (n, min(n, k)), R (min(n, k),
+    k).
     """
     n, k = columns.shape
     # The product of both triangles is that of the columns; the second Q is orthogonal to rounding.

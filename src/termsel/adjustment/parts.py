@@ -22,11 +22,7 @@ class IndependentPart:
 def independent_parts(equations: Equations, axis: IntArray) -> tuple[IndependentPart, ...]:
     """Split a system by image axis, unless a row or a term belongs to both.
 
-    Parameters
-    ----------
-    equations : Equations
-    axis : ndarray of int, shape (k,)
-        Image axis of each term: 0 line, 1 sample, 2 both.
+    The axis of each term (k,) is 0 line, 1 sample, 2 both.
     """
     # A control line has equations of both axes, and a shared denominator is a term of both.
     rows = row_axes(equations.A, axis)
@@ -38,22 +34,10 @@ def independent_parts(equations: Equations, axis: IntArray) -> tuple[Independent
 
 def solve_parts(parts: tuple[IndependentPart, ...], terms: BoolArray, features: BoolArray | None,
                 ) -> tuple[FloatArray, FloatArray]:
-    """Solve a population part by part.
+    """Solve a population part by part, of selected terms (p, k) and features (p, n), None for all.
 
-    Parameters
-    ----------
-    parts : tuple of IndependentPart
-    terms : ndarray of bool, shape (p, k)
-        Selected terms.
-    features : ndarray of bool, shape (p, n_features), optional
-        Selected features; all by default.
-
-    Returns
-    -------
-    coefficients : ndarray, shape (p, k)
-        0 where a term is not selected.
-    violation : ndarray, shape (p,)
-        Number of selected terms that are not determined.
+    Return the coefficients (p, k), 0 where a term is not selected, and the number of selected terms
+    that are not determined (p,).
     """
     coefficients, violation = np.zeros(terms.shape), np.zeros(len(terms))
     for part in parts:

@@ -63,13 +63,7 @@ class Spectrum:
 
 
 def choose_penalty(spectrum: Spectrum, choice: str) -> float:
-    """Return the penalty of the least GCV, or at the corner of the L-curve.
-
-    Parameters
-    ----------
-    spectrum : Spectrum
-    choice : {"gcv", "l-curve"}
-    """
+    """Return the penalty of the least GCV ("gcv"), or at the corner of the L-curve ("l-curve")."""
     if choice == "gcv":
         penalties = spectrum.penalties(TOLERANCE)
         gcv = spectrum.gcv(penalties)

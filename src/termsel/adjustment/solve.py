@@ -17,37 +17,21 @@ it are removed; predictions from a system nearer to singular would be rounding e
 
 @dataclass(frozen=True, eq=False)
 class Adjustment:
-    """A least-squares solution.
+    """A least-squares solution."""
 
-    Parameters
-    ----------
-    coefficients : ndarray, shape (k,)
-        All terms; 0 where a term is not selected.
-    residuals : ndarray, shape (m,)
-        b - A x of all rows, selected or not.
-    deviations : ndarray, shape (k,)
-        Standard deviations of the coefficients; NaN where they are not determined or there is
-        no redundancy, 0 where a term is not selected.
-    n_terms, n_equations, rank : int
-        Of the selected system.
-    condition : float
-        Ratio of the extreme singular values of the selected design matrix, its columns scaled
-        to unit length.
-    sigma0 : float
-        Standard deviation of unit weight; NaN without redundancy.
-    correlations : ndarray, shape (n_terms, n_terms), optional
-        Correlations of the coefficients of the selected terms; None where they are not
-        determined, or not known.
-    """
-
-    coefficients: FloatArray
-    residuals: FloatArray
+    coefficients: FloatArray  # (k,): all terms; 0 where a term is not selected
+    residuals: FloatArray  # (m,): b - A x of all rows, selected or not
+    # (k,): standard deviations of the coefficients; NaN where they are not determined or there is
+    # no redundancy, 0 where a term is not selected.
     deviations: FloatArray
-    n_terms: int
+    n_terms: int  # of the selected system, as the next two
     n_equations: int
     rank: int
+    # Ratio of the extreme singular values of the selected design matrix, its columns of length 1.
     condition: float
-    sigma0: float
+    sigma0: float  # standard deviation of unit weight; NaN without redundancy
+    # (n_terms, n_terms): of the coefficients of the selected terms; None where they are not
+    # determined, or not known.
     correlations: FloatArray | None = None
 
     @property
@@ -71,22 +55,10 @@ def solve(
     terms: BoolArray | None = None,
     features: BoolArray | None = None,
 ) -> Adjustment:
-    """Solve a masked least-squares system.
+    """Solve a masked least-squares system, of selected terms (k,) and features (n,), None for all.
 
-    An under-determined or rank-deficient mask is not an error: its violation is its
-    rank defect, and its coefficients are those of the least-norm solution.
-
-    Parameters
-    ----------
-    equations : Equations
-    terms : ndarray of bool, shape (k,), optional
-        Selected columns; all by default.
-    features : ndarray of bool, shape (n_features,), optional
-        Selected features, each with all of its rows; all by default.
-
-    Returns
-    -------
-    Adjustment
+    A feature has all of its rows. An under-determined or rank-deficient mask is not an error: its
+    violation is its rank defect, and its coefficients are those of the least-norm solution.
     """
     m, k = equations.A.shape
     columns = np.ones(k, dtype=bool) if terms is None else np.asarray(terms, dtype=bool)

@@ -113,13 +113,7 @@ class KFold(_LeftOut):
     def folds(self, points: Points, lines: Lines) -> tuple[IntArray, ...]:
         """Return the features of each fold, points before lines, for all repeats.
 
-        Twins are in one fold.
-
-        Parameters
-        ----------
-        points : Points
-        lines : Lines
-            Their position is the middle of their ground vertices.
+        Twins are in one fold. The position of a line is the middle of its ground vertices.
         """
         xy = np.concatenate([points.ground[:, :2],
                              lines.by_feature(lines.ground[:, :, :2].mean(axis=1))])

@@ -31,15 +31,8 @@ def rungs(stack: Stack, best: FloatArray, masks: Masks, largest: int,
           workers: int) -> Iterator[tuple[FloatArray, Masks, float]]:
     """Yield better subsets, and a score: only subsets that are found already score less.
 
-    Parameters
-    ----------
-    stack : Stack
-    best, masks : ndarray, shape (k + 1,)
-        Best score and mask of each size so far.
-    largest : int
-        Most subsets of a piece.
-    workers : int
-        Threads. The result does not depend on it.
+    Best score and mask of each size so far are (k + 1,); a piece has `largest` subsets at most.
+    Workers are threads; the result does not depend on them.
     """
     least = 0.0
     whole = stack.everything

@@ -97,43 +97,24 @@ def search(
 ) -> Iterator[SubsetResult]:
     """Decide every subset of the columns, piece by piece.
 
-    Parameters
-    ----------
-    system : SubsetSystem
-    score : {"check", "rss", "press", "kfold"}
-        "check": sum of squared errors of the check points. "rss": residual sum of squares of the
-        control rows. "press": sum of squared leave-one-out errors of the control rows. "kfold": sum
-        of squared errors of the rows of each fold under the solution from all other rows.
-    folds : sequence of ndarray of int
-        For "kfold": the control rows held out together.
-    max_terms : int, optional
-        Most columns of a subset, forced ones included.
-    workers : int
-        Threads. The result does not depend on it, nor does the memory on the number of subsets.
-    cost : callable, optional
-        What turns the scores of all sizes into figures to compare, each rising with its score. If
-        given, and subsets are many, "rss" proves the best subset of each size that has a lower
-        figure than all smaller sizes, the optimum included. Of other sizes it proves that they
-        have not: their best may stay unknown.
+    The score is a sum of squares: "check" of the errors of the check points, "rss" of the residuals
+    of the control rows, "press" of their leave-one-out errors, "kfold" of the errors of the rows of
+    each fold under the solution from all other rows. Folds are the control rows held out together.
+    At most `max_terms` columns are in a subset, forced ones included.
 
-    Yields
-    ------
-    SubsetResult
-        The state after each piece of about 65,000 subsets; the last one is complete. To stop
-        early close the iterator, or let KeyboardInterrupt pass: the last state holds.
+    A cost turns the scores of all sizes into figures to compare, each rising with its score. If
+    given, and subsets are many, "rss" proves the best subset of each size that has a lower figure
+    than all smaller sizes, the optimum included. Of other sizes it proves that they have not: their
+    best may stay unknown.
 
-    Raises
-    ------
-    TermselError
-        For an unknown score, or more forced columns than `max_terms`.
-    ValueError
-        For a score whose rows the system lacks.
+    Yielded is the state after each piece of about 65,000 subsets; the last one is complete. To stop
+    early close the iterator, or let KeyboardInterrupt pass: the last state holds. Workers are
+    threads; neither the result depends on them, nor the memory on the number of subsets.
 
-    Notes
-    -----
-    A subset is infeasible if one of its columns keeps no more than `solve.TOLERANCE` of its
-    length orthogonal to the columns of the subset before it. `solve` pivots instead; they differ
-    at most if a column is within a small factor of the tolerance.
+    A subset is infeasible if one of its columns keeps no more than `solve.TOLERANCE` of its length
+    orthogonal to the columns of the subset before it. `solve` pivots instead; they differ at most
+    if a column is within a small factor of the tolerance. Raises TermselError for an unknown score,
+    or more forced columns than `max_terms`; ValueError for a score whose rows the system lacks.
     """
     systems = stack(system, score, folds, max_terms)
     if systems.needs_compilation:

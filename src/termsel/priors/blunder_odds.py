@@ -34,20 +34,11 @@ FORM = 2.0
 
 
 def blunder_odds(parts: Iterable[tuple[float, Posterior, bool]], points: IntArray) -> FloatArray:
-    """Return how much likelier points are as blunders, all others being right.
+    """Return how much likelier points are as blunders, all others being right, shape (m,).
 
-    Parameters
-    ----------
-    parts : iterable of (float, Posterior, bool)
-        Solutions for all points, with their probability, and whether a random field is part of
-        them.
-    points : ndarray of int, shape (m,)
-        Which points to judge.
-
-    Returns
-    -------
-    ndarray, shape (m,)
-        Natural logarithm of the density of each as a blunder by that as a right point.
+    It is the natural logarithm of the density of each as a blunder by that as a right point. The
+    parts are solutions for all points, with their probability, and whether a random field is part
+    of them; points (m,) are the numbers of those to judge.
     """
     wrong, right = [], []
     for probability, posterior, local in parts:

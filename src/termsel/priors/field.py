@@ -198,19 +198,10 @@ class Collocation:
 
 
 def collocate(points: Points, variables: int) -> Collocation | None:
-    """Return what control points predict by a polynomial with a random field.
+    """Return what control points, scaled, predict by a polynomial with a random field.
 
-    Parameters
-    ----------
-    points : Points
-        Scaled.
-    variables : {2, 3}
-        2 for a polynomial in X and Y, 3 for one in X, Y and Z.
-
-    Returns
-    -------
-    Collocation or None
-        None if all points but any one do not determine an affine model with redundancy.
+    The polynomial is in 2 variables, X and Y, or 3, with Z. None if all points but any one do not
+    determine an affine model with redundancy.
     """
     if len(points) < variables + 3:
         return None
@@ -260,14 +251,7 @@ def _turn(points: Points, linear: Exponents) -> FloatArray:
     """Return the affine transformation that brings places into the image, shape (f, 2).
 
     Distances between places are taken in the image: there sheets shrink and scanners shake, and
-    line and sample have one unit.
-
-    Parameters
-    ----------
-    points : Points
-        Scaled.
-    linear : f exponents of X, Y, Z
-        Of an affine function.
+    line and sample have one unit. The exponents (f) are those of an affine function.
     """
     return np.asarray(np.linalg.lstsq(monomials(points.ground, linear), points.image)[0])
 

@@ -35,17 +35,10 @@ class Foresight:
 
 def foresee(posterior: Posterior, free: FloatArray, shrunken: FloatArray,
             unspanned: FloatArray | None = None) -> Foresight:
-    """Return what a posterior foresees.
+    """Return what a posterior foresees at m places.
 
-    Parameters
-    ----------
-    posterior : Posterior
-    free : ndarray, shape (m, f)
-        Columns that are not shrunken, at the places.
-    shrunken : ndarray, shape (m, k)
-        The others.
-    unspanned : ndarray, shape (g, m), optional
-        Variance for size 1 of what no column spans at the places, of each group of scales.
+    The columns there are (m, f) of those that are not shrunken, and (m, k) of the others. Of what
+    no column spans comes the variance for size 1, (g, m), for each group of scales.
     """
     # The expectation of the noise's variance, which is inverse gamma distributed.
     noises = posterior.square / (posterior.freedom - 2)

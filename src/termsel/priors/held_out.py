@@ -69,22 +69,12 @@ class _Room(NamedTuple):
 
 def leave_each_out(sides: tuple[Side, Side], square: FloatArray, least: FloatArray,
                    share: FloatArray, log: float, half: int, count: int) -> Prediction:
-    """Return each of the first points as all others predict it.
+    """Return each of the first `count` points as all others predict it.
 
-    Parameters
-    ----------
-    sides : tuple of Side
-        The solutions of line and of sample, and which occur together.
-    square, least : ndarray, shape (c,)
-        Sums of squares, and what remains of each at least.
-    share : ndarray, shape (c,)
-        Probabilities with all points.
-    log : float
-        Logarithm of the evidence with all points.
-    half : int
-        Half the degrees of freedom without a point.
-    count : int
-        Points that are looked at.
+    The sides are the solutions of line and of sample, and which occur together in the c cells. Of
+    these come the sums of squares (c,), what remains of each at least (c,), and the probabilities
+    with all points (c,). `log` is the logarithm of the evidence with all points, `half` half the
+    degrees of freedom without one.
     """
     line, sample = (_OfAxis(side.left, side.errors, side.cell) for side in sides)
     figures, alike = np.empty((count, 7)), line.left is sample.left
@@ -104,16 +94,9 @@ def mean_chance(strain: tuple[FloatArray, FloatArray], cell: tuple[IntArray, Int
                 scale: FloatArray, share: FloatArray, half: int) -> FloatArray:
     """Return the mean of (1 + scale (strain of line + strain of sample))^-half, shape (m,).
 
-    Parameters
-    ----------
-    strain : tuple of ndarray, shape (u, m) and (v, m)
-        Under the solutions of line and sample.
-    cell : tuple of ndarray of int, shape (c,)
-        Which solutions of line and of sample occur together.
-    scale, share : ndarray, shape (c,)
-        Of each such pair: a factor, and its probability.
-    half : int
-        Half the degrees of freedom.
+    Strains are (u, m) and (v, m), under the solutions of line and sample; the cells, (c,) each,
+    tell which of these occur together. Of each such pair come a factor, `scale` (c,), and its
+    probability, `share` (c,). `half` is half the degrees of freedom.
     """
     m = strain[0].shape[1]
     total = np.zeros(m)

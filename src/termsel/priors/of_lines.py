@@ -81,11 +81,8 @@ class Coupled:
     def predictions(self, weights: FloatArray | float = 1.0) -> Predictions:
         """Return each feature as the others predict it.
 
-        Parameters
-        ----------
-        weights : ndarray, shape (n,), or 1
-            By which the rows of features are multiplied. Those with another weight than 1, too
-            small to matter, do not count as others.
+        The rows of features are multiplied by the weights (n,). Those with another weight than 1,
+        too small to matter, do not count as others.
         """
         n = sum(len(group.feature) for group in self.features)
         weights = np.broadcast_to(np.asarray(weights, dtype=np.float64), n)
@@ -153,23 +150,11 @@ def _times(matrices: FloatArray, vectors: FloatArray) -> FloatArray:
 
 def coupled(equations: Equations, exponents: Exponents, draws: int,
             in_use: int) -> Coupled | None:
-    """Return all solutions for features.
+    """Return all solutions for features; None if all but any one do not determine the affine terms.
 
-    Parameters
-    ----------
-    equations : Equations
-        Of a polynomial, weighted: all terms of line, then all of sample.
-    exponents : k exponents of X, Y, Z
-        Of the terms of one axis; affine ones are not shrunk.
-    draws : int
-        How often factors of single terms are drawn (see `scales_of`).
-    in_use : int
-        Number of rows whose weight matters.
-
-    Returns
-    -------
-    Coupled or None
-        None if all features but any one do not determine the affine terms.
+    The equations are those of a polynomial, weighted: all terms of line, then all of sample, with
+    the same k exponents; affine ones are not shrunk. Factors of single terms are drawn `draws`
+    times (see `scales_of`). The weight of `in_use` rows matters.
     """
     A, b = equations.A, equations.b
     powers = np.array(exponents)

@@ -197,12 +197,7 @@ class Posterior:
                               self.cells.log, self.freedom // 2 - 1, self.in_use)
 
     def beyond(self, weight: float) -> Prediction:
-        """Return what the points in use predict for the others.
-
-        Parameters
-        ----------
-        weight : float
-            Of the others in the equations, too small to matter.
+        """Return what the points in use predict for the others, which weigh too little to matter.
         """
         share, strains = self.cells.share, []
         errors, spread, mean = (np.zeros((len(self.targets) - self.in_use, 2)) for _ in range(3))
@@ -223,28 +218,13 @@ class Posterior:
 
 def posterior(columns: FloatArray, image: FloatArray, order: IntArray, weights: FloatArray | None,
               scales: FloatArray, in_use: int, few: int | None = None) -> Posterior | None:
-    """Return all solutions for points.
+    """Return all solutions for points; None if all but any one do not determine the affine terms.
 
-    Parameters
-    ----------
-    columns : ndarray, shape (n, k)
-        Monomials of the scaled ground positions.
-    image : ndarray, shape (n, 2)
-    order : ndarray of int, shape (k,)
-        Orders of the monomials; affine ones first.
-    weights : ndarray, shape (n, 2) or None
-        By which equations are multiplied.
-    scales : ndarray, shape (g, j)
-        As `scales_of` gives them.
-    in_use : int
-        Number of points whose weight matters; they come first.
-    few : int, optional
-        Shrunken columns after which all have one scale in each group; by default none have.
-
-    Returns
-    -------
-    Posterior or None
-        None if all points but any one do not determine the affine terms.
+    The columns (n, k) are monomials of the scaled ground positions, affine ones first, of some
+    order (k,). The image is (n, 2); the equations are multiplied by the weights (n, 2), if any. The
+    scales (g, j) are as `scales_of` gives them. The first `in_use` points are those whose weight
+    matters. After the first few shrunken columns all have one scale in each group; by default none
+    have.
     """
     freedom = 2 * (in_use - int((order < 2).sum()))
     noise = 2 * in_use * (NO_NOISE * float(np.ptp(image, axis=0).max()) / 2) ** 2

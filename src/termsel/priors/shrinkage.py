@@ -85,21 +85,10 @@ class Design:
 
 def design_of(columns: FloatArray, free: BoolArray, scales: FloatArray,
               few: int) -> Design | None:
-    """Return a design.
+    """Return a design; None if all rows but any one do not determine the free columns.
 
-    Parameters
-    ----------
-    columns : ndarray, shape (n, f + k)
-    free : ndarray of bool, shape (f + k,)
-        Columns that are not shrunken.
-    scales : ndarray, shape (g, k)
-    few : int
-        Shrunken columns after which all have one scale in each group; k if there are none such.
-
-    Returns
-    -------
-    Design or None
-        None if all rows but any one do not determine the free columns.
+    Of the columns (n, f + k) the free ones are not shrunken; the scales are (g, k). After the first
+    few shrunken columns all have one scale in each group; few is k if there are none such.
     """
     lead = columns[:, free]
     f = lead.shape[1]
@@ -128,13 +117,7 @@ class Side:
 class Shrinkage:
     """What solutions do, whatever is measured, by one decomposition for each group.
 
-    Parameters
-    ----------
-    design : Design
-    group, size : ndarray of int, shape (u,)
-        Of each solution.
-    sizes : ndarray
-        All there are.
+    Group and size (u,) are numbers, of each solution; `sizes` are all there are.
     """
 
     def __init__(self, design: Design, group: IntArray, size: IntArray,
@@ -174,13 +157,9 @@ class Shrinkage:
         return np.maximum(mine, TINY, out=mine)
 
     def side(self, target: FloatArray, which: IntArray) -> Side:
-        """Return the solutions for what is measured of one axis.
+        """Return the solutions for what is measured of one axis, `target` (n,).
 
-        Parameters
-        ----------
-        target : ndarray, shape (n,)
-        which : ndarray of int, shape (c,)
-            Solution of each cell of the posterior.
+        `which` (c,) is the solution of each cell of the posterior.
         """
         design = self._design
         along = ((design.basis.T @ target) @ self._u)[:, None]                    # (g, 1, m)

@@ -138,22 +138,11 @@ class ThinPlates:
 
 def thin_plates(points: Points, units: tuple[float, float], smoothing: float | None,
                 criterion: str) -> ThinPlates | None:
-    """Return the thin-plate splines of control points.
+    """Return the thin-plate splines of control points, scaled.
 
-    Parameters
-    ----------
-    points : Points
-        Scaled; of points with the same X and Y the spline takes a mean.
-    units : tuple of 2 floats
-        By which X and Y are multiplied before distances are taken.
-    smoothing : float or None
-        None to choose it by the criterion, for each axis.
-    criterion : {"reml", "gcv"}
-
-    Returns
-    -------
-    ThinPlates or None
-        None if all points but any one do not determine an affine model with redundancy.
+    X and Y are multiplied by the units before distances are taken; of points with the same X and Y
+    the spline takes a mean. Without a smoothing it is chosen for each axis by the criterion, "reml"
+    or "gcv". None if all points but any one do not determine an affine model with redundancy.
     """
     image, ground, sigma = (None if one is None else np.ascontiguousarray(one).tobytes()
                             for one in (points.image, points.ground, points.sigma))

@@ -36,12 +36,7 @@ SEARCH_OPTIONS = (
 
 def require_limits(*, generations: float | None = None, evaluations: float | None = None,
                    seconds: float | None = None, patience: float | None = None) -> None:
-    """Refuse limits of a search, as given to it, that are no positive, or no whole, numbers.
-
-    Raises
-    ------
-    TermselError
-    """
+    """Refuse limits of a search, as given to it, that are no positive, or no whole, numbers."""
     for name, value in (("generations", generations), ("evaluations", evaluations),
                         ("seconds", seconds), ("generations of patience", patience)):
         if value is not None and (isinstance(value, bool) or not isinstance(value, Real)):
@@ -85,17 +80,10 @@ class Budget:
 
 
 class Patience:
-    """Whether a search has converged: generation after generation without a gain.
+    """Whether a search has converged: so many generations, if limited, without a gain.
 
     A gain is an objective whose least value among feasible individuals falls by more than a
-    tolerance; as long as none is feasible, a smaller violation.
-
-    Parameters
-    ----------
-    generations : int, optional
-        How many without a gain are enough; None for no limit.
-    tolerance : float
-        Relative to the objective.
+    tolerance, relative to it; as long as none is feasible, a smaller violation.
     """
 
     def __init__(self, generations: int | None, tolerance: float) -> None:

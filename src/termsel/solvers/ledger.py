@@ -21,33 +21,17 @@ _KNOWN = 1_000_000  # individuals remembered at most, unless a front is made of 
 
 @dataclass(frozen=True, eq=False)
 class Progress:
-    """State of a search, as observers get it after each generation and in the local refinement.
-
-    Parameters
-    ----------
-    generation : Generation
-    evaluations : int
-        Individuals evaluated so far.
-    share : float or None
-        Share of the budget that is spent, 0 to 1; None without a budget.
-    best : float
-        Best first objective so far.
-    violation : float
-        Its violation; 0 is feasible.
-    genes : ndarray, shape (size,)
-        The best individual so far.
-    what : str
-        What is being done, where it is no generation of the solver: the local refinement, or a step
-        of the strategy "auto". There each candidate of each fold counts as an
-        evaluation and as a generation, none of which has genes.
-    """
+    """State of a search, as observers get it after each generation and in the local refinement."""
 
     generation: Generation
-    evaluations: int
-    share: float | None
-    best: float
-    violation: float
-    genes: Genes
+    evaluations: int  # individuals evaluated so far
+    share: float | None  # of the budget that is spent, 0 to 1; None without a budget
+    best: float  # best first objective so far
+    violation: float  # its violation; 0 is feasible
+    genes: Genes  # (size,): the best individual so far
+    # What is being done, where it is no generation of the solver: the local refinement, or a step
+    # of the strategy "auto". There each candidate of each fold counts as an evaluation and as a
+    # generation, none of which has genes.
     what: str = ""
 
 
@@ -58,15 +42,8 @@ class BudgetSpent(Exception):
 class Ledger(ProblemAround):
     """A problem that counts evaluations, looks up known ones, and remembers the best.
 
-    Parameters
-    ----------
-    problem : Problem
-    evaluations : int, optional
-        Individuals that may be evaluated.
-    deadline : float, optional
-        Time by `time.perf_counter` after which nothing is evaluated.
-    solver : Solver, optional
-        Who asks for the evaluations.
+    The limits are individuals that may be evaluated, and a time by `time.perf_counter` after which
+    nothing is. The solver is who asks for the evaluations.
     """
 
     def __init__(self, problem: Problem, *, evaluations: int | None = None,

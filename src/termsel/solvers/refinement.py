@@ -26,24 +26,12 @@ selection would take hours."""
 
 def refine(ledger: Ledger, rng: np.random.Generator, generation: Generation | None,
            evaluations: int | None, observers: Iterable[Callable[[Progress], None]]) -> Polish:
-    """Climb from the best individual, or search around all members of a front.
+    """Climb from the best individual of a ledger, or search around all members of a front.
 
-    Parameters
-    ----------
-    ledger : Ledger
-        Of the search, which has evaluated something.
-    rng : numpy.random.Generator
-    generation : Generation, optional
-        The last that the solver yielded.
-    evaluations : int, optional
-        Budget of search and refinement together. Without one the refinement takes up to
-        POLISH_SHARE times as many as the search; its first descent may take more, up to DESCENT.
-    observers : iterable of callable
-
-    Raises
-    ------
-    TermselError
-        For a solver that found coefficients, which a changed selection would not fit.
+    `generation` is the last that the solver yielded, `evaluations` the budget of search and
+    refinement together. Without one the refinement takes up to POLISH_SHARE times as many as the
+    search; its first descent may take more, up to DESCENT. Refuses a solver that found
+    coefficients, which a changed selection would not fit.
     """
     assert ledger.best_genes is not None
     if generation is not None and "coefficients" in generation.details:

@@ -223,13 +223,7 @@ def search(
 
 
 def begin(problem: Problem, solver: Solver) -> None:
-    """Begin a search and end it before anything is evaluated, so that a solver may refuse it.
-
-    Raises
-    ------
-    TermselError
-        That of the solver.
-    """
+    """Begin a search and end it before anything is evaluated, so that a solver may refuse it."""
     # With no evaluation left the ledger ends the search at the first one.
     unevaluated = Ledger(problem, evaluations=0, solver=solver)
     with closing(_until_spent(solver.generations(unevaluated, np.random.default_rng(0)))) as begun:
@@ -241,10 +235,6 @@ def require_able(problem: Problem, solver: Solver,
     """Refuse a solver that cannot handle the objectives or the genes of the problem.
 
     Of the other solvers the error names those that can.
-
-    Raises
-    ------
-    TermselError
     """
     _require_declared(problem)
     wanted = len(problem.objectives)

@@ -26,22 +26,11 @@ def branch(kind: int, vectors: Vectors, limits: Limits, records: Records, place:
            check: CheckSpace | None, work: FloatArray | None) -> tuple[int, int]:
     """Decide all subsets of n columns in addition to those in use already.
 
-    Parameters
-    ----------
-    kind : int
-        With `check` LINEAR or RATIONAL, of one system and one target. With `work` PRESS without
-        denominators, or LINEAR (see `bounds.held_out`).
-    vectors, limits, records, place
-        As for `columns.kernels.walk`.
-    check : CheckSpace, optional
-        For the errors of check points.
-    work : ndarray, shape (n + r, rows), optional
-        Space, for held-out errors.
-
-    Returns
-    -------
-    infeasible, pruned : int
-        Number of subsets that were found to have no score, and of those that a bound ruled out.
+    For the errors of check points the kind is LINEAR or RATIONAL, of one system and one target,
+    with `check`. For held-out errors it is PRESS without denominators, or LINEAR (see
+    `bounds.held_out`), with the space `work` (n + r, rows). All else is as for
+    `columns.kernels.walk`. Return the number of subsets that were found to have no score, and of
+    those that a bound ruled out.
     """
     systems, r = 1, 1
     if work is not None:

@@ -68,11 +68,8 @@ def decide_block(kind: int, vectors: Vectors, limits: Limits, records: Records, 
                  b: SubsetBlock) -> int:
     """Decide all subsets that add some of the columns first, ..., n - 1, by their inner products.
 
-    Returns
-    -------
-    int
-        Number of subsets that were found to have no score; -1 if inner products are too
-        inaccurate, so that the vectors must decide.
+    Return the number of subsets that were found to have no score; -1 if inner products are too
+    inaccurate, so that the vectors must decide.
     """
     n = vectors.top.shape[2] - 1
     count, left, best = n - first, limits.room - depth, records.best

@@ -47,30 +47,14 @@ _SPHERE, _SCALE = 0.15, 0.1  # weights of facts 3 and 1; the rest is of fact 4
 @_compiled
 def first_closed(top: FloatArray, extra: FloatArray, first: int, n: int, limit: float,
                  upper: FloatArray, rational: bool, space: BoundSpace) -> int:
-    """Return a column from which on no subset scores `limit` or less.
+    """Return a column from which on no subset scores `limit`, the B of the module's text, or less.
 
-    Parameters
-    ----------
-    top, extra : ndarray, shape (n + 1, rows) and (n + 1, c) or (n + 1, 2 c)
-        One depth of `Levels`, without the columns in use.
-    first, n : int
-        F is first, ..., n - 1.
-    limit : float
-        B of the module's text.
-    upper : ndarray, shape (c + 1,)
-        U and tau, lowered in place; 1 for scores without denominators.
-    rational : bool
-        Whether there are denominators.
-    space : BoundSpace
+    That is j: all subsets that add some of j, ..., n - 1 alone score more. It is `first` if none of
+    F = first, ..., n - 1 need be looked at, and n if nothing is known. `top` (n + 1, rows) and
+    `extra` (n + 1, c), or (n + 1, 2 c) with denominators, are one depth of `Vectors`, without the
+    columns in use. `upper` (c + 1,), U and tau, is lowered in place; it is 1 for scores without
+    denominators.
 
-    Returns
-    -------
-    int
-        j: all subsets that add some of j, ..., n - 1 alone score more. `first` if none of F need
-        be looked at; n if nothing is known.
-
-    Notes
-    -----
     Columns are eliminated from the last to the first, after the target. The minimum over the
     coefficients of the last i columns alone is known after i steps, so one elimination tests every
     tail of F. With the Cholesky factor L of q and the sums s of the denominators' columns the
@@ -150,12 +134,8 @@ def _lowered(extra: FloatArray, n: int, count: int, upper: FloatArray, inverse: 
     """Lower the limits to their maxima on an ellipsoid.
 
     With z = L'(-t, x) and h = L^-1 s its points are |z|^2 <= 1 and h'z = 1. The maximum of a linear
-    function a'z is a'h / |h|^2 + ((1 - 1 / |h|^2) (|a|^2 - (a'h)^2 / |h|^2))^1/2.
-
-    Returns
-    -------
-    int
-        1 if a limit is lower by some share, 0 if none is, -1 if one is negative.
+    function a'z is a'h / |h|^2 + ((1 - 1 / |h|^2) (|a|^2 - (a'h)^2 / |h|^2))^1/2. Return 1 if a
+    limit is lower by some share, 0 if none is, -1 if one is negative.
     """
     c, triangle, rows = len(upper) - 1, space.triangle, space.rows
     along, h, length = space.x[0], space.x[1], space.x[2]

@@ -30,25 +30,10 @@ def branch_residuals(tree: Tree, limits: Limits, records: Records, counts: IntAr
                      single: bool | None) -> tuple[int, int]:
     """Decide all subsets of the columns at depth 0 that hold those in use there.
 
-    Parameters
-    ----------
-    tree : Tree
-        Its root, at depth 0.
-    limits : Limits
-        Its room is that of depth 0; no offset.
-    records : Records
-        With bits and guard of all columns.
-    counts : ndarray of int
-        As of `Place`.
-    single : bool, optional
-        As for `columns.kernels.walk`.
-    few : int
-        Subsets that are enumerated at once.
-
-    Returns
-    -------
-    infeasible, enumerated : int
-        Number of subsets that were found to have no score, and of those not ruled out by a bound.
+    The room of the limits is that of depth 0, without an offset; records have bits and guard of all
+    columns; counts are as of `Place`, `single` is as for `columns.kernels.walk`. So few subsets are
+    enumerated at once. Return the number of subsets that were found to have no score, and of those
+    not ruled out by a bound.
     """
     most, best, depth = limits.size + limits.room, records.best, 0
     infeasible = enumerated = 0

@@ -60,18 +60,10 @@ def tree_of(control: FloatArray, guard: FloatArray, lengths: FloatArray, margin:
             used: int) -> tuple[Tree, FloatArray]:
     """Return a tree at its root, and the guard's denominators of its columns.
 
-    Parameters
-    ----------
-    control : ndarray, shape (m, k + r)
-        Columns and targets.
-    guard : ndarray, shape (g, k + 1)
-        Denominators at guard points, of the columns, and minus what they are without any.
-    lengths : ndarray, shape (k,)
-        Of the columns, which are made 1.
-    margin : float
-        Least denominator.
-    used : int
-        How many columns, the first ones, are in use for good.
+    Control rows (m, k + r) are of columns and targets. The guard (g, k + 1) is of denominators at
+    guard points: those of the columns, and minus what they are without any. The columns are made 1
+    long from their lengths (k,); the margin is the least denominator; the first columns are in use
+    for good.
     """
     k, g = guard.shape[1] - 1, len(guard)
     r, depths = control.shape[1] - k, k + 1

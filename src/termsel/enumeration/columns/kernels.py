@@ -218,19 +218,8 @@ def walk(kind: int, vectors: Vectors, limits: Limits, records: Records, place: P
          single: bool | None) -> int:
     """Enumerate all subsets of n columns in addition to those in use already.
 
-    Parameters
-    ----------
-    kind : int
-        LINEAR, RATIONAL, PRESS or RSS.
-    vectors, limits, records, place
-        What their types say.
-    single : bool, optional
-        None if f = r = 1: a type of its own, for which faster code is compiled.
-
-    Returns
-    -------
-    int
-        Number of subsets without a score.
+    The kind is LINEAR, RATIONAL, PRESS or RSS. If f = r = 1, `single` is None: a type of its own,
+    for which faster code is compiled. Return the number of subsets without a score.
     """
     if single is None:
         systems, r = 1, 1

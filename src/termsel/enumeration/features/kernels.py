@@ -40,10 +40,7 @@ def walk(rows: FeatureRows, carried: Carried, space: EntrySpace, first: int, siz
          wanted: Wanted, kept: Kept) -> int:
     """Decide a selection of some size and all with features from `first` on in addition.
 
-    Returns
-    -------
-    int
-        How many remain: so many first places of `kept` are filled.
+    Return how many remain: so many first places of `kept` are filled.
     """
     n, mask, cursor, state = len(rows.bits), carried.mask, carried.cursor, carried.state
     least, most, limits = wanted.least, wanted.most, wanted.limits

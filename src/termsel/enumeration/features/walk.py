@@ -74,13 +74,7 @@ class Branch:
 
 @dataclass(frozen=True, eq=False)
 class Selections:
-    """All selections of least to most of n features.
-
-    Raises
-    ------
-    TermselError
-        For more than 128 features that are free.
-    """
+    """All selections of least to most of n features; refused with more than 128 that are free."""
 
     n: int
     least: int
@@ -139,19 +133,11 @@ class Selections:
         return np.asarray(squares * (1.0 + MARGIN) + rounding)
 
     def walk(self, branch: Branch, limits: FloatArray) -> tuple[BoolArray, FloatArray]:
-        """Return the selections of a branch that may have at most so large squared errors.
+        """Return the selections of a branch that may have at most so large squared errors, (r, n).
 
-        Parameters
-        ----------
-        branch : Branch
-        limits : ndarray, shape (n + 1,)
-            Squared errors of the check points, for selections of 0 to n features.
-
-        Returns
-        -------
-        selections : ndarray of bool, shape (r, n)
-        scores : ndarray, shape (r,)
-            Their squared errors; minus infinity where they are not known.
+        The limits (n + 1,) are squared errors of the check points, for selections of 0 to n
+        features. With the selections come their squared errors (r,); minus infinity where they are
+        not known.
         """
         if not self.systems:
             chosen = self._every(branch)

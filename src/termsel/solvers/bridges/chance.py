@@ -19,14 +19,10 @@ _others_rng = np.random.default_rng
 class OwnChance:
     """Random states of `random` and `numpy.random` that hold within ``with`` alone.
 
-    On leaving, the global states are as they were on entering; the next entry goes on where this
-    one ended. Within, and in this thread alone, `numpy.random.default_rng` without a seed gives a
-    generator that has one, as pymoo makes new generators where it does not pass its own on.
-
-    Parameters
-    ----------
-    rng : numpy.random.Generator
-        Draws the first states.
+    A generator draws the first states. On leaving, the global states are as they were on entering;
+    the next entry goes on where this one ended. Within, and in this thread alone,
+    `numpy.random.default_rng` without a seed gives a generator that has one, as pymoo makes new
+    generators where it does not pass its own on.
     """
 
     def __init__(self, rng: np.random.Generator) -> None:

@@ -114,18 +114,10 @@ def evolved(box: base.Toolbox, loop: Callable[..., Any], rng: np.random.Generato
             arguments: Mapping[str, Any]) -> Iterator[Generation]:
     """Yield the generations of a DEAP algorithm.
 
-    Parameters
-    ----------
-    box : deap.base.Toolbox
-        As `to_deap` returns it, perhaps with other operators.
-    loop : callable
-        Takes population and toolbox, and those of `arguments`, ``stats``, ``halloffame`` and
-        ``verbose`` that it names. If it takes ``ngen``, as those of `deap.algorithms`, it is
-        called for one generation at a time, and at first for none. A generator function yields
-        the population after each generation.
-    rng : numpy.random.Generator
-    population : int
-    arguments : mapping
+    The toolbox is as `to_deap` returns it, perhaps with other operators. The loop takes population
+    and toolbox, and those of `arguments`, ``stats``, ``halloffame`` and ``verbose`` that it names.
+    If it takes ``ngen``, as those of `deap.algorithms`, it is called for one generation at a time,
+    and at first for none. A generator function yields the population after each generation.
     """
     takes = inspect.signature(loop).parameters
     stats = tools.Statistics(lambda one: one.fitness.values[0])

@@ -20,20 +20,10 @@ from termsel.solvers.genetic.operators import crossover, mutation
 
 
 class Individual(list[Any]):
-    """Genes as a list, with a DEAP fitness.
+    """Genes, numbers or bools, as a list, with a DEAP fitness of their own.
 
-    Parameters
-    ----------
-    genes : iterable
-        Numbers or bools.
-    fitness : deap.base.Fitness
-        Its own; DEAP writes to it.
-
-    Attributes
-    ----------
-    objectives : ndarray, shape (m,)
-        As evaluated; the fitness of an infeasible individual is penalised.
-    violation : float
+    Objectives (m,) and violation are as evaluated; the fitness of an infeasible individual is
+    penalised.
     """
 
     def __init__(self, genes: Iterable[Any], fitness: base.Fitness) -> None:
@@ -122,21 +112,11 @@ ROLES = {"select": ("sel", "selTournament:tournsize=3"), "mate": ("cx", "cxUnifo
 
 
 def register(box: base.Toolbox, role: str, said: str | None, genome: Genome) -> None:
-    """Register an operator by its name in `deap.tools`.
+    """Register an operator, to select, mate or mutate, by its name in `deap.tools`.
 
-    Parameters
-    ----------
-    box : deap.base.Toolbox
-    role : {"select", "mate", "mutate"}
-    said : str or None
-        Name and arguments, such as ``selTournament:tournsize=3``. By default one for the genome.
-    genome : Genome
-        Its mean number of flips is 1 where ``indpb`` of a mutation is not given.
-
-    Raises
-    ------
-    TermselError
-        For an operator that there is not, or arguments that it does not take.
+    `said` is name and arguments, such as ``selTournament:tournsize=3``; without it one for the
+    genome is taken. Where ``indpb`` of a mutation is not given, the mean number of flips is 1.
+    Raises TermselError for an operator that there is not, or arguments that it does not take.
     """
     start, default = ROLES[role]
     if said is None and role != "select" and genome.dtype != np.bool_:

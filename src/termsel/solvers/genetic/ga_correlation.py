@@ -47,12 +47,7 @@ def activation_probabilities(sums: FloatArray, scale: float, offset: float) -> F
     """Return the chance of each gene to be on: P = S (1 - sum / max(sum)) + O.
 
     Akhoundi Khezrabad et al. 2020, eq. 4, with the sums of `correlation_sums`, scale S and offset
-    O.
-
-    Raises
-    ------
-    TermselError
-        If a probability is outside 0 to 1; names the permitted scales and offsets.
+    O. Refuses those that lead to another probability than from 0 to 1, and names permitted ones.
     """
     freedom = 1.0 - sums / sums.max()  # 0 for the most correlated gene
     probability = scale * freedom + offset

@@ -56,13 +56,7 @@ class Coding:
 
 
 def coding(genome: Genome) -> Coding:
-    """Return how a genome is coded as tuples.
-
-    Raises
-    ------
-    TermselError
-        If its genes are not one segment.
-    """
+    """Return how a genome is coded as tuples; refuse one of several segments."""
     if len(genome.segments) > 1:
         names = ", ".join(segment.name for segment in genome.segments)
         raise TermselError(

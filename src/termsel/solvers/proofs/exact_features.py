@@ -78,13 +78,7 @@ class FeatureProof:
 
 
 def selections_of(problem: Problem, systems: tuple[RowSystem, ...]) -> Selections:
-    """Return all selections of a problem that selects features alone.
-
-    Raises
-    ------
-    TermselError
-        If they are too many features to be enumerated.
-    """
+    """Return all selections of a problem that selects features alone; refuse too many features."""
     genome = problem.genome
     segment, = genome.segments
     assert isinstance(segment, Bits | Subset)  # of features
@@ -164,11 +158,7 @@ def proof_generations(problem: Problem, systems: tuple[RowSystem, ...], workers:
                       max_terms: int | None) -> Iterator[Generation]:
     """Yield the best so far, with a certificate, until every selection of features is decided.
 
-    Raises
-    ------
-    TermselError
-        If there are too many features to be enumerated, or for `max_terms`, which limits nothing
-        here.
+    Refuses too many features, and `max_terms`, which limits nothing here.
     """
     if max_terms is not None:
         raise TermselError("max_terms limits terms, and this problem selects features",
@@ -206,10 +196,7 @@ def quick_optimum(problem: Problem,
                   systems: tuple[RowSystem, ...]) -> tuple[float, int, str] | None:
     """Return the proven optimum, the number of selections and their space, if known quickly.
 
-    Raises
-    ------
-    TermselError
-        If there are too many features to be enumerated.
+    Refuses too many features.
     """
     selections = selections_of(problem, systems)
     total = selections.count(selections.root)

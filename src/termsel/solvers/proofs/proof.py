@@ -197,12 +197,7 @@ def prove(problem: Problem, max_terms: int | None = None,
     """Decide every selection of a problem, yielding intermediate states; the last one is complete.
 
     Each part has at most `max_terms` genes. Workers are threads, by default all cores; the result
-    does not depend on them.
-
-    Raises
-    ------
-    TermselError
-        If the problem's space cannot be enumerated.
+    does not depend on them. Raises TermselError if the problem's space cannot be enumerated.
     """
     parts = problem.parts()
     limits = [limits_of(problem, part, max_terms) for part in parts]
@@ -237,13 +232,7 @@ def limits_of(problem: Problem, part: EnumerablePart, max_terms: int | None) -> 
 
 
 def count(problem: Problem, max_terms: int | None = None) -> int:
-    """Return the number of subsets of all parts together.
-
-    Raises
-    ------
-    TermselError
-        If the problem's space cannot be enumerated.
-    """
+    """Return the number of subsets of all parts together (raises as `prove`)."""
     return sum(
         subsets.count_subsets(int(problem.genome.free[part.genes].sum()),
                               limits_of(problem, part, max_terms)[1])

@@ -64,13 +64,9 @@ class Regression:
 def regressions(problem: Problem) -> list[Regression]:
     """Return the parts of a term selection as regressions over their control rows.
 
-    The constant is kept unless it is forbidden, like the intercept in textbooks and in Long et
-    al. 2014.
-
-    Raises
-    ------
-    TermselError
-        If the problem's space cannot be enumerated (see `Problem.parts`), or terms need parents.
+    The constant is kept unless it is forbidden, like the intercept in textbooks and in Long et al.
+    2014. Raises TermselError if the space cannot be enumerated (see `Problem.parts`), or terms need
+    parents.
     """
     if any(part.system.parents is not None for part in problem.parts()):
         raise TermselError("regression adds and drops single terms and cannot keep a hierarchy",
@@ -220,13 +216,7 @@ class Stepwise(TermRegression):
     )
 
     def choose(self, part: Regression) -> BoolArray:
-        """Return the chosen columns.
-
-        Raises
-        ------
-        TermselError
-            If terms would leave more easily than they enter.
-        """
+        """Return the chosen columns; refuse levels at which terms leave more easily than enter."""
         alpha_in, alpha_out = self.options["alpha_in"], self.options["alpha_out"]
         if alpha_in > alpha_out:
             raise TermselError(f"alpha_in is {alpha_in:g} and alpha_out {alpha_out:g}",
