@@ -2,10 +2,11 @@
 
     python docs/snippets.py README.md docs/tutorial/index.md      renews the output shown
 
-``console`` blocks hold commands behind ``$ `` and their output; ``python`` blocks are run as
-files, and a ``text`` block that follows at once is what they print. All run one after another in
-one folder. In the output shown, a line ``...`` stands for any number of lines. Blocks after the
-comment ``<!-- not run -->`` are left alone, and so is the command for the tests. What installs
+``console`` blocks hold commands behind ``$ `` and their output, ``sh`` blocks commands alone;
+``python`` blocks are run as files, and a ``text`` block that follows at once is what they print.
+All run one after another in one folder, which ``cd`` changes. In the output shown, a line ``...``
+stands for any number of lines. Blocks after the comment ``<!-- not run: why -->`` are left alone,
+and so are the command for the tests and programs of others that are not installed. What installs
 something, up to the last ``pip install ... &&``, is taken as done, and so is the download of the
 files that the page offers.
 
@@ -15,12 +16,16 @@ another selection.
 
 from __future__ import annotations
 
+import contextlib
+import io
 import os
 import re
+import shlex
 import shutil
 import subprocess
 import sys
 import tempfile
+import traceback
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -31,6 +36,11 @@ _OUTPUT = re.compile(r"\n\n```text\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 _NOT_RUN = re.compile(r"<!-- (not run|tests)[^>]*-->\s*$")
 _INSTALLS = re.compile(r".*\bpip install [^&|;]*(&& |$)")
 _DOWNLOAD = re.compile(r"\{download\}`[^`<]*<([^`>]+)>`")
+_CHANGES = re.compile(r"(?:(.*?) && )?cd (\S+)")
+_ALONE = re.compile(r"termsel [^|;&$<>`*]*")
+PROGRAMS = "termsel", "python", "head", "ls", "cat", "sort", "sed", "for"
+OTHERS = "gdalwarp",
+"""Programs that a page may use, and those that need not be installed."""
 _COMPILING = re.compile(r"^Compiling: .*\n", re.MULTILINE)
 _NUMBER = re.compile(r"-?\d+(\.\d+)?(e[+-]?\d+)?")
 
@@ -64,15 +74,19 @@ def steps(text: str) -> list[Step]:
         kind, body, start = block[1], block[2], block.start(2)
         if _NOT_RUN.search(text[:block.start()]):
             continue
-        if kind == "python":
+        if kind == "python" and not body.startswith(">>>"):  # which doctest runs
             output = _OUTPUT.match(text, block.end())
             found.append(Step(body, True, output[1], output.start(1), output.end(1)) if output
                          else Step(body, True, None, block.end(2), block.end(2)))
         if kind == "console":
-            for command in re.finditer(r"^\$ (.*(?:\\\n.*)*)\n((?:(?!\$ ).*\n)*)", body,
+            for command in re.finditer(r"^\$ ((?:.*\\\n)*.*)\n((?:(?!\$ ).*\n)*)", body,
                                        re.MULTILINE):
                 found.append(Step(command[1], False, command[2], start + command.start(2),
                                   start + command.end(2)))
+        if kind == "sh":
+            found += [Step(re.sub(r"\s+#.*", "", command), False, None, block.end(2), block.end(2))
+                      for command in re.findall(r"^(?:.*\\\n)*.*$", body, re.MULTILINE)
+                      if command.strip()]
     return found
 
 
@@ -82,24 +96,75 @@ def download(page: Path, folder: Path) -> None:
         shutil.copy(page.parent / name, folder)
 
 
-def run(step: Step, folder: Path) -> str:
-    """Return what a step prints, on stdout and stderr together, but for the note of a first run.
+@dataclass
+class Session:
+    """A reader who follows a page.
 
-    Raises
-    ------
-    RuntimeError
-        If a Python snippet fails; a command may fail where the page shows how.
+    Parameters
+    ----------
+    folder : Path
+        Where the next command runs.
+    here : bool
+        Run termsel and Python in this process, which saves a second each.
     """
-    if step.python:
-        command = [sys.executable, "-c", step.code]
-    else:
-        command = ["bash", "-c", _INSTALLS.sub("", step.code.replace("\\\n", " "))]
-    done = subprocess.run(
-        command, cwd=folder, env=_environment(folder), stdin=subprocess.DEVNULL, text=True,
-        stdout=subprocess.PIPE, stderr=subprocess.STDOUT, timeout=300, check=False)
-    if step.python and done.returncode:
-        raise RuntimeError(f"{step.code}\nfails:\n{done.stdout}")
-    return _COMPILING.sub("", done.stdout)
+
+    folder: Path
+    here: bool = False
+
+    def run(self, step: Step) -> str:
+        """Return what a step prints on stdout and stderr, but for the note of a first run.
+
+        Raises
+        ------
+        RuntimeError
+            If it fails, and the page does not show an error.
+        """
+        code = step.code if step.python else _INSTALLS.sub("", step.code.replace("\\\n", " "))
+        change = None if step.python else _CHANGES.fullmatch(code)
+        if change:
+            code = change[1] or ""
+        printed, status = self._done(code, step.python) if code.strip() else ("", 0)
+        if status and "Error: " not in (step.shown or ""):
+            raise RuntimeError(f"{step.code}\nends with {status}:\n{printed}")
+        if change:
+            self.folder = self.folder / change[2]
+        return _COMPILING.sub("", printed)
+
+    def _done(self, code: str, is_python: bool) -> tuple[str, int]:
+        program = "python" if is_python else code.split()[0]
+        if program not in (*PROGRAMS, *OTHERS):
+            raise RuntimeError(f"{code}\nis not run by a test: say why in front of the block, "
+                               "<!-- not run: why -->")
+        if program in OTHERS and not shutil.which(program):
+            return "", 0
+        if self.here and is_python:
+            return printed_by(lambda: exec(compile(code, "<snippet>", "exec"),
+                                           {"__name__": "__main__"}), self.folder)
+        if self.here and _ALONE.fullmatch(code):
+            from termsel.cli.main import cli
+
+            words = shlex.split(code)[1:]
+            return printed_by(lambda: cli.main(words, prog_name="termsel"), self.folder)
+        command = [sys.executable, "-c", code] if is_python else ["bash", "-c", code]
+        done = subprocess.run(
+            command, cwd=self.folder, env=_environment(self.folder), stdin=subprocess.DEVNULL,
+            text=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, timeout=300, check=False)
+        return done.stdout, done.returncode
+
+
+def printed_by(action: Callable[[], object], folder: Path) -> tuple[str, int]:
+    """Return what an action in this process prints from a folder, and its exit code."""
+    text, status = io.StringIO(), 0
+    with (contextlib.chdir(folder), contextlib.redirect_stdout(text),
+          contextlib.redirect_stderr(text)):
+        try:
+            action()
+        except SystemExit as end:
+            status = end.code if isinstance(end.code, int) else int(end.code is not None)
+        except Exception:  # noqa: BLE001 - as Python does with one that nothing catches
+            traceback.print_exc()
+            status = 1
+    return text.getvalue(), status
 
 
 def _environment(folder: Path) -> dict[str, str]:
@@ -166,8 +231,9 @@ def main(pages: list[str]) -> None:
         new, done = "", 0
         with tempfile.TemporaryDirectory() as folder:
             download(path, Path(folder))
+            session = Session(Path(folder))
             for step in steps(text):
-                actual = run(step, Path(folder))
+                actual = session.run(step)
                 if step.shown is None:
                     continue
                 lines = actual

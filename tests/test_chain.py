@@ -35,8 +35,8 @@ def chain() -> ModuleType:
 
 @pytest.fixture(scope="module")
 def folder(chain: ModuleType, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("chain")
-    chain.make_scene(path)
+    path = tmp_path_factory.mktemp("chain") / "files"
+    chain.write_example(path)
     return path
 
 

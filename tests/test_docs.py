@@ -41,13 +41,7 @@ def _load(path: Path) -> ModuleType:
     return module
 
 
-snippets = _load(ROOT / "docs" / "snippets.py")
 generated = _load(ROOT / "docs" / "generated.py")
-EXECUTED = [
-    "README.md", "docs/tutorial/index.md", "docs/how-to/own-data.md", "docs/how-to/points.md",
-    "docs/how-to/blunders.md", "docs/how-to/python.md", "docs/how-to/plugin.md",
-    "docs/how-to/problem.md", "docs/how-to/deap-and-pymoo.md", "docs/how-to/report.md",
-    "docs/reference/plugins.md", "docs/reference/simulated.md"]
 PICTURE = "docs/_static/owdis-lines.svg"
 SECTIONS = ["tutorial", "how-to", "reference", "explanation", "evidence"]
 
@@ -73,23 +67,6 @@ def _plugin_of_the_readme(folder: Path) -> None:
     points = project["entry-points"]["termsel"]
     (info / "entry_points.txt").write_text(
         "[termsel]\n" + "".join(f"{name} = {module}\n" for name, module in points.items()))
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("page", EXECUTED)
-def test_page_shows_what_its_snippets_print(page: str, tmp_path: Path) -> None:
-    # The plugin is for the pages that load it; what the tutorial lists is its own files alone.
-    if "termsel_dlt" in _page(page):
-        _plugin_of_the_readme(tmp_path)
-    snippets.download(ROOT / page, tmp_path)
-    found = snippets.steps(_page(page))
-    assert found
-    for step in found:
-        actual = snippets.run(step, tmp_path)
-        if step.shown is not None:
-            assert snippets.renewed(step.shown, actual) is not None, (
-                f"{page}: {step.code}\nis shown to print\n{step.shown}\nand prints\n{actual}\n"
-                f"python docs/snippets.py {page} renews the page")
 
 
 def test_plugin_of_the_readme_is_a_plugin(tmp_path: Path) -> None:

@@ -1,7 +1,7 @@
 """Draw the picture of the tutorial, from an actual run: python docs/tutorial/rectified.py
 
-termsel selects terms on the points of `make_scene`, and the image is resampled to a map; left the
-image, right the map. Needs the extra `gis`. The tests use the functions below.
+termsel selects terms on the points of `termsel example`, and the image is resampled to a map.
+Left the image, right the map. Needs the extra `gis`. The tests use the functions below.
 """
 
 from __future__ import annotations
@@ -13,16 +13,16 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 import rasterio
-from make_scene import GSD, corners, make_scene
 from pyproj import Transformer
 from rasterio.errors import NotGeoreferencedWarning
 from scipy.ndimage import gaussian_filter
 
 import termsel
+from termsel.io.example import write_example
+from termsel.simulate.example import GSD, MAP_CRS, corners
 
 TARGET = Path(__file__).parents[1] / "_static" / "rectified.png"
 GROUND = 252, 252, 250  # reads alike on light and dark pages
-MAP_CRS = "EPSG:32639"
 
 
 def corners_true(path: Path) -> np.ndarray:
@@ -94,8 +94,8 @@ def main() -> None:
     """Run the way and write the picture."""
     with TemporaryDirectory() as name, warnings.catch_warnings():
         warnings.simplefilter("ignore", NotGeoreferencedWarning)
-        folder = Path(name)
-        make_scene(folder)
+        folder = Path(name) / "files"
+        write_example(folder)
         result = termsel.run("rfm-terms", features=termsel.read(folder / "gcps.csv")).as_exported()
         rectified = folder / "map.tif"
         termsel.rectify(result, folder / "scene.tif", rectified, dem=folder / "dem.tif",

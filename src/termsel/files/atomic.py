@@ -127,6 +127,27 @@ def private_folder(parent: Path | None = None) -> Iterator[Path]:
         shutil.rmtree(folder, ignore_errors=True)  # gone after a rename; never hide an error
 
 
+@contextmanager
+def new_folder(folder: Path) -> Iterator[Path]:
+    """Yield a private folder that becomes `folder` in the end, completely or not at all.
+
+    Raises TermselError if `folder` exists or cannot be written.
+    """
+    if os.path.lexists(folder):
+        raise TermselError("this folder exists already" if folder.is_dir() else
+                           "a file of this name exists already", file=folder,
+                           hint="Name a new folder.")
+    try:
+        with private_folder(folder.absolute().parent) as made:
+            yield made
+            made.chmod(0o755)
+            made.rename(folder)
+    except OSError as error:
+        raise TermselError(f"cannot write this folder: {error.strerror or error}", file=folder,
+                           hint="Check that the folder above it exists and has free space."
+                           ) from error
+
+
 def _made(parent: Path) -> Path:
     _remove_left(parent)
     folder = parent / f"{_PREFIX}{_here()}-{os.getpid()}-{secrets.token_hex(6)}"

@@ -27,6 +27,8 @@ COMMANDS = {
     "plugins": ("termsel.cli.plugins:plugins", "List plugins, and what is wrong with them."),
     "new-plugin": ("termsel.cli.new_plugin:new_plugin",
                    "Write a package with a plugin that works, to be changed into yours."),
+    "example": ("termsel.cli.example:example",
+                "Write the files of the tutorial and of the how-to guides."),
     "completion": ("termsel.cli.completion:completion",
                    "Print a script that completes commands and names in a shell."),
 }

@@ -226,7 +226,8 @@ class Registry:
             package = next((one for one, names in index.items() if name in names), "")
         if package in ("", *(plugin.distribution for plugin in self._loader.plugins)):
             return ""
-        return f"It comes with the package {package}, which is not installed."
+        return (f"It comes with the package {package}, which is not installed. In a clone of "
+                f"termsel: pip install ./plugins/{package}")
 
     def notify_run_finished(self, result: Result) -> None:
         """Give every plugin that asks for it a copy of a finished run; warn of those that fail."""

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import shapely
 
-from termsel import TermselError, write_points_csv, write_rpc
-from termsel.files.atomic import private_folder
+from termsel import write_points_csv, write_rpc
+from termsel.files.atomic import new_folder
 from termsel.simulate import write_geometry
 from termsel_match.world import CRS, SPACING, World
 
@@ -37,18 +37,8 @@ def write_world(world: World, folder: Path | str) -> None:
     TermselError
         If the folder exists or cannot be written.
     """
-    folder = Path(folder)
-    if folder.exists():
-        raise TermselError("this folder exists already", file=folder, hint="Name a new one.")
-    try:
-        with private_folder(folder.absolute().parent) as made:
-            _write(world, made)
-            made.chmod(0o755)
-            made.rename(folder)
-    except OSError as error:
-        raise TermselError(f"cannot write this folder: {error.strerror or error}", file=folder,
-                           hint="Check that the folder above it exists and has free space."
-                           ) from error
+    with new_folder(Path(folder)) as made:
+        _write(world, made)
 
 
 def _write(world: World, folder: Path) -> None:

@@ -1,0 +1,215 @@
+"""The files of the tutorial and of the how-to guides, all simulated."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from json import dumps
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from termsel.files.atomic import new_folder
+from termsel.files.rasters import require_rasterio, tiff_bytes
+from termsel.formats.readers.csv_tables import table_text, write_lines_csv, write_points_csv
+from termsel.formats.rpc_files import write_rpc
+from termsel.measurements.coordinates.crs import transformation
+from termsel.measurements.features import FloatArray, Lines, Points
+from termsel.simulate.example import (
+    BOARD,
+    CRS,
+    GSD,
+    LAT,
+    LON,
+    MAP_CRS,
+    SENSOR,
+    SIZE,
+    corners,
+    picture_and_points,
+    terrain,
+    vendor_rpc,
+)
+from termsel.simulate.scenes import scene_truth, simulate_scene
+
+README = "README.txt"
+
+FILES = {
+    "scene.tif": "the image of the tutorial: a checkerboard on hills",
+    "dem.tif": "its heights, ellipsoidal",
+    "gcps.csv": "its control points: 97 corners of the board",
+    "noheader.txt": "40 of them without a header: id, longitude, latitude, height, sample, line",
+    "scene.points": "60 of them as QGIS saves them: UTM, no heights",
+    "vendor.RPB": "its RPC as a vendor delivers it, 17 px off",
+    "ortho.tif": "a map of the same place",
+    "matches.csv": "120 matches of image and map, 18 of them wrong; and the same as",
+    "matches.txt": "the Ames Stereo Pipeline has them, and as",
+    "tiepoints.csv": "AROSICS has them",
+    "places.csv": "places on the ground, for termsel project",
+    "pixels.csv": "places in the image, for termsel project --inverse",
+    "crossroads.csv": "places that one could measure, for termsel plan",
+    "points.csv": "another scene, ikonos-hamedan: 74 points with roles",
+    "lines.csv": "its 120 control lines, 8 of them wrong",
+    "roads.geojson": "30 of these lines as a GIS has them, and",
+    "roads.csv": "where they are in the image",
+    "areas.csv": "six fields of that scene",
+    "images": "points of five images; one has a blunder",
+    "study.toml": "a study of three solvers",
+}
+"""What each file is, by its name."""
+
+_STUDY = """\
+title = "Three solvers"
+problems = [{name = "poly-terms", degree = 3}]
+solvers = ["random", {name = "ga", population = 40}, "exact"]
+seeds = 5
+[budget]
+evaluations = 200
+"""
+
+
+def write_example(folder: Path) -> None:
+    """Write the files to a new folder, completely or not at all.
+
+    Raises TermselError if the folder exists or cannot be written; without the extra ``gis``.
+    """
+    require_rasterio()
+    to_map = transformation(CRS, MAP_CRS)
+    with new_folder(folder) as made:
+        points = _scene(made)
+        _other_forms(made, points, to_map(points.ground))
+        _matches(made, to_map)
+        _places(made)
+        _control_features(made)
+        _batch(made / "images")
+        (made / "study.toml").write_text(_STUDY, encoding="utf-8")
+        width = max(map(len, FILES))
+        (made / README).write_text("Simulated data.\n\n" + "".join(
+            f"{name:{width}}  {what}\n" for name, what in FILES.items()), encoding="utf-8")
+
+
+def _scene(folder: Path) -> Points:
+    pixels, points = picture_and_points()
+    (folder / "scene.tif").write_bytes(tiff_bytes(pixels[None]))
+    step, n = 0.0002, 520
+    west, north = LON - n / 2 * step, LAT + n / 2 * step
+    place = _middles(west, north, step, (n, n))
+    heights = terrain()(place).reshape(n, n).astype(np.float32)
+    _write_map(folder / "dem.tif", heights, west, north, step, "EPSG:4326")
+    write_points_csv(points, folder / "gcps.csv", CRS)
+    write_rpc(vendor_rpc(), folder / "vendor.RPB")
+    return points
+
+
+def _other_forms(folder: Path, points: Points, on_map: FloatArray) -> None:
+    from pyproj import CRS as Known
+
+    rows = zip(points.ids, points.ground.tolist(), points.image.tolist(), strict=True)
+    _write_rows(folder / "noheader.txt", [
+        (name, x, y, z, sample, line) for name, (x, y, z), (line, sample) in rows][:40])
+    # Of QGIS: px from the corner of the first pixel, to the right and upwards.
+    _write_rows(folder / "scene.points", [
+        (f"{x:.3f}", f"{y:.3f}", f"{sample + 0.5:.3f}", f"{-line - 0.5:.3f}", 1, 0, 0, 0)
+        for (x, y, _), (line, sample) in zip(
+            on_map.tolist(), points.image.tolist(), strict=True)][:60],
+        f"#CRS: {Known(MAP_CRS).to_wkt()}",
+        "mapX,mapY,sourceX,sourceY,enable,dX,dY,residual")
+
+
+def _matches(folder: Path, to_map: Callable[[FloatArray], FloatArray]) -> None:
+    """Write a map of the board, and matches of the image with it; every 7th is wrong."""
+    to_ground = transformation(MAP_CRS, CRS)
+    east, north, _ = np.array(to_map(corners())).T
+    west, top = np.floor(east.min() / GSD) * GSD - 200.0, np.ceil(north.max() / GSD) * GSD + 200.0
+    shape = (int((top - north.min()) / GSD) + 20, int((east.max() - west) / GSD) + 20)
+    place = np.column_stack([_middles(west, top, GSD, shape), np.zeros(shape[0] * shape[1])])
+    board = BOARD(np.asarray(to_ground(place))[:, :2]).reshape(shape).astype(np.uint8)
+    _write_map(folder / "ortho.tif", board, west, top, GSD, MAP_CRS)
+
+    rng = np.random.default_rng(5)
+    ground = corners()[rng.permutation(len(corners()))[:120]]
+    image = SENSOR.project(ground) + rng.normal(0.0, 0.3, (len(ground), 2))
+    image[::7] += rng.choice([-1, 1], image[::7].shape) * rng.uniform(8, 40, image[::7].shape)
+    mapped = np.asarray(to_map(ground))
+    reference = np.column_stack([top - mapped[:, 1], mapped[:, 0] - west]) / GSD - 0.5
+    image, reference = image.round(3), reference.round(3)
+    _write_rows(folder / "matches.csv", np.hstack([image, reference]).tolist(),
+                "image_line,image_sample,reference_line,reference_sample")
+    rest = [0] * 9
+    _write_rows(folder / "matches.txt", [(f"{len(image)} {len(image)}",), *(
+        (" ".join(map(str, (sample, line, *rest))),)
+        for line, sample in [*image.tolist(), *reference.tolist()])])
+    _write_rows(folder / "tiepoints.csv", [
+        (i, sample + 0.5, line + 0.5, round(x - 20, 3), round(y + 10, 3), 20, -10)
+        for i, ((line, sample), (x, y, _)) in enumerate(
+            zip(image.tolist(), mapped.tolist(), strict=True), 1)],
+        "POINT_ID,X_IM,Y_IM,X_MAP,Y_MAP,X_SHIFT_M,Y_SHIFT_M")
+
+
+def _places(folder: Path) -> None:
+    rng = np.random.default_rng(6)
+    image = rng.uniform(0.05, 0.95, (17, 2)) * SIZE
+    place = SENSOR.locate(image, 1800.0).round(6)
+    ground = np.column_stack([place, terrain()(place).round(2)]).tolist()
+    for file, name, rows in (("places.csv", "place", ground[:5]),
+                             ("crossroads.csv", "crossroad", ground[5:])):
+        _write_rows(folder / file, [(f"{name} {i}", *row) for i, row in enumerate(rows, 1)],
+                    "id,x,y,z")
+    _write_rows(folder / "pixels.csv", [("middle", 249.5, 299.5), ("corner", 20, 30)],
+                "id,line,sample")
+
+
+def _control_features(folder: Path) -> None:
+    """Write points, lines and areas of the scene ikonos-hamedan."""
+    scene, truth = simulate_scene("ikonos-hamedan"), scene_truth("ikonos-hamedan")
+    write_points_csv(scene.points, folder / "points.csv", CRS)
+    write_lines_csv(scene.lines, folder / "lines.csv", CRS)
+    _roads(folder, scene.lines)
+    half = 0.0006 * np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)])
+    place = (half + scene.points.ground[5:11, None, :2]).reshape(-1, 2)
+    ground = np.column_stack([place, truth.terrain(place)])
+    image = truth.sensor.project(ground).round(2)
+    (folder / "areas.csv").write_text(table_text(
+        CRS, ["id", "corner", "line", "sample", "x", "y", "z"],
+        [[f"field {i // 4 + 1}", str(i % 4 + 1)] for i in range(len(image))],
+        np.column_stack([image, place.round(7), ground[:, 2].round(2)])), encoding="utf-8")
+
+
+def _roads(folder: Path, lines: Lines) -> None:
+    features = [{"type": "Feature", "properties": {"name": name}, "geometry": {
+        "type": "LineString", "coordinates": ground}} for name, ground in zip(
+            lines.ids[:30], lines.ground[:30].tolist(), strict=True)]
+    (folder / "roads.geojson").write_text(
+        dumps({"type": "FeatureCollection", "features": features}), encoding="utf-8")
+    _write_rows(folder / "roads.csv", [
+        (name, *row) for name, row in zip(
+            lines.ids[:30], lines.image[:30].reshape(-1, 4).tolist(), strict=True)],
+        "id,line1,sample1,line2,sample2")
+
+
+def _batch(folder: Path) -> None:
+    folder.mkdir()
+    for i in range(1, 6):
+        points = simulate_scene("spot-isfahan", seed=i, n_points=30, n_lines=0).points
+        image = points.image.round(2)
+        if i == 3:
+            image[4] += (-40.0, 25.0)
+        write_points_csv(Points(points.ids, image, points.ground), folder / f"image-{i}.csv", CRS)
+
+
+def _middles(west: float, north: float, step: float, shape: tuple[int, int]) -> FloatArray:
+    """Return x and y of the middles of the pixels of a map, row by row, shape (n, 2)."""
+    x, y = np.meshgrid(west + (np.arange(shape[1]) + 0.5) * step,
+                       north - (np.arange(shape[0]) + 0.5) * step)
+    return np.column_stack([x.ravel(), y.ravel()])
+
+
+def _write_map(path: Path, pixels: Any, west: float, north: float, step: float, crs: str) -> None:
+    from affine import Affine
+
+    path.write_bytes(tiff_bytes(pixels[None], crs=crs, compress="deflate",
+                                transform=Affine(step, 0.0, west, 0.0, -step, north)))
+
+
+def _write_rows(path: Path, rows: Iterable[Iterable[object]], *header: str) -> None:
+    text = [*header, *(",".join(map(str, row)) for row in rows)]
+    path.write_text("\n".join(text) + "\n", encoding="utf-8")

@@ -1,0 +1,67 @@
+"""The scene of the tutorial: a checkerboard on hills, which a scanner looks at from the side.
+
+Every corner of the board has a known place on the ground and in the image. All is simulated.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+
+from termsel.fits.of_features import fit_all_terms
+from termsel.measurements.features import FeatureSet, FloatArray, Points
+from termsel.models.polynomial import Polynomial3D
+from termsel.models.rpc import Rpc
+from termsel.models.rpc_fit import rpc_of
+from termsel.simulate.orbit import pushbroom_at
+from termsel.simulate.render import checkerboard, render
+from termsel.simulate.terrain import Terrain, hilly
+
+LON, LAT, LOW, HIGH = 48.5, 34.8, 1500.0, 2200.0
+SIZE, GSD, NOISE = (500, 600), 10.0, 0.15
+CRS, MAP_CRS = "EPSG:4979", "EPSG:32639"
+SIDE = 0.004, 0.0033  # degrees: about 366 m each way
+VENDOR = 14.0, -9.0  # px that the vendor's RPC is off in line and sample
+SENSOR = pushbroom_at(LON, LAT, height=(LOW + HIGH) / 2, off_nadir=25.0, gsd=GSD,
+                      image_size=SIZE, altitude=681e3, inclination=98.1)
+BOARD = checkerboard((LON, LAT), SIDE)
+
+
+@cache
+def terrain() -> Terrain:
+    """Return hills between `LOW` and `HIGH` over what the image shows."""
+    edge = np.stack(np.meshgrid(np.linspace(0, SIZE[0], 40), np.linspace(0, SIZE[1], 40)), -1)
+    places = SENSOR.locate(edge.reshape(-1, 2), (LOW + HIGH) / 2)
+    hills = hilly(8, LON, LAT, (SIZE[1] * GSD, SIZE[0] * GSD), 20.0)
+    return hills.between(places, LOW, HIGH)[0]
+
+
+def corners() -> FloatArray:
+    """Return longitude, latitude and height of the corners in the image, shape (n, 3)."""
+    i, j = np.meshgrid(np.arange(-12, 13), np.arange(-12, 13))
+    place = np.column_stack([LON + SIDE[0] * i.ravel(), LAT + SIDE[1] * j.ravel()])
+    ground = np.column_stack([place, terrain()(place)])
+    image = SENSOR.project(ground)
+    return ground[((image > 12) & (image < np.array(SIZE) - 13)).all(axis=1)]
+
+
+def picture_and_points() -> tuple[np.ndarray, Points]:
+    """Return the image, of bytes (lines, samples), and every other corner as measured in it."""
+    seen = render(SENSOR, terrain(), BOARD)
+    rng = np.random.default_rng(0)
+    pixels = np.clip(seen + rng.normal(0.0, 2.0, seen.shape), 1, 255).astype(np.uint8)
+    ground = corners()[::2]
+    image = SENSOR.project(ground) + rng.normal(0.0, NOISE, (len(ground), 2))
+    return pixels, Points(tuple(f"C{i}" for i in range(len(ground))), np.round(image, 3),
+                          np.column_stack([ground[:, :2], ground[:, 2].round(3)]))
+
+
+def vendor_rpc() -> Rpc:
+    """Return an RPC of the image that is off by `VENDOR`."""
+    axes = (np.linspace(0, SIZE[0], 9), np.linspace(0, SIZE[1], 9), np.linspace(LOW, HIGH, 5))
+    grid = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 3)
+    ground = np.column_stack([SENSOR.locate(grid[:, :2], grid[:, 2]), grid[:, 2]])
+    points = Points(tuple(map(str, range(len(grid)))), grid[:, :2] + VENDOR, ground)
+    control = FeatureSet(points, crs=CRS, image_size=SIZE)
+    return rpc_of(fit_all_terms(Polynomial3D(degree=3), control)).rpc

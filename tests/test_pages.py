@@ -1,0 +1,93 @@
+"""Pages can be followed by pasting: each command runs, and prints what the page shows."""
+
+from __future__ import annotations
+
+import logging
+import re
+import shutil
+import sys
+from collections.abc import Iterator
+from importlib.util import module_from_spec, spec_from_file_location
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+from termsel.io.example import write_example
+from termsel.plugins.registry import registry
+
+ROOT = Path(__file__).parents[1]
+pytest.importorskip("rasterio")
+
+
+def _load(path: Path) -> ModuleType:
+    spec = spec_from_file_location(path.stem, path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = module_from_spec(spec)
+    sys.modules[path.stem] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+snippets = _load(ROOT / "docs" / "snippets.py")
+_EXAMPLE = re.compile(r"termsel example (\S+) && cd \1")
+PAGES = [page for page in [ROOT / "README.md", *sorted(ROOT.glob("plugins/*/README.md")),
+                           *sorted(ROOT.glob("docs/**/*.md"))]
+         if "_build" not in page.parts and snippets.steps(page.read_text(encoding="utf-8"))]
+SLOW = {"README.md", "docs/explanation/searching.md", "docs/tutorial/index.md",
+        *(f"docs/how-to/{name}.md" for name in (
+            "attributes", "blunders", "compare", "match", "points", "report"))}
+"""Pages that take long; `pytest -m slow` runs them, and the gallery as a build does."""
+
+
+@pytest.fixture(scope="session")
+def example(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("example") / "files"
+    write_example(folder)
+    return folder
+
+
+@pytest.fixture
+def clean(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """What a page registers, or has said in a log, ends with the page."""
+    monkeypatch.setattr(logging.getLogger("termsel"), "handlers", [])
+    monkeypatch.setenv("COLUMNS", "80")
+    provided = registry()._provided
+    before = {kind: list(one.entries) for kind, one in provided.items()}
+    yield
+    for kind in list(provided):
+        if kind in before:
+            provided[kind].entries[:] = before[kind]
+        else:
+            del provided[kind]
+
+
+def _plugin() -> str:
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    blocks = re.findall(r"^```python\n(.*?)^```$", readme, re.MULTILINE | re.DOTALL)
+    return next(block for block in blocks if "class DLT" in block)
+
+
+@pytest.mark.parametrize("page", [pytest.param(
+    page, id=(name := str(page.relative_to(ROOT))), marks=[pytest.mark.slow]
+    if name in SLOW or page.parent.name == "gallery" else []) for page in PAGES])
+@pytest.mark.usefixtures("clean")
+def test_page_can_be_followed(page: Path, tmp_path: Path, example: Path,
+                              monkeypatch: pytest.MonkeyPatch) -> None:
+    text = page.read_text(encoding="utf-8")
+    if "termsel_dlt" in text:  # the plugin of the README
+        (tmp_path / "termsel_dlt.py").write_text(_plugin(), encoding="utf-8")
+        monkeypatch.syspath_prepend(tmp_path)
+    session = snippets.Session(tmp_path, here=True)
+    snippets.download(page, tmp_path)
+    for step in snippets.steps(text):
+        if files := _EXAMPLE.fullmatch(step.code):
+            session.folder = session.folder / files[1]
+            shutil.copytree(example, session.folder)
+            continue
+        actual = session.run(step)
+        if step.shown is not None:
+            assert snippets.renewed(step.shown, actual) is not None, (
+                f"{step.code}\nis shown to print\n{step.shown}\nand prints\n{actual}\n"
+                f"python docs/snippets.py {page.relative_to(ROOT)} renews the page")
