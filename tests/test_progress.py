@@ -63,7 +63,7 @@ def test_an_interrupted_choice_is_that_among_the_candidates_so_far(tmp_path: Pat
     assert result.strategy is not None
     assert result.strategy.predicted is None
     assert 1 <= len(result.strategy.candidates) <= 3
-    assert result.strategy.chosen in {one["name"] for one in result.strategy.candidates}
+    assert result.strategy.chosen in {one.name for one in result.strategy.candidates}
     assert result.notes[0].startswith("The run was interrupted when 3 of ")
     assert "predicts no accuracy" in result.summary()
 

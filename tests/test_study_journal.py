@@ -21,12 +21,13 @@ import pytest
 import termsel
 from termsel import TermselError
 from termsel.files.names import JOURNAL
+from termsel.studies.cells.cell import Cell
 from termsel.studies.cells.folder import PLAN
 from termsel.studies.cells.journal import CellRecord, Journal, read_journal
 from termsel.studies.cells.lock import holder, locked
 from termsel.studies.cells.table import TIMES
 from termsel.studies.execution.executors import DIED, processes, serial
-from termsel.studies.execution.work import Work
+from termsel.studies.plan.data import Data
 
 Call = Callable[..., SimpleNamespace]
 
@@ -224,17 +225,17 @@ def test_what_is_no_journal_is_not_overwritten(content: bytes, tmp_path: Path) -
     assert (tmp_path / JOURNAL).read_bytes() == content
 
 
-def _work(key: str, **call: object) -> Work:
-    return Work(key, {"problem": "poly-terms", "model": None, "solver": "random",
-                      "criterion": None, "strategy": "as-asked", "options": {}, "seed": 1,
-                      "evaluations": 30, **call}, "data", "test")
+def _cell(key: str, **call: object) -> Cell:
+    return Cell(key, {}, {"problem": "poly-terms", "model": None, "solver": "random",
+                          "criterion": None, "strategy": "as-asked", "options": {}, "seed": 1,
+                          "evaluations": 30, **call}, Data("test", "data", "test", None))
 
 
 @pytest.mark.slow
 def test_a_cell_that_ends_its_process_fails_alone() -> None:
     features = {"data": termsel.prepare("poly-terms").features}
-    good = [_work(f"good{i}", seed=i) for i in range(4)]
-    bad = _work("bad", options=_Deadly())
+    good = [_cell(f"good{i}", seed=i) for i in range(4)]
+    bad = _cell("bad", options=_Deadly())
     found = {one.record.cell: one.record for one in processes(
         [*good[:2], bad, *good[2:]], features, lambda: False, 2)}
     assert set(found) == {"good0", "good1", "good2", "good3", "bad"}

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +25,7 @@ from termsel.studies.cells.journal import Journal, read_journal
 from termsel.studies.cells.lock import locked
 from termsel.studies.execution.executors import deferred, processes, serial
 from termsel.studies.execution.progress import StudyProgress, Tally
-from termsel.studies.execution.work import Outcome, Work, do, failed
+from termsel.studies.execution.work import Outcome, do, failed
 from termsel.studies.plan.data import data_of
 from termsel.studies.plan.spec import Spec, read_spec, spec_of
 from termsel.studies.shown.report import NAMES
@@ -99,9 +100,7 @@ def compare(
         write_plan(plan, place)
         finished = {cell.key: journal.records[cell.key] for cell in cells
                     if cell.key in journal.records}
-        tally = Tally(plan.cells, workers)
-        for record in finished.values():
-            tally.count(record)
+        tally = Tally(plan.cells, workers, finished)
         title = spec.title or "Study"
         show = stack.enter_context(line_of_many(title))
         observers = (*observers, lambda progress: show(
@@ -158,9 +157,12 @@ def plan_cells(spec: Spec, folder: Path) -> list[Cell]:
     return cells_of(spec, data_of(spec, folder))
 
 
-def works_of(cells: list[Cell]) -> tuple[list[Work], dict[str, FeatureSet]]:
-    """Return what workers are given of cells that can run, and the features by their key."""
-    works = [Work(cell.key, cell.call, cell.data.key, cell.data.source, cell.things)
+def works_of(cells: list[Cell]) -> tuple[list[Cell], dict[str, FeatureSet]]:
+    """Return the cells that can run, without labels and features, and the features by their key.
+
+    Features travel once to each worker, not with every cell.
+    """
+    works = [replace(cell, labels={}, data=replace(cell.data, features=None))
              for cell in cells if cell.data.features is not None]
     return works, {cell.data.key: cell.data.features for cell in cells
                    if cell.data.features is not None}
@@ -168,23 +170,10 @@ def works_of(cells: list[Cell]) -> tuple[list[Work], dict[str, FeatureSet]]:
 
 def estimate(study: Path | str | Mapping[str, Any] | None = None, **keys: Any
              ) -> Iterator[tuple[tuple[str, ...], int, float | None, str]]:
-    """Yield every kind of cell with its number, and how long one of them takes.
+    """Yield each kind of cell: its labels, its number, seconds of one, and why that failed.
 
-    Parameters
-    ----------
-    study, **keys
-        As for `compare`.
-
-    Yields
-    ------
-    kind : tuple of str
-        Labels of problem, strategy, model, criterion and solver.
-    number : int
-        Cells of this kind.
-    seconds : float or None
-        Of the first of them, run twice if that takes less than `LONG`; None if it failed.
-    reason : str
-        Why it failed.
+    Arguments as for `compare`. Seconds are those of the first cell, run twice if that takes less
+    than `LONG`; None if it failed.
     """
     spec, folder = asked(study, keys)
     cold = needs_compilation()
@@ -196,10 +185,10 @@ def estimate(study: Path | str | Mapping[str, Any] | None = None, **keys: Any
         if not works:
             yield kind, len(cells), None, cells[0].data.reason
             continue
-        record = do(works[0], features[works[0].data]).record
+        record = do(works[0], features[works[0].data.key]).record
         if cold or record.figures.get("seconds", LONG) < LONG:
             # The first run of a kind also loads or compiles what it needs.
-            record = do(works[0], features[works[0].data]).record
+            record = do(works[0], features[works[0].data.key]).record
         yield kind, len(cells), record.figures.get("seconds"), record.reason
 
 

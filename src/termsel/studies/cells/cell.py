@@ -26,26 +26,13 @@ LABELS = ("problem", "data", "split", "strategy", "model", "criterion", "solver"
 
 @dataclass(frozen=True, eq=False)
 class Cell:
-    """One run of a study.
+    """One run of a study; see `works_of` for what of it workers are given."""
 
-    Parameters
-    ----------
-    key : str
-        Checksum of all that its result depends on.
-    labels : mapping
-        What tables call its problem, data, split, strategy, model, criterion, solver and seed.
-    call : mapping
-        Arguments of the run, names and options; the features are not among them.
-    data : Data
-        Not carried to workers with every cell; see `Work`.
-    things : mapping
-        Classes, instances and recipes in place of names, where Python gave them.
-    """
-
-    key: str
-    labels: Mapping[str, Any]
-    call: Mapping[str, Any]
+    key: str  # checksum of all that its result depends on
+    labels: Mapping[str, Any]  # what tables call it, by LABELS
+    call: Mapping[str, Any]  # arguments of the run, names and options, without the features
     data: Data
+    # classes, instances and recipes in place of names, where Python gave them
     things: Mapping[str, Any] = field(default_factory=dict)
 
 
@@ -57,14 +44,9 @@ def kind_of(labels: Mapping[str, Any]) -> tuple[str, ...]:
 def cells_of(spec: Spec, data: list[Data]) -> list[Cell]:
     """Return all cells of a study, in the order of its tables.
 
-    `data` is empty for each problem's own data set.
-
-    Raises
-    ------
-    TermselError
-        With line and column where a study file is at fault: for names and options that are not
-        known, a solver that cannot handle the objectives, or a kind of cell that none of the data
-        allows.
+    `data` is empty for each problem's own data set. Raises TermselError, with line and column of a
+    study file, for names and options that are not known, a solver that cannot handle the
+    objectives, or a kind of cell that none of the data allows.
     """
     kinds = _Kinds(spec)
     cells = []

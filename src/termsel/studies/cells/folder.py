@@ -25,22 +25,13 @@ PLAN = "plan.json"
 class StudyPlan:
     """Content of plan.json.
 
-    Parameters
-    ----------
-    spec : Spec
-        What was asked for. Objects that Python gave are there by their names, features not at all.
-    data : mapping
-        Checksum of each data's content, by label.
-    workers : int
-        Processes at a time.
-    cells : mapping
-        Labels of all cells in the order of the tables, by key.
+    Objects that Python gave are in `spec` by their names, features not at all.
     """
 
     spec: Spec
-    data: Mapping[str, str]
-    workers: int
-    cells: Mapping[str, Mapping[str, Any]]
+    data: Mapping[str, str]  # checksum of their content, by label
+    workers: int  # processes at a time
+    cells: Mapping[str, Mapping[str, Any]]  # labels by key, in the order of the tables
 
 
 def write_plan(plan: StudyPlan, folder: Path) -> None:
@@ -51,13 +42,7 @@ def write_plan(plan: StudyPlan, folder: Path) -> None:
 
 
 def read_plan(folder: Path) -> StudyPlan:
-    """Return the plan of a study.
-
-    Raises
-    ------
-    TermselError
-        If there is no study, or its plan was damaged.
-    """
+    """Return the plan of a study; TermselError if there is none, or it was damaged."""
     file, repeat = folder / PLAN, "Repeat the command that began the study."
     if not file.is_file():
         raise TermselError("there is no study in this folder", file=folder,
@@ -100,19 +85,9 @@ def read_study(folder: Path | str) -> Study:
 
 
 def status(folder: Path) -> tuple[StudyProgress, str | None]:
-    """Return how far the study of a folder is, and who is at work on it.
-
-    Raises
-    ------
-    TermselError
-        If there is no study.
-    """
-    plan, records = read_plan(folder), read_journal(folder).records
-    tally = Tally(plan.cells, plan.workers)
-    for key in plan.cells:
-        if key in records:
-            tally.count(records[key])
-    return tally.progress(), holder(folder)
+    """Return how far the study of a folder is, and who is at work on it, if anybody is."""
+    study, workers = read_study(folder), read_plan(folder).workers
+    return Tally(study.cells, workers, study.records).progress(), holder(folder)
 
 
 def table_of(spec: Spec) -> dict[str, Any]:

@@ -18,14 +18,8 @@ def folders_of(labels: Mapping[str, Mapping[str, Any]]) -> dict[str, str]:
     """Return the names of the folders of all images, by the keys of their cells.
 
     A folder is called by its data, by its split if that is not the first, and by its problem where
-    several have the same data.
-
-    Cells that are not of the strategy auto have no folder.
-
-    Raises
-    ------
-    TermselError
-        If two images would have the same folder, also where capitals do not count.
+    several have the same data. Cells that are not of the strategy auto have none. Raises
+    TermselError if two images would have the same folder, also where capitals do not count.
     """
     labels = {key: one for key, one in labels.items() if one["strategy"] == "auto"}
     problems = Counter((one["data"], one["split"]) for one in labels.values())
@@ -49,15 +43,9 @@ def file_word(text: str, empty: str) -> str:
 
 
 def write_files(folder: Path, files: Mapping[str, bytes]) -> None:
-    """Write the files of a result into the folder of its image.
+    """Write the files of a result into the folder of its image, each completely or not at all.
 
-    Each file is written completely or not at all; those of a cell that is repeated replace the
-    earlier ones, which are the same.
-
-    Raises
-    ------
-    TermselError
-        If they cannot be written.
+    Those of a cell that is repeated replace the earlier ones, which are the same.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)

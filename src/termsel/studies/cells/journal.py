@@ -50,20 +50,14 @@ class CellRecord(RecordPart, frozen=True):
 class Journal:
     """Records of finished cells by their key, and the file they are appended to.
 
-    Parameters
-    ----------
-    records : dict
-        Of all cells in the file, whether they belong to the study or not.
-    versions : mapping
-        Of termsel and what it computes with, when the study was begun; empty in a new journal.
-    remarks : list of str
-        What was wrong with the file.
+    The records are those of all cells in the file, whether they belong to the study or not.
     """
 
     path: Path
     records: dict[str, CellRecord] = field(default_factory=dict)
+    # of termsel and what it computes with, when the study was begun; empty if new
     versions: Mapping[str, str] = field(default_factory=dict)
-    remarks: list[str] = field(default_factory=list)
+    remarks: list[str] = field(default_factory=list)  # what was wrong with the file
     _file: BinaryIO | None = None
     _end: int = 0
     _synced: float = 0.0
@@ -71,10 +65,8 @@ class Journal:
     def open(self, versions: Mapping[str, str]) -> None:
         """Cut off a torn last line, and begin the file if it is new.
 
-        Raises
-        ------
-        TermselError
-            If the study was begun with other versions, or the file cannot be written.
+        Raises TermselError if the study was begun with other versions, or the file cannot be
+        written.
         """
         if self.versions and dict(self.versions) != dict(versions):
             both = {name: (self.versions.get(name, "none"), versions.get(name, "none"))
@@ -94,13 +86,7 @@ class Journal:
             self._write({"schema": SCHEMA, "versions": self.versions})
 
     def append(self, record: CellRecord) -> None:
-        """Add the record of a cell.
-
-        Raises
-        ------
-        TermselError
-            If the disk does not take it; the journal is then as it was.
-        """
+        """Add the record of a cell; where the disk does not take it, the journal is as it was."""
         self._write(plain(record))
         self.records[record.cell] = record
 
@@ -137,10 +123,7 @@ class Journal:
 def read_journal(folder: Path) -> Journal:
     """Return the journal of a folder, empty if there is none. Nothing is changed.
 
-    Raises
-    ------
-    TermselError
-        If the file cannot be read or is no journal.
+    Raises TermselError if the file cannot be read or is no journal.
     """
     journal = Journal(folder / JOURNAL)
     try:

@@ -20,10 +20,7 @@ LOCK = ".lock"
 def locked(folder: Path) -> Iterator[None]:
     """Hold the lock of a folder; the system takes it away from a process that ends.
 
-    Raises
-    ------
-    TermselError
-        If another process holds it: which one, on which machine and since when.
+    Raises TermselError if another process holds it: which one, on which machine and since when.
     """
     with _opened(folder, "a+b") as file:
         # Who asks for the status holds it for a moment.

@@ -22,19 +22,8 @@ def map_of(rows: Sequence[Row], columns: Sequence[str], cells: Mapping[str, Mapp
            folder: Path) -> gpd.GeoDataFrame:
     """Return rows of a study with the outline of each image's control.
 
-    Parameters
-    ----------
-    rows : sequence of dict
-        Those of images without a result are left out.
-    cells : mapping
-        Labels of all cells, by key.
-    folder : Path
-        Of the study.
-
-    Raises
-    ------
-    TermselError
-        If geopandas is not installed, or the result of an image cannot be read.
+    `cells` are the labels of all cells by key, `folder` that of the study. Images without a result
+    are left out. Raises TermselError without geopandas, or where a result cannot be read.
     """
     try:
         import geopandas as gpd

@@ -15,8 +15,9 @@ from termsel.errors import TermselError
 from termsel.measurements.features import FeatureSet
 from termsel.plugins.registry import registry
 from termsel.runs.task.provenance import versions
+from termsel.studies.cells.cell import Cell
 from termsel.studies.execution.executors import AHEAD, DIED, Stop
-from termsel.studies.execution.work import Outcome, Work, do, failed
+from termsel.studies.execution.work import Outcome, do, failed
 
 if TYPE_CHECKING:
     from distributed import Client, Future
@@ -33,35 +34,22 @@ _MOST_LOSSES = 5
 """Times in a row that a scheduler may be lost before any further cell is finished."""
 
 
-def on_cluster(works: Sequence[Work], features: Mapping[str, FeatureSet], stop: Stop,
+def on_cluster(cells: Sequence[Cell], features: Mapping[str, FeatureSet], stop: Stop,
                address: str, plugins: Mapping[str, str]) -> Iterator[Outcome]:
     """Yield the outcomes of cells, run by the workers of a scheduler, as they end.
 
     The features are tasks of their own with their checksum as the key: they travel once to each
-    worker that needs them, and come again from the scheduler where a worker with them is lost.
-    When the scheduler is started again, the cells it knew are given to it again.
-
-    Parameters
-    ----------
-    features : mapping
-        By key.
-    address : str
-        Of the scheduler, such as "tcp://host:8786".
-    plugins : mapping
-        Versions of the distributions that every worker needs next to termsel.
-
-    Raises
-    ------
-    TermselError
-        If the scheduler does not answer or has no workers; or a worker has other versions, or
-        lacks a plugin.
+    worker that needs them, and come again from the scheduler where a worker with them is lost. When
+    the scheduler is started again, the cells it knew are given to it again. Every worker needs the
+    same versions of termsel and of the distributions `plugins`. Raises TermselError where one has
+    not, or the scheduler, such as "tcp://host:8786", does not answer or has no workers.
     """
     needed = {**versions(), **plugins}
-    waiting, fruitless = deque(works), 0
+    waiting, fruitless = deque(cells), 0
     while waiting and not stop():
         before = len(waiting)
         client = _connected(address)
-        running: dict[Future, Work] = {}
+        running: dict[Future, Cell] = {}
         try:
             _require_alike(client, needed)
             yield from _submitted(client, waiting, running, features, stop, needed)
@@ -122,16 +110,9 @@ def _require_alike(client: Client, needed: Mapping[str, str]) -> None:
 
 
 def require_alike(needed: Mapping[str, str], found: Mapping[str, str | None], worker: str) -> None:
-    """Refuse a worker whose versions are not those of this process.
+    """Refuse the worker at an address if its versions by name are not those of this process.
 
-    Parameters
-    ----------
-    needed : mapping
-        Version by name of the package.
-    found : mapping
-        On the worker; None for what it has not.
-    worker : str
-        Its address.
+    What it lacks has the version None.
     """
     for name, version in needed.items():
         if found.get(name) is None:
@@ -151,7 +132,7 @@ def versions_here(names: tuple[str, ...]) -> dict[str, str | None]:
     return {name: own.get(name, plugins.get(name)) for name in names}
 
 
-def _submitted(client: Client, waiting: deque[Work], running: dict[Future, Work],
+def _submitted(client: Client, waiting: deque[Cell], running: dict[Future, Cell],
                features: Mapping[str, FeatureSet], stop: Stop, needed: Mapping[str, str]
                ) -> Iterator[Outcome]:
     """Yield outcomes until all are done or the scheduler is lost; then some are still running."""
@@ -163,10 +144,10 @@ def _submitted(client: Client, waiting: deque[Work], running: dict[Future, Work]
     while running or (waiting and not stop()):
         ahead = AHEAD * max(sum(client.nthreads().values()), 1)
         while waiting and len(running) < ahead and not stop():
-            work = waiting.popleft()
-            future = client.submit(_on_worker, work, data[work.data], dict(needed), pure=False,
-                                   key=f"termsel-cell-{work.key}-{time.monotonic_ns()}")
-            running[future] = work
+            cell = waiting.popleft()
+            future = client.submit(_on_worker, cell, data[cell.data.key], dict(needed), pure=False,
+                                   key=f"termsel-cell-{cell.key}-{time.monotonic_ns()}")
+            running[future] = cell
             future.add_done_callback(ended.put)
         try:
             future = ended.get(timeout=_LOOK)
@@ -174,16 +155,16 @@ def _submitted(client: Client, waiting: deque[Work], running: dict[Future, Work]
             continue
         if future.status in ("cancelled", "lost"):  # so are all others, and the data
             return
-        work = running.pop(future)
+        cell = running.pop(future)
         error = future.exception() if future.status == "error" else None
         if error is None:
             yield future.result()
         elif isinstance(error, KilledWorker):  # it was tried on several workers
-            yield failed(work.key, DIED)
+            yield failed(cell.key, DIED)
         elif isinstance(error, TermselError):
             raise error
         else:
-            yield failed(work.key, f"{type(error).__name__}: {error}")
+            yield failed(cell.key, f"{type(error).__name__}: {error}")
 
 
 def _held(features: FeatureSet) -> FeatureSet:
@@ -191,9 +172,9 @@ def _held(features: FeatureSet) -> FeatureSet:
     return features
 
 
-def _on_worker(work: Work, features: FeatureSet, needed: Mapping[str, str]) -> Outcome:
+def _on_worker(cell: Cell, features: FeatureSet, needed: Mapping[str, str]) -> Outcome:
     """Run a cell on a worker, which may have come after the study began."""
     from distributed import get_worker
 
     require_alike(needed, versions_here(tuple(needed)), get_worker().address)
-    return do(work, features)
+    return do(cell, features)

@@ -15,7 +15,8 @@ from multiprocessing import get_context, parent_process
 from types import FrameType
 
 from termsel.measurements.features import FeatureSet
-from termsel.studies.execution.work import Outcome, Work, do, failed
+from termsel.studies.cells.cell import Cell
+from termsel.studies.execution.work import Outcome, do, failed
 
 Stop = Callable[[], bool]
 """Whether no further cell is to begin."""
@@ -54,47 +55,47 @@ def deferred(say: Callable[[], None]) -> Iterator[Stop]:
         signal.signal(signal.SIGINT, before)
 
 
-def serial(works: Sequence[Work], features: Mapping[str, FeatureSet], stop: Stop
+def serial(cells: Sequence[Cell], features: Mapping[str, FeatureSet], stop: Stop
            ) -> Iterator[Outcome]:
     """Yield the outcomes of cells, run one after the other in this process."""
-    for work in works:
+    for cell in cells:
         if stop():
             return
-        yield do(work, features[work.data])
+        yield do(cell, features[cell.data.key])
 
 
-def processes(works: Sequence[Work], features: Mapping[str, FeatureSet], stop: Stop, workers: int
+def processes(cells: Sequence[Cell], features: Mapping[str, FeatureSet], stop: Stop, workers: int
               ) -> Iterator[Outcome]:
     """Yield the outcomes of cells, run in processes of this machine, as they end.
 
     A process that dies takes all others of its pool with it. The cells that were under way are
     then repeated one by one, so that the one at fault is known by name and fails alone.
     """
-    waiting = deque(works)
+    waiting = deque(cells)
     while waiting and not stop():
-        suspects: list[Work] = []
+        suspects: list[Cell] = []
         yield from _in_pool(waiting, features, stop, workers, suspects)
-        for work in suspects:
+        for cell in suspects:
             if stop():
                 return
-            alone: list[Work] = []
-            yield from _in_pool(deque([work]), features, stop, 1, alone)
+            alone: list[Cell] = []
+            yield from _in_pool(deque([cell]), features, stop, 1, alone)
             if alone:
-                yield failed(work.key, DIED)
+                yield failed(cell.key, DIED)
 
 
-def _in_pool(waiting: deque[Work], features: Mapping[str, FeatureSet], stop: Stop, workers: int,
-             suspects: list[Work]) -> Iterator[Outcome]:
+def _in_pool(waiting: deque[Cell], features: Mapping[str, FeatureSet], stop: Stop, workers: int,
+             suspects: list[Cell]) -> Iterator[Outcome]:
     """Yield outcomes until all are done or a process dies; say which cells were under way then."""
-    running: dict[Future[Outcome], Work] = {}
+    running: dict[Future[Outcome], Cell] = {}
     # No fork: threads of numba and BLAS do not survive it.
     with ProcessPoolExecutor(workers, get_context("spawn"), initializer=begin_worker,
                              initargs=(dict(features),)) as pool:
         try:
             while running or (waiting and not stop()):
                 while waiting and len(running) < workers * AHEAD and not stop():
-                    work = waiting.popleft()
-                    running[pool.submit(_in_worker, work)] = work
+                    cell = waiting.popleft()
+                    running[pool.submit(_in_worker, cell)] = cell
                 for future in wait(running, return_when=FIRST_COMPLETED).done:
                     outcome = future.result()
                     del running[future]
@@ -126,5 +127,5 @@ def _end_with_parent() -> None:
         os._exit(1)
 
 
-def _in_worker(work: Work) -> Outcome:
-    return do(work, _features[work.data])
+def _in_worker(cell: Cell) -> Outcome:
+    return do(cell, _features[cell.data.key])

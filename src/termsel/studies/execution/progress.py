@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 from termsel.studies.cells.cell import LABELS, kind_of
@@ -15,24 +15,12 @@ from termsel.studies.execution.work import STATES
 
 @dataclass(frozen=True)
 class StudyProgress:
-    """State of a study.
-
-    Parameters
-    ----------
-    total : int
-        Cells.
-    states : mapping
-        Number of cells by state; "waiting" are those not finished.
-    seconds_left : float or None
-        None before any cell is finished.
-    worst : str
-        The worst result so far; empty where there is none.
-    """
+    """State of a study."""
 
     total: int
-    states: Mapping[str, int]
-    seconds_left: float | None = None
-    worst: str = ""
+    states: Mapping[str, int]  # number of cells by state; "waiting" are those not finished
+    seconds_left: float | None = None  # None before any cell is finished
+    worst: str = ""  # the worst result so far, if any
 
     @property
     def finished(self) -> int:
@@ -60,22 +48,20 @@ def duration(seconds: float) -> str:
     return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
 
 
-@dataclass
 class Tally:
     """Counts cells of a study as they end; `cells` are the labels of all, by key."""
 
-    cells: Mapping[str, Mapping[str, Any]]
-    workers: int
-    _states: Counter[str] = field(default_factory=Counter)
-    _left: Counter[Any] = field(default_factory=Counter)
-    _times: dict[Any, tuple[int, float]] = field(default_factory=dict)
-    _worst: tuple[float, str] = (0.0, "")
-
-    def __post_init__(self) -> None:
-        self._left = Counter(map(kind_of, self.cells.values()))
+    def __init__(self, cells: Mapping[str, Mapping[str, Any]], workers: int,
+                 finished: Mapping[str, CellRecord]) -> None:
+        self.cells, self.workers = cells, workers
+        self._states, self._left = Counter[str](), Counter(map(kind_of, cells.values()))
+        self._times: dict[Any, tuple[int, float]] = {}
+        self._worst = (0.0, "")
         # A cell is called by what tells it from the others.
         self._telling = [name for name in LABELS if len(
-            {labels[name] for labels in self.cells.values()}) > 1] or ["data"]
+            {labels[name] for labels in cells.values()}) > 1] or ["data"]
+        for record in finished.values():
+            self.count(record)
 
     def count(self, record: CellRecord) -> None:
         """Count the record of a cell of the study."""

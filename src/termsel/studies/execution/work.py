@@ -29,6 +29,7 @@ from termsel.solvers.ledger import Progress
 from termsel.solvers.proofs.exact import gap
 from termsel.solvers.proofs.proof import TIE, count
 from termsel.solvers.search import Search
+from termsel.studies.cells.cell import Cell
 from termsel.studies.cells.journal import CellRecord, State
 from termsel.threads import one_blas_thread
 
@@ -45,36 +46,8 @@ _optima: dict[str, float | None] = {}
 
 
 @dataclass(frozen=True)
-class Work:
-    """What a worker is given of a cell; the features come once, by their key.
-
-    Parameters
-    ----------
-    key : str
-        Of the cell.
-    call, things : mapping
-        As in `Cell`.
-    data, source : str
-        Key of the features, and where they come from.
-    """
-
-    key: str
-    call: Mapping[str, Any]
-    data: str
-    source: str
-    things: Mapping[str, Any] = field(default_factory=dict)
-
-
-@dataclass(frozen=True)
 class Outcome:
-    """What came of a cell.
-
-    Parameters
-    ----------
-    record : CellRecord
-        For the journal.
-    files : mapping
-        Content of the files of a result by name; of the strategy auto.
+    """What came of a cell: its record for the journal, and the files of a result of auto by name.
     """
 
     record: CellRecord
@@ -120,45 +93,32 @@ def _name_images() -> None:
 
 @one_blas_thread
 @_quiet()
-def do(work: Work, features: FeatureSet) -> Outcome:
-    """Run a cell.
-
-    Returns
-    -------
-    Outcome
-        Also where the run fails: with the reason.
-    """
+def do(cell: Cell, features: FeatureSet) -> Outcome:
+    """Run a cell, and return its outcome; where the run fails, with the reason."""
     _name_images()
-    before = _image.set(work.source)
+    before = _image.set(cell.data.source)
     try:
-        outcome, reason = attempt(partial(_done, work, features))
+        outcome, reason = attempt(partial(_done, cell, features))
     finally:
         _image.reset(before)
-    return outcome if outcome is not None else failed(work.key, str(reason))
+    return outcome if outcome is not None else failed(cell.key, str(reason))
 
 
-def _done(work: Work, features: FeatureSet) -> Outcome:
-    trace = _Trace(work.call.get("timeout"))
+def _done(cell: Cell, features: FeatureSet) -> Outcome:
+    trace = _Trace(cell.call.get("timeout"))
     try:
-        state, figures, front, files = (_auto if work.call["strategy"] == "auto" else _as_asked)(
-            work, features, trace)
+        state, figures, front, files = (_auto if cell.call["strategy"] == "auto" else _as_asked)(
+            cell, features, trace)
     except TermselError as error:
-        return failed(work.key, str(error))
+        return failed(cell.key, str(error))
     reason = "no selection satisfies all conditions" if state == INFEASIBLE else ""
-    return Outcome(CellRecord(work.key, state, reason, figures, trace.points, front), files)
+    return Outcome(CellRecord(cell.key, state, reason, figures, trace.points, front), files)
 
 
 class _Trace:
     """Observes a search: evaluations, best objective and CPU seconds at each improvement.
 
-    Parameters
-    ----------
-    timeout : float or None
-        Seconds after which it ends the run.
-
-    Attributes
-    ----------
-    points : list
+    It ends the run after `timeout` seconds, if any.
     """
 
     def __init__(self, timeout: float | None) -> None:
@@ -195,17 +155,17 @@ class _Trace:
             self.points.append([self._before + self._last, best, time.process_time() - self._cpu])
 
 
-def _as_asked(work: Work, features: FeatureSet, trace: _Trace) -> tuple[
+def _as_asked(cell: Cell, features: FeatureSet, trace: _Trace) -> tuple[
         State, dict[str, Any], list[list[float]], dict[str, bytes]]:
     """Return state, figures and front of a search.
 
     Only the figures of a table are computed. A run also compares its selection with all plain
     models, which takes longer than most searches and is the same for all seeds.
     """
-    call = work.call
-    names = {word: work.things.get(word, call[word])
+    call = cell.call
+    names = {word: cell.things.get(word, call[word])
              for word in ("problem", "model", "criterion", "solver") if call[word] is not None}
-    task = prepare(**names, features=features, source=work.source, options=call["options"])
+    task = prepare(**names, features=features, source=cell.data.source, options=call["options"])
     found = search_without_blunders(
         task, seed=call["seed"], observers=[trace],
         **{name: call.get(name) for name in ("generations", "evaluations", "seconds",
@@ -224,7 +184,7 @@ def _as_asked(work: Work, features: FeatureSet, trace: _Trace) -> tuple[
         "objective": task.problem.objectives[0],
         "proven": _proven(task, found),
         "fitness": fitness,
-        "optimum": _optimum(work, task, found) if judged else None,
+        "optimum": _optimum(cell, task, found) if judged else None,
         **_rmse({"control": chosen.control_rmse(),
                  "check": chosen.rmse(task.observations.check),
                  "independent": chosen.rmse(task.observations.independent)}),
@@ -264,16 +224,16 @@ def _proven(task: Task, found: Search) -> bool:
         return True
 
 
-def _optimum(work: Work, task: Task, found: Search) -> float | None:
+def _optimum(cell: Cell, task: Task, found: Search) -> float | None:
     """Return the proven optimum of the problem, if that is known quickly."""
     value = float(found.objectives[0])
     if _proven(task, found):
         return value
     if len(task.problem.objectives) > 1:
         return None
-    of_problem = {name: value for name, value in work.call["options"].items()
+    of_problem = {name: value for name, value in cell.call["options"].items()
                   if not name.startswith(("solver.", "search.")) and name not in _OF_SEARCH}
-    key = repr((work.data, work.call["problem"], work.call["model"], work.call["criterion"],
+    key = repr((cell.data.key, cell.call["problem"], cell.call["model"], cell.call["criterion"],
                 sorted(of_problem.items()), sorted(task.options["problem"].items(), key=str)))
     if key not in _optima:
         if len(_optima) >= _MOST:
@@ -285,17 +245,17 @@ def _optimum(work: Work, task: Task, found: Search) -> float | None:
     return None if optimum is None or value < optimum - TIE * abs(optimum) else optimum
 
 
-def _auto(work: Work, features: FeatureSet, trace: _Trace) -> tuple[
+def _auto(cell: Cell, features: FeatureSet, trace: _Trace) -> tuple[
         State, dict[str, Any], list[list[float]], dict[str, bytes]]:
     """Return state and figures of a choice by the strategy auto, and the files of its result."""
     with private_folder() as folder:
         out = folder / "result"
-        result = run(work.things.get("problem", work.call["problem"]), features=features,
-                     source=work.source, strategy="auto", options=work.call["options"],
-                     seed=work.call["seed"], observers=[trace], out=out)
+        result = run(cell.things.get("problem", cell.call["problem"]), features=features,
+                     source=cell.data.source, strategy="auto", options=cell.call["options"],
+                     seed=cell.call["seed"], observers=[trace], out=out)
         if result.interrupted:
             raise KeyboardInterrupt
-        for to in work.call["exports"]:
+        for to in cell.call["exports"]:
             suffix = writer_of(to).suffix or f".{to}"
             export(result, to, out / f"result{suffix}")
         files = {path.relative_to(out).as_posix(): path.read_bytes()

@@ -23,41 +23,21 @@ _WILD = "*?["
 
 @dataclass(frozen=True, eq=False)
 class Data:
-    """Features that cells of a study share.
+    """Features that cells of a study share."""
 
-    Parameters
-    ----------
-    label : str
-        What tables call them: the file as the study names it, or the data set.
-    key : str
-        Checksum of their content.
-    source : str
-        Where they come from, for the record.
-    features : FeatureSet or None
-        None where they cannot be read.
-    reason : str
-        Why they cannot be read.
-    path : tuple
-        Where the study file names them.
-    """
-
-    label: str
-    key: str
-    source: str
-    features: FeatureSet | None
+    label: str  # what tables call them: the file as the study names it, or the data set
+    key: str  # checksum of their content
+    source: str  # where they come from, for the record
+    features: FeatureSet | None  # None where they cannot be read, for this reason
     reason: str = ""
-    path: Keys = ()
+    path: Keys = ()  # where the study file names them
 
 
 def data_of(spec: Spec, folder: Path) -> list[Data]:
-    """Return all data that a study names.
+    """Return all data that a study names; file names are relative to `folder`.
 
-    File names are relative to `folder`.
-
-    Raises
-    ------
-    TermselError
-        If a pattern matches no file, two data have one label, or nothing at all can be read.
+    Raises TermselError if a pattern matches no file, two data have one label, or nothing at all can
+    be read.
     """
     found = [data for source in spec.data for data in _of_source(spec, source, folder)]
     labels: set[str] = set()

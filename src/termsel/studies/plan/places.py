@@ -19,17 +19,10 @@ _TOKEN = re.compile(
 
 @dataclass(frozen=True)
 class Places:
-    """The file that a study was read from, and where each of its values is.
+    """The file that a study was read from, and where each of its values is."""
 
-    Parameters
-    ----------
-    file : object, optional
-        None for what is given by options or in Python.
-    known : mapping
-        Line and column, both from 1, by path of keys.
-    """
-
-    file: object = None
+    file: object = None  # None for what is given by options or in Python
+    # line and column, from 1, by path
     known: dict[Path, tuple[int, int]] = field(default_factory=dict)
 
     def error(self, path: Path, what: str, hint: str | None = None) -> TermselError:

@@ -31,95 +31,54 @@ MEASURES = ("fitness", "check", "independent")
 
 @dataclass(frozen=True)
 class Part:
-    """A problem, model, solver or criterion of a study.
-
-    Parameters
-    ----------
-    label : str
-        What tables call it.
-    path : tuple
-        Where the study file names it.
-    thing : object, optional
-        The class, instance or recipe that Python gave in place of a name.
-    """
+    """A problem, model, solver or criterion of a study."""
 
     name: str
-    label: str
+    label: str  # what tables call it
     options: Mapping[str, Any] = field(default_factory=dict)
-    path: Keys = ()
-    thing: Any = None
+    path: Keys = ()  # where the study file names it
+    thing: Any = None  # the class, instance or recipe that Python gave in place of a name
 
 
 @dataclass(frozen=True)
 class Source:
-    """Where data of a study come from.
-
-    Parameters
-    ----------
-    dataset : str, optional
-        Name of a data set.
-    files : mapping
-        Patterns of file names by kind: points, lines, areas.
-    reading : mapping
-        Arguments of `termsel.read`.
-    features : mapping
-        Feature sets by label, where Python gave them.
-    path : tuple
-        Where the study file names it.
-    """
+    """Where data of a study come from: a data set, files, or feature sets from Python by label."""
 
     dataset: str | None = None
+    # patterns of names by kind: points, lines, areas
     files: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
-    reading: Mapping[str, Any] = field(default_factory=dict)
+    reading: Mapping[str, Any] = field(default_factory=dict)  # arguments of `termsel.read`
     features: Mapping[str, Any] = field(default_factory=dict)
-    path: Keys = ()
+    path: Keys = ()  # where the study file names it
 
 
 @dataclass(frozen=True)
 class Spec:
-    """What a study asks for.
-
-    Parameters
-    ----------
-    problems, models, solvers, criteria : tuple of Part
-        Empty where none is named: each problem then has its own.
-    data : tuple of Source
-        Empty for the data set of each problem.
-    budget : mapping
-        Evaluations, generations, patience, seconds; and "timeout", the seconds after which a cell
-        fails.
-    options : mapping
-        For every cell that has such an option.
-    exports : tuple of str
-        Formats in which the strategy auto exports its models.
-    measure : str or None
-        What methods are compared by.
-    """
+    """What a study asks for."""
 
     title: str = ""
     problems: tuple[Part, ...] = ()
+    # Where no model, solver or criterion is named, each problem has its own.
     models: tuple[Part, ...] = ()
     solvers: tuple[Part, ...] = ()
     criteria: tuple[Part, ...] = ()
     strategies: tuple[str, ...] = ()
-    data: tuple[Source, ...] = ()
+    data: tuple[Source, ...] = ()  # none: the data set of each problem
     seeds: tuple[int, ...] = (1,)
     splits: tuple[int, ...] = (0,)
+    # of BUDGETS; after "timeout" seconds a cell fails
     budget: Mapping[str, Any] = field(default_factory=dict)
-    options: Mapping[str, Any] = field(default_factory=dict)
-    exports: tuple[str, ...] = ()
-    measure: str | None = None
+    options: Mapping[str, Any] = field(default_factory=dict)  # for every cell that has them
+    exports: tuple[str, ...] = ()  # formats of the models of auto
+    measure: str | None = None  # what methods are compared by
     places: Places = field(default_factory=Places)
 
 
 def read_spec(file: Path) -> Spec:
     """Return what a study file asks for.
 
-    Raises
-    ------
-    TermselError
-        With line and column, for text that is not TOML, a key that is not known, or a value of
-        another type.
+    Raises TermselError, with line and column, for text that is not TOML, an unknown key, or a value
+    of another type.
     """
     text = read_text(file)
     try:

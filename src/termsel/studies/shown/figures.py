@@ -32,10 +32,7 @@ _STEPS = 60
 def figures_of(study: Study) -> list[Figure]:
     """Return the charts of a study, those that its runs allow; auto alone searches nothing.
 
-    Raises
-    ------
-    TermselError
-        If altair is not installed.
+    Raises TermselError without altair.
     """
     if study.spec.strategies == ("auto",):
         return []
@@ -141,9 +138,7 @@ def profile(groups: Groups) -> Figure:
 def critical_differences(comparison: Comparison) -> Figure:
     """Return the mean ranks, with bars over methods that cannot be told apart.
 
-    References
-    ----------
-    Demšar 2006, J. Mach. Learn. Res. 7, figure 1.
+    Source: Demšar 2006, J. Mach. Learn. Res. 7, figure 1.
     """
     alt = require_altair()
     assert comparison.difference is not None

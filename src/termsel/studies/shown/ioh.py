@@ -19,16 +19,10 @@ FORMAT = "0.3.5"
 
 
 def ioh_files(groups: Groups) -> Iterator[tuple[str, str]]:
-    """Yield the files of a study for IOHprofiler: a folder a method, two files an instance.
+    """Yield names and texts of a study's files for IOHprofiler: a folder a method, two an instance.
 
-    Yields
-    ------
-    name, content : str
-
-    References
-    ----------
-    De Nobel, Ye, Vermetten, Wang, Doerr and Bäck 2024, IOHexperimenter, Evol. Comput. 32(3); a
-    run begins with the row of its first evaluation.
+    Source: De Nobel, Ye, Vermetten, Wang, Doerr and Bäck 2024, IOHexperimenter, Evol. Comput.
+    32(3); a run begins with the row of its first evaluation.
     """
     folders = _folders(groups.methods)
     for number, (instance, by_method) in enumerate(groups.instances.items(), 1):

@@ -34,19 +34,9 @@ _SMALL = ("Arrows are the residuals of all features: blue of control, orange of 
 
 
 def report(study: Study, charts: list[Figure] | None = None) -> str:
-    """Return a page with the tables and charts of a study, and what may be claimed.
+    """Return a page with what may be claimed of a study, finished or not, its tables and charts.
 
-    Parameters
-    ----------
-    study : Study
-        Finished or not.
-    charts : list of Figure, optional
-        As `figures_of` returns them.
-
-    Raises
-    ------
-    TermselError
-        If the extra `report` is not installed.
+    `charts` are by default those of `figures_of`. Raises TermselError without the extra `report`.
     """
     require_altair()
     return page(_document(study, figures_of(study) if charts is None else charts,
@@ -76,12 +66,9 @@ def _document(study: Study, charts: list[Figure], pictures: dict[str, str]) -> D
 
 
 def thumbnails(study: Study) -> dict[str, str]:
-    """Return the residuals of each image that has a result as a small drawing.
+    """Return small drawings of each image's residuals, by the key of the cell.
 
-    Returns
-    -------
-    dict
-        SVG, or why there is none, as HTML; by the key of the cell.
+    SVG, or why there is none, as HTML.
     """
     if study.folder is None:
         return {}
@@ -102,11 +89,6 @@ def write_outputs(study: Study, out: Path) -> list[Path]:
     study.csv has a row a cell; study.parquet the same, where pyarrow is installed; summary.md and
     summary.tex tables for people; ioh/ the runs for IOHprofiler; report.html a page of tables and
     charts, and figures/ the charts, where altair is installed.
-
-    Raises
-    ------
-    TermselError
-        If a file cannot be written.
     """
     pages = {"study.csv": csv_of(study.rows, study.columns), "summary.md": markdown(study),
              "summary.tex": latex(study)}

@@ -17,19 +17,14 @@ BEYOND = 1.1
 class FrontFigures:
     """Figures of the fronts of one method on one instance.
 
-    Parameters
-    ----------
-    hypervolume, igd_plus : float
-        Medians over the runs, of objectives scaled to 0..1 by the reference front.
-    reference : str
-        "proven", or "all runs": the front that they are measured against.
+    Medians over the runs, of objectives scaled to 0..1 by the reference front.
     """
 
     instance: str
     method: str
     hypervolume: float
     igd_plus: float
-    reference: str
+    reference: str  # "proven", or "all runs": the front that they are measured against
 
 
 def front_figures(groups: Groups) -> list[FrontFigures]:
@@ -73,16 +68,9 @@ def non_dominated(points: FloatArray) -> FloatArray:
 def indicators(front: FloatArray, reference: FloatArray) -> tuple[float, float]:
     """Return hypervolume and IGD+ of a front, scaled by a reference front.
 
-    Parameters
-    ----------
-    front, reference : ndarray, shape (n, objectives)
-        Lower is better. The reference spans 0 to 1 in each objective; the reference point of the
-        hypervolume is `BEYOND`.
-
-    References
-    ----------
-    Zitzler and Thiele 1998, PPSN V; Ishibuchi, Masuda, Tanigaki and Nojima 2015, EMO, equation
-    18; as pymoo computes them.
+    Both have the shape (n, objectives); lower is better. The reference spans 0 to 1 in each
+    objective; the reference point of the hypervolume is `BEYOND`. Sources: Zitzler and Thiele 1998,
+    PPSN V; Ishibuchi, Masuda, Tanigaki and Nojima 2015, EMO, equation 18; as pymoo computes them.
     """
     from pymoo.indicators.hv import HV
     from pymoo.indicators.igd_plus import IGDPlus

@@ -15,33 +15,19 @@ INSTANCE = ("problem", "data", "split")
 
 @dataclass(frozen=True)
 class Runs:
-    """The runs of one method on one instance.
-
-    Parameters
-    ----------
-    values : list of float
-        What they are compared by, lower is better; infinite for a run without a result.
-    records : list of mapping
-        With trace and front.
-    """
+    """The runs of one method on one instance."""
 
     rows: list[Row] = field(default_factory=list)
+    # what they are compared by, lower is better; infinite without a result
     values: list[float] = field(default_factory=list)
     records: list[CellRecord] = field(default_factory=list)
 
 
 @dataclass(frozen=True)
 class Groups:
-    """All runs by instance, then by method.
+    """All runs by label of the instance, then by label of the method."""
 
-    Parameters
-    ----------
-    measure : {"fitness", "check", "independent"}
-    instances : mapping
-        By label of the instance, all runs by label of the method.
-    """
-
-    measure: str
+    measure: str  # "fitness", "check" or "independent"
     instances: Mapping[str, Mapping[str, Runs]]
     methods: tuple[str, ...]
 

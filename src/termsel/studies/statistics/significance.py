@@ -22,61 +22,36 @@ FEWEST = 5
 
 @dataclass(frozen=True)
 class Pair:
-    """Two methods compared over all instances.
-
-    Parameters
-    ----------
-    p : float
-        Of Wilcoxon's signed-rank test, two-sided.
-    corrected : float
-        By Holm, for all pairs.
-    wins, losses : int
-        Instances on which the one has the lower, or the higher, median.
-    lower : bool
-        Whether the one is lower by the ranks that the test sums: it may still lose on more
-        instances, by less.
-    """
+    """Two methods compared over all instances by medians."""
 
     one: str
     other: str
-    p: float
-    corrected: float
-    wins: int
-    losses: int
+    p: float  # of Wilcoxon's signed-rank test, two-sided
+    corrected: float  # by Holm, for all pairs
+    wins: int  # instances on which the one is lower
+    losses: int  # or higher
+    # By the ranks that the test sums, the one is lower: it may still lose on more instances, by
+    # less.
     lower: bool
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """Tests of methods over instances.
-
-    Parameters
-    ----------
-    instances : int
-        Instances that all methods were run on.
-    ranks : tuple of float
-        Mean rank of each method; 1 is best.
-    statistic, p : float or None
-        Of Friedman's test, for three methods or more.
-    difference : float or None
-        Nemenyi's critical difference of mean ranks, for three methods or more.
-    """
+    """Tests of methods over the instances that all methods were run on."""
 
     methods: tuple[str, ...]
     instances: int
-    ranks: tuple[float, ...]
-    statistic: float | None
+    ranks: tuple[float, ...]  # mean rank of each; 1 is best
+    statistic: float | None  # of Friedman's test, for three methods or more
     p: float | None
-    difference: float | None
+    difference: float | None  # Nemenyi's critical one of mean ranks, likewise
     pairs: tuple[Pair, ...]
 
 
 def medians_of(groups: Groups) -> FloatArray:
     """Return the median of every method on every instance that all methods were run on.
 
-    Returns
-    -------
-    ndarray, shape (instances, methods)
+    The shape is (instances, methods).
     """
     return np.array([[quantiles(groups.instances[name][method].values, (0.5,))[0]
                       for method in groups.methods] for name in groups.common]
@@ -86,19 +61,9 @@ def medians_of(groups: Groups) -> FloatArray:
 def compare_methods(methods: Sequence[str], values: FloatArray) -> Comparison | None:
     """Return Friedman's test, Wilcoxon's with Holm's correction, and the critical difference.
 
-    Parameters
-    ----------
-    values : ndarray, shape (instances, methods)
-        Lower is better; infinite for a method without a result.
-
-    Returns
-    -------
-    Comparison or None
-        None for a single method, or fewer than `FEWEST` instances.
-
-    References
-    ----------
-    Demšar 2006, J. Mach. Learn. Res. 7, sections 3.1.3 and 3.2.
+    Values have the shape (instances, methods); lower is better, infinite is a method without a
+    result. None for a single method, or fewer than `FEWEST` instances. Source: Demšar 2006, J.
+    Mach. Learn. Res. 7, sections 3.1.3 and 3.2.
     """
     from scipy.stats import friedmanchisquare, rankdata
 
@@ -146,12 +111,7 @@ def signed_rank(one: FloatArray, other: FloatArray) -> tuple[float, bool]:
 
 
 def holm(p_values: Sequence[float]) -> list[float]:
-    """Return p-values corrected for their number.
-
-    References
-    ----------
-    Holm 1979, Scand. J. Stat. 6(2).
-    """
+    """Return p-values corrected for their number (Holm 1979, Scand. J. Stat. 6(2))."""
     order = np.argsort(p_values, kind="stable")
     scaled = np.asarray(p_values)[order] * np.arange(len(p_values), 0, -1)
     corrected = np.empty(len(p_values))
@@ -160,12 +120,7 @@ def holm(p_values: Sequence[float]) -> list[float]:
 
 
 def critical_difference(methods: int, instances: int, level: float = LEVEL) -> float:
-    """Return by how much mean ranks must differ, by Nemenyi's test.
-
-    References
-    ----------
-    Demšar 2006, J. Mach. Learn. Res. 7, section 3.2.2.
-    """
+    """Return by how much mean ranks must differ, by Nemenyi's test (Demšar 2006, section 3.2.2)."""
     from scipy.stats import studentized_range
 
     quantile = float(studentized_range.ppf(1 - level, methods, np.inf)) / math.sqrt(2)
@@ -175,10 +130,8 @@ def critical_difference(methods: int, instances: int, level: float = LEVEL) -> f
 def effect_size(one: Sequence[float], other: Sequence[float]) -> float:
     """Return how probably a run of one method is lower than one of the other; ties count half.
 
-    References
-    ----------
-    Vargha and Delaney 2000, J. Educ. Behav. Stat. 25(2), equation 2, for values of which lower
-    ones are better. 0.5 is no difference; they call 0.56, 0.64 and 0.71 small, medium and large.
+    Source: Vargha and Delaney 2000, J. Educ. Behav. Stat. 25(2), equation 2, for values of which
+    lower ones are better. 0.5 is no difference.
     """
     a, b = np.asarray(one)[:, None], np.asarray(other)[None]
     return float((a < b).mean() + (a == b).mean() / 2)
@@ -187,20 +140,8 @@ def effect_size(one: Sequence[float], other: Sequence[float]) -> float:
 def performance_profile(values: FloatArray, ratios: Sequence[float]) -> FloatArray:
     """Return on which share of instances each method is within a ratio of the best one.
 
-    Parameters
-    ----------
-    values : ndarray, shape (instances, methods)
-        Positive; lower is better.
-    ratios : sequence of float
-        From 1 on.
-
-    Returns
-    -------
-    ndarray, shape (ratios, methods)
-
-    References
-    ----------
-    Dolan and Moré 2002, Math. Program. 91, section 2.
+    Values, shape (instances, methods), are positive, lower is better; ratios are from 1 on. The
+    shape is (ratios, methods). Source: Dolan and Moré 2002, Math. Program. 91, section 2.
     """
     least = values.min(axis=1, keepdims=True)
     with np.errstate(invalid="ignore", divide="ignore"):

@@ -18,39 +18,18 @@ _HUGE = 1e300
 
 @dataclass(frozen=True)
 class Summary:
-    """Figures of one method on one instance.
-
-    Parameters
-    ----------
-    runs, finished : int
-        All runs, and those with a result.
-    quartiles : list of float
-        Least value, quartiles and greatest value of the measure; infinite where runs had none.
-    optimum : float or None
-        The proven optimum, where it is known and the measure is the fitness.
-    reached : int or None
-        Runs that reached it.
-    interval : tuple of float
-        95 % interval of Wilson for the share of runs that reach it; zeros where it is not known.
-    expected : float or None
-        Expected number of evaluations to reach it (`expected_running_time`); infinite if no run
-        did.
-    independent : float or None
-        Median RMSE on independent points [px].
-    evaluations, cpu_seconds : float or None
-        Medians.
-    """
+    """Figures of one method on one instance; medians where nothing else is said."""
 
     instance: str
     method: str
     runs: int
-    finished: int
-    quartiles: list[float]
-    optimum: float | None
-    reached: int | None
-    interval: tuple[float, float]
-    expected: float | None
-    independent: float | None
+    finished: int  # runs with a result
+    quartiles: list[float]  # least value, quartiles and greatest; infinite where runs had none
+    optimum: float | None  # proven, where it is known and the measure is the fitness
+    reached: int | None  # runs that reached it
+    interval: tuple[float, float]  # Wilson's 95 % of the share that reach it; zeros if unknown
+    expected: float | None  # evaluations until then (`expected_running_time`)
+    independent: float | None  # RMSE [px]
     evaluations: float | None
     cpu_seconds: float | None
 
@@ -103,9 +82,7 @@ def quantiles(values: Sequence[float], shares: Sequence[float]) -> list[float]:
 def wilson(successes: int, runs: int, level: float = 0.95) -> tuple[float, float]:
     """Return the interval of a share of successes.
 
-    References
-    ----------
-    Wilson 1927, J. Am. Stat. Assoc. 22(158); as scipy computes it, without correction for
+    Source: Wilson 1927, J. Am. Stat. Assoc. 22(158); as scipy computes it, without correction for
     continuity.
     """
     from scipy.stats import binomtest
@@ -133,24 +110,9 @@ def length(figures: Mapping[str, Any]) -> float:
 def expected_running_time(hits: Sequence[float], lengths: Sequence[float]) -> float:
     """Return how long it takes to reach a target, with restarts of runs that do not.
 
-    It is the time spent in all runs up to the target, or to their end, per run that reached it.
-
-    Parameters
-    ----------
-    hits : sequence of float
-        When each run reached the target; infinite if it did not.
-    lengths : sequence of float
-        Of all runs, in the same unit.
-
-    Returns
-    -------
-    float
-        Infinite if no run reached it.
-
-    References
-    ----------
-    Hansen, Auger, Finck and Ros 2009, Real-parameter black-box optimization benchmarking:
-    experimental setup, "expected running time".
+    It is the time spent in all runs up to the target, `hits`, or to their end, `lengths`, per run
+    that reached it; infinite if none did. Source: Hansen, Auger, Finck and Ros 2009, Real-parameter
+    black-box optimization benchmarking: experimental setup, "expected running time".
     """
     successes = sum(map(math.isfinite, hits))
     spent = sum(at if math.isfinite(at) else whole
@@ -159,14 +121,9 @@ def expected_running_time(hits: Sequence[float], lengths: Sequence[float]) -> fl
 
 
 def ecdf(hits: Sequence[float]) -> tuple[list[float], list[float]]:
-    """Return which share of runs and targets is reached within which budget.
+    """Return budgets, and which share of runs and targets is reached within each, inclusive.
 
     `hits` is when each run reached each target, as `hit` returns it.
-
-    Returns
-    -------
-    budgets, shares : list of float
-        The share is that up to and including the budget; a step at each.
     """
     steps = {moment: (i + 1) / len(hits)
              for i, moment in enumerate(sorted(filter(math.isfinite, hits)))}
@@ -176,12 +133,9 @@ def ecdf(hits: Sequence[float]) -> tuple[list[float], list[float]]:
 def targets_of(optimum: float | None, runs: Iterable[Runs], number: int = 21) -> list[float]:
     """Return targets for an ECDF: above the optimum by 100 % to 0.01 %, evenly in the logarithm.
 
-    Where the optimum is not known, the best value of all runs stands for it.
-
-    References
-    ----------
-    Hansen, Auger, Ros, Mersmann, Tušar and Brockhoff 2021, COCO, Optim. Methods Softw. 36(1),
-    section 5, on runtimes over many targets; these targets are termsel's own.
+    Where the optimum is not known, the best value of all runs stands for it. Source: Hansen, Auger,
+    Ros, Mersmann, Tušar and Brockhoff 2021, COCO, Optim. Methods Softw. 36(1), section 5, on
+    runtimes over many targets; these targets are termsel's own.
     """
     found = [value for one in runs for value in one.values if math.isfinite(value)]
     if optimum is None and not found:
@@ -192,19 +146,9 @@ def targets_of(optimum: float | None, runs: Iterable[Runs], number: int = 21) ->
 
 def bands(traces: Sequence[Sequence[Sequence[float]]], budgets: Sequence[float]
           ) -> list[tuple[float, float, float, float]]:
-    """Return the quartiles of the best value found within budgets.
+    """Return budgets [evaluations] with the quartiles of the best value found within each.
 
-    Parameters
-    ----------
-    traces : sequence
-        One a run.
-    budgets : sequence of float
-        Evaluations.
-
-    Returns
-    -------
-    list of tuple
-        Budget, lower quartile, median, upper quartile; infinite where runs have found nothing.
+    A trace is one a run; quartiles are infinite where runs have found nothing.
     """
     rows = []
     for budget in budgets:
