@@ -30,12 +30,7 @@ def report_fault(
 ) -> None:
     """Report on stderr that termsel has failed; Python then exits with code 1.
 
-    An interrupt is none of its faults: it ends the program at once.
-
-    Parameters
-    ----------
-    kind, error, trace
-        As for `sys.excepthook`.
+    Arguments are those of `sys.excepthook`. An interrupt is no fault: it ends the program at once.
     """
     if issubclass(kind, KeyboardInterrupt):
         leave()
@@ -68,13 +63,7 @@ def open_streams() -> None:
 
 
 def end_threads(code: object) -> None:
-    """End the program here where a thread, such as that of a plugin, would not let it end.
-
-    Parameters
-    ----------
-    code : object
-        The exit code.
-    """
+    """End the program with an exit code where a thread, as of a plugin, would not let it end."""
     import threading
 
     # Python itself ends the threads of executors.

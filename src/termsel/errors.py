@@ -80,13 +80,7 @@ def printable(text: str, kept: str = "\n\t") -> str:
     """Return text as a terminal can show it, whatever a file or a name brought.
 
     Control characters, which a terminal would obey, marks of direction, and halves of characters
-    are written as Python writes them: ``\\x1b``.
-
-    Parameters
-    ----------
-    text : str
-    kept : str
-        Control characters that stay.
+    are written as Python writes them, ``\\x1b``; those in `kept` stay.
     """
     if text.isprintable():
         return text
@@ -101,14 +95,7 @@ def is_printable(text: str) -> bool:
 
 
 def cut(text: str, longest: int) -> str:
-    """Return text without its middle if it is longer than this.
-
-    Parameters
-    ----------
-    text : str
-    longest : int
-        Characters.
-    """
+    """Return text without its middle if it has more characters than `longest`."""
     if len(text) <= longest:
         return text
     end = longest // 3
@@ -120,18 +107,9 @@ MOST_NAMED = 40
 
 
 def unknown_name(kind: str, name: str, known: Iterable[str], hint: str = "") -> TermselError:
-    """Return the error for a name that is not known, with the nearest known ones.
+    """Return the error for a name that is not among the known ones, with the nearest of them.
 
-    Parameters
-    ----------
-    kind : str
-        What the name names: "model", "option" ...
-    name : str
-        The name as given.
-    known : iterable of str
-        The names that would have been accepted.
-    hint : str
-        A further sentence for the user.
+    `kind` is what it names, such as "model"; `hint` a further sentence for the user.
     """
     names = sorted(set(known))
     near = get_close_matches(name, names, n=1, cutoff=0.6)
@@ -149,26 +127,12 @@ def percent(share: float) -> str:
 
 
 def counted(number: int, noun: str) -> str:
-    """Return a number with its noun, which takes an s unless the number is 1.
-
-    Parameters
-    ----------
-    number : int
-    noun : str
-        In the singular: "check point", "generation" ...
-    """
+    """Return a number with its noun, which takes an s unless the number is 1."""
     return f"{number} {noun}{'s' * (number != 1)}"
 
 
 def amount(number: int, noun: str = "") -> str:
-    """Return a number with commas, and its noun; more than 15 digits in short, as 1.2e37.
-
-    Parameters
-    ----------
-    number : int
-    noun : str, optional
-        In the singular.
-    """
+    """Return a number with commas, and its noun if any; above 15 digits in short, as 1.2e37."""
     short = f"{number:,}" if number < 10**15 else f"{number:.1e}".replace("e+", "e")
     ending = "" if number == 1 else "s"
     return f"{short} {noun}{ending}" if noun else short

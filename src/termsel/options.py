@@ -136,11 +136,7 @@ def by_part(given: Mapping[str, Any],
     """Return the options by part of a run, all parts among them; each has its declared options.
 
     They are given by name, or by ``part.name`` where several parts have an option of that name.
-
-    Raises
-    ------
-    TermselError
-        For an option that no part has, that several have, or that is given twice.
+    Raises TermselError for an option that no part has, that several have, or that is given twice.
     """
     parts_of: dict[str, list[str]] = {}
     for part, options in declared.items():
@@ -166,10 +162,7 @@ def by_part(given: Mapping[str, Any],
 def resolve(declared: Iterable[Option], given: Mapping[str, Any]) -> dict[str, Any]:
     """Return the value of every declared option, given what was set.
 
-    Raises
-    ------
-    TermselError
-        For a key that is not declared, or a value its option does not accept.
+    Raises TermselError for a key that is not declared, or a value its option does not accept.
     """
     options = {option.name: option for option in declared}
     for key in given:

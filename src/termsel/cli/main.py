@@ -38,10 +38,7 @@ _UNWRITABLE = {errno.EPIPE, errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, 
 def _stdout_may_end() -> Iterator[None]:
     """End the program silently when the reader of its output, such as head, has ended.
 
-    Raises
-    ------
-    TermselError
-        If stdout cannot be written for another reason, such as a full disk.
+    Raises TermselError if stdout cannot be written for another reason, such as a full disk.
     """
     try:
         yield
@@ -81,13 +78,7 @@ class Commands(click.Group):
     def resolve_command(
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
-        """Return name, command and remaining arguments.
-
-        Raises
-        ------
-        TermselError
-            For an unknown command, with the known ones.
-        """
+        """Return name, command and remaining arguments; refuse an unknown command."""
         command = self.get_command(ctx, args[0])
         if command is None and not ctx.resilient_parsing:
             from termsel.plugins.registry import registry

@@ -58,13 +58,7 @@ def stdout_has(text: str) -> bool:
 
 
 def echo_table(text: str) -> None:
-    """Print a table for other programs, as it is.
-
-    Raises
-    ------
-    TermselError
-        If the encoding of stdout has not all of its characters.
-    """
+    """Print a table for other programs, as it is; refuse characters that stdout has not."""
     if not stdout_has(text):
         raise TermselError(f"the encoding of stdout, {stdout().encoding}, does not have all "
                            "characters of the table",

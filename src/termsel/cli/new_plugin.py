@@ -76,10 +76,7 @@ def new_plugin(name: str, kind: str, parent: Path) -> None:
 def package(name: str, kind: str) -> dict[str, str]:
     """Return the files of a new package, by their path in it.
 
-    Raises
-    ------
-    TermselError
-        For a name that no package or module can have, or that is taken.
+    Raises TermselError for a name that no package or module can have, or that is taken.
     """
     module = re.sub(r"[-_.]+", "_", name).lower()
     thing = re.sub(r"[-_.]+", "-", name).lower().removeprefix("termsel-")

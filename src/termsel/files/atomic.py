@@ -20,22 +20,10 @@ from termsel.errors import TermselError
 def atomic_path(path: Path | str) -> Iterator[Path]:
     """Yield a temporary path that takes the place of `path` when the block succeeds.
 
-    Parameters
-    ----------
-    path : path-like
-        The file to write; one that exists is replaced, through symbolic links, and its
-        permissions are kept.
-
-    Yields
-    ------
-    pathlib.Path
-        A path on the same disk and with the same name, in a private folder; the block creates
-        the file. It is removed when the block fails, and `path` is then as it was.
-
-    Raises
-    ------
-    TermselError
-        If the file cannot be written; an OSError in the block is reported the same way.
+    It has the same name, in a private folder on the same disk; the block creates the file. An
+    existing `path` is replaced through symbolic links, and its permissions are kept. When the block
+    fails, it stays as it was. Raises TermselError if the file cannot be written, also for OSErrors
+    of the block.
     """
     target = Path(os.path.realpath(path))
     # Replacing a folder fails anyway; replacing a device, such as /dev/null, must not succeed.
@@ -58,14 +46,9 @@ def atomic_path(path: Path | str) -> Iterator[Path]:
 
 
 def put_in_place(file: Path, target: Path) -> None:
-    """Replace a file by another on the same disk, which takes its permissions.
+    """Replace a file, no link, by another on the same disk, which takes its permissions.
 
-    Parameters
-    ----------
-    file : pathlib.Path
-        Its content is on the disk already; see `sync`.
-    target : pathlib.Path
-        Not a symbolic link.
+    The content of the other is on the disk already; see `sync`.
     """
     with suppress(FileNotFoundError):
         before = target.stat()
@@ -100,17 +83,9 @@ _PREFIX = ".termsel-"
 def private_folder(parent: Path | None = None) -> Iterator[Path]:
     """Yield a new folder that only this user can read, and remove it at the end.
 
-    Such folders of processes that were killed are removed first.
-
-    Parameters
-    ----------
-    parent : pathlib.Path, optional
-        The folder for temporary files of the system by default.
-
-    Raises
-    ------
-    TermselError
-        If that cannot be written; with another parent the OSError is raised as it is.
+    Such folders of processes that were killed are removed first. The parent is by default the
+    system's folder for temporary files, with TermselError if that cannot be written; of another
+    parent the OSError is raised as it is.
     """
     try:
         folder = _made(Path(gettempdir()) if parent is None else parent)
@@ -190,25 +165,13 @@ def _cannot_write(path: Path | str, why: str) -> TermselError:
 
 
 def write_bytes(path: Path | str, data: bytes) -> None:
-    """Write `data` to `path`, completely or not at all.
-
-    Raises
-    ------
-    TermselError
-        If the file cannot be written.
-    """
+    """Write `data` to `path`, completely or not at all; TermselError if it cannot be written."""
     with atomic_path(path) as temporary:
         temporary.write_bytes(data)
 
 
 def write_text(path: Path | str, text: str) -> None:
-    """Write `text` to `path` as UTF-8 with its line ends as they are, completely or not at all.
-
-    Raises
-    ------
-    TermselError
-        If the file cannot be written.
-    """
+    """Write text as UTF-8 with its line ends as they are, as `write_bytes`."""
     write_bytes(path, encoded(text))
 
 

@@ -80,15 +80,11 @@ def wrong(thing: Any, method: str, what: str, hint: str = HINT) -> PluginFault:
 
 @contextmanager
 def blamed(thing: Any, method: str, hint: str = HINT) -> Iterator[None]:
-    """Run code of a plugin; what it raises becomes its fault, with the method named.
+    """Run code of a plugin; what it raises becomes its PluginFault, with the method named.
 
     termsel's own errors pass, such as a `TermselError` on a file that the user can correct. So does
     all of a class, function or object of termsel. The hint says what to do, where it may be the
     user's own mistake.
-
-    Raises
-    ------
-    PluginFault
     """
     package = package_of(thing)
     if package == OWN:

@@ -90,13 +90,9 @@ class TooSlow(Exception):
 
 def within(seconds: float, call: Callable[[], T], *, soon: float = 0.0,
            tell: Callable[[], None] = lambda: None) -> T:
-    """Return what a call returns, which is made in a thread of its own.
+    """Return what a call returns, which is made in a thread of its own; else raise TooSlow.
 
     Ctrl-C ends the waiting. After `soon` seconds `tell` is called once.
-
-    Raises
-    ------
-    TooSlow
     """
     done: Future[T] = Future()
 

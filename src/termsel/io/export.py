@@ -20,10 +20,7 @@ log = logging.getLogger(__name__)
 def writer_of(to: str, **options: Any) -> Writer:
     """Return the writer of a format, without options that only other formats have.
 
-    Raises
-    ------
-    TermselError
-        For an unknown name or option.
+    Raises TermselError for an unknown name or option.
     """
     writer: type[Writer] = registry().get("writers", to)
     return writer(**{key: value for key, value in options.items()

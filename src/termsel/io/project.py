@@ -38,27 +38,17 @@ def project_table(
     height: float | None = None,
     columns: str = "",
 ) -> tuple[str, list[str]]:
-    """Return a table of points with image and ground coordinates.
+    """Return a table of points with image and ground coordinates as CSV, and what to warn of.
 
     The table has x, y and, for models with height, z; with `inverse`, from the image to the ground,
     line and sample. Then the ground has the heights of the raster `dem` or the one `height`; models
     without height need neither.
 
-    Returns
-    -------
-    text : str
-        CSV headed id,line,sample,x,y,z,uncertainty_line,uncertainty_sample,outside. The
-        uncertainties are the standard deviations of what the model predicts there (see
-        `termsel.Fit.sigma`). The last says how far a place is outside the control that the model
-        was fitted to (see `termsel.fits.extrapolation.outside`).
-    warnings : list of str
-        Sentences on points without a place and on those outside the control.
-
-    Raises
-    ------
-    TermselError
-        Naming file, line and column, for tables that cannot be read; for a CRS other than that
-        of the control; for heights that are missing.
+    The CSV is headed id,line,sample,x,y,z,uncertainty_line,uncertainty_sample,outside: standard
+    deviations of what the model predicts (`termsel.Fit.sigma`), and how far a place is outside the
+    control that the model was fitted to (`termsel.fits.extrapolation.outside`). Warned is of points
+    without a place and of those outside. Raises TermselError for tables that cannot be read, a CRS
+    other than that of the control, and heights that are missing.
     """
     model, crs = result.fit.model, result.fit.control.crs
     if inverse:

@@ -104,12 +104,7 @@ def features_of(given: Any, crs: str | None = None,
                 columns: str | Mapping[str, Any] | None = None) -> FeatureSet:
     """Return features from whatever holds them: a FeatureSet, a file or a table, as for `read`.
 
-    A file may have points, lines or both.
-
-    Raises
-    ------
-    TermselError
-        As `read`; if a FeatureSet is given with a CRS or columns.
+    A file may have points, lines or both. A FeatureSet takes no CRS and no columns.
     """
     if isinstance(given, FeatureSet):
         if crs is not None or columns is not None:
@@ -160,13 +155,7 @@ def _read_frame(frame: Any, crs: str | None, options: Mapping[str, Any]) -> Feat
 
 def read_file(path: Path, readers: Iterable[type[Reader]], format: str | None = None,
               options: Mapping[str, Any] | None = None) -> FeatureSet:
-    """Return the features of a file, with the first reader that recognises its content.
-
-    Raises
-    ------
-    TermselError
-        As `find_reader`, or if the content is invalid.
-    """
+    """Return the features of a file by `find_reader`; TermselError if its content is invalid."""
     return find_reader(path, readers, format, options).read(path)
 
 
@@ -175,13 +164,8 @@ def find_reader(path: Path, readers: Iterable[type[Reader]], format: str | None 
     """Return the first reader that recognises the content of a file.
 
     `format` names the reader to use, whatever the content looks like. Each reader takes the options
-    it declares.
-
-    Raises
-    ------
-    TermselError
-        If there is no such reader, an option does not accept its value, the file is missing,
-        empty, a folder or not readable, or no reader recognises it.
+    it declares. Raises TermselError if there is no such reader, an option does not accept its
+    value, the file is missing, empty, a folder or not readable, or no reader recognises it.
     """
     known = [_with_options(reader, options or {}) for reader in readers]
     chosen = [reader for reader in known if reader.name == format]
@@ -211,12 +195,8 @@ def _recognising(path: Path, head: bytes, readers: Sequence[Reader]) -> Reader |
     """Return the reader that recognises a file; built-in ones come first, in their order.
 
     Every reader of a plugin is asked: one that fails, or recognises noise as well, is left out with
-    a warning, so that it takes no file of another.
-
-    Raises
-    ------
-    TermselError
-        If the readers of several plugins recognise the file.
+    a warning, so that it takes no file of another. Where several recognise the file, the user
+    decides.
     """
     own = next((one for one in readers if is_own(type(one)) and one.sniff(path, head)), None)
     claims = []
@@ -265,12 +245,9 @@ def read_features(points: Path | None, lines: Path | None, *, areas: Path | None
     A file that holds points and lines is given as both; with `either`, it may have points or lines
     alone. Areas become points or lines. `formats` names readers, in the order of the files.
 
-    Raises
-    ------
-    TermselError
-        As `read_file`; if no file's reader has such an option; if a file holds no features of
-        its kind, or others that were not asked for; if the CRS is not known or stated twice
-        and differently; if coordinates cannot be in it; if features of two kinds have one id.
+    Raises TermselError as `read_file`; if no file's reader has such an option; if a file holds no
+    features of its kind, or others that were not asked for; if the CRS is not known or stated twice
+    and differently; if coordinates cannot be in it; if features of two kinds have one id.
     """
     if points is None and lines is None and areas is None:
         raise TermselError("no file of features is given",

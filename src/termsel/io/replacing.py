@@ -16,16 +16,10 @@ def require_replaceable(files: Iterable[Path], *, reads: Iterable[object] = (),
                         overwrite: bool = False) -> None:
     """Refuse to replace a file that is read, and any other without permission.
 
-    Call it before long work, with every file that is written and everything that is read.
-
-    Of what is read (paths of files and of folders of results, values of options), what is not the
-    name of a file does not matter. However a name is spelt (relative, through links, in another
-    case where the disk ignores it), the file counts. So do the sources of a VRT.
-
-    Raises
-    ------
-    TermselError
-        Naming the file; or if it cannot be told whether there is one.
+    Call it before long work, with every file that is written and everything that is read (paths of
+    files and of folders of results, values of options); what is not the name of a file does not
+    matter. However a name is spelt (relative, through links, in another case where the disk ignores
+    it), the file counts. So do the sources of a VRT.
     """
     there = [file for file in files if is_there(file)]
     if not there:

@@ -45,11 +45,8 @@ def names_of(features: FeatureSet) -> tuple[str, ...]:
 def claim_folder(folder: Path, *, overwrite: bool = False) -> None:
     """Make the folder, or refuse it before a long search.
 
-    Raises
-    ------
-    TermselError
-        If it cannot be made or written to, is that of a study, or has a result that may not be
-        replaced, or files that would be replaced and are not those of a result.
+    Refused is one that cannot be made or written to, is that of a study, or has a result that may
+    not be replaced, or files that would be replaced and are not those of a result.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)

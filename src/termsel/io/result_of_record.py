@@ -31,14 +31,9 @@ AGAIN = "Run the search again."
 
 
 def record_from(content: Any) -> Record:
-    """Return the record that the content of result.json is.
+    """Return the record that the content of result.json is, completed where it is an earlier one.
 
-    What records of earlier versions lack is added.
-
-    Raises
-    ------
-    TermselError
-        If it is not a record, with the place in the JSON and what is expected there.
+    Raises TermselError otherwise, with the place in the JSON and what is expected there.
     """
     if not isinstance(content, dict) or content.get("schema") != SCHEMA:
         raise TermselError(f"this is not a result with the schema {SCHEMA}",
@@ -58,10 +53,8 @@ def record_from(content: Any) -> Record:
 def result_from(record: Record, features: FeatureSet) -> Result:
     """Return the result of a record and its features, each point with its role.
 
-    Raises
-    ------
-    TermselError
-        If the model or one of its options is unknown, or the model is not the one of the run.
+    Raises TermselError if the model or an option is unknown, or the model is not the one of the
+    run.
     """
     observations = by_roles(features)
     model = _model(record)

@@ -19,17 +19,11 @@ MOST = 10_000
 
 @dataclass
 class Answers:
-    """What plugins answered to a hook.
+    """What plugins answered to a hook."""
 
-    Parameters
-    ----------
-    things : list
-        Each thing that a plugin gave, with the plugin, in pluggy's order.
-    faults : list
-        Plugins that failed, with the reason.
-    """
-
+    # each thing with its plugin, in pluggy's order
     things: list[tuple[Plugin, Any]] = field(default_factory=list)
+    # plugins that failed, with the reason
     faults: list[tuple[Plugin, str]] = field(default_factory=list)
 
 
@@ -77,13 +71,7 @@ class _Givers:
 
 
 def listed(value: Any) -> list[Any]:
-    """Return what a hook returned as a list.
-
-    Raises
-    ------
-    TypeError
-        If it is none, or has no end.
-    """
+    """Return what a hook returned as a list; TypeError if it is none, or has no end."""
     if isinstance(value, str | type) or not isinstance(value, Iterable):
         raise TypeError(f"returned {value!r}, not a list")
     things: list[Any] = []

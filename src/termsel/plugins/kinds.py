@@ -21,18 +21,12 @@ _NAME = re.compile(r"[^\s:]+")
 
 @dataclass(frozen=True)
 class Kind:
-    """A kind of things a hook returns.
+    """A kind of things a hook returns, called by a word.
 
-    Parameters
-    ----------
-    word : str
-        What one of them is called.
-    home, base : str
-        Module and name of the type; imported when needed. A hook returns
-        subclasses of a `Configurable` type, and instances of another.
-    tried : bool
-        Whether a class is refused that cannot be made without options. Every reader is asked
-        about a file and every writer about a result; models may need options.
+    The type `base` is imported from its module `home` when needed. A hook returns subclasses of a
+    `Configurable` type, and instances of another. Where `tried`, a class is refused that cannot be
+    made without options: every reader is asked about a file and every writer about a result; models
+    may need options.
     """
 
     word: str
@@ -46,13 +40,7 @@ class Kind:
         return issubclass(thing, base) if isinstance(thing, type) else isinstance(thing, base)
 
     def require_returned(self, thing: Any) -> None:
-        """Refuse what a hook may not return.
-
-        Raises
-        ------
-        TypeError
-            As `require_of`, and for an instance where classes are wanted.
-        """
+        """Refuse as `require_of`, and an instance where classes are wanted, by TypeError."""
         if isinstance(thing, Configurable):
             raise TypeError(f"returned an object of type {type(thing).__name__}, not a subclass of "
                             f"{self.base}; return the class")
@@ -61,12 +49,9 @@ class Kind:
             thing()
 
     def require_of(self, thing: Any) -> None:
-        """Refuse what is no class or instance of the kind.
+        """Refuse what is no class or instance of the kind, by TypeError.
 
-        Raises
-        ------
-        TypeError
-            If it is of another type, lacks methods or has no usable name.
+        So is what lacks methods or has no usable name.
         """
         base: type = getattr(import_module(self.home), self.base)
         classes = issubclass(base, Configurable)

@@ -40,17 +40,7 @@ HOOKS = tuple(name for name in vars(hookspecs) if name.startswith(f"{PROJECT}_")
 
 @dataclass(frozen=True)
 class Plugin:
-    """An installed plugin.
-
-    Parameters
-    ----------
-    name : str
-        Name of its entry point.
-    distribution, version : str
-        The package it comes in.
-    hooks : tuple of str
-        The hooks it implements; none where it could not be loaded.
-    """
+    """An installed plugin: its entry point, the package it comes in, and its hooks once loaded."""
 
     name: str
     distribution: str
@@ -64,15 +54,7 @@ class Plugin:
 
 @dataclass(frozen=True)
 class Remark:
-    """What a plugin's author should know: something that does not work.
-
-    Parameters
-    ----------
-    plugin, distribution, version : str
-        As in `Plugin`.
-    what : str
-        What it is, after the hook concerned if there is one.
-    """
+    """What a plugin's author should know: something that does not work, after its hook if any."""
 
     plugin: str
     distribution: str
@@ -121,33 +103,16 @@ def canonical(distribution: str) -> str:
 
 @dataclass
 class Slot:
-    """A plugin and its code, which is imported when something needs it.
-
-    Parameters
-    ----------
-    plugin : Plugin
-    load : callable
-        Imports the module.
-    module : str
-        Its name.
-    may_have : callable
-        Takes the name of a hook; returns False where the plugin certainly does not implement it.
-    hooks : mapping
-        What it implements, once it is loaded.
-    seconds : float
-        How long its import and its hooks took.
-    left_out : str
-        Why it is not asked any more: it took too long.
-    """
+    """A plugin and its code, which is imported when something needs it."""
 
     plugin: Plugin
     load: Callable[[], Any]
-    module: str
-    may_have: Callable[[str], bool]
-    hooks: dict[str, pluggy.HookImpl] = field(default_factory=dict)
+    module: str  # whose import `load` is
+    may_have: Callable[[str], bool]  # False for hooks that it certainly does not implement
+    hooks: dict[str, pluggy.HookImpl] = field(default_factory=dict)  # once it is loaded
     loaded: bool = False
-    seconds: float = 0.0
-    left_out: str = ""
+    seconds: float = 0.0  # of its import and its hooks
+    left_out: str = ""  # why it is not asked any more: it took too long
 
     @property
     def package(self) -> str:
@@ -169,13 +134,7 @@ class Slot:
 
 
 class Loader:
-    """The plugins and their hooks.
-
-    Parameters
-    ----------
-    entry_points : iterable of importlib.metadata.EntryPoint, optional
-        As in `termsel.plugins.registry.Registry`.
-    """
+    """The plugins and their hooks, of entry points as in `termsel.plugins.registry.Registry`."""
 
     def __init__(self, entry_points: Iterable[EntryPoint] | None = None) -> None:
         self.failures: list[Remark] = []

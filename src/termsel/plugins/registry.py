@@ -34,24 +34,12 @@ SESSION = "session"
 
 @dataclass(frozen=True)
 class Entry:
-    """Something that has a name.
+    """Something that has a name."""
 
-    Parameters
-    ----------
-    name : str
-        Its name; ``distribution:name`` where another thing has the bare name.
-    summary : str
-        One line about it.
-    provided_by : str
-        The distribution it comes from.
-    object : object
-        The class; of problems and data sets the `Recipe` or `DatasetSpec`.
-    """
-
-    name: str
-    summary: str
-    provided_by: str
-    object: Any
+    name: str  # ``distribution:name`` where another thing has the bare name
+    summary: str  # one line
+    provided_by: str  # distribution
+    object: Any  # a class; of problems and data sets the description
 
     @property
     def full_name(self) -> str:
@@ -67,14 +55,7 @@ class Entry:
 
 @dataclass(frozen=True)
 class Provided:
-    """All that plugins provide of a kind.
-
-    Parameters
-    ----------
-    entries : list of Entry
-    failures : list of Remark
-        What does not work.
-    """
+    """All that plugins provide of a kind, and what does not work."""
 
     entries: list[Entry] = field(default_factory=list)
     failures: list[Remark] = field(default_factory=list)
@@ -83,14 +64,9 @@ class Provided:
 class Registry:
     """Everything that has a name.
 
-    Plugins are loaded, and their hooks called, when a kind is needed that they may provide.
-
-    Parameters
-    ----------
-    entry_points : iterable of importlib.metadata.EntryPoint, optional
-        Plugins to load after termsel's own. By default those that are installed; if the
-        environment variable ``TERMSEL_PLUGINS`` is set, only those of the distributions it
-        lists, separated by commas.
+    Plugins are loaded, and their hooks called, when a kind is needed that they may provide. Those
+    of `entry_points` come after termsel's own: by default the installed ones; if the environment
+    variable ``TERMSEL_PLUGINS`` is set, those of the distributions it lists, separated by commas.
     """
 
     def __init__(self, entry_points: Iterable[EntryPoint] | None = None) -> None:
@@ -123,10 +99,7 @@ class Registry:
     def get(self, kind: str, name: str) -> Any:
         """Return the thing of a kind of `KINDS` that has a name, or ``distribution:name``.
 
-        Raises
-        ------
-        TermselError
-            If there is none, with the names there are.
+        Raises TermselError if there is none, with the names there are.
         """
         if (thing := self.known(kind, name)) is not None:
             return thing
@@ -141,12 +114,7 @@ class Registry:
     def taken(self, kind: str, given: Any) -> Any:
         """Return the thing of a kind that is given: by its name, as for `get`, or itself.
 
-        It may also be a class or an instance of the kind.
-
-        Raises
-        ------
-        TermselError
-            If there is none of that name, or it is no such thing.
+        It may also be a class or an instance of the kind. Raises TermselError for anything else.
         """
         if isinstance(given, str):
             return self.get(kind, given)

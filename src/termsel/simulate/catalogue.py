@@ -7,58 +7,29 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Scene:
-    """Settings of a simulated scene.
-
-    Parameters
-    ----------
-    name, summary : str
-        As in `DatasetSpec`.
-    number : int
-        Seed of the terrain, and first part of the seed of everything drawn.
-    lon, lat : float
-        Centre of the image [deg].
-    heights : tuple of float
-        Lowest and highest terrain in the image, ellipsoidal [m].
-    image_size : tuple of int
-        Lines and samples [px].
-    gsd, altitude : float
-        Ground sample distance and altitude of the orbit [m].
-    inclination, off_nadir, look_azimuth : float
-        See `pushbroom_at` [deg].
-    drift : tuple of three tuples
-        Change of roll, pitch and yaw from the middle to the end of the scene by each power of
-        time from the first, as movement in the image [px]; for yaw, that of the array's ends.
-    jitter : tuple of float
-        Amplitudes of roll and pitch [px].
-    relief : float
-        Root mean square of the local relief, which no low polynomial fits [m].
-    roles : tuple of int
-        Numbers of control, check and independent points.
-    lines, wrong_lines : int
-        Numbers of lines, and of mismatched ones (blunders) among them.
-    noise : float
-        Standard deviation of line and sample [px].
-    """
+    """Settings of a simulated scene; name and summary are those of its `DatasetSpec`."""
 
     name: str
     summary: str
-    number: int
-    lon: float
+    number: int  # seed of the terrain, and first part of the seed of all that is drawn
+    lon: float  # centre of the image [deg]
     lat: float
-    heights: tuple[float, float]
-    image_size: tuple[int, int]
-    gsd: float
-    altitude: float
-    inclination: float
+    heights: tuple[float, float]  # lowest and highest in the image, ellipsoidal [m]
+    image_size: tuple[int, int]  # lines and samples [px]
+    gsd: float  # ground sample distance [m]
+    altitude: float  # of the orbit [m]
+    inclination: float  # see `pushbroom_at` for the angles [deg]
     off_nadir: float
     look_azimuth: float
+    # Change of roll, pitch and yaw from the middle to the end of the scene by each power of time
+    # from the first, as movement in the image [px]; for yaw, that of the array's ends.
     drift: tuple[tuple[float, ...], tuple[float, ...], tuple[float, ...]]
-    jitter: tuple[float, float]
-    relief: float
-    roles: tuple[int, int, int]
+    jitter: tuple[float, float]  # amplitudes of roll and pitch [px]
+    relief: float  # rms of what no low polynomial fits [m]
+    roles: tuple[int, int, int]  # numbers of control, check and independent points
     lines: int = 0
-    wrong_lines: int = 0
-    noise: float = 0.5
+    wrong_lines: int = 0  # mismatched ones among them
+    noise: float = 0.5  # standard deviation of line and sample [px]
 
 
 SCENES: dict[str, Scene] = {scene.name: scene for scene in (

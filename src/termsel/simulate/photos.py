@@ -44,12 +44,9 @@ _POINTS, _SEED, _STEPS = 120, 1971, 50
 
 
 def photo() -> FeatureSet:
-    """Return the measured points of the photo.
+    """Return the measured points of the photo, with roles in thirds.
 
-    Returns
-    -------
-    FeatureSet
-        Easting and northing in UTM zone 33 and heights [m]; roles in thirds.
+    Easting and northing in UTM zone 33 and heights [m].
     """
     rng = np.random.default_rng(_SEED)
     reach = 0.62 * SIZE[0] / FOCAL * HEIGHT

@@ -23,21 +23,10 @@ _MARGIN = 3  # meshes around the image, as splines are worst at the edge
 
 def on_terrain(sensor: Pushbroom, terrain: Heights, image: FloatArray, start: float,
                ) -> FloatArray:
-    """Return the points where rays of image points meet the terrain.
+    """Return the points where rays of image points meet the terrain, shape (n, 3).
 
-    Parameters
-    ----------
-    sensor : Pushbroom
-    terrain : callable
-    image : ndarray, shape (n, 2)
-        Line and sample [px].
-    start : float
-        First approximation of the height [m].
-
-    Returns
-    -------
-    ndarray, shape (n, 3)
-        Longitude, latitude [deg] and ellipsoidal height [m].
+    Longitude, latitude [deg] and ellipsoidal height [m], of line and sample [px], shape (n, 2);
+    `start` is the first approximation of the height [m].
     """
     height = np.full(len(image), start)
     for _ in range(_ROUNDS):
@@ -49,12 +38,7 @@ def on_terrain(sensor: Pushbroom, terrain: Heights, image: FloatArray, start: fl
 def checkerboard(origin: tuple[float, float], side: tuple[float, float]) -> Pattern:
     """Return a pattern of dark and bright fields.
 
-    Parameters
-    ----------
-    origin : tuple of float
-        Longitude and latitude of a corner [deg].
-    side : tuple of float
-        Width and height of a field [deg].
+    `origin` is the longitude and latitude of a corner, `side` width and height of a field [deg].
     """
     def brightness(place: FloatArray) -> FloatArray:
         column, row = np.floor((place - origin) / side).T
@@ -65,21 +49,10 @@ def checkerboard(origin: tuple[float, float], side: tuple[float, float]) -> Patt
 
 def render(sensor: Pushbroom, terrain: Heights, pattern: Pattern, *, oversample: int = 4,
            ) -> FloatArray:
-    """Return the image a scanner takes of a pattern on the terrain.
+    """Return the image a scanner takes of a pattern on the terrain, shape (n_lines, n_samples).
 
-    Each pixel is the mean over its area; shading of the terrain is not modelled.
-
-    Parameters
-    ----------
-    sensor : Pushbroom
-    terrain, pattern : callable
-    oversample : int
-        Rays along either side of a pixel.
-
-    Returns
-    -------
-    ndarray, shape (n_lines, n_samples)
-        Brightness, in the units of the pattern.
+    It is the brightness in the units of the pattern. Each pixel is the mean over its area, of
+    `oversample` rays along either side; shading of the terrain is not modelled.
     """
     lines, samples = (np.arange(-_MARGIN, -(-size // _MESH) + _MARGIN + 1) * _MESH
                       for size in (sensor.n_lines, sensor.n_samples))

@@ -90,17 +90,9 @@ def hilly(seed: int, lon: float, lat: float, extent: tuple[float, float], relief
           ) -> Terrain:
     """Return terrain with regional hills of unit size, to be scaled by `Terrain.between`.
 
-    Parameters
-    ----------
-    seed : int
-        Draws the direction of slope and hills, and the waves.
-    lon, lat : float
-        Centre [deg].
-    extent : tuple of float
-        Width to the east and to the north [m].
-    relief : float
-        Root mean square of the local relief [m], of wavelengths of a sixth to a third of the
-        extent, which no low polynomial fits.
+    The seed draws the direction of slope and hills, and the waves. `extent` is the width to the
+    east and to the north [m] about the centre [deg], `relief` the root mean square of the local
+    relief [m], of wavelengths of a sixth to a third of the extent, which no low polynomial fits.
     """
     rng = np.random.default_rng(seed)
     scale = (float(np.degrees(extent[0] / 2 / (SEMI_MAJOR * np.cos(np.radians(lat))))),

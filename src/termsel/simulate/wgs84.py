@@ -28,10 +28,8 @@ def to_ecef(ground: FloatArray) -> FloatArray:
 def from_ecef(position: FloatArray) -> FloatArray:
     """Return WGS84 lon, lat [deg], height [m] of Earth-fixed coordinates [m], shape (n, 3).
 
-    Notes
-    -----
-    B. R. Bowring, "Transformation from spatial to geographical coordinates", Survey Review 23
-    (1976) 323-327, iterated twice: exact to rounding anywhere near the surface.
+    Source: B. R. Bowring, "Transformation from spatial to geographical coordinates", Survey Review
+    23 (1976) 323-327, iterated twice: exact to rounding anywhere near the surface.
     """
     x, y, z = position.T
     p = np.hypot(x, y)

@@ -23,17 +23,10 @@ _SMALL = 1e-10
 
 
 class ColumnProblem(Problem):
-    """Which columns explain y by least squares, judged by the extended BIC.
+    """Which columns of X (n, k), at most so many, explain y (n, m) by the extended BIC.
 
     n log(RSS / n) + s log n + 2 log C(k, s) for s of k columns (Chen and Chen 2008, Biometrika
     95(3), equation 1 with gamma 1). A constant is always in the fit and does not count.
-
-    Parameters
-    ----------
-    X : ndarray, shape (n, k)
-    y : ndarray, shape (n, m)
-    most : int
-        Largest number of columns.
     """
 
     objectives = ("ebic",)

@@ -43,15 +43,7 @@ class Check:
 
 @dataclass(frozen=True)
 class Case:
-    """One object on which the checks are run.
-
-    Parameters
-    ----------
-    label : str
-        Its name and options, for messages.
-    make : callable
-        Returns a new object for each check.
-    """
+    """One object on which the checks are run: its name and options, and what makes it."""
 
     label: str
     make: Callable[[], Any]
@@ -61,12 +53,8 @@ class Case:
 class Suite:
     """The checks of one kind of thing.
 
-    Parameters
-    ----------
-    functions : tuple of callable
-        Each takes the object of a case, and raises AssertionError; its name is that of the check.
-    cases : callable
-        Takes a thing and, by keyword, what else its checks need; returns its cases.
+    Each function takes the object of a case, and raises AssertionError; its name is that of the
+    check. `cases` takes a thing and, by keyword, what else its checks need.
     """
 
     functions: tuple[Callable[[Any], None], ...]
@@ -91,12 +79,7 @@ def assemble(
 
     Expected failures are names of checks that are known to fail, with the reason. Such a check
     succeeds if the plugin fails as predicted, and fails if it does not, so that the list stays
-    correct.
-
-    Raises
-    ------
-    TermselError
-        For an expected failure of a check that does not exist.
+    correct. One of a check that does not exist is refused.
     """
     named = {function.__name__: function for function in functions}
     reasons = dict(expected_failures or {})
@@ -109,13 +92,7 @@ def assemble(
 
 
 def run_all(checks: Iterable[Check]) -> None:
-    """Run all checks, and report every one that fails.
-
-    Raises
-    ------
-    AssertionError
-        With one paragraph for each failed check.
-    """
+    """Run all checks; the AssertionError has one paragraph for each that fails."""
     failures = []
     for check in checks:
         try:

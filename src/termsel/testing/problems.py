@@ -33,13 +33,7 @@ Judge = Callable[[BoolArray], tuple[FloatArray, FloatArray]]
 class Toy(Problem):
     """A problem that is quick to evaluate.
 
-    Parameters
-    ----------
-    genome : Genome
-    judge : callable
-        Takes genes, shape (p, size); returns objectives, shape (p, m), and violations,
-        shape (p,).
-    objectives : tuple of str
+    The judge takes genes (p, size) and returns objectives (p, m) and violations (p,).
     """
 
     def __init__(self, genome: Genome, judge: Judge,
@@ -60,12 +54,8 @@ class Toy(Problem):
 class Watched(ProblemAround):
     """A problem that refuses genes that no solver may send, and counts evaluations.
 
-    Parameters
-    ----------
-    inner : Problem
-    before : callable, optional
-        Called with the number of the call, from 1, before each evaluation; the solver must
-        let its exceptions pass.
+    `before` is called with the number of the call, from 1, before each evaluation; the solver must
+    let its exceptions pass.
     """
 
     def __init__(self, inner: Problem, before: Callable[[int], None] | None = None) -> None:
@@ -76,12 +66,9 @@ class Watched(ProblemAround):
         self.best: tuple[float, float] = (np.inf, np.inf)
 
     def evaluate(self, genes: BoolArray) -> Evaluation:
-        """Return the evaluation of genes, which must be valid.
+        """Return the evaluation of genes; AssertionError where they are not valid.
 
-        Raises
-        ------
-        AssertionError
-            For genes of another type or shape, or against the rules of the genome.
+        That is for another type or shape, or against the rules of the genome.
         """
         require_genes(self.genome, genes, "evaluate() got")
         self.calls += 1

@@ -22,16 +22,7 @@ PIECES = 40
 
 @dataclass(frozen=True, eq=False)
 class Example:
-    """A reader and a file it reads.
-
-    Parameters
-    ----------
-    reader : Reader
-    content : bytes
-    expected : FeatureSet
-        The features in the content.
-    filename : str
-    """
+    """A reader, the content of a file it reads, and the features in that."""
 
     reader: Reader
     content: bytes

@@ -31,13 +31,7 @@ def flattened(ground: FloatArray) -> FloatArray:
 
 
 def random_coefficients(model: SensorModel, rng: np.random.Generator) -> FloatArray:
-    """Return coefficients (k,) that give a model a finite image within [-1, 1], without poles.
-
-    Raises
-    ------
-    AssertionError
-        If even tiny coefficients do not.
-    """
+    """Return coefficients (k,) that give a model a finite image within [-1, 1], without poles."""
     ground = random_ground(rng, 500)
     coefficients = rng.uniform(-1.0, 1.0, len(model.terms))
     for _ in range(60):
@@ -86,13 +80,7 @@ def experiment(model: SensorModel, points: int, lines: int, shrink: float = 1.0,
 
 
 def accepted_scenes(model: SensorModel) -> list[FeatureSet]:
-    """Return features of the kinds of control that the model accepts, the fullest last.
-
-    Raises
-    ------
-    AssertionError
-        If it accepts none.
-    """
+    """Return features of the kinds of control that the model accepts, the fullest last."""
     taken = []
     refusal: TermselError | None = None
     for mix in MIXES:

@@ -119,13 +119,7 @@ def check(thing: Any, *, expected_failures: Mapping[str, str] | None = None,
 
 
 def _kind(thing: Any) -> str:
-    """Return the plural of what a thing is.
-
-    Raises
-    ------
-    TermselError
-        If it is nothing that has checks.
-    """
+    """Return the plural of what a thing is; TermselError if nothing has checks of it."""
     import click
 
     if isinstance(thing, str):

@@ -37,14 +37,7 @@ class Counted(ProblemAround):
 
 @dataclass(frozen=True, eq=False)
 class Trial:
-    """A solver, and the problem of most checks.
-
-    Parameters
-    ----------
-    solver : Solver
-    problem : callable
-        Makes the problem.
-    """
+    """A solver, and what makes the problem of most checks."""
 
     solver: Solver
     problem: Callable[[], Problem]

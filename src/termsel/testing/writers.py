@@ -30,13 +30,7 @@ Verify = Callable[[Result, Path], None]
 class Export:
     """A writer and its inputs.
 
-    Parameters
-    ----------
-    writer : Writer
-    results : tuple of Result
-    filename : str
-    verify : callable or None
-        Takes a result and the file it was written to; raises if they do not agree.
+    `verify` takes a result and the file it was written to; it raises if they do not agree.
     """
 
     writer: Writer

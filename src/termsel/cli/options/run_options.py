@@ -112,16 +112,8 @@ def run_options(command: Command) -> Command:
 class Asked:
     """What is asked for by the options of `run_options` and ``--out``; as click gives them.
 
-    Attributes
-    ----------
-    options : dict
-        Those of ``--set``, with those that have an option of their own.
-
-    Raises
-    ------
-    TermselError
-        For a setting without an equals sign, options that exclude each other, and options that
-        say something of what is not given.
+    Raises TermselError for a setting without an equals sign, options that exclude each other, and
+    options that say something of what is not given.
     """
 
     problem: str | None
@@ -155,6 +147,7 @@ class Asked:
     overwrite: bool
     as_json: bool
     quiet: bool
+    # those of --set, with those that have an option of their own
     options: dict[str, str] = field(init=False)
 
     def __post_init__(self) -> None:
@@ -206,12 +199,10 @@ class Asked:
                 "patience": self.patience}
 
     def exported(self) -> dict[str, Path]:
-        """Return the file in ``--out`` of each format; an unknown one is an error.
+        """Return the file in ``--out`` of each format.
 
-        Raises
-        ------
-        TermselError
-            For an unknown format; if one of the files is read, or is there and may not be replaced.
+        Raises TermselError for an unknown format, and for a file that is read or may not be
+        replaced.
         """
         from termsel.io.export import writer_of
         from termsel.io.replacing import require_replaceable
@@ -227,10 +218,7 @@ class Asked:
     def page(self) -> Path | None:
         """Return the page of ``--report``, if it is asked for.
 
-        Raises
-        ------
-        TermselError
-            If altair is not installed; if the page is there and may not be replaced.
+        Raises TermselError without altair, and for a page that may not be replaced.
         """
         from termsel.io.replacing import require_replaceable
         from termsel.report.theme import require_altair
@@ -254,12 +242,8 @@ class Asked:
     def read(self) -> tuple[FeatureSet | None, dict[str, str]]:
         """Return the features of the files, if any are given, and the options that remain.
 
-        Options of readers are theirs alone.
-
-        Raises
-        ------
-        TermselError
-            As `termsel.read`, and for an option of a reader that is given twice.
+        Options of readers are theirs alone. Raises TermselError as `termsel.read`, and for an
+        option of a reader that is given twice.
         """
         from termsel.io.read import read, readers_of
         from termsel.plugins.registry import registry
@@ -303,10 +287,7 @@ class Asked:
 def parse_settings(settings: tuple[str, ...], **own: str | None) -> dict[str, str]:
     """Return the options of ``--set KEY=VALUE``, with those that commands have as their own.
 
-    Raises
-    ------
-    TermselError
-        For a setting without an equals sign, or a key set twice.
+    Raises TermselError for a setting without an equals sign, or a key set twice.
     """
     options: dict[str, str] = {}
     for setting in settings:

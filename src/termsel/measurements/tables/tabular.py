@@ -38,13 +38,7 @@ class Framed:
         raise NotImplementedError
 
     def to_pandas(self) -> Any:
-        """Return a pandas DataFrame with a row for each.
-
-        Raises
-        ------
-        TermselError
-            If pandas is not installed.
-        """
+        """Return a pandas DataFrame with a row for each."""
         try:
             from pandas import DataFrame
         except ImportError:
@@ -55,15 +49,7 @@ class Framed:
     def to_geopandas(self, crs: str = "local") -> Any:
         """Return a geopandas GeoDataFrame with the place of each on the ground.
 
-        Parameters
-        ----------
-        crs : str
-            As of the feature set.
-
-        Raises
-        ------
-        TermselError
-            If geopandas is not installed.
+        `crs` is that of the feature set.
         """
         try:
             import shapely
