@@ -80,8 +80,7 @@ def normal_equations(equations: Equations, terms: BoolArray) -> FloatArray:
     return np.linalg.solve(N, (terms * (A.T @ equations.b))[..., None])[..., 0]
 
 
-def best_of(calls: list[Callable[[], object]], clock: Callable[[], float] = process_time,
-            seconds: float = 1.0) -> list[float]:
+def best_of(calls: list[Callable[[], object]], seconds: float = 1.0) -> list[float]:
     """Return the least time of each call; they take turns, so that load affects all equally.
 
     Processor time excludes other work on the machine.
@@ -91,9 +90,9 @@ def best_of(calls: list[Callable[[], object]], clock: Callable[[], float] = proc
     rounds = 0
     while rounds < 3 or perf_counter() < until:
         for i, call in enumerate(calls):
-            start = clock()
+            start = process_time()
             call()
-            best[i] = min(best[i], clock() - start)
+            best[i] = min(best[i], process_time() - start)
         rounds += 1
     return best
 
@@ -215,9 +214,3 @@ def _growth(rng: np.random.Generator) -> Iterator[Row]:
     for p in (1, 10, 100, 1000, 10_000):
         yield from compare(f"growth: population {p}, half of 39 terms",
                       [(line, rng.random((p, 39)) < 0.5, None)])
-    terms = rng.random((10_000, 39)) < 0.5
-    one, two = best_of([lambda: solve_many(line, terms, None),
-                        lambda: solve_many(line, terms, None, threads=2)], perf_counter)
-    yield ("population 10000 by two threads", two / 1e4, "by one", one / 1e4, one / two,
-           float(np.abs(solve_many(line, terms, None)[0]
-                        - solve_many(line, terms, None, threads=2)[0]).max()))

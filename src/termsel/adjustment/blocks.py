@@ -165,8 +165,8 @@ def paying(feature: IntArray, terms: BoolArray, features: BoolArray) -> BoolArra
 
 
 def reduced(blocks: FloatArray, triangle: FloatArray, features: BoolArray, those: BoolArray,
-            part: slice) -> Iterator[tuple[slice, FloatArray | None]]:
-    """Yield k rows for each individual of a part, with the same solutions as all of its rows.
+            ) -> Iterator[tuple[slice, FloatArray | None]]:
+    """Yield k rows for each individual, with the same solutions as all of its rows.
 
     Blocks (n + 1, w) are as `blocks_of` gives them, the triangle is (k, k), features are (p, n) or
     (p, n + 1), and those (p,) are the individuals for which blocks pay. With one individual come
@@ -176,11 +176,10 @@ def reduced(blocks: FloatArray, triangle: FloatArray, features: BoolArray, those
     k, n = len(triangle), len(blocks) - 1
     lower, system = np.empty((k, k)), np.zeros((k, k + 2))
     triangle = np.ascontiguousarray(triangle)
-    everyone = np.arange(len(features))[part]
-    for run in np.split(everyone, np.flatnonzero(np.diff(those[part])) + 1):
+    for run in np.split(np.arange(len(features)), np.flatnonzero(np.diff(those)) + 1):
         if run.size and not those[run[0]]:
             yield slice(int(run[0]), int(run[-1]) + 1), None
-    mine = everyone[those[part]]
+    mine = np.flatnonzero(those)
     for start in range(0, len(mine), _SUMMED):
         some = mine[start:start + _SUMMED]
         total = np.empty((len(some), blocks.shape[1]))

@@ -19,7 +19,6 @@ many rows `termsel.adjustment.blocks` makes k, where that is safe.
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
 from weakref import WeakKeyDictionary
@@ -298,20 +297,15 @@ def _prepared(equations: Equations) -> _Prepared:
     return known
 
 
-def solve_many(
-    equations: Equations,
-    terms: BoolArray | None,
-    features: BoolArray | None,
-    *,
-    threads: int = 1,
-) -> tuple[FloatArray, IntArray]:
+def solve_many(equations: Equations, terms: BoolArray | None, features: BoolArray | None,
+               ) -> tuple[FloatArray, IntArray]:
     """Solve a population of masked least-squares systems.
 
     A term is dependent if it keeps no more than `termsel.adjustment.solve.TOLERANCE` of its length
     over the selected rows once the selected terms before it are removed. Masks that occur several
-    times are solved once. The result depends neither on the other individuals nor on the number of
-    threads. What is computed from the equations alone is kept as long as the object lives, so its
-    arrays must not be changed afterwards.
+    times are solved once. The result does not depend on the other individuals. What is computed
+    from the equations alone is kept as long as the object lives, so its arrays must not be changed
+    afterwards.
 
     Terms (p, k) and features (p, n_features) are masks of what is selected; None is all. Returned
     are the coefficients (p, k), 0 where a term is not selected, and throughout where a mask has no
@@ -339,33 +333,24 @@ def solve_many(
     if len(first) < p:
         columns, rows = columns[first], rows[first]
     coefficients, violation = np.zeros(columns.shape), np.zeros(len(first), dtype=np.intp)
+    panels, work, heights, index = _workspace(k, len(source))
+    order = np.zeros(len(source), dtype=np.uintp)
 
-    def solve(part: slice) -> None:
-        panels, work, heights, index = _workspace(k, len(source))
-        order = np.zeros(len(source), dtype=np.uintp)
+    def factor(some: slice, of: FloatArray, feature: IntArray, rows: BoolArray) -> None:
+        _solve(panels, work, of, of is not shared.source, feature, order, index, heights,
+               columns[some], rows, TOLERANCE, shared.longest, coefficients[some],
+               violation[some])
 
-        def factor(some: slice, of: FloatArray, feature: IntArray, rows: BoolArray) -> None:
-            _solve(panels, work, of, of is not shared.source, feature, order, index, heights,
-                   columns[some], rows, TOLERANCE, shared.longest, coefficients[some],
-                   violation[some])
-
-        if features is None or shared.blocks is None:
-            factor(part, source, feature, rows[part])
-            return
+    if features is None or shared.blocks is None:
+        factor(slice(None), source, feature, rows)
+    else:
         alone = np.zeros(k, dtype=np.intp), np.ones((1, 1), dtype=bool)
         for here, few in reduced(shared.blocks, shared.triangle[:, :k], rows,
-                                 paying(feature, columns, rows), part):
+                                 paying(feature, columns, rows)):
             if few is None:
                 factor(here, source, feature, rows[here])
             else:
                 factor(here, few, *alone)
-
-    if threads == 1:
-        solve(slice(None))
-    else:
-        edges = np.linspace(0, len(first), threads + 1).astype(int)
-        with ThreadPoolExecutor(threads) as pool:
-            list(pool.map(solve, map(slice, edges[:-1], edges[1:])))
     return (coefficients, violation) if len(first) == p else (coefficients[copies],
                                                               violation[copies])
 

@@ -119,7 +119,7 @@ class Stack:
             return self._walk_residuals(piece, best.copy(), masks.copy())
         prepared = self._prepared(piece)
         if prepared is None:
-            return Walked(best, masks, piece.count, 0)
+            return Walked(best, masks, 0)
         vectors, limits, guard = prepared
         depths, _, height, rows = vectors.top.shape
         n = len(piece.rest)
@@ -128,16 +128,16 @@ class Stack:
                           np.array([self.some_of]), self.parents, guard, np.empty(depths),
                           np.empty(guard.shape[1]))
         place = place_of(depths, BITS[piece.used].sum(), _counts(n, limits.room))
+        pruned = 0
         if self.holds_out:
-            infeasible, pruned = branch(self.kind, vectors, limits, records, place, None,
-                                        np.empty((height, rows)))
+            pruned = branch(self.kind, vectors, limits, records, place, None,
+                            np.empty((height, rows)))
         elif self.branches and self.kind != RSS:
-            infeasible, pruned = branch(self.kind, vectors, limits, records, place,
-                                        self._space(vectors), None)
+            pruned = branch(self.kind, vectors, limits, records, place, self._space(vectors), None)
         else:
-            infeasible, pruned = walk(self.kind, vectors, limits, records, place,
-                                      None if vectors.share[0].size == n + 1 else False), 0
-        return Walked(best, masks, infeasible, pruned)
+            walk(self.kind, vectors, limits, records, place,
+                 None if vectors.share[0].size == n + 1 else False)
+        return Walked(best, masks, pruned)
 
     def _walk_residuals(self, piece: Piece, best: FloatArray, masks: Masks) -> Walked:
         columns = np.concatenate([piece.used, piece.rest])
@@ -146,10 +146,9 @@ class Stack:
         records = Records(best, masks, BITS[columns], np.array([self.some_of]), self.parents,
                           guard, np.empty(k + 1), np.empty(len(rows.guard)))
         limits = Limits(self.margin, TOLERANCE, 0.0, self._slack, used, min(piece.room, k - used))
-        infeasible, enumerated = branch_residuals(
-            tree, limits, records, _counts(k, k), _ENUMERATED,
-            None if len(self._targets) == 1 else False)
-        return Walked(best, masks, infeasible, piece.count - enumerated)
+        enumerated = branch_residuals(tree, limits, records, _counts(k, k), _ENUMERATED,
+                                      None if len(self._targets) == 1 else False)
+        return Walked(best, masks, piece.count - enumerated)
 
     def _tree(self, piece: Piece) -> tuple[Tree, FloatArray]:
         """Return the root of a piece, and the guard's denominators of its columns and target."""

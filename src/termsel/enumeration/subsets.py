@@ -67,10 +67,6 @@ class SubsetResult:
     masks: Masks
     subsets: int  # subsets decided
     total: int  # subsets to be decided
-    # Those among the decided that were found to have no score: dependent columns, more columns than
-    # rows, a denominator below the margin at a row of the score, or a row that is indispensable to
-    # determine the columns (press).
-    infeasible: int
     pruned: int  # those among the decided that a lower bound ruled out
     # (k + 1,): no subset of a size scores less; the best score once every subset is decided.
     floor: FloatArray
@@ -125,18 +121,18 @@ def search(
     if total > _DESCEND_FROM:
         for i, at in enumerate(descents(systems)):
             best, masks = better(best, masks, *at)
-            yield SubsetResult(best, masks, 0, total, 0, 0,
+            yield SubsetResult(best, masks, 0, total, 0,
                                _floor(best, [systems.everything], settled))
             # Those of few columns take a second, the descents several, and all of them hours.
             for piece in () if i else _small(systems):
                 walked = systems.walk(piece, best, masks)
                 best, masks, settled = walked.best, walked.masks, len(piece.used) + piece.room + 1
-                yield SubsetResult(best, masks, 0, total, 0, 0,
+                yield SubsetResult(best, masks, 0, total, 0,
                                    _floor(best, [systems.everything], settled))
     for start in systems.starts:
         walked = systems.walk(start, best, masks)
         best, masks = walked.best, walked.masks
-    scored = infeasible = pruned = 0
+    scored = pruned = 0
     branch = _BRANCH if score in ("check", "rss") else _BRANCH // _LOOSER
     largest = branch if systems.branches else _PIECE
     if score != "rss" or total <= _DESCEND_FROM:
@@ -147,7 +143,7 @@ def search(
     for rung in rungs(systems, best, masks, largest, workers) if climbs else ():
         best, masks, least = rung
         todo = [replace(systems.everything, least=least)]
-        yield SubsetResult(best, masks, 0, total, 0, 0, _floor(best, todo, settled))
+        yield SubsetResult(best, masks, 0, total, 0, _floor(best, todo, settled))
     waiting: deque[tuple[Piece, Future[Walked]]] = deque()
     pool = ThreadPoolExecutor(workers)
     try:
@@ -176,10 +172,9 @@ def search(
                 if improves:
                     limits = _limits(cost, best, systems.largest)
                 scored += piece.count - walked.pruned
-                infeasible += walked.infeasible
                 pruned += walked.pruned
             open_ = (*todo, *(piece for piece, _ in waiting))
-            yield SubsetResult(best, masks, scored + pruned, total, infeasible, pruned,
+            yield SubsetResult(best, masks, scored + pruned, total, pruned,
                                _floor(best, open_, settled, limits))
     finally:
         pool.shutdown(cancel_futures=True)

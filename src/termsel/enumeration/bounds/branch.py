@@ -23,14 +23,13 @@ _compiled = partial(compiled, _nrt=False, fastmath={"reassoc", "contract", "arcp
 
 @_compiled
 def branch(kind: int, vectors: Vectors, limits: Limits, records: Records, place: Place,
-           check: CheckSpace | None, work: FloatArray | None) -> tuple[int, int]:
+           check: CheckSpace | None, work: FloatArray | None) -> int:
     """Decide all subsets of n columns in addition to those in use already.
 
     For the errors of check points the kind is LINEAR or RATIONAL, of one system and one target,
     with `check`. For held-out errors it is PRESS without denominators, or LINEAR (see
     `bounds.held_out`), with the space `work` (n + r, rows). All else is as for
-    `columns.kernels.walk`. Return the number of subsets that were found to have no score, and of
-    those that a bound ruled out.
+    `columns.kernels.walk`. Return the number of subsets that a bound ruled out.
     """
     systems, r = 1, 1
     if work is not None:
@@ -38,7 +37,7 @@ def branch(kind: int, vectors: Vectors, limits: Limits, records: Records, place:
     n = vectors.top.shape[2] - r
     size, most = limits.size, limits.room
     cursor, ends, mask, counts = place.cursor, place.ends, place.mask, place.counts
-    infeasible, pruned, depth, first = 0, 0, 0, 0
+    pruned, depth, first = 0, 0, 0
     i, joined = n, mask[0]  # column n is none: first comes the subset in use already
     while True:
         score, new = np.inf, size + depth + (i < n)
@@ -46,7 +45,6 @@ def branch(kind: int, vectors: Vectors, limits: Limits, records: Records, place:
             score = held_out.score(kind, vectors, depth, i, limits)
         if check is not None:
             score = check_errors.score(kind, vectors, depth, i, limits)
-        infeasible += not score < np.inf
         if score <= records.best[new]:
             cursor[depth] = i
             record(score, new, joined, vectors, depth, cursor, records, limits.margin)
@@ -78,12 +76,10 @@ def branch(kind: int, vectors: Vectors, limits: Limits, records: Records, place:
                                                    check.upper[depth], check.bound)
                 pruned += counts[n - end, left] - 1  # but for the node itself, without any of them
                 if check is not None and left > 1 and open_ <= check_errors.BLOCK:
-                    lost = check_errors.decide_block(kind, vectors, limits, records, depth, first,
-                                                     cursor, mask[depth], check.upper[depth],
-                                                     check.block)
-                    if lost >= 0:  # else inner products were too inaccurate
-                        infeasible += lost
-                        end = first
+                    decided = check_errors.decide_block(
+                        kind, vectors, limits, records, depth, first, cursor, mask[depth],
+                        check.upper[depth], check.block)
+                    end = first if decided else end
                 ends[depth] = end
                 cursor[depth] = first
             else:
@@ -91,13 +87,12 @@ def branch(kind: int, vectors: Vectors, limits: Limits, records: Records, place:
             i = cursor[depth]
             if i >= ends[depth]:
                 if depth == 0:
-                    return infeasible, pruned
+                    return pruned
                 depth -= 1
                 continue
             dependent = False
             for f in range(systems):
                 dependent |= vectors.square[depth, f, i] <= vectors.floor[f, i]
-            if not dependent:
+            if not dependent:  # else all subsets below have no score
                 break
-            infeasible += counts[n - 1 - i, left - 1]  # and so are all subsets below
         joined = mask[depth] | records.bits[i]

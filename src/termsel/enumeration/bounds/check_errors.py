@@ -65,17 +65,16 @@ def _allowed(best: float, limits: Limits) -> float:
 @_compiled
 def decide_block(kind: int, vectors: Vectors, limits: Limits, records: Records, depth: int,
                  first: int, cursor: IntArray, mask: Any, upper: FloatArray,
-                 b: SubsetBlock) -> int:
+                 b: SubsetBlock) -> bool:
     """Decide all subsets that add some of the columns first, ..., n - 1, by their inner products.
 
-    Return the number of subsets that were found to have no score; -1 if inner products are too
-    inaccurate, so that the vectors must decide.
+    Return False if inner products are too inaccurate, so that the vectors must decide.
     """
     n = vectors.top.shape[2] - 1
     count, left, best = n - first, limits.room - depth, records.best
     lost, below = prepare(vectors.top[depth, 0], vectors.extra[depth, 0], first, n,
                           upper, vectors.floor[0], b)
-    infeasible, level = 0, 0
+    level = 0
     b.share[0] = 1.0
     b.cursor[0] = -1
     while True:
@@ -83,16 +82,15 @@ def decide_block(kind: int, vectors: Vectors, limits: Limits, records: Records, 
         i = b.cursor[level]
         if i >= count:
             if level == 0:
-                return infeasible
+                return True
             level -= 1
             continue
         share = b.share[level] * b.control.own[level, i] * b.inverse[i]
         if not share > SHARE:
-            return -1
+            return False
         new = limits.size + depth + level + 1
         if not single(i, level, _root(best[new], limits), lost, below, b):
-            infeasible += _exactly(kind, vectors, limits, records, depth, first, level + 1, cursor,
-                                   mask, b)
+            _exactly(kind, vectors, limits, records, depth, first, level + 1, cursor, mask, b)
         if i == count - 1:
             continue
         if left - level == 2:  # nothing is below pairs: they need no elimination of their own
@@ -101,8 +99,8 @@ def decide_block(kind: int, vectors: Vectors, limits: Limits, records: Records, 
                 for c in range(i + 1, count):
                     if not b.row[c] > 0.0:  # NaN rules nothing out
                         b.cursor[level + 1] = c
-                        infeasible += _exactly(kind, vectors, limits, records, depth, first,
-                                               level + 2, cursor, mask, b)
+                        _exactly(kind, vectors, limits, records, depth, first, level + 2, cursor,
+                                 mask, b)
         else:
             eliminate(i, level, count, b)
             b.share[level + 1] = share
@@ -118,8 +116,8 @@ def _root(best: float, limits: Limits) -> float:
 
 @_compiled
 def _exactly(kind: int, vectors: Vectors, limits: Limits, records: Records, depth: int, first: int,
-             count: int, cursor: IntArray, mask: Any, b: SubsetBlock) -> int:
-    """Score one subset of a block from the vectors; return 1 if it has no score."""
+             count: int, cursor: IntArray, mask: Any, b: SubsetBlock) -> None:
+    """Score one subset of a block from the vectors."""
     n = vectors.top.shape[2] - 1
     # Depths below the node are free while its block is decided. Only what the subset needs is
     # removed: its own later columns and the target.
@@ -128,7 +126,7 @@ def _exactly(kind: int, vectors: Vectors, limits: Limits, records: Records, dept
         cursor[depth + level] = i
         mask = mask | records.bits[i]
         if vectors.square[depth + level, 0, i] <= vectors.floor[0, i]:
-            return 1
+            return  # dependent columns have no score
         if level < count - 1:
             _remove(vectors, depth + level, i, n)
             for later in range(level + 1, count):
@@ -138,4 +136,3 @@ def _exactly(kind: int, vectors: Vectors, limits: Limits, records: Records, dept
     new = limits.size + at + 1
     if value <= records.best[new]:
         record(value, new, mask, vectors, at, cursor, records, limits.margin)
-    return int(not value < np.inf)

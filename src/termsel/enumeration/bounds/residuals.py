@@ -27,16 +27,15 @@ _compiled = partial(compiled, fastmath={"reassoc", "contract", "arcp", "nsz"})
 
 @_compiled
 def branch_residuals(tree: Tree, limits: Limits, records: Records, counts: IntArray, few: int,
-                     single: bool | None) -> tuple[int, int]:
+                     single: bool | None) -> int:
     """Decide all subsets of the columns at depth 0 that hold those in use there.
 
     The room of the limits is that of depth 0, without an offset; records have bits and guard of all
     columns; counts are as of `Place`, `single` is as for `columns.kernels.walk`. So few subsets are
-    enumerated at once. Return the number of subsets that were found to have no score, and of those
-    not ruled out by a bound.
+    enumerated at once. Return the number of subsets that no bound ruled out.
     """
     most, best, depth = limits.size + limits.room, records.best, 0
-    infeasible = enumerated = 0
+    enumerated = 0
     entering = True
     while depth >= 0:
         n, p = tree.count[depth], tree.used[depth]
@@ -48,8 +47,7 @@ def branch_residuals(tree: Tree, limits: Limits, records: Records, counts: IntAr
                 limit = max(limit, best[size])
             bound = node_bound(tree, depth, limit * (1.0 + ROUNDING) + limits.slack)
             if not bound < np.inf:  # columns in use depend on each other
-                lost = counts[n - p, min(most - p, n - p)]
-                infeasible, enumerated = infeasible + lost, enumerated + lost
+                enumerated += counts[n - p, min(most - p, n - p)]
                 depth -= 1
                 continue
             # Larger subsets have lower residuals: the largest sizes are the first to be closed.
@@ -60,13 +58,12 @@ def branch_residuals(tree: Tree, limits: Limits, records: Records, counts: IntAr
                 depth -= 1
                 continue
             if counts[n - p, largest - p] <= few:
-                infeasible += _enumerate(tree, depth, n, largest - p, False, limits, records,
-                                         counts, single)
+                _enumerate(tree, depth, n, largest - p, False, limits, records, counts, single)
                 enumerated += counts[n - p, largest - p]
                 depth -= 1
                 continue
             if largest == n:  # A itself; its proper subsets are below the children
-                infeasible += _enumerate(tree, depth, n, 0, True, limits, records, counts, single)
+                _enumerate(tree, depth, n, 0, True, limits, records, counts, single)
                 enumerated += 1
             order_columns(tree, depth, bound)
             # The largest score of interest of all sizes that the subsets of a child may have.
@@ -87,7 +84,7 @@ def branch_residuals(tree: Tree, limits: Limits, records: Records, counts: IntAr
         _drop(tree, depth, i)
         depth += 1
         entering = True
-    return infeasible, enumerated
+    return enumerated
 
 
 @_compiled
@@ -140,8 +137,8 @@ def _drop(tree: Tree, d: int, place: int) -> None:
 
 @_compiled
 def _enumerate(tree: Tree, d: int, n: int, room: int, all_in_use: bool, limits: Limits,
-               records: Records, counts: IntArray, single: bool | None) -> int:
-    """Decide all subsets of a node one by one; return how many have no score."""
+               records: Records, counts: IntArray, single: bool | None) -> None:
+    """Decide all subsets of a node one by one."""
     r, g, work, below = tree.target.shape[1], records.guard.shape[1], tree.work, tree.eliminated
     p = n if all_in_use else tree.used[d]
     count, depths = n - p, max(room, 1)
@@ -159,7 +156,7 @@ def _enumerate(tree: Tree, d: int, n: int, room: int, all_in_use: bool, limits: 
     for i in range(p):
         length = square(work, i, n)
         if length <= tree.floors[0, 0]:
-            return int(counts[count, room])  # no subset has a score
+            return  # no subset has a score
         eliminate(work, i, n + r, n, length)
         for j in range(i + 1, n + 1):
             for k in range(g):
@@ -183,4 +180,4 @@ def _enumerate(tree: Tree, d: int, n: int, room: int, all_in_use: bool, limits: 
     within = Limits(limits.margin, limits.tolerance, tree.rss[d], limits.slack, p, room)
     tree.mask[0] = used
     place = Place(tree.cursor, tree.cursor, tree.mask, counts)
-    return int(walk(RSS, vectors, within, inside, place, single))
+    walk(RSS, vectors, within, inside, place, single)

@@ -48,11 +48,11 @@ def prepare(top: FloatArray, extra: FloatArray, first: int, n: int, upper: Float
     height = len(upper) - 1
     for k in range(height):
         b.weight[k] = 1.0 / (upper[k] * upper[k])
-    target = _products(top, 0, top.shape[1], False, first, n, b.control, b)
+    target = _products(top, top.shape[1], False, first, n, b.control, b)
     for i in range(n - first):
         own = b.control.own[0, i]
         b.inverse[i] = 1.0 / own if own > floor[first + i] else 0.0
-    _products(extra, 0, height, True, first, n, b.errors, b)
+    _products(extra, height, True, first, n, b.errors, b)
     errors, below = 0.0, 0.0
     for i in range(n + 1 - first):
         total = 0.0
@@ -68,17 +68,17 @@ def prepare(top: FloatArray, extra: FloatArray, first: int, n: int, upper: Float
 
 
 @_compiled
-def _products(rows: FloatArray, start: int, stop: int, weighted: bool, first: int, n: int,
-              to: Products, b: SubsetBlock) -> float:
+def _products(rows: FloatArray, height: int, weighted: bool, first: int, n: int, to: Products,
+              b: SubsetBlock) -> float:
     """Write the inner products of columns at level 0; return the target's with itself."""
     count = n - first
     for i in range(count + 1):
-        for k in range(start, stop):
-            b.row[k - start] = rows[first + i, k] * (b.weight[k - start] if weighted else 1.0)
+        for k in range(height):
+            b.row[k] = rows[first + i, k] * (b.weight[k] if weighted else 1.0)
         for j in range(i, count + 1):
             total = 0.0
-            for k in range(start, stop):
-                total += b.row[k - start] * rows[first + j, k]
+            for k in range(height):
+                total += b.row[k] * rows[first + j, k]
             if i == count:
                 to.total[0] = total
             elif j == count:

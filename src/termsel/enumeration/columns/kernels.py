@@ -215,11 +215,11 @@ def _open_leverage(vectors: Vectors, depth: int, i: int) -> None:
 
 @_compiled
 def walk(kind: int, vectors: Vectors, limits: Limits, records: Records, place: Place,
-         single: bool | None) -> int:
+         single: bool | None) -> None:
     """Enumerate all subsets of n columns in addition to those in use already.
 
     The kind is LINEAR, RATIONAL, PRESS or RSS. If f = r = 1, `single` is None: a type of its own,
-    for which faster code is compiled. Return the number of subsets without a score.
+    for which faster code is compiled.
     """
     if single is None:
         systems, r = 1, 1
@@ -227,8 +227,7 @@ def walk(kind: int, vectors: Vectors, limits: Limits, records: Records, place: P
         systems, r = vectors.top.shape[1], vectors.share.shape[3]
     n = vectors.top.shape[2] - r
     size, room = limits.size, limits.room
-    cursor, mask, counts = place.cursor, place.mask, place.counts
-    infeasible, depth = 0, 0
+    cursor, mask, depth = place.cursor, place.mask, 0
     # At depth 0 column n is scored as well, which is none: the subset in use already.
     first, last = 0 if room > 0 else n, n + 1
     while True:
@@ -257,10 +256,8 @@ def walk(kind: int, vectors: Vectors, limits: Limits, records: Records, place: P
                 dependent |= here.square[f, c] <= vectors.floor[f, c]
             if dependent:
                 here.square[0, c] = 0.0  # a mark not to descend
-                infeasible += counts[n - 1 - c, room - depth - 1]
                 continue
             score = score_of(kind, here, c, systems, r, limits)
-            infeasible += not score < np.inf
             new = size + depth + (c < n)
             if score <= records.best[new]:
                 cursor[depth] = c
@@ -272,7 +269,7 @@ def walk(kind: int, vectors: Vectors, limits: Limits, records: Records, place: P
             i = cursor[depth]
             if i >= n - 1 or depth + 1 >= room:
                 if depth == 0:
-                    return infeasible
+                    return
                 depth -= 1
             elif vectors.square[depth, 0, i] > 0.0:
                 break

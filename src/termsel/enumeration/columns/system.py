@@ -105,7 +105,6 @@ class Walked:
 
     best: FloatArray
     masks: Masks
-    infeasible: int
     pruned: int
 
 
