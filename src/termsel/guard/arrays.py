@@ -32,11 +32,6 @@ def _listed(shape: tuple[int, ...]) -> str:
     return f"{sizes[0]}," if len(sizes) == 1 else ", ".join(sizes)
 
 
-def of_optional_type(value: Any, wanted: type) -> str | None:
-    """Return how an object differs from the type expected; None is expected as well."""
-    return None if value is None else of_type(value, wanted)
-
-
 def of_type(value: Any, wanted: type) -> str | None:
     """Return how an object differs from the type expected, None if it does not."""
     if isinstance(value, wanted):

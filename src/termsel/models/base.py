@@ -14,7 +14,7 @@ from termsel.adjustment.interpolation import Interpolation
 from termsel.errors import TermselError
 from termsel.fits.fit import Fit
 from termsel.fits.of_features import control_of, fit_all_terms
-from termsel.guard.arrays import of_optional_type, of_shape, of_type
+from termsel.guard.arrays import of_shape, of_type
 from termsel.guard.calls import Check
 from termsel.measurements.coordinates.crs import to_wgs84
 from termsel.measurements.features import FeatureSet, FloatArray, IntArray
@@ -36,10 +36,8 @@ def _terms_fault(_model: SensorModel, value: Any) -> str | None:
     return f"returned {value!r:.200}; expected a tuple of different names"
 
 
-def _equations_fault(model: SensorModel, value: Any, *args: Any) -> str | None:
-    """Return what is wrong with equations, if anything; None stands for no linearisation."""
-    if value is None and len(args) == 2:
-        return None
+def _equations_fault(model: SensorModel, value: Any, *_args: Any) -> str | None:
+    """Return what is wrong with equations, if anything."""
     return (of_type(value, Equations)
             or of_shape(value.A, (-1, len(model.terms)), what="returned as A")
             or of_shape(value.b, (len(value.A),), what="returned as b")
@@ -53,14 +51,9 @@ def _image_fault(_model: SensorModel, value: Any, coefficients: FloatArray, *arg
     return of_shape(value, (*np.shape(coefficients)[:-1], len(ground), 2), finite=False)
 
 
-def _denominators_fault(model: SensorModel, value: Any, coefficients: FloatArray,
-                        ground: FloatArray) -> str | None:
-    return None if value is None else _image_fault(model, value, coefficients, ground)
-
-
 def _weights_fault(_model: SensorModel, value: Any, control: FloatArray, ground: FloatArray,
                    ) -> str | None:
-    return None if value is None else of_shape(value, (len(ground), len(control)))
+    return of_shape(value, (len(ground), len(control)))
 
 
 def _axis_fault(model: SensorModel, value: Any) -> str | None:
@@ -70,19 +63,24 @@ def _axis_fault(model: SensorModel, value: Any) -> str | None:
     return what
 
 
-def _optional(wanted: type) -> Check:
-    """Return a check of values that are of a type, or None."""
-    return lambda _model, value, *_args: of_optional_type(value, wanted)
+def _of(wanted: type) -> Check:
+    """Return a check of values that are of a type."""
+    return lambda _model, value, *_args: of_type(value, wanted)
 
 
 def _rpc_fault(_model: SensorModel, value: Any, *_args: Any) -> str | None:
     from termsel.models.rpc import Rpc
 
-    return of_optional_type(value, Rpc)
+    return of_type(value, Rpc)
 
 
 def _model_fault(_model: SensorModel, value: Any, *_args: Any) -> str | None:
     return of_type(value, SensorModel)
+
+
+def _or_none(check: Check) -> Check:
+    """Return a check that also takes None."""
+    return lambda model, value, *args: None if value is None else check(model, value, *args)
 
 
 class SensorModel(Configurable, ABC):
@@ -96,10 +94,10 @@ class SensorModel(Configurable, ABC):
     kind = "model"
     guards: ClassVar[Mapping[str, Check | None]] = {
         "terms": _terms_fault, "axis": _axis_fault, "prepared": _model_fault,
-        "equations": _equations_fault, "linearised": _equations_fault, "project": _image_fault,
-        "predict": _image_fault, "denominators": _denominators_fault,
-        "residual_weights": _weights_fault, "interpolation": _optional(Interpolation),
-        "as_rpc": _rpc_fault, "polynomial_degree": _optional(int)}
+        "equations": _equations_fault, "linearised": _or_none(_equations_fault),
+        "project": _image_fault, "predict": _image_fault, "denominators": _or_none(_image_fault),
+        "residual_weights": _or_none(_weights_fault), "as_rpc": _or_none(_rpc_fault),
+        "interpolation": _or_none(_of(Interpolation)), "polynomial_degree": _or_none(_of(int))}
 
     uses_height: ClassVar[bool] = True
     """Whether it requires the heights of the features."""

@@ -58,7 +58,6 @@ class ThinPlate(Interpolating):
 
     name = "tps"
     variables = 2
-    """Ground coordinates that it takes: X, Y and, if 3, Z."""
     uses_height = False
     declared_options: ClassVar[tuple[Option, ...]] = (
         Option("smoothing", None, "What is added to the diagonal of the kernels' matrix; 0 meets "
@@ -90,7 +89,6 @@ class Field(Interpolating):
 
     name = "field"
     variables = 2
-    """Ground coordinates that it takes: X, Y and, if 3, Z."""
     uses_height = False
 
     def interpolation(self, control: FeatureSet) -> Interpolation | None:
@@ -103,5 +101,4 @@ class Field3D(Field):
 
     name = "field3d"
     variables = 3
-    """Ground coordinates that it takes: X, Y and, if 3, Z."""
     uses_height = True

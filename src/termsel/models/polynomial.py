@@ -13,11 +13,11 @@ from termsel.adjustment.monomials import (
     monomials,
 )
 from termsel.measurements.features import FloatArray
-from termsel.models.quotient import Blocks, RationalModel
+from termsel.models.quotient import Blocks, MonomialModel, RationalModel
 from termsel.options import Option
 
 
-class Polynomial(RationalModel):
+class Polynomial(MonomialModel):
     """A polynomial with all monomials up to a degree, the same for both axes."""
 
     variables: ClassVar[int] = 3
@@ -32,15 +32,6 @@ class Polynomial(RationalModel):
     def polynomial_degree(self) -> int | None:
         """Greatest total power; None for a model that goes on from a polynomial."""
         return None if self.corrects else max(map(sum, self.exponents))
-
-    def blocks(self, ground: FloatArray) -> Blocks:
-        """Return the monomials for both axes."""
-        columns = monomials(ground, self.exponents)
-        return Blocks(line=columns, sample=columns)
-
-    def column_names(self, block: str) -> tuple[str, ...]:
-        """Return the monomials' names."""
-        return tuple(monomial_name(e) for e in self.exponents)
 
 
 class Polynomial2D(Polynomial):

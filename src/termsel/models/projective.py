@@ -2,32 +2,20 @@
 
 from __future__ import annotations
 
-from abc import abstractmethod
 from functools import cached_property
 
-from termsel.adjustment.monomials import Exponents, graded_exponents, monomial_name, monomials
-from termsel.measurements.features import FloatArray
-from termsel.models.quotient import Blocks, RationalModel
+from termsel.adjustment.monomials import Exponents, graded_exponents
+from termsel.models.quotient import MonomialModel
 from termsel.options import Option
 
 
-class Projective(RationalModel):
+class Projective(MonomialModel):
     """A quotient of forms in the same monomials, with one denominator for both axes."""
 
     @property
-    @abstractmethod
-    def exponents(self) -> Exponents:
-        """Exponents of X, Y, Z of each column, the constant first."""
-
-    def blocks(self, ground: FloatArray) -> Blocks:
-        """Return the monomials as numerators, and without the constant as denominator."""
-        columns = monomials(ground, self.exponents)
-        return Blocks(line=columns, sample=columns, shared_denominator=columns[:, 1:])
-
-    def column_names(self, block: str) -> tuple[str, ...]:
-        """Return the monomials' names."""
-        names = tuple(monomial_name(e) for e in self.exponents)
-        return names[1:] if block == "shared_denominator" else names
+    def divides(self) -> str:
+        """One denominator."""
+        return "shared"
 
 
 class Projective2D(Projective):

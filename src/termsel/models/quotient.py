@@ -12,6 +12,7 @@ import numpy as np
 
 from termsel.adjustment.equations import Equations, line_normals
 from termsel.adjustment.lines import approximate_image, image_equations
+from termsel.adjustment.monomials import Exponents, monomial_name, monomials
 from termsel.errors import TermselError
 from termsel.guard.arrays import of_shape, of_type
 from termsel.guard.calls import Check
@@ -238,3 +239,29 @@ class RationalModel(SensorModel):
                 where, block = columns[name]
                 forms[..., axis] = coefficients[..., where] @ block.T
         return forms
+
+
+class MonomialModel(RationalModel):
+    """A model of the same monomials for line and sample, with or without denominators."""
+
+    @property
+    @abstractmethod
+    def exponents(self) -> Exponents:
+        """Exponents of X, Y, Z of each column, of denominators with the constant first."""
+
+    @property
+    def divides(self) -> str:
+        """Whether axes have "separate" denominators, a "shared" one, or "none"."""
+        return "none"
+
+    def blocks(self, ground: FloatArray) -> Blocks:
+        """Return the monomials as numerators, and without the constant as denominators."""
+        above = monomials(ground, self.exponents)
+        separate, shared = (above[:, 1:] if self.divides == kind else None
+                            for kind in ("separate", "shared"))
+        return Blocks(above, above, separate, separate, shared)
+
+    def column_names(self, block: str) -> tuple[str, ...]:
+        """Return the monomials' names."""
+        names = tuple(monomial_name(e) for e in self.exponents)
+        return names[1:] if block.endswith("denominator") else names

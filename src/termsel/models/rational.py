@@ -8,9 +8,9 @@ from functools import cached_property
 import numpy as np
 
 from termsel.adjustment.equations import Equations
-from termsel.adjustment.monomials import RPC00B, Exponents, monomial_name, monomials
+from termsel.adjustment.monomials import RPC00B, Exponents
 from termsel.measurements.features import FeatureSet, FloatArray
-from termsel.models.quotient import Blocks, RationalModel
+from termsel.models.quotient import MonomialModel
 from termsel.models.terms import Term
 from termsel.options import Option
 
@@ -24,7 +24,7 @@ coefficient. Those of satellites are smaller. One of 0.3, as of a photograph, lo
 fifty equations. A DLT is determined by lines without it."""
 
 
-class RationalFunctions(RationalModel):
+class RationalFunctions(MonomialModel):
     """Rational function model: line and sample as quotients of space polynomials.
 
     The denominators' constants are fixed to 1, so that order 3 with separate denominators
@@ -58,16 +58,10 @@ class RationalFunctions(RationalModel):
         """Exponents of the numerators' monomials."""
         return RPC00B[:_TERMS_OF_ORDER[self.options["order"]]]
 
-    def blocks(self, ground: FloatArray) -> Blocks:
-        """Return the monomials as numerators, and without the constant as denominators."""
-        above = monomials(ground, self.exponents)
-        below = above[:, 1:]
-        kind = self.options["denominators"]
-        return Blocks(
-            line=above, sample=above,
-            line_denominator=below if kind == "separate" else None,
-            sample_denominator=below if kind == "separate" else None,
-            shared_denominator=below if kind == "shared" else None)
+    @property
+    def divides(self) -> str:
+        """Whether line and sample have denominators, separate or shared."""
+        return str(self.options["denominators"])
 
     def equations(self, features: FeatureSet) -> Equations:
         """Return the equations of points and lines (see `RationalModel.equations`)."""
@@ -85,8 +79,3 @@ class RationalFunctions(RationalModel):
             ridge = RIDGE if len(features.lines) and not is_dlt else 0.0
         below = np.array([Term.parse(name).is_denominator for name in self.terms])
         return np.sqrt(ridge) * below if ridge and below.any() else None
-
-    def column_names(self, block: str) -> tuple[str, ...]:
-        """Return the monomials' names."""
-        names = tuple(monomial_name(e) for e in self.exponents)
-        return names if block in ("line", "sample") else names[1:]
