@@ -1,0 +1,419 @@
+"""The adjustment of a block: steps, robust weights, variances by evidence, and what is dropped."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from termsel import TermselError
+from termsel_block.cameras import Camera
+from termsel_block.control import OwnControl
+from termsel_block.equations import Seen, Shared, Solved, pairs, solve
+from termsel_block.frame import BoolArray, FloatArray, Frame, IntArray
+
+WRONG = 4.0
+"""A measurement is a blunder if it is so many standard deviations off, in line or in sample."""
+
+AGAINST = -1.0
+"""Logarithm of a Bayes factor below which a group is dropped; above, it stays and is shrunk."""
+
+_PRIOR_COUNT = 4.0
+"""Weight of what all images say of a variance, as so many parameters of the image's own."""
+
+_CONVERGED = 1e-3  # px
+_SETTLED = 0.02  # relative change of a standard deviation
+_STEPS = 15  # of one stage at most
+_BENT = 3  # first steps of a stage, in which derivatives are taken anew
+_TRUST = 3  # first steps, in which control keeps its weight
+_ROBUST = 2.5  # standard deviations at which a weight is a half
+_SLOPE_OVER = 10.0  # m
+_SLOW = 2500  # parameters of images from which variances are estimated once in a stage
+_LEAST_SIGMA = 0.01  # px; without it data without noise would have infinite weights
+
+
+@dataclass(frozen=True, eq=False)
+class Measured:
+    """The ties in one image: index of each tie, and its line and sample, shapes (n,) and (n, 2)."""
+
+    tie: IntArray
+    place: FloatArray
+
+
+@dataclass(eq=False)
+class State:
+    """Unknowns and variances while they are estimated; all in px and metres of the frame."""
+
+    cameras: list[Camera]
+    parameters: list[FloatArray]
+    ties: FloatArray
+    variances: list[FloatArray]
+    sigma_ties: float = 1.0
+    sigma_control: float = 1.0
+    in_use: list[BoolArray] = field(default_factory=list)
+    control_in_use: list[BoolArray] = field(default_factory=list)
+
+
+@dataclass(frozen=True, eq=False)
+class Heights:
+    """What is known of the heights of ties before: a surface, or a mean and its uncertainty [m].
+
+    `surface` gives heights of ground coordinates x and y (n, 2); where it has none, and without it,
+    `mean` and `spread` hold. `sigma` is the standard deviation of the surface.
+    """
+
+    frame: Frame
+    mean: float
+    spread: float
+    surface: Callable[[FloatArray], FloatArray] | None = None
+    sigma: float = 5.0
+
+    def equations(self, ties: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return what they add to the ties' normal equations, (t, 3, 3) and (t, 3)."""
+        ground = self.frame.ground(ties)
+        row = np.zeros((len(ties), 3))
+        row[:, 2] = 1.0  # up is up, within the milliradians that a block is wide
+        away, weight = self.mean - ground[:, 2], np.full(len(ties), self.spread**-2)
+        if self.surface is not None:
+            height = self.surface(ground[:, :2])
+            known = np.isfinite(height)
+            for axis in range(2):
+                there = ties.copy()
+                there[:, axis] += _SLOPE_OVER
+                slope = (self.surface(self.frame.ground(there)[:, :2]) - height) / _SLOPE_OVER
+                row[:, axis] = np.where(np.isfinite(slope), -slope, 0.0)
+            away = np.where(known, height - ground[:, 2], away)
+            weight = np.where(known, self.sigma**-2, weight)
+        return (np.einsum("t,ti,tj->tij", weight, row, row),
+                (weight * away)[:, None] * row)
+
+
+@dataclass(frozen=True, eq=False)
+class Adjusted:
+    """A block as adjusted.
+
+    Parameters
+    ----------
+    state : State
+    solved : Solved
+        The last normal equations, with what is needed for covariances.
+    residuals : list of ndarray, shape (n, 2)
+        Of the ties of each image, measured minus computed [px].
+    of_control : list of ndarray, shape (k,)
+        Of the rows of each image's control [px].
+    evidence : list of dict
+        Of each image: logarithm of the Bayes factor of each group of columns that was weighed.
+    steps : int
+    converged : bool
+    freedom : float
+        Redundancy: measurements less the unknowns that they determine.
+    """
+
+    state: State
+    solved: Solved
+    residuals: list[FloatArray]
+    of_control: list[FloatArray]
+    evidence: list[dict[str, float]]
+    steps: int
+    converged: bool
+    freedom: float
+
+
+def adjust_block(state: State, measured: Sequence[Measured], control: Sequence[OwnControl],
+                 heights: Heights, *, progress: Callable[[float], None] | None = None,
+                 fixed: Sequence[bool] = ()) -> Adjusted:
+    """Adjust a block from its start.
+
+    Parameters
+    ----------
+    state : State
+        The start; it is changed.
+    measured, control : sequence
+        Of each image.
+    heights : Heights
+    progress : callable, optional
+        Called with the share that is done.
+    fixed : sequence of bool, optional
+        Images whose correction is asked for, and not to be chosen.
+
+    Notes
+    -----
+    Gauss-Newton steps with weights 1 / (1 + (r / 2.5 s)^2)^2 until blunders are told, then by plain
+    least squares without them. Standard deviations of ties and control, and the variance of each
+    image's groups of columns, are estimated from the residuals and posterior moments (MacKay 1992:
+    Bayesian interpolation, section 2.4), those of an image drawn to what all images of its kind
+    say. A group whose Bayes factor, by the ratio of Savage and Dickey over the whole block's
+    posterior, is below one is dropped.
+    """
+    shared = pairs([part.tie for part in measured], len(state.ties))
+    run = _Run(state, measured, control, heights, shared)
+    report = progress or _nothing
+    state.in_use = state.in_use or [np.ones(len(part.tie), bool) for part in measured]
+    state.control_in_use = state.control_in_use or [np.ones(len(part), bool) for part in control]
+    steps = run.iterate(robust=True, limit=_STEPS, report=lambda s: report(0.4 * s))
+    evidence: list[dict[str, float]] = [{} for _ in state.cameras]
+    for _ in range(2):
+        if not run.drop(evidence, fixed):
+            break
+        steps += run.iterate(robust=True, limit=_STEPS, report=lambda s: report(0.4 + 0.2 * s))
+    for _ in range(3):
+        if not run.leave_out():
+            break
+        steps += run.iterate(robust=False, limit=_STEPS,
+                             report=lambda s: report(0.6 + 0.4 * s))
+    steps += run.iterate(robust=False, limit=_STEPS, report=report)
+    residuals, of_control = run.residuals()
+    return Adjusted(state, run.solved, residuals, of_control, evidence, steps, run.converged,
+                    run.freedom)
+
+
+class _Run:
+    """The measurements of a block, and the last step."""
+
+    solved: Solved
+    converged = False
+    freedom = np.nan
+
+    def __init__(self, state: State, measured: Sequence[Measured], control: Sequence[OwnControl],
+                 heights: Heights, shared: Sequence[Shared]) -> None:
+        self.state, self.measured, self.control = state, measured, control
+        self.heights, self.shared = heights, shared
+        self.slopes: dict[int, FloatArray] = {}
+        self.large = sum(2 * len(camera.groups) for camera in state.cameras) > _SLOW
+
+    def iterate(self, *, robust: bool, limit: int, report: Callable[[float], None]) -> int:
+        """Make steps until nothing moves; return how many."""
+        self.converged = False
+        for step in range(limit):
+            report(step / limit)
+            # From weights that fall at once a lone control point would never return.
+            if step < _BENT:
+                self.slopes = {}
+            self.step(robust, trust=robust and step < _TRUST)
+            moved = self._moved()
+            settled = True
+            if step >= _TRUST and (not self.large or step == _TRUST):
+                settled = self.estimate(robust)
+            if step > _TRUST and moved < _CONVERGED and settled:
+                self.converged = True
+                return step + 1
+        return limit
+
+    def step(self, robust: bool, trust: bool = False) -> None:
+        """Make one step of Gauss and Newton; `trust` says that control keeps its weight."""
+        state, seen, own, right = self.state, [], [], []
+        for i, (camera, mine, known) in enumerate(
+                zip(state.cameras, self.measured, self.control, strict=True)):
+            parameters = state.parameters[i]
+            place = state.ties[mine.tie]
+            image, columns = camera.first_order(place)
+            computed = image + columns @ parameters
+            residual = mine.place - computed
+            weight = np.where(state.in_use[i], state.sigma_ties**-2, 0.0)
+            if robust:
+                weight = weight * soft(np.hypot(*residual.T) / state.sigma_ties)
+            if i not in self.slopes:
+                self.slopes[i] = camera.slopes(parameters, place, computed)
+            seen.append(Seen(mine.tie, columns, self.slopes[i], residual, weight))
+            block, rest = self._of_control(i, camera, known, robust and not trust)
+            precision = np.diag(np.repeat(1 / state.variances[i][None], 2, axis=0).ravel())
+            own.append(block + precision)
+            right.append(rest - precision @ parameters.T.ravel())
+        of_ties, right_of_ties = self.heights.equations(state.ties)
+        # A tie that no image sees in use must not be singular.
+        of_ties = of_ties + np.eye(3) * 1e-12
+        try:
+            self.solved = solve(seen, own, right, of_ties, right_of_ties, self.shared)
+        except (np.linalg.LinAlgError, RuntimeError) as error:
+            raise TermselError("the block is not determined by its control and ties",
+                               hint="Give control to an image, or RPCs, or more ties.") from error
+        for i, step in enumerate(self.solved.steps):
+            state.parameters[i] = state.parameters[i] + step.reshape(2, -1).T
+        state.ties = state.ties + self.solved.ties
+
+    def _of_control(self, i: int, camera: Camera, known: OwnControl, robust: bool,
+                    ) -> tuple[FloatArray, FloatArray]:
+        """Return what an image's control adds to its normal equations."""
+        m = len(camera.groups)
+        if not len(known):
+            return np.zeros((2 * m, 2 * m)), np.zeros(2 * m)
+        rows, residual = self._rows(i, camera, known)
+        sigma = self.state.sigma_control * known.sigma
+        weight = np.where(self.state.control_in_use[i], sigma**-2, 0.0)
+        if robust:
+            weight = weight * soft(residual / sigma)
+        return (rows * weight[:, None]).T @ rows, (rows * weight[:, None]).T @ residual
+
+    def _rows(self, i: int, camera: Camera, known: OwnControl) -> tuple[FloatArray, FloatArray]:
+        """Return the rows (n, 2m) of an image's control, and the residuals [px]."""
+        image, columns = camera.first_order(known.local)
+        rows = (known.normal[:, :, None] * columns[:, None]).reshape(len(known), -1)
+        computed = image + columns @ self.state.parameters[i]
+        return rows, known.value - (known.normal * computed).sum(axis=1)
+
+    def _moved(self) -> float:
+        """Return how far the last step moved the image of any tie or control, at most [px]."""
+        far = 0.0
+        for part, step in zip(self.solved.seen, self.solved.steps, strict=True):
+            if len(part.tie):
+                used = part.weight > 0
+                moved = (part.columns @ step.reshape(2, -1).T + np.einsum(
+                    "nai,ni->na", part.slopes, self.solved.ties[part.tie]))[used]
+                far = max(far, float(np.abs(moved).max(initial=0.0)))
+            else:
+                far = max(far, float(np.abs(step).max(initial=0.0)))
+        return far
+
+    def residuals(self) -> tuple[list[FloatArray], list[FloatArray]]:
+        """Return the residuals of ties and of control in each image [px]."""
+        state = self.state
+        of_ties = [mine.place - camera.project(parameters, state.ties[mine.tie])
+                   for camera, parameters, mine in zip(
+                       state.cameras, state.parameters, self.measured, strict=True)]
+        return of_ties, [self._rows(i, camera, known)[1] if len(known) else np.empty(0)
+                         for i, (camera, known) in enumerate(
+                             zip(state.cameras, self.control, strict=True))]
+
+    def estimate(self, robust: bool) -> bool:
+        """Estimate the standard deviations and variances anew; return whether they settled."""
+        state = self.state
+        covariances = self.solved.reduced.own()
+        before = np.array([state.sigma_ties, state.sigma_control])
+        of_ties, of_control = self.residuals()
+        determined = spent = rows = 0.0
+        squares = 0.0
+        for i, (camera, known, covariance) in enumerate(
+                zip(state.cameras, self.control, covariances, strict=True)):
+            variances = np.tile(state.variances[i], 2)
+            determined += float((1 - np.diag(covariance) / variances).sum())
+            if len(known):
+                used = state.control_in_use[i]
+                sigma = state.sigma_control * known.sigma
+                weight = soft(of_control[i] / sigma) if robust else np.ones(len(known))
+                weight = weight * used
+                design = self._rows(i, camera, known)[0]
+                hat = np.einsum("ni,ij,nj->n", design, covariance, design) / sigma**2
+                spent += float((weight * hat).sum())
+                rows += float(weight.sum())
+                squares += float((weight * (of_control[i] / known.sigma) ** 2).sum())
+        total, weights, each = 0.0, 0.0, np.zeros(len(state.ties))
+        for mine, residual, used in zip(self.measured, of_ties, state.in_use, strict=True):
+            weight = used * (soft(np.hypot(*residual.T) / state.sigma_ties) if robust else 1.0)
+            total += float((weight * (residual**2).sum(axis=1)).sum())
+            weights += 2 * float(weight.sum())
+            np.add.at(each, mine.tie, weight)
+        # The place of a tie takes three measurements, or as many as it has.
+        freedom = float(
+            weights - np.minimum(2 * each, 3).sum() - max(determined - spent, 0.0))
+        self.freedom = freedom + rows - spent
+        if freedom > 1:
+            state.sigma_ties = max(float(np.sqrt(total / freedom)), _LEAST_SIGMA)
+        # Few points say little of their own precision: the ties' counts as four of them.
+        expected = max(rows - spent, 0.0)
+        state.sigma_control = float(np.sqrt(
+            (squares + _PRIOR_COUNT * state.sigma_ties**2) / (expected + _PRIOR_COUNT)))
+        self._variances(covariances)
+        after = np.array([state.sigma_ties, state.sigma_control])
+        return bool(np.abs(after / before - 1).max() < _SETTLED)
+
+    def _variances(self, covariances: Sequence[FloatArray]) -> None:
+        """Estimate the variance of each image's groups of columns."""
+        state = self.state
+        pooled: dict[str, list[float]] = {}
+        own: list[dict[str, tuple[float, int]]] = []
+        for camera, parameters, covariance in zip(
+                state.cameras, state.parameters, covariances, strict=True):
+            moments = parameters.T.ravel() ** 2 + np.diag(covariance)
+            names = np.tile(camera.groups, 2)
+            mine = {name: (float(moments[names == name].sum()), int((names == name).sum()))
+                    for name in dict.fromkeys(camera.groups) if name not in camera.wide}
+            own.append(mine)
+            for name, (moment, count) in mine.items():
+                pooled.setdefault(name, []).append(moment / count)
+        for i, (camera, mine) in enumerate(zip(state.cameras, own, strict=True)):
+            variances = state.variances[i].copy()
+            for name, (moment, count) in mine.items():
+                typical = float(np.mean(pooled[name]))
+                variances[np.array(camera.groups) == name] = max(
+                    (moment + _PRIOR_COUNT * typical) / (count + _PRIOR_COUNT), 1e-8)
+            state.variances[i] = np.maximum(variances, np.square(camera.least))
+
+    def drop(self, evidence: list[dict[str, float]], fixed: Sequence[bool]) -> bool:
+        """Drop the groups that the evidence is against; return whether there were any."""
+        state, dropped = self.state, False
+        for i, (camera, covariance) in enumerate(
+                zip(state.cameras, self.solved.reduced.own(), strict=True)):
+            names = np.tile(camera.groups, 2)
+            keep = np.ones(len(camera.groups), bool)
+            for name in reversed(dict.fromkeys(camera.groups)):
+                if name in camera.kept or (len(fixed) and fixed[i]):
+                    continue
+                at = np.flatnonzero(names == name)
+                mean = state.parameters[i].T.ravel()[at]
+                evidence[i][name] = log_bayes_factor(
+                    mean, covariance[np.ix_(at, at)], np.tile(state.variances[i], 2)[at])
+                if evidence[i][name] < AGAINST:
+                    if name == "drift" and evidence[i].get("affine", AGAINST - 1) >= AGAINST:
+                        continue  # the known corrections are nested
+                    keep &= np.array(camera.groups) != name
+            if not keep.all():
+                dropped = True
+                state.cameras[i] = camera.only(keep)
+                state.parameters[i] = state.parameters[i][keep]
+                state.variances[i] = state.variances[i][keep]
+        return dropped
+
+    def leave_out(self) -> bool:
+        """Mark measurements as blunders, and take back what agrees; return whether any changed."""
+        state = self.state
+        of_ties, of_control = self.residuals()
+        changed = False
+        for i, residual in enumerate(of_ties):
+            good = np.abs(residual).max(axis=1, initial=0.0) <= WRONG * state.sigma_ties
+            changed |= bool((good != state.in_use[i]).any())
+            state.in_use[i] = good
+        count = np.zeros(len(state.ties))
+        for mine, used in zip(self.measured, state.in_use, strict=True):
+            np.add.at(count, mine.tie, used)
+        for i, mine in enumerate(self.measured):  # one ray alone says nothing
+            state.in_use[i] = state.in_use[i] & (count[mine.tie] > 1)
+        for i, (residual, known) in enumerate(zip(of_control, self.control, strict=True)):
+            wrong = np.abs(residual) > WRONG * state.sigma_control * known.sigma
+            names = {name for name, bad in zip(known.feature, wrong, strict=True) if bad}
+            good = np.array([name not in names for name in known.feature], bool)
+            changed |= bool((good != state.control_in_use[i]).any())
+            state.control_in_use[i] = good
+        return changed
+
+
+def _nothing(share: float) -> None:
+    """Show no progress."""
+
+
+def soft(ratio: FloatArray) -> FloatArray:
+    """Return weights that fall with the ratio of residual and standard deviation."""
+    return np.asarray(1 / (1 + (ratio / _ROBUST) ** 2) ** 2)
+
+
+def log_bayes_factor(mean: FloatArray, covariance: FloatArray, prior: FloatArray) -> float:
+    """Return the logarithm of the evidence for parameters over that for zeros.
+
+    Parameters
+    ----------
+    mean, covariance : ndarray, shapes (k,) and (k, k)
+        Of the posterior.
+    prior : ndarray, shape (k,)
+        Variances of the prior, whose mean is 0.
+
+    Notes
+    -----
+    The ratio of Savage and Dickey: density of the prior at zero over that of the posterior.
+    """
+    sign, logarithm = np.linalg.slogdet(covariance)
+    if sign <= 0:
+        return 0.0
+    quadratic = float(mean @ np.linalg.solve(covariance, mean))
+    return 0.5 * (quadratic + float(logarithm) - float(np.log(prior).sum()))
+
+

@@ -1,0 +1,225 @@
+"""Read a block: the TOML file that names its images, and the tables of ties."""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections import Counter
+from collections.abc import Sequence
+from contextlib import suppress
+from difflib import get_close_matches
+from pathlib import Path
+
+import msgspec
+import numpy as np
+
+from termsel import FeatureSet, TermselError, open_raster, read, read_rpc
+from termsel.measurements.coordinates.crs import normalise
+from termsel_block.block import CORRECTIONS, Block, BlockImage, Ties
+
+COLUMNS = {"id": ("id", "tie", "name", "point"), "image": ("image", "img", "scene"),
+           "line": ("line", "row", "y_pix"), "sample": ("sample", "col", "column", "x_pix")}
+"""Known names of the columns of a table of ties."""
+
+_EXAMPLE = "termsel block-example DIR writes a block to begin with."
+_NAMED = 5  # in a note
+
+
+class _Image(msgspec.Struct, forbid_unknown_fields=True):
+    """An image as the file states it."""
+
+    name: str
+    points: str | None = None
+    lines: str | None = None
+    rpc: str | None = None
+    image: str | None = None
+    model: str = "auto"
+
+
+class _File(msgspec.Struct, forbid_unknown_fields=True):
+    """The file of a block."""
+
+    crs: str
+    ties: str | list[str]
+    image: list[_Image]
+    dem: str | None = None
+
+
+def read_block(path: Path | str) -> Block:
+    """Return the block of a TOML file; paths in it are relative to its folder.
+
+    Parameters
+    ----------
+    path : path-like
+        With `crs`, `ties` (a table id,image,line,sample, or several), optionally `dem`, and for
+        each image a table ``[[image]]`` with `name` and any of `points`, `lines`, `rpc`, `image`
+        and `model`.
+
+    Raises
+    ------
+    TermselError
+        Naming file and place of what is wrong.
+    """
+    path = Path(path)
+    try:
+        stated = msgspec.toml.decode(path.read_bytes(), type=_File)
+    except OSError as error:
+        raise TermselError(f"cannot read the block: {error.strerror}", file=path,
+                           hint=_EXAMPLE) from error
+    except (msgspec.MsgspecError, UnicodeDecodeError) as error:
+        raise TermselError(f"this is not the file of a block: {error}", file=path,
+                           hint=_EXAMPLE) from error
+    names = [image.name for image in stated.image]
+    _check_names(names, path)
+    folder = path.parent
+    crs = normalise(stated.crs)
+    dem = folder / stated.dem if stated.dem else None
+    images = tuple(_image(image, folder, crs, dem, path) for image in stated.image)
+    files = [stated.ties] if isinstance(stated.ties, str) else stated.ties
+    ties, notes = read_ties([folder / file for file in files], names)
+    return Block(crs, images, ties, dem, notes)
+
+
+def _check_names(names: Sequence[str], path: Path) -> None:
+    """Refuse names that cannot be those of folders, or that two images share."""
+    for name, count in Counter(names).items():
+        if count > 1:
+            raise TermselError(f"{count} images are called {name!r}", file=path,
+                               hint="Give each image a name of its own.")
+        if not name or name != Path(name).name or name.startswith(".") or not name.isprintable():
+            raise TermselError(f"{name!r} cannot be the name of an image, whose result gets a "
+                               "folder of that name", file=path,
+                               hint="Use letters, digits, - and _.")
+    if len(names) < 2:
+        raise TermselError(f"a block of {len(names)} images has no ties", file=path,
+                           hint="Give two images or more; for one image use termsel run.")
+
+
+def _image(stated: _Image, folder: Path, crs: str, dem: Path | None, path: Path) -> BlockImage:
+    """Return an image with its files read."""
+    raster = folder / stated.image if stated.image else None
+    size = None
+    if raster is not None:
+        with open_raster(raster) as opened:
+            size = opened.shape
+    rpc = rpc_file = None
+    if stated.rpc:
+        rpc_file = folder / stated.rpc
+        rpc = read_rpc(rpc_file)
+    elif raster is not None:
+        with suppress(TermselError):  # an image need not have one
+            rpc, rpc_file = read_rpc(raster), raster
+    allowed = CORRECTIONS if rpc is not None else ("auto",)
+    if stated.model not in allowed:
+        raise TermselError(f"image {stated.name!r} has the model {stated.model!r}", file=path,
+                           hint=f"Known: {', '.join(allowed)}." if rpc is not None else
+                                "A correction requires an RPC: give rpc or an image that has one.")
+    features = None
+    if stated.points or stated.lines:
+        features = _features(stated, folder, crs, dem, path)
+    return BlockImage(stated.name, features, rpc, rpc_file, raster, size, stated.model)
+
+
+def _features(stated: _Image, folder: Path, crs: str, dem: Path | None, path: Path) -> FeatureSet:
+    """Return the control of an image, in the CRS of the block and with heights."""
+    points = folder / stated.points if stated.points else None
+    features = read(points, folder / stated.lines if stated.lines else None, crs=crs, dem=dem)
+    if normalise(features.crs) != crs:
+        raise TermselError(f"the control of image {stated.name!r} is in {features.crs}, the block "
+                           f"in {crs}", file=points or path,
+                           hint="Transform it, or state its CRS as that of the block.")
+    heights = np.concatenate([features.points.ground[:, 2], features.lines.ground[..., 2].ravel()])
+    if np.isnan(heights).any():
+        raise TermselError(f"{int(np.isnan(heights).sum())} places of the control of image "
+                           f"{stated.name!r} have no height", file=points or path,
+                           hint="Give heights, or a raster of them as dem in the block's file.")
+    return features
+
+
+def read_ties(files: Sequence[Path], images: Sequence[str]) -> tuple[Ties, tuple[str, ...]]:
+    """Return the ties of tables id,image,line,sample, and notes on what is left out.
+
+    Raises
+    ------
+    TermselError
+        For a table that cannot be read, an unknown image, a tie measured twice in one image, or if
+        no tie is in two images.
+    """
+    index = {name: i for i, name in enumerate(images)}
+    seen: dict[tuple[str, int], tuple[Path, int]] = {}
+    places: list[tuple[float, float]] = []
+    for file in files:
+        for line, row in _rows(file):
+            name, image = row["id"], index.get(row["image"])
+            if image is None:
+                near = get_close_matches(row["image"], images, 1)
+                raise TermselError(f"the block has no image {row['image']!r}", file=file, line=line,
+                                   column="image", hint=f"Did you mean {near[0]!r}?" if near else
+                                   f"Its images are {', '.join(images[:8])}.")
+            if (name, image) in seen:
+                other, at = seen[name, image]
+                raise TermselError(
+                    f"tie {name!r} is measured twice in image {row['image']!r}, the first time in "
+                    f"line {at}" + (f" of {other}" if other != file else ""), file=file, line=line,
+                    hint="Keep one of them, or give two ties two names.")
+            seen[name, image] = file, line
+            places.append((_number(row["line"], file, line, "line"),
+                           _number(row["sample"], file, line, "sample")))
+    count = Counter(name for name, _ in seen)
+    names = tuple(name for name in count if count[name] > 1)
+    alone = [name for name in count if count[name] == 1]
+    if not names:
+        raise TermselError(f"none of the {len(count)} ties is in two images",
+                           file=files[0] if files else None,
+                           hint="A tie has the same id in each image that sees it.")
+    of = {name: i for i, name in enumerate(names)}
+    kept = [(of[name], image, *place) for (name, image), place in zip(seen, places, strict=True)
+            if name in of]
+    table = np.array(kept)
+    notes = () if not alone else (
+        f"{len(alone)} ties are in one image alone and left out: "
+        f"{', '.join(alone[:_NAMED])}{', ...' * (len(alone) > _NAMED)}.",)
+    return Ties(names, table[:, 0].astype(np.intp), table[:, 1].astype(np.intp),
+                table[:, 2:]), notes
+
+
+def _rows(file: Path) -> list[tuple[int, dict[str, str]]]:
+    """Return the rows of a table of ties, each with the number of its line."""
+    try:
+        with file.open(newline="", encoding="utf-8-sig") as opened:
+            reader = csv.reader(opened)
+            header = [cell.strip().lower() for cell in next(reader, [])]
+            at = {}
+            for meaning, known in COLUMNS.items():
+                found = [i for i, cell in enumerate(header) if cell in known]
+                if len(found) != 1:
+                    raise TermselError(f"this table has {'no' if not found else 'more than one'} "
+                                       f"column {meaning!r}", file=file, line=1,
+                                       hint="A table of ties is headed id,image,line,sample.")
+                at[meaning] = found[0]
+            rows = []
+            for cells in reader:
+                if not any(cell.strip() for cell in cells):
+                    continue
+                if len(cells) <= max(at.values()):
+                    raise TermselError(f"this row has {len(cells)} cells, expected "
+                                       f"{len(header)}", file=file, line=reader.line_num,
+                                       hint="Complete the row, or remove it.")
+                rows.append((reader.line_num, {name: cells[i].strip() for name, i in at.items()}))
+            return rows
+    except OSError as error:
+        raise TermselError(f"cannot read the ties: {error.strerror}", file=file,
+                           hint="Give a table headed id,image,line,sample.") from error
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise TermselError(f"this is not a table: {error}", file=file,
+                           hint="Give a table headed id,image,line,sample, in UTF-8.") from error
+
+
+def _number(text: str, file: Path, line: int, column: str) -> float:
+    """Return a number of a table."""
+    with suppress(ValueError):
+        value = float(text)
+        if math.isfinite(value):
+            return value
+    raise TermselError(f"{text!r} is not a number", file=file, line=line, column=column,
+                       hint="Write positions in pixels, such as 1234.5.")

@@ -1,0 +1,165 @@
+"""What each image's model is in a block: a known part, and a few columns that correct it."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from itertools import product
+
+import numpy as np
+
+from termsel import Rpc
+from termsel_block.frame import BoolArray, FloatArray, Frame
+
+_STEP = 1.0
+"""Metres on the ground over which derivatives are taken."""
+
+POWERS = tuple(sorted((p for p in product(range(4), repeat=3) if sum(p) + p[2] <= 3),
+                      key=lambda p: (sum(p), p)))
+"""Exponents of x, y and z: cubic on the plane, heights by themselves and with x and y."""
+
+_AFFINE, _QUADRATIC, _CUBIC, _RELIEF = "affine", "quadratic", "cubic", "relief"
+
+
+class Camera(ABC):
+    """An image whose line and sample are a known part plus columns times parameters.
+
+    Both axes have the same columns. Columns belong to groups, such as "shift" or "degree 2", which
+    the evidence keeps or drops together.
+
+    Attributes
+    ----------
+    groups : tuple of str
+        Group of each column.
+    spread : tuple of float
+        Prior standard deviation of a parameter of each column [px] to begin with.
+    least : tuple of float
+        The least that evidence may make of it: what all images have in common ties cannot show.
+    kept : frozenset of str
+        Groups that no evidence can drop.
+    wide : frozenset of str
+        Those of them whose variance stays what it was.
+    """
+
+    groups: tuple[str, ...]
+    spread: tuple[float, ...]
+    least: tuple[float, ...]
+    kept: frozenset[str] = frozenset()
+    wide: frozenset[str] = frozenset()
+
+    @abstractmethod
+    def only(self, keep: BoolArray) -> Camera:
+        """Return the camera with some of its columns, by a mask (m,)."""
+
+    @abstractmethod
+    def first_order(self, local: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the known part (n, 2) [px] and the columns (n, m) at places of the frame."""
+
+    @abstractmethod
+    def area(self) -> tuple[FloatArray, FloatArray]:
+        """Return middle (3,) and half widths (2,) of the ground in the image [m]."""
+
+    def project(self, parameters: FloatArray, local: FloatArray) -> FloatArray:
+        """Return line and sample (n, 2) [px] of places with parameters (m, 2)."""
+        image, columns = self.first_order(local)
+        return np.asarray(image + columns @ parameters)
+
+    def slopes(self, parameters: FloatArray, local: FloatArray, image: FloatArray) -> FloatArray:
+        """Return the derivatives (n, 2, 3) [px/m] of line and sample by the place."""
+        slopes = np.empty((len(local), 2, 3))
+        for axis in range(3):
+            there = local.copy()
+            there[:, axis] += _STEP
+            slopes[:, :, axis] = (self.project(parameters, there) - image) / _STEP
+        return slopes
+
+
+class RpcCamera(Camera):
+    """A vendor's RPC with a polynomial of line and sample added, as Grodecki and Dial 2003.
+
+    Columns are 1; l; s, with l and s the RPC's line and sample in half images.
+
+    References
+    ----------
+    Grodecki, Dial 2003: Block adjustment of high-resolution satellite images described by rational
+    polynomials. PE&RS 69(1), 59-68.
+    """
+
+    COLUMNS = ("shift", "drift", "affine")
+
+    def __init__(self, rpc: Rpc, frame: Frame, groups: Sequence[str] = COLUMNS) -> None:
+        self.rpc, self.frame = rpc, frame
+        self.groups = tuple(groups)
+        # A first guess that data may change a thousandfold: vendors are wrong by tens of px.
+        self.spread = tuple({"shift": 20.0, "drift": 2.0, "affine": 2.0}[name] for name in groups)
+        self.least = (1e-4,) * len(self.groups)
+
+    def only(self, keep: BoolArray) -> RpcCamera:
+        """Return the camera with some of its columns."""
+        return RpcCamera(self.rpc, self.frame, [name for name, kept in zip(
+            self.groups, keep, strict=True) if kept])
+
+    def area(self) -> tuple[FloatArray, FloatArray]:
+        """Return middle and half widths of the RPC's area."""
+        rpc, frame = self.rpc, self.frame
+        middle = np.array(rpc.ground_offset)
+        corners = frame.from_geodetic(np.stack([middle - rpc.ground_scale,
+                                                middle + rpc.ground_scale]))
+        return corners.mean(axis=0), np.abs(np.diff(corners[:, :2], axis=0)[0]) / 2
+
+    def first_order(self, local: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the RPC's line and sample, and the columns."""
+        image = self.rpc.project(self.frame.geodetic(local))
+        parts = (image - self.rpc.image_offset) / np.abs(self.rpc.image_scale)
+        columns = {"shift": np.ones(len(image)), "drift": parts[:, 0], "affine": parts[:, 1]}
+        return image, np.array([columns[name] for name in self.groups]).reshape(-1, len(image)).T
+
+
+class PolynomialCamera(Camera):
+    """An image without any geometry: a cubic polynomial of ground coordinates with priors.
+
+    Coordinates are in half widths of the image's ground, heights too, so that the effect of a
+    height is bounded as physics bounds it: a metre up moves a place in the image at most some two
+    metres along the ground. Terms of degree 2 and 3 have variances which the block's evidence
+    finds; those of degree 0 and 1 are free but for that bound.
+    """
+
+    kept = frozenset({_AFFINE, _QUADRATIC})
+    wide = frozenset({_AFFINE})
+
+    def __init__(self, centre: FloatArray, half_ground: float, half_image: float,
+                 middle: FloatArray, powers: Sequence[tuple[int, ...]] = POWERS) -> None:
+        self.centre, self.half, self.middle = centre, half_ground, middle
+        self.half_image, self.powers = half_image, tuple(powers)
+        self.groups = tuple(_group(p) for p in powers)
+        spread = {_QUADRATIC: 0.003 * half_image, _CUBIC: 0.0005 * half_image,
+                  _RELIEF: 0.02 * half_image}
+        self.spread = tuple(spread.get(name, half_image * (1.0 if p[2] else 10.0))
+                            for name, p in zip(self.groups, powers, strict=True))
+        self.least = tuple(spread.get(name, 0.0) / 4 if name == _QUADRATIC else 1e-4
+                           for name in self.groups)
+
+    def only(self, keep: BoolArray) -> PolynomialCamera:
+        """Return the camera with some of its columns."""
+        return PolynomialCamera(self.centre, self.half, self.half_image, self.middle, [
+            power for power, kept in zip(self.powers, keep, strict=True) if kept])
+
+    def area(self) -> tuple[FloatArray, FloatArray]:
+        """Return middle and half widths of the ground that the coordinates fit."""
+        return self.centre, np.full(2, self.half)
+
+    def first_order(self, local: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the image's middle, and the monomials."""
+        x, y, z = ((local - self.centre) / self.half).T
+        columns = np.stack([x**a * y**b * z**c for a, b, c in self.powers], axis=1)
+        return np.broadcast_to(self.middle, (len(local), 2)), columns
+
+
+def _group(power: tuple[int, ...]) -> str:
+    """Return the group of a monomial by its exponents of x, y and z."""
+    degree = sum(power)
+    if degree < 2:
+        return _AFFINE
+    if power[2]:
+        return _RELIEF
+    return _QUADRATIC if degree == 2 else _CUBIC

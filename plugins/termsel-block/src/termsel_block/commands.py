@@ -1,0 +1,90 @@
+"""The commands of this package."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import click
+
+_PATH = click.Path(path_type=Path)
+
+
+def add_commands(cli: click.Group) -> None:
+    """Add the commands to a group."""
+    cli.add_command(block)
+    cli.add_command(block_example)
+
+
+@click.command("block")
+@click.argument("file", metavar="BLOCK.toml", type=_PATH)
+@click.option("--out", "folder", metavar="DIR", type=_PATH, required=True,
+              help="Folder for the block, and in it a folder for each image.")
+@click.option("--overwrite", is_flag=True, help="Replace a block that is there.")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON alone on stdout.")
+@click.option("--verbose", is_flag=True, help="Print a row for each image and each blunder.")
+@click.option("--quiet", is_flag=True, help="Show no progress.")
+def block(file: Path, folder: Path, overwrite: bool, as_json: bool, verbose: bool, quiet: bool,
+          ) -> None:
+    """Adjust several images together, by their control and the ties between them.
+
+    BLOCK.toml states the CRS, a table of ties id,image,line,sample, and the images. An image needs
+    no control of its own. Each image gets a folder that project, export, rectify and report read.
+
+    \b
+    Examples:
+      termsel block-example place
+      termsel block place/block.toml --out place/adjusted
+      termsel export place/adjusted/C --to rpb --output C.RPB
+    """
+    import msgspec
+
+    from termsel_block.block_file import read_block
+    from termsel_block.folders import SUMMARY, claim, write_block
+    from termsel_block.joint import adjust
+    from termsel_block.summary import text_of
+
+    read = read_block(file)
+    claim(folder, [image.name for image in read.images], overwrite=overwrite)
+    with _bar("adjusting", quiet) as progress:
+        result = adjust(read, progress=progress)
+    with _bar("writing", quiet) as progress:
+        record = write_block(result, folder, overwrite=overwrite, progress=progress)
+    if as_json:
+        click.echo(msgspec.json.encode(record))
+    else:
+        click.echo(text_of(record, verbose=verbose), nl=False)
+    click.echo(f"Written: {folder / SUMMARY} and the folders of {len(record.images)} images",
+               err=True)
+
+
+@click.command("block-example")
+@click.argument("folder", metavar="DIR", type=_PATH)
+@click.option("--images", metavar="N", type=click.IntRange(2, 60), default=3, show_default=True,
+              help="Number of images.")
+@click.option("--seed", type=int, default=1, show_default=True)
+def block_example(folder: Path, images: int, seed: int) -> None:
+    """Write a simulated block: images with RPCs, ties with blunders, four control points.
+
+    DIR is a new folder. It gets block.toml, ties.csv, an RPC for each image, and tables of points.
+
+    \b
+    Example:
+      termsel block-example place
+    """
+    from termsel_block.example import write_example
+
+    write_example(folder, images, seed)
+    click.echo(f"Next: termsel block {folder / 'block.toml'} --out {folder / 'adjusted'}")
+
+
+@contextmanager
+def _bar(title: str, quiet: bool) -> Iterator[Callable[[float], None] | None]:
+    """Yield what shows the share that is done, or None where nobody would see it."""
+    if quiet or not sys.stderr.isatty():
+        yield None
+        return
+    with click.progressbar(length=1000, label=title, file=sys.stderr) as shown:
+        yield lambda share: shown.update(max(round(1000 * share) - shown.pos, 0))

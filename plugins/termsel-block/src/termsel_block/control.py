@@ -1,0 +1,66 @@
+"""What is known on the ground: each image's own control, and heights of ties."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from termsel import FeatureSet, line_normals
+from termsel_block.frame import FloatArray, Frame
+
+
+@dataclass(frozen=True, eq=False)
+class OwnControl:
+    """The control of one image: rows of known places, and what was measured there.
+
+    A point is two rows, its line and its sample. A control line is a row for each of its two ground
+    vertices, which must lie on the image line.
+
+    Parameters
+    ----------
+    local : ndarray, shape (n, 3)
+        Places in the frame [m].
+    normal : ndarray, shape (n, 2)
+        Direction in the image in which a row measures.
+    value : ndarray, shape (n,)
+        The measured distance along it [px].
+    sigma : ndarray, shape (n,)
+        Relative standard deviation; 1 where none is stated.
+    feature : tuple of str
+        Point or line of each row.
+    """
+
+    local: FloatArray
+    normal: FloatArray
+    value: FloatArray
+    sigma: FloatArray
+    feature: tuple[str, ...]
+
+    def __len__(self) -> int:
+        return len(self.value)
+
+
+def own_control(features: FeatureSet | None, frame: Frame) -> OwnControl:
+    """Return the rows of points with the role control, check or none, and of all lines."""
+    if features is None:
+        return OwnControl(np.empty((0, 3)), np.empty((0, 2)), np.empty(0), np.empty(0), ())
+    points, lines = in_use(features), features.lines
+    n, k = len(points), len(lines)
+    sigma = np.ones((n, 2)) if points.sigma is None else points.sigma / np.median(points.sigma)
+    across = np.ones(k) if lines.sigma is None else lines.sigma / np.median(lines.sigma)
+    normal, rho = line_normals(lines)
+    axes = np.tile(np.eye(2), (n, 1))
+    return OwnControl(
+        np.concatenate([np.repeat(frame.local(points.ground), 2, axis=0),
+                        frame.local(lines.ground.reshape(-1, 3))]),
+        np.concatenate([axes, np.repeat(normal, 2, axis=0)]),
+        np.concatenate([points.image.ravel(), np.repeat(rho, 2)]),
+        np.concatenate([sigma.ravel(), np.repeat(across, 2)]),
+        tuple(np.repeat(points.ids, 2).tolist() + np.repeat(lines.ids, 2).tolist()))
+
+
+def in_use(features: FeatureSet):  # type: ignore[no-untyped-def]
+    """Return the points that the adjustment may use: all but independent ones and those off."""
+    return features.points.take([role not in ("independent", "off")
+                                 for role in features.points.roles])

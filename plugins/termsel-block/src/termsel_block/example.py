@@ -1,0 +1,51 @@
+"""A simulated block as files, to begin with."""
+
+from __future__ import annotations
+
+import csv
+import io
+from pathlib import Path
+
+from termsel import TermselError, write_points_csv, write_rpc
+from termsel.files.atomic import write_text
+from termsel_block.simulated import simulate_block
+
+_LETTERS = "ABCDEFGHIJKLMNOPQRSTUVWXYZ"
+
+
+def write_example(folder: Path, n_images: int = 3, seed: int = 1) -> None:
+    """Write a block of images with RPCs; the first sees four control points, the last none.
+
+    Raises
+    ------
+    TermselError
+        If the folder exists or cannot be made.
+    """
+    if folder.exists():
+        raise TermselError("this folder exists already", file=folder, hint="Name a new one.")
+    simulated = simulate_block(n_images, rpcs=True, control=(4, 4), wrong=0.05, seed=seed,
+                               independent=30)
+    block = simulated.block
+    names = [_LETTERS[i % 26] + str(i // 26 or "") for i in range(n_images)]
+    try:
+        folder.mkdir(parents=True)
+    except OSError as error:
+        raise TermselError(f"cannot make the folder: {error.strerror}", file=folder,
+                           hint="Name another.") from error
+    text = [f'crs = "{block.crs}"', 'ties = "ties.csv"', ""]
+    for name, image in zip(names, block.images, strict=True):
+        assert image.rpc is not None
+        assert image.features is not None
+        write_rpc(image.rpc, folder / f"{name}.RPB")
+        write_points_csv(image.features.points, folder / f"{name}_points.csv", block.crs)
+        text += ["[[image]]", f'name = "{name}"', f'rpc = "{name}.RPB"',
+                 f'points = "{name}_points.csv"', ""]
+    out = io.StringIO()
+    table = csv.writer(out, lineterminator="\n")
+    table.writerow(["id", "image", "line", "sample"])
+    ties = block.ties
+    for tie, image_index, (line, sample) in zip(ties.tie, ties.image, ties.place.tolist(),
+                                                strict=True):
+        table.writerow([ties.names[tie], names[image_index], f"{line:.3f}", f"{sample:.3f}"])
+    write_text(folder / "ties.csv", out.getvalue())
+    write_text(folder / "block.toml", "\n".join(text))

@@ -1,0 +1,160 @@
+"""Write a block: a folder for each image that every command reads, and the files of the whole."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import os
+from collections.abc import Callable
+from dataclasses import asdict, replace
+from pathlib import Path
+
+import msgspec
+import numpy as np
+
+from termsel import FeatureSet, Points, Result, TermselError, run
+from termsel.files.atomic import write_text
+from termsel.io.result_folder import claim_folder, write_result
+from termsel_block.block import BlockImage
+from termsel_block.joint import BlockResult
+from termsel_block.page import page_of
+from termsel_block.record import BlockRecord, correction_of, record_of, schema
+from termsel_block.summary import text_of
+
+RECORD, SUMMARY, PAGE, TIES, SCHEMA_FILE = (
+    "block.json", "summary.txt", "report.html", "ties.csv", "block.schema.json")
+
+_MOST = 400
+"""Ties of an image that its own result keeps as control: more tell nothing new of its model."""
+
+
+def claim(folder: Path, names: list[str], *, overwrite: bool) -> None:
+    """Refuse the folder of a block before any long computation.
+
+    Raises
+    ------
+    TermselError
+        If there is a block or a file that is not one's in it, or it cannot be made.
+    """
+    if (folder / RECORD).exists() and not overwrite:
+        raise TermselError("there is a block in this folder already", file=folder,
+                           hint="Choose another --out, or add --overwrite.")
+    strange = [name for name in (SUMMARY, PAGE, TIES, SCHEMA_FILE)
+               if (folder / name).exists() and not (folder / RECORD).exists()]
+    if strange:
+        raise TermselError("the block would replace this file, which is not part of one",
+                           file=folder / strange[0], hint="Choose another --out.")
+    taken = [name for name in names if (folder / name).exists() and not overwrite]
+    if taken:
+        raise TermselError("the result of an image would replace this", file=folder / taken[0],
+                           hint="Choose another --out, or add --overwrite.")
+    above = next(parent for parent in folder.absolute().parents if parent.exists())
+    if (folder.exists() and not folder.is_dir()) or not os.access(above, os.W_OK):
+        raise TermselError("cannot make this folder", file=folder, hint="Choose another --out.")
+
+
+def write_block(result: BlockResult, folder: Path | str, *, overwrite: bool = False,
+                progress: Callable[[float], None] | None = None) -> BlockRecord:
+    """Write the results of all images, then the block's own files.
+
+    Parameters
+    ----------
+    result : BlockResult
+    folder : path-like
+        Each image gets a folder of its name in it. The block has block.json with its schema,
+        summary.txt, report.html, and ties.csv with the places of the ties.
+    overwrite : bool
+        Whether a block that is there may be replaced.
+    progress : callable, optional
+        Called with the share that is done.
+
+    Raises
+    ------
+    TermselError
+        As `claim`, or if a file cannot be written.
+    """
+    folder = Path(folder)
+    names = [image.name for image in result.block.images]
+    claim(folder, names, overwrite=overwrite)
+    record = record_of(result)
+    for i, name in enumerate(names):
+        claim_folder(folder / name, overwrite=overwrite)
+        write_result(image_result(result, i, record), folder / name)
+        if progress is not None:
+            progress((i + 1) / len(names))
+    for file, text in {
+            TIES: ties_csv(result), SUMMARY: text_of(record), PAGE: page_of(result, record),
+            SCHEMA_FILE: json.dumps(schema(), indent=1) + "\n",
+            RECORD: msgspec.json.format(msgspec.json.encode(record), indent=1).decode() + "\n",
+            }.items():
+        write_text(folder / file, text)
+    return record
+
+
+def image_result(result: BlockResult, i: int, record: BlockRecord) -> Result:
+    """Return an image's own result: its model, fitted to its control and to ties at their places.
+
+    At the optimum of the block that fit has the block's parameters, but for the priors. What the
+    places of the ties have in common is not seen in one image, so the result states the RMSE that
+    the block predicts.
+    """
+    image, state = result.block.images[i], result.adjusted.state
+    features = _features(result, i, image)
+    name = correction_of(result, i)
+    if name == "polynomial":
+        found = run(features=features)
+    else:
+        assert image.rpc is not None
+        rpc = {"file": (image.rpc_file or Path(f"{image.name}.RPB")).name, **asdict(image.rpc)}
+        found = run("rfm-terms", features=features, solver="all-terms", criterion="press",
+                    model=f"rpc-{'shift' if name == 'none' else name}",
+                    options={"rpc": json.dumps(rpc)})
+    mine = record.images[i]
+    note = (f"The places of {int(state.in_use[i].sum())} ties come from a block of "
+            f"{len(record.images)} images. By the block points in this image have an RMSE of "
+            f"{mine.predicted:.2f} px, with an interval of 90 % from {mine.low:.2f} to "
+            f"{mine.high:.2f} px; figures from this image alone know nothing of what the ties "
+            "have in common.")
+    return replace(found, notes=(note, *found.notes))
+
+
+def _features(result: BlockResult, i: int, image: BlockImage) -> FeatureSet:
+    """Return an image's own features without blunders, and its ties as control."""
+    state, ties = result.adjusted.state, result.block.ties
+    mine = np.flatnonzero(ties.image == i)[state.in_use[i]]
+    if len(mine) > _MOST:
+        mine = mine[np.linspace(0, len(mine) - 1, _MOST).astype(int)]
+    names = [f"tie-{ties.names[k]}" for k in ties.tie[mine]]
+    n = len(names)
+    points = Points(tuple(names), ties.place[mine], result.ties[ties.tie[mine]],
+                    np.full((n, 2), state.sigma_ties), ("control",) * n)
+    size = image.size
+    if image.features is None:
+        return FeatureSet(points, crs=result.block.crs, image_size=size)
+    wrong = {name for name, used in zip(result.control[i].feature, state.control_in_use[i],
+                                        strict=True) if not used}
+    own, lines = image.features.points, image.features.lines
+    roles = tuple("off" if name in wrong else role or "control"
+                  for name, role in zip(own.ids, own.roles, strict=True))
+    sigma = np.full((len(own), 2), state.sigma_control) if own.sigma is None else own.sigma
+    own = replace(own, sigma=sigma, roles=roles)
+    return FeatureSet(own.join(points), lines.take([name not in wrong for name in lines.ids]),
+                      crs=result.block.crs, image_size=size or image.features.image_size)
+
+
+def ties_csv(result: BlockResult) -> str:
+    """Return the places of ties with their standard deviations [m] as a table."""
+    out = io.StringIO()
+    table = csv.writer(out, lineterminator="\n")
+    table.writerow(["id", "x", "y", "z", "sigma_east", "sigma_north", "sigma_up", "images"])
+    ties, state = result.block.ties, result.adjusted.state
+    count = np.zeros(len(ties.names), int)
+    for i, used in enumerate(state.in_use):
+        np.add.at(count, ties.tie[ties.image == i], used)
+    for name, place, sigma, n in zip(ties.names, result.ties.tolist(), result.sigma_ties.tolist(),
+                                     count.tolist(), strict=True):
+        if n > 1:
+            table.writerow([name, *(f"{value:.10g}" for value in place),
+                            *(f"{value:.4g}" for value in sigma), n])
+    return out.getvalue()

@@ -1,0 +1,138 @@
+"""The verb of this package: adjust a block, and judge it by what took no part."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from termsel import TermselError, open_dem
+from termsel_block.adjustment import Adjusted, Heights, Measured, adjust_block
+from termsel_block.block import Block
+from termsel_block.cameras import Camera, RpcCamera
+from termsel_block.control import OwnControl, own_control
+from termsel_block.frame import FloatArray, Frame
+from termsel_block.starts import Given, start
+
+_GROUPS = {"auto": RpcCamera.COLUMNS, "none": (), "shift": ("shift",), "drift": ("shift", "drift"),
+           "affine": RpcCamera.COLUMNS}
+
+
+@dataclass(frozen=True, eq=False)
+class BlockResult:
+    """A block as adjusted, with the accuracy it has on points that took no part.
+
+    Parameters
+    ----------
+    block : Block
+    frame : Frame
+    adjusted : Adjusted
+    control : tuple of OwnControl
+        Of each image.
+    """
+
+    block: Block
+    frame: Frame
+    adjusted: Adjusted
+    control: tuple[OwnControl, ...]
+
+    @cached_property
+    def covariances(self) -> list[FloatArray]:
+        """Covariance of each image's parameters [px2], by image axis, then column."""
+        return self.adjusted.solved.reduced.own()
+
+    @cached_property
+    def ties(self) -> FloatArray:
+        """Places of the ties in the CRS of the block, shape (t, 3)."""
+        return self.frame.ground(self.adjusted.state.ties)
+
+    @cached_property
+    def sigma_ties(self) -> FloatArray:
+        """Standard deviations of the ties' places [m], shape (t, 3)."""
+        covariance = self.adjusted.solved.covariance_of_ties()
+        return np.asarray(np.sqrt(np.maximum(np.einsum("tii->ti", covariance), 0.0)))
+
+    def camera(self, i: int) -> Camera:
+        """Return the model of an image."""
+        return self.adjusted.state.cameras[i]
+
+    def project(self, i: int, ground: FloatArray) -> FloatArray:
+        """Return line and sample (n, 2) [px] of ground coordinates (n, 3) in an image."""
+        return self.camera(i).project(self.adjusted.state.parameters[i], self.frame.local(ground))
+
+    def sigma(self, i: int, ground: FloatArray) -> FloatArray:
+        """Return the standard deviations (n, 2) [px] of computed line and sample."""
+        columns = self.camera(i).first_order(self.frame.local(ground))[1]
+        m = columns.shape[1]
+        own = self.covariances[i]
+        return np.asarray(np.sqrt(np.stack([
+            np.einsum("ni,ij,nj->n", columns, own[a * m:(a + 1) * m, a * m:(a + 1) * m], columns)
+            for a in range(2)], axis=1)))
+
+
+def adjust(block: Block, *, progress: Callable[[float], None] | None = None) -> BlockResult:
+    """Adjust images, their control and their ties together.
+
+    Parameters
+    ----------
+    block : Block
+    progress : callable, optional
+        Called with the share that is done.
+
+    Returns
+    -------
+    BlockResult
+
+    Raises
+    ------
+    TermselError
+        Naming the images that nothing holds, or those of another place.
+    """
+    frame = Frame.at(_places(block), block.crs)
+    with ExitStack() as files:
+        dem = files.enter_context(open_dem(block.dem, block.crs)) if block.dem else None
+
+        mean, spread = _heights(block)
+        heights = Heights(frame, mean, spread, dem)
+        given = []
+        for i, image in enumerate(block.images):
+            mine = block.ties.image == i
+            given.append(Given(
+                image.name, Measured(block.ties.tie[mine], block.ties.place[mine]),
+                own_control(image.features, frame), image.rpc, _GROUPS[image.model]))
+        state = start(given, len(block.ties.names), frame, heights)
+        adjusted = adjust_block(
+            state, [image.measured for image in given], [image.control for image in given],
+            heights, progress=progress, fixed=[image.model != "auto" for image in block.images])
+    return BlockResult(block, frame, adjusted, tuple(image.control for image in given))
+
+
+def _places(block: Block) -> FloatArray:
+    """Return places in the CRS of the block: of control, else of the RPCs."""
+    from termsel.measurements.coordinates.crs import transformation
+
+    own = [image.features.points.ground for image in block.images if image.features is not None]
+    own += [image.features.lines.ground.reshape(-1, 3) for image in block.images
+            if image.features is not None]
+    places = np.concatenate([np.empty((0, 3)), *own])
+    rpcs = [image.rpc.ground_offset for image in block.images if image.rpc is not None]
+    if rpcs:
+        places = np.concatenate([places, transformation("EPSG:4979", block.crs)(np.array(rpcs))])
+    if not len(places):
+        raise TermselError("no image of the block has control or an RPC",
+                           hint="Give at least one image points, lines or an RPC.")
+    return places
+
+
+def _heights(block: Block) -> tuple[float, float]:
+    """Return what is known of heights before: their mean and spread [m]."""
+    rpcs = [image.rpc for image in block.images if image.rpc is not None]
+    if rpcs:
+        return (float(np.mean([rpc.ground_offset[2] for rpc in rpcs])),
+                float(np.max([abs(rpc.ground_scale[2]) for rpc in rpcs])))
+    own = np.concatenate([image.features.points.ground[:, 2] for image in block.images
+                          if image.features is not None])
+    return float(own.mean()), max(3 * float(own.std()), 100.0)

@@ -1,0 +1,188 @@
+"""The record of a block: block.json, and the figures of summary and page."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from termsel_block.accuracy import in_space, independent_points, predicted, rmse
+from termsel_block.cameras import RpcCamera
+from termsel_block.joint import BlockResult
+
+SCHEMA = "termsel-block-1"
+
+
+class WrongTie(msgspec.Struct, frozen=True):
+    """A measurement of a tie that was left out."""
+
+    id: str
+    image: str
+    error: float
+    """Distance from where the others see it [px]."""
+
+
+class WrongControl(msgspec.Struct, frozen=True):
+    """A point or line of the control that was left out."""
+
+    id: str
+    image: str
+    error: float
+    """Distance from the model [px]."""
+
+
+class ImageRecord(msgspec.Struct, frozen=True):
+    """One image of the block."""
+
+    name: str
+    model: str
+    """Correction of the RPC: none, shift, drift or affine; or "polynomial"."""
+    evidence: dict[str, float]
+    """Logarithm of the Bayes factor of each part of the model that was weighed."""
+    control: int
+    """Points and lines of its own in use."""
+    ties: int
+    """Ties in use."""
+    rmse_ties: float
+    """RMSE of these ties [px]."""
+    predicted: float
+    """RMSE that points measured as the control will have [px]."""
+    low: float
+    high: float
+    """The interval of that RMSE, of 90 %."""
+    independent: float | None = None
+    """RMSE of independent points [px]: the accuracy."""
+    n_independent: int = 0
+    rpc: str | None = None
+    """File of its RPC."""
+
+
+class SpaceRecord(msgspec.Struct, frozen=True):
+    """RMSE of independent points that two images or more see, by intersection [m]."""
+
+    east: float
+    north: float
+    up: float
+    n: int
+
+
+class BlockRecord(msgspec.Struct, frozen=True):
+    """A block as adjusted."""
+
+    schema: str
+    crs: str
+    images: list[ImageRecord]
+    ties: int
+    measurements: int
+    sigma_ties: float
+    """Standard deviation of a tie in line and in sample, from the adjustment [px]."""
+    sigma_control: float
+    """The same of control [px]."""
+    redundancy: float
+    steps: int
+    converged: bool
+    datum: str
+    """What holds the block on the ground."""
+    parts: list[list[str]]
+    """Images that ties join; one part where the block is one."""
+    sigma_places: tuple[float, float, float]
+    """Median standard deviation of the places of ties, east, north and up [m]."""
+    wrong_ties: list[WrongTie]
+    wrong_control: list[WrongControl]
+    notes: list[str]
+    independent: SpaceRecord | None = None
+
+
+def schema() -> dict[str, Any]:
+    """Return the JSON Schema of block.json."""
+    return msgspec.json.schema(BlockRecord)
+
+
+def record_of(result: BlockResult) -> BlockRecord:
+    """Return all that a block's files say of it."""
+    block, adjusted = result.block, result.adjusted
+    images = [_image(result, i) for i in range(len(block.images))]
+    space = in_space(result)
+    parts = joined(block.ties.tie, block.ties.image, len(block.images))
+    east, north, up = np.median(result.sigma_ties, axis=0).tolist()
+    return BlockRecord(
+        SCHEMA, block.crs, images, len(block.ties.names), len(block.ties.tie),
+        adjusted.state.sigma_ties, adjusted.state.sigma_control, adjusted.freedom, adjusted.steps,
+        adjusted.converged, _datum(images),
+        [[block.images[i].name for i in part] for part in parts], (east, north, up),
+        _wrong_ties(result), _wrong_control(result), list(block.notes),
+        None if space is None else SpaceRecord(space.east, space.north, space.up, space.n))
+
+
+def _image(result: BlockResult, i: int) -> ImageRecord:
+    """Return the record of an image."""
+    image, state = result.block.images[i], result.adjusted.state
+    used, expected = state.in_use[i], predicted(result, i)
+    points = independent_points(result, i)
+    own = result.adjusted.residuals[i][used]
+    control = set(np.array(result.control[i].feature)[state.control_in_use[i]].tolist())
+    return ImageRecord(
+        image.name, correction_of(result, i), dict(result.adjusted.evidence[i]), len(control),
+        int(used.sum()), rmse(own) if len(own) else 0.0, expected.rmse, expected.low,
+        expected.high, None if points is None else rmse(
+            points.image - result.project(i, points.ground)), 0 if points is None else len(points),
+        None if image.rpc_file is None else image.rpc_file.name)
+
+
+def correction_of(result: BlockResult, i: int) -> str:
+    """Return what the model of an image is, in one word."""
+    camera = result.camera(i)
+    if not isinstance(camera, RpcCamera):
+        return "polynomial"
+    return next((name for name in reversed(RpcCamera.COLUMNS) if name in camera.groups), "none")
+
+
+def _datum(images: Sequence[ImageRecord]) -> str:
+    """Return what holds the block on the ground, as a sentence."""
+    features = sum(image.control for image in images)
+    if not features:
+        return ("No control holds this block: its absolute accuracy is that of the vendor's RPCs, "
+                "and the figures that are predicted know no more than their spread.")
+    holding = sum(image.control > 0 for image in images)
+    return (f"{features} measurements of control in {holding} of {len(images)} images hold the "
+            "block.")
+
+
+def _wrong_ties(result: BlockResult) -> list[WrongTie]:
+    """Return the measurements of ties that were left out, the worst first."""
+    found, ties = [], result.block.ties
+    for i, (residual, used) in enumerate(zip(
+            result.adjusted.residuals, result.adjusted.state.in_use, strict=True)):
+        names = ties.tie[ties.image == i]
+        found += [WrongTie(ties.names[names[k]], result.block.images[i].name,
+                           float(np.hypot(*residual[k]))) for k in np.flatnonzero(~used)]
+    return sorted(found, key=lambda wrong: -wrong.error)
+
+
+def _wrong_control(result: BlockResult) -> list[WrongControl]:
+    """Return the control that was left out, the worst first."""
+    found = []
+    for i, (known, residual, used) in enumerate(zip(
+            result.control, result.adjusted.of_control, result.adjusted.state.control_in_use,
+            strict=True)):
+        errors: dict[str, float] = {}
+        for k in np.flatnonzero(~used):
+            name = known.feature[k]
+            errors[name] = float(np.hypot(errors.get(name, 0.0), residual[k]))
+        found += [WrongControl(name, result.block.images[i].name, error)
+                  for name, error in errors.items()]
+    return sorted(found, key=lambda wrong: -wrong.error)
+
+
+def joined(tie: Any, image: Any, count: int) -> list[list[int]]:
+    """Return which images ties join, directly or by others, by index."""
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import connected_components
+
+    ties = int(tie.max()) + 1
+    graph = coo_matrix((np.ones(len(tie)), (image, count + tie)), shape=(count + ties,) * 2)
+    _, part = connected_components(graph, directed=False)
+    part = part[:count]
+    return [np.flatnonzero(part == k).tolist() for k in dict.fromkeys(part.tolist())]

@@ -1,0 +1,204 @@
+"""Simulated blocks: scanners that see one place from several sides, and what a user has of them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from termsel import FeatureSet, Points, Rpc, fit, rpc_of
+from termsel.simulate import Angle, Pushbroom, pushbroom_at
+from termsel_block.block import Block, BlockImage, Ties
+from termsel_block.frame import FloatArray, IntArray
+
+LON, LAT = 48.5, 34.8
+_METRES = 111_320.0
+_ROWS = 20  # stacks one below the other, before the next strip begins
+_STEP = 0.6  # from one stack to the next, in widths of an image
+
+
+@dataclass(frozen=True, eq=False)
+class Simulated:
+    """A block, and the truth of it: exact scanners and the places of the ties."""
+
+    block: Block
+    sensors: tuple[Pushbroom, ...]
+    ties: FloatArray
+
+
+def simulate_block(
+    n_images: int = 3,
+    *,
+    n_ties: int = 200,
+    control: tuple[int, ...] = (6, 6, 0),
+    rpcs: bool = False,
+    bias: float = 20.0,
+    drift: float = 2.0,
+    noise: float = 0.4,
+    wrong: float = 0.0,
+    independent: int = 60,
+    size: int = 12000,
+    gsd: float = 2.5,
+    seed: int = 0,
+) -> Simulated:
+    """Return a block of images of one strip of hilly ground.
+
+    Images follow one another in twos or threes that see the same ground from other directions, and
+    each overlaps the next along the strip.
+
+    Parameters
+    ----------
+    n_images : int
+    n_ties : int
+        Ties of each image, about.
+    control : tuple of int
+        Control points of the first images; the others have none.
+    rpcs : bool
+        Whether each image has a vendor's RPC.
+    bias, drift : float
+        Standard deviations of the RPC's shift, and of its drift over half an image [px].
+    noise : float
+        Of all measurements in the image [px].
+    wrong : float
+        Share of ties with one wrong measurement, 5 to 60 px off.
+    independent : int
+        Points of each image that only judge.
+    size, gsd : int and float
+        Lines and samples of each image, and pixels on the ground [m].
+    seed : int
+    """
+    rng = np.random.default_rng(seed)
+    sensors = [_sensor(i, size, gsd, rng) for i in range(n_images)]
+    width = size * gsd
+    places, image, index = _seen_ties(sensors, n_images, n_ties, width, size, rng)
+    place = image + rng.normal(0, noise, image.shape)
+    count = len(places)
+    bad = rng.random(count) < wrong
+    for tie in np.flatnonzero(bad):
+        row = rng.choice(np.flatnonzero(index[:, 0] == tie))
+        turn = rng.uniform(0, 2 * np.pi)
+        place[row] += rng.uniform(5, 60) * np.array([np.sin(turn), np.cos(turn)])
+    ties = Ties(tuple(f"T{i}" for i in range(count)), index[:, 0], index[:, 1], place)
+    images = []
+    known = _known_places(sensors, max(control, default=0), independent, width, rng)
+    for i, sensor in enumerate(sensors):
+        n = control[i] if i < len(control) else 0
+        points = _points(sensor, known, n, max(control, default=0), noise, size, rng)
+        rpc = _vendor(sensor, bias, drift, size, rng) if rpcs else None
+        images.append(BlockImage(f"I{i + 1}", FeatureSet(
+            points, crs="EPSG:4979", image_size=(size, size)), rpc, size=(size, size)))
+    return Simulated(Block("EPSG:4979", tuple(images), ties), tuple(sensors), places)
+
+
+def height(place: FloatArray) -> FloatArray:
+    """Return the heights of the simulated ground [m] at longitudes and latitudes (n, 2)."""
+    east = (place[:, 0] - LON) * _METRES * np.cos(np.radians(LAT)) / 1000
+    north = (place[:, 1] - LAT) * _METRES / 1000
+    return np.asarray(1700 + 180 * np.sin(east / 3.1) * np.cos(north / 4.3)
+                      + 60 * np.sin(east / 1.1 + 1) + 40 * np.cos(north / 0.9))
+
+
+def _middle(stack: int, width: float) -> tuple[float, float]:
+    """Return longitude and latitude of the ground that a stack of three images sees."""
+    column, row = divmod(stack, _ROWS)
+    step = _STEP * width / _METRES
+    return LON + column * step / np.cos(np.radians(LAT)), LAT - row * step
+
+
+def _sensor(i: int, size: int, gsd: float, rng: np.random.Generator) -> Pushbroom:
+    """Return the scanner of the i-th image."""
+    middle = _middle(i // 3, size * gsd)
+    angle = (18.0, 4.0, 22.0)[i % 3] + rng.uniform(-3, 3)
+    azimuth = (20.0, 95.0, 170.0)[i % 3] + rng.uniform(-10, 10)
+    sensor = pushbroom_at(
+        middle[0] + rng.normal(0, 0.03) * size * gsd / _METRES, middle[1], height=1700.0,
+        off_nadir=angle, look_azimuth=azimuth, gsd=gsd, image_size=(size, size),
+        altitude=680e3, inclination=98.1)
+    ifov, end = sensor.ifov, size * sensor.line_period / 2
+    def slow(known: Angle) -> Angle:
+        constant = known.drift[0] if known.drift else 0.0
+        rest = known.drift[1] if len(known.drift) > 1 else 0.0
+        return Angle((constant, rest + rng.normal(0, 4) * ifov / end,
+                      rng.normal(0, 2) * ifov / end**2))
+    return replace(sensor, roll=slow(sensor.roll), pitch=slow(sensor.pitch))
+
+
+def _seen_ties(sensors: list[Pushbroom], n: int, n_ties: int, width: float, size: int,
+               rng: np.random.Generator) -> tuple[FloatArray, FloatArray, IntArray]:
+    """Return places of ties, and line and sample with (tie, image) of each measurement."""
+    places: list[FloatArray] = []
+    images, indices = [], []
+    count = 0
+    middles = np.array([_middle(i // 3, width) for i in range(n)])
+    reach = 1.2 * width / _METRES
+    for stack in range((n + 2) // 3):
+        lon, lat = middles[3 * stack]
+        some = max(n_ties // 4, 1) if n > 3 else n_ties
+        east = rng.uniform(-0.55, 0.55, some) * width / _METRES / np.cos(np.radians(LAT))
+        xy = np.column_stack([lon + east, lat + rng.uniform(-0.55, 0.55, some) * width / _METRES])
+        ground = np.column_stack([xy, height(xy)])
+        rows = []
+        near = (np.abs(middles[:, 1] - lat) < reach) & (
+            np.abs(middles[:, 0] - lon) * np.cos(np.radians(LAT)) < reach)
+        for i in np.flatnonzero(near):
+            at = sensors[i].project(ground)
+            inside = np.flatnonzero(((at >= 0) & (at <= size - 1)).all(axis=1)
+                                    & (rng.random(some) < 0.9))
+            rows += [(t, i, *at[t]) for t in inside]
+        found = np.array(rows).reshape(-1, 4)
+        seen = np.bincount(found[:, 0].astype(int), minlength=some)
+        keep = np.flatnonzero(seen > 1)
+        renamed = np.full(some, -1)
+        renamed[keep] = count + np.arange(len(keep))
+        found = found[renamed[found[:, 0].astype(int)] >= 0]
+        places.append(ground[keep])
+        images.append(found[:, 2:])
+        indices.append(np.column_stack([renamed[found[:, 0].astype(int)], found[:, 1]]))
+        count += len(keep)
+    return (np.concatenate(places), np.concatenate(images),
+            np.concatenate(indices).astype(np.intp))
+
+
+def _known_places(sensors: list[Pushbroom], control: int, independent: int, width: float,
+                  rng: np.random.Generator) -> FloatArray:
+    """Return places of control, then of independent points, all over the block."""
+    stacks = (len(sensors) + 2) // 3
+    half = 0.46 * width / _METRES
+    places = []
+    for count, of in ((control, [0]), (independent * stacks, range(stacks))):
+        middle = np.array([_middle(stack, width) for stack in rng.choice(of, count)]).reshape(-1, 2)
+        away = rng.uniform(-half, half, (count, 2)) / [np.cos(np.radians(LAT)), 1.0]
+        places.append(np.column_stack([middle + away, height(middle + away)]))
+    return np.concatenate(places)
+
+
+def _points(sensor: Pushbroom, ground: FloatArray, n: int, control: int, noise: float, size: int,
+            rng: np.random.Generator) -> Points:
+    """Return the first control points, and the independent ones, that an image sees."""
+    image = sensor.project(ground)
+    inside = ((image >= 0) & (image <= size - 1)).all(axis=1)
+    is_control = np.arange(len(ground)) < control
+    inside &= ~is_control | (np.arange(len(ground)) < n)
+    image = image + rng.normal(0, noise, image.shape)
+    rows = np.flatnonzero(inside)
+    return Points(tuple(f"{'G' if is_control[k] else 'Q'}{k}" for k in rows), image[rows],
+                  ground[rows], roles=tuple(
+                      "control" if is_control[k] else "independent" for k in rows))
+
+
+def _vendor(sensor: Pushbroom, bias: float, drift: float, size: int,
+            rng: np.random.Generator) -> Rpc:
+    """Return the RPC of a scanner with errors of attitude, as its vendor makes it."""
+    end = size * sensor.line_period / 2
+
+    def wrong(known: Angle) -> Angle:
+        values = (*known.drift, 0.0, 0.0, 0.0)[:3]
+        return Angle((values[0] + rng.normal(0, bias) * sensor.ifov,
+                      values[1] + rng.normal(0, drift) * sensor.ifov / end, values[2]))
+
+    known = replace(sensor, roll=wrong(sensor.roll), pitch=wrong(sensor.pitch))
+    steps = np.linspace(0, size - 1, 13)
+    grid = np.stack(np.meshgrid(steps, steps, np.linspace(1300, 2100, 5)), axis=-1).reshape(-1, 3)
+    ground = np.column_stack([known.locate(grid[:, :2], grid[:, 2]), grid[:, 2]])
+    points = Points(tuple(map(str, range(len(grid)))), grid[:, :2], ground)
+    return rpc_of(fit(FeatureSet(points, crs="EPSG:4979", image_size=(size, size)), "rfm")).rpc

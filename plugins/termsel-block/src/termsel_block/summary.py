@@ -1,0 +1,82 @@
+"""What the command prints of a block, and writes as summary.txt."""
+
+from __future__ import annotations
+
+from termsel_block.record import BlockRecord
+
+_SHOWN = 10
+
+
+def text_of(record: BlockRecord, *, verbose: bool = True) -> str:
+    """Return the summary; without `verbose` long lists end after ten rows."""
+    points = sum(image.control for image in record.images)
+    measured = (f"{len(record.images)} images, {record.ties} ties measured {record.measurements} "
+                f"times, {points} measurements of control, CRS {record.crs}.")
+    worst = max(record.images, key=lambda image: image.predicted)
+    judged = [image for image in record.images if image.independent is not None]
+    lines = ["Read: " + measured, "Datum: " + record.datum,
+             f"Precision: a tie is measured to {record.sigma_ties:.2f} px, control to "
+             f"{record.sigma_control:.2f} px."]
+    if judged:
+        squares = sum(image.n_independent * (image.independent or 0.0)**2 for image in judged)
+        n = sum(image.n_independent for image in judged)
+        lines.append(f"Accuracy: RMSE {(squares / n) ** 0.5:.2f} px on {n} measurements of "
+                     f"independent points in {len(judged)} images.")
+    if record.independent is not None:
+        space = record.independent
+        lines.append(f"In space: east {space.east:.2f} m, north {space.north:.2f} m, up "
+                     f"{space.up:.2f} m, RMSE of {space.n} independent points by intersection.")
+    lines.append("Blunders: " + _blunders(record))
+    lines.append(f"Next: {worst.name} is the least certain image, {worst.predicted:.2f} px. "
+                 "Control or ties in it help most.")
+    if not record.converged:
+        lines.append("The adjustment did not settle: read the figures with care.")
+    lines += [f"Note: {note}" for note in record.notes]
+    if len(record.parts) > 1:
+        parts = " | ".join(", ".join(part[:4]) + ", ..." * (len(part) > 4)
+                           for part in record.parts[:_SHOWN])
+        lines.append(f"Note: no tie joins {len(record.parts)} parts of this block, so that each "
+                     f"stands by itself: {parts}.")
+    return "\n".join([*lines, "", *_table(record, verbose), *_wrong(record, verbose)]) + "\n"
+
+
+def _blunders(record: BlockRecord) -> str:
+    """Return how many measurements were left out, in a sentence."""
+    ties, control = len(record.wrong_ties), len(record.wrong_control)
+    if not ties and not control:
+        return "none."
+    named = ", ".join(f"{wrong.id} in {wrong.image} ({wrong.error:.1f} px)"
+                      for wrong in record.wrong_control[:3])
+    return (f"{ties} measurements of ties and {control} of control left out"
+            + (f": {named}{', ...' * (control > 3)}." if control else "."))
+
+
+def _table(record: BlockRecord, verbose: bool) -> list[str]:
+    """Return a row for each image."""
+    rows = [("image", "model", "control", "ties", "ties px", "predicted px", "90 %",
+             "independent px")]
+    shown = record.images if verbose else sorted(
+        record.images, key=lambda image: -image.predicted)[:_SHOWN]
+    rows += [(image.name, image.model, str(image.control), str(image.ties),
+              f"{image.rmse_ties:.2f}", f"{image.predicted:.2f}",
+              f"{image.low:.2f}-{image.high:.2f}", "" if image.independent is None else
+              f"{image.independent:.2f} ({image.n_independent})") for image in shown]
+    widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
+    lines = ["  ".join(cell.ljust(width) if k < 2 else cell.rjust(width)
+                       for k, (cell, width) in enumerate(zip(row, widths, strict=True))).rstrip()
+             for row in rows]
+    if len(shown) < len(record.images):
+        lines.append(f"{len(record.images) - len(shown)} more certain images: summary.txt has all.")
+    return lines
+
+
+def _wrong(record: BlockRecord, verbose: bool) -> list[str]:
+    """Return the ties that were left out."""
+    wrong = record.wrong_ties if verbose else record.wrong_ties[:_SHOWN]
+    if not wrong:
+        return []
+    lines = ["", "Ties left out:", *(f"  {one.id} in {one.image}: {one.error:.1f} px"
+                                     for one in wrong)]
+    if len(wrong) < len(record.wrong_ties):
+        lines.append(f"  {len(record.wrong_ties) - len(wrong)} more: summary.txt has all.")
+    return lines

@@ -1,0 +1,360 @@
+"""Blocks: the adjustment against truth and LAPACK, what it names, and its command."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("termsel_block", reason="termsel-block is not installed: "
+                    "pip install -e plugins/termsel-block")
+
+import jsonschema  # type: ignore[import-untyped]
+from click.testing import CliRunner
+
+from termsel import FeatureSet, Points, Rpc, TermselError, read_result, read_rpc
+from termsel.cli.main import cli
+from termsel_block.accuracy import in_space, independent_points, predicted, rmse
+from termsel_block.adjustment import log_bayes_factor
+from termsel_block.block import Block, BlockImage, Ties
+from termsel_block.block_file import read_block
+from termsel_block.equations import Seen, pairs, solve
+from termsel_block.frame import FloatArray
+from termsel_block.joint import BlockResult, adjust
+from termsel_block.record import joined, record_of
+from termsel_block.simulated import Simulated, simulate_block
+from termsel_block.summary import text_of
+
+Example = tuple[Path, dict[str, Any]]
+
+
+def own(image: BlockImage) -> FeatureSet:
+    """Return the features of an image that has some."""
+    assert image.features is not None
+    return image.features
+
+
+def vendor(image: BlockImage) -> Rpc:
+    """Return the RPC of an image that has one."""
+    assert image.rpc is not None
+    return image.rpc
+
+
+def judging(result: BlockResult, i: int) -> Points:
+    """Return the independent points of an image that has some."""
+    points = independent_points(result, i)
+    assert points is not None
+    return points
+
+
+@pytest.fixture(scope="module")
+def vendors() -> Simulated:
+    """Three images with RPCs; four control points in the first two, a twentieth of ties wrong."""
+    return simulate_block(3, rpcs=True, control=(4, 4), wrong=0.05, seed=1, independent=40)
+
+
+@pytest.fixture(scope="module")
+def adjusted(vendors: Simulated) -> BlockResult:
+    return adjust(vendors.block)
+
+
+def errors(result: BlockResult, i: int) -> float:
+    points = judging(result, i)
+    return rmse(points.image - result.project(i, points.ground))
+
+
+def test_an_image_without_control_is_held_by_its_ties(
+        vendors: Simulated, adjusted: BlockResult) -> None:
+    image = vendors.block.images[2]
+    points = judging(adjusted, 2)
+    delivered = rmse(points.image - vendor(image).project(points.ground))
+    assert errors(adjusted, 2) < 0.6 * delivered
+    assert adjusted.adjusted.converged
+
+
+def test_wrong_ties_are_named_and_cost_little(vendors: Simulated, adjusted: BlockResult) -> None:
+    clean = adjust(simulate_block(3, rpcs=True, control=(4, 4), seed=1, independent=40).block)
+    assert not record_of(clean).wrong_ties
+    record = record_of(adjusted)
+    far = [np.hypot(*(vendors.block.ties.place - sensor_places(vendors))[k])
+           for k in range(len(vendors.block.ties.tie))]
+    wrong = {(vendors.block.ties.names[vendors.block.ties.tie[k]],
+              vendors.block.images[vendors.block.ties.image[k]].name)
+             for k in np.flatnonzero(np.array(far) > 15)}
+    named = {(one.id, one.image) for one in record.wrong_ties}
+    assert len(wrong - named) <= 0.1 * len(wrong)  # along the other ray nothing shows
+    assert np.mean([errors(adjusted, i) for i in range(3)]) < 1.3 * np.mean(
+        [errors(clean, i) for i in range(3)])
+
+
+def sensor_places(simulated: Simulated) -> FloatArray:
+    """Return where the exact scanners see the ties."""
+    ties, places = simulated.block.ties, np.empty((len(simulated.block.ties.tie), 2))
+    for i, sensor in enumerate(simulated.sensors):
+        mine = ties.image == i
+        places[mine] = sensor.project(simulated.ties[ties.tie[mine]])
+    return places
+
+
+def test_standard_deviations_are_true(vendors: Simulated, adjusted: BlockResult) -> None:
+    assert adjusted.adjusted.state.sigma_ties == pytest.approx(0.4, rel=0.15)
+    away = adjusted.adjusted.state.ties - adjusted.frame.local(vendors.ties)
+    seen = np.bincount(vendors.block.ties.tie) > 1
+    ratio = np.median((away / adjusted.sigma_ties)[seen] ** 2, axis=0)
+    assert (ratio > 0.02).all()
+    assert (ratio < 5).all()
+    for i in range(3):
+        expected = predicted(adjusted, i)
+        assert expected.low < expected.rmse < 1.2 * expected.high
+        assert errors(adjusted, i) < 2.5 * expected.high
+
+
+def test_the_step_is_that_of_lapack() -> None:
+    """Against all unknowns at once by a dense solver."""
+    rng = np.random.default_rng(0)
+    ties, images, m = 7, 3, 2
+    seen, rows, aim = [], [], []
+    for i in range(images):
+        tie = np.sort(rng.choice(ties, 5, replace=False))
+        part = Seen(tie, rng.normal(size=(5, m)), rng.normal(size=(5, 2, 3)),
+                    rng.normal(size=(5, 2)), rng.uniform(0.5, 2, 5))
+        seen.append(part)
+        for n in range(5):
+            for axis in range(2):
+                row = np.zeros(images * 2 * m + 3 * ties)
+                row[i * 2 * m + axis * m:i * 2 * m + (axis + 1) * m] = part.columns[n]
+                row[images * 2 * m + 3 * tie[n]:images * 2 * m + 3 * tie[n] + 3] = \
+                    part.slopes[n, axis]
+                rows.append(np.sqrt(part.weight[n]) * row)
+                aim.append(np.sqrt(part.weight[n]) * part.residual[n, axis])
+    prior = [np.eye(2 * m) * 0.3] * images
+    of_ties = np.tile(np.eye(3) * 0.2, (ties, 1, 1))
+    A = np.array(rows)
+    ridge = np.diag([0.3] * images * 2 * m + [0.2] * 3 * ties)
+    normal = A.T @ A + ridge
+    expected = np.linalg.solve(normal, A.T @ np.array(aim))
+    got = solve(seen, prior, [np.zeros(2 * m)] * images, of_ties, np.zeros((ties, 3)),
+                pairs([part.tie for part in seen], ties))
+    np.testing.assert_allclose(np.concatenate(got.steps), expected[:images * 2 * m], rtol=1e-9)
+    np.testing.assert_allclose(got.ties.ravel(), expected[images * 2 * m:], rtol=1e-9)
+    covariance = np.linalg.inv(normal)
+    for i, own in enumerate(got.reduced.own()):
+        at = slice(i * 2 * m, (i + 1) * 2 * m)
+        np.testing.assert_allclose(own, covariance[at, at], rtol=1e-8, atol=1e-12)
+    for k, block in enumerate(got.covariance_of_ties()):
+        at = slice(images * 2 * m + 3 * k, images * 2 * m + 3 * k + 3)
+        np.testing.assert_allclose(block, covariance[at, at], rtol=1e-8, atol=1e-12)
+
+
+@pytest.mark.parametrize("whole", [0, 10_000])
+def test_a_large_block_is_solved_as_a_small_one(
+        monkeypatch: pytest.MonkeyPatch, whole: int) -> None:
+    block = simulate_block(6, n_ties=60, rpcs=True, control=(3,), seed=3, independent=5).block
+    dense = adjust(block)
+    monkeypatch.setattr("termsel_block.equations.DENSE", 0)
+    monkeypatch.setattr("termsel_block.equations.WHOLE", whole)
+    sparse = adjust(block)
+    for i in range(6):
+        np.testing.assert_allclose(sparse.adjusted.state.parameters[i],
+                                   dense.adjusted.state.parameters[i], atol=1e-3)
+
+
+def test_the_evidence_is_that_of_two_marginal_likelihoods() -> None:
+    """One measurement y = p + e: N(y; 0, s2 + v) against N(y; 0, s2)."""
+    y, s2, v = 1.3, 0.4, 2.0
+    posterior = 1 / (1 / s2 + 1 / v)
+    expected = 0.5 * (y**2 / s2 - y**2 / (s2 + v) + np.log(s2 / (s2 + v)))
+    assert log_bayes_factor(np.array([posterior * y / s2]), np.array([[posterior]]),
+                            np.array([v])) == pytest.approx(expected)
+
+
+def test_independent_points_take_no_part(vendors: Simulated, adjusted: BlockResult) -> None:
+    images = tuple(replace(image, features=FeatureSet(
+        own(image).points.take([role != "independent" for role in own(image).points.roles]),
+        crs=own(image).crs, image_size=image.size)) for image in vendors.block.images)
+    # What the frame is at does not matter, and the rest must be the same.
+    without = adjust(replace(vendors.block, images=images))
+    for i, image in enumerate(vendors.block.images):
+        ground = own(image).points.ground
+        np.testing.assert_allclose(without.project(i, ground), adjusted.project(i, ground),
+                                   atol=2e-3)
+
+
+def test_without_any_control_the_vendors_hold_the_block() -> None:
+    simulated = simulate_block(3, rpcs=True, control=(), seed=2, independent=20)
+    record = record_of(adjust(simulated.block))
+    assert "vendor" in record.datum
+    assert all(image.predicted > 3 for image in record.images)  # biases of 20 px are not known
+
+
+def test_a_point_is_enough_for_the_bias_of_a_pair() -> None:
+    simulated = simulate_block(2, rpcs=True, control=(1, 1), drift=0.0, noise=0.05, seed=4,
+                               independent=30)
+    result = adjust(simulated.block)
+    assert max(errors(result, i) for i in range(2)) < 1.0
+
+
+def test_images_without_geometry_are_held_by_control_and_ties() -> None:
+    simulated = simulate_block(3, control=(6, 6, 0), seed=2, independent=40)
+    result = adjust(simulated.block)
+    assert record_of(result).images[2].model == "polynomial"
+    assert errors(result, 2) < 12
+    space = in_space(result)
+    assert space is not None
+    assert space.up < 60
+
+
+def test_a_wrong_control_point_is_named(vendors: Simulated) -> None:
+    image = vendors.block.images[0]
+    points = own(image).points
+    place = points.image.copy()
+    place[1] += [40.0, -30.0]
+    images = (replace(image, features=replace(own(image), points=replace(
+        points, image=place))), *vendors.block.images[1:])
+    record = record_of(adjust(replace(vendors.block, images=images)))
+    assert [one.id for one in record.wrong_control] == [points.ids[1]]
+    assert points.ids[1] in text_of(record)
+
+
+def test_what_nothing_holds_is_named() -> None:
+    simulated = simulate_block(3, control=(6, 0, 0), seed=0, independent=5)
+    with pytest.raises(TermselError, match=r"'I2'.*'I3'"):
+        adjust(simulated.block)
+
+
+def test_an_rpc_of_another_place_is_named(vendors: Simulated) -> None:
+    images = list(vendors.block.images)
+    moved = replace(vendor(images[2]), ground_offset=(20.0, 10.0, 300.0))
+    images[2] = replace(images[2], rpc=moved, features=None)
+    with pytest.raises(TermselError, match="'I3'"):
+        adjust(replace(vendors.block, images=tuple(images)))
+    images[2] = replace(vendors.block.images[2], rpc=vendors.block.images[2].rpc)
+    images[0] = replace(images[0], rpc=moved)
+    with pytest.raises(TermselError, match="'I1' is of another place"):
+        adjust(replace(vendors.block, images=tuple(images)))
+
+
+def test_parts_are_what_ties_join() -> None:
+    tie, image = np.array([0, 0, 1, 1, 2, 2]), np.array([0, 1, 1, 2, 3, 4])
+    assert joined(tie, image, 6) == [[0, 1, 2], [3, 4], [5]]
+
+
+@pytest.fixture(scope="module")
+def example(tmp_path_factory: pytest.TempPathFactory) -> Example:
+    folder = tmp_path_factory.mktemp("block") / "place"
+    done = CliRunner().invoke(cli, ["block-example", str(folder)])
+    assert done.exit_code == 0, done.output
+    done = CliRunner().invoke(cli, ["block", str(folder / "block.toml"), "--out",
+                                    str(folder / "adjusted"), "--json", "--quiet"])
+    assert done.exit_code == 0, done.output
+    return folder, json.loads(done.stdout)
+
+
+def test_every_image_becomes_a_result(example: Example) -> None:
+    folder, record = example
+    jsonschema.validate(record, json.loads((folder / "adjusted/block.schema.json").read_text()))
+    block = read_block(folder / "block.toml")
+    result = adjust(block)
+    for i, image in enumerate(record["images"]):
+        alone = read_result(folder / "adjusted" / image["name"])
+        assert alone.model == f"rpc-{image['model']}"
+        assert "block of 3 images" in alone.notes[0]
+        ground = own(block.images[i]).points.ground
+        assert np.abs(alone.fit.project(ground) - result.project(i, ground)).max() < 0.3
+    done = CliRunner().invoke(cli, ["export", str(folder / "adjusted/C"), "--to", "rpb",
+                                    "--output", str(folder / "refined.RPB")])
+    assert done.exit_code == 0, done.output
+    alone = read_result(folder / "adjusted/C")
+    points = own(block.images[2]).points
+    np.testing.assert_allclose(read_rpc(folder / "refined.RPB").project(points.ground),
+                               alone.fit.project(points.ground), atol=0.05)
+
+
+def test_the_block_is_shown(example: Example) -> None:
+    folder, record = example
+    text = (folder / "adjusted/summary.txt").read_text()
+    for image in record["images"]:
+        assert f"{image['predicted']:.2f}" in text
+    page = (folder / "adjusted/report.html").read_text()
+    assert page.count("<svg") == 3
+    assert "http" not in page.replace("http://www.w3.org", "")
+    table = (folder / "adjusted/ties.csv").read_text().splitlines()
+    assert len(table) > 100
+
+
+@pytest.mark.parametrize(("edit", "message"), [
+    (('"B"', '"A"'), "2 images are called 'A'"),
+    (('name = "B"', 'name = "Q"'), "the block has no image 'B'"),
+    (('"ties.csv"', '"none.csv"'), "cannot read the ties"),
+    (("rpc =", "rcp ="), "unknown field `rcp`"),
+    (('"B.RPB"', '"ties.csv"'), "this file has no RPC"),
+    (('name = "C"', 'name = "../C"'), "cannot be the name of an image"),
+    (('crs = "EPSG:4979"', 'crs = "EPSG:32639"'), "CRS"),
+    (('crs = "EPSG:4979"', "crs = "), "not the file of a block"),
+    (('rpc = "C.RPB"', 'rpc = "C.RPB"\nmodel = "cubic"'), "has the model 'cubic'"),
+])
+def test_what_is_wrong_is_said_and_nothing_written(
+        example: Example, edit: tuple[str, str], message: str) -> None:
+    folder, _ = example
+    bad = folder / "bad.toml"
+    bad.write_text((folder / "block.toml").read_text().replace(*edit))
+    done = CliRunner().invoke(cli, ["block", str(bad), "--out", str(folder / "new"), "--quiet"])
+    assert done.exit_code == 2
+    assert message in done.output
+    assert "Traceback" not in done.output
+    assert not (folder / "new").exists()
+
+
+@pytest.mark.parametrize(("row", "message"), [
+    ("X1,A,nan,3", "'nan' is not a number"), ("X1,A,5", "has 3 cells"),
+    ("T0,A,1,2", "measured twice in image 'A'")])
+def test_a_table_of_ties_names_line_and_column(example: Example, row: str, message: str) -> None:
+    folder, _ = example
+    (folder / "bad.csv").write_text((folder / "ties.csv").read_text() + row + "\n")
+    (folder / "bad.toml").write_text(
+        (folder / "block.toml").read_text().replace("ties.csv", "bad.csv"))
+    with pytest.raises(TermselError, match=message) as raised:
+        read_block(folder / "bad.toml")
+    assert raised.value.line == len((folder / "ties.csv").read_text().splitlines()) + 1
+
+
+def test_ties_in_one_image_are_left_out(example: Example) -> None:
+    folder, _ = example
+    (folder / "more.csv").write_text("id,image,line,sample\nlone,A,1,2\n")
+    (folder / "more.toml").write_text((folder / "block.toml").read_text().replace(
+        '"ties.csv"', '["ties.csv", "more.csv"]'))
+    block = read_block(folder / "more.toml")
+    assert "lone" not in block.ties.names
+    assert "1 ties are in one image alone" in block.notes[0]
+
+
+def test_a_folder_that_is_taken_is_refused(example: Example) -> None:
+    folder, _ = example
+    done = CliRunner().invoke(cli, ["block", str(folder / "block.toml"), "--out",
+                                    str(folder / "adjusted"), "--quiet"])
+    assert done.exit_code == 2
+    assert "there is a block in this folder already" in done.output
+
+
+def test_a_block_in_plane_coordinates() -> None:
+    """Aerial views without a CRS: two affine images and their ties."""
+    rng = np.random.default_rng(0)
+    maps = [rng.normal(size=(3, 2)) for _ in range(3)]
+
+    def seen(i: int, ground: FloatArray) -> FloatArray:
+        model = 0.2 * maps[i] / np.linalg.norm(maps[i]) + 0.5 * np.eye(3)[:, :2]
+        return np.asarray(500 + ground @ model)
+
+    ground = rng.uniform(-800, 800, (60, 3)) * [1, 1, 0.1]
+    ties = Ties(tuple(f"T{k}" for k in range(60)), np.tile(np.arange(60), 3),
+                np.repeat(np.arange(3), 60), np.concatenate([seen(i, ground) for i in range(3)]))
+    known = rng.uniform(-800, 800, (8, 3)) * [1, 1, 0.1]
+    images = tuple(BlockImage(f"I{i}", FeatureSet(Points(
+        tuple(f"P{k}" for k in range(8)), seen(i, known), known), crs="local") if i < 2 else None)
+        for i in range(3))
+    result = adjust(Block("local", images, ties))
+    assert rmse(seen(2, known) - result.project(2, known)) < 0.05
