@@ -299,7 +299,8 @@ class _Run:
                 squares += float((weight * (of_control[i] / known.sigma) ** 2).sum())
         total, weights, each = 0.0, 0.0, np.zeros(len(state.ties))
         for mine, residual, used in zip(self.measured, of_ties, state.in_use, strict=True):
-            weight = used * (soft(np.hypot(*residual.T) / state.sigma_ties) if robust else 1.0)
+            weight = used * (soft(np.hypot(*residual.T) / state.sigma_ties) if robust
+                             else np.ones(len(used)))
             total += float((weight * (residual**2).sum(axis=1)).sum())
             weights += 2 * float(weight.sum())
             np.add.at(each, mine.tie, weight)

@@ -66,7 +66,7 @@ def block(file: Path, folder: Path, overwrite: bool, as_json: bool, verbose: boo
               help="Number of images.")
 @click.option("--seed", type=int, default=1, show_default=True)
 def block_example(folder: Path, images: int, seed: int) -> None:
-    """Write a simulated block: images with RPCs, ties with blunders, four control points.
+    """Write a simulated block: images with RPCs, ties with blunders, six control points.
 
     DIR is a new folder. It gets block.toml, ties.csv, an RPC for each image, and tables of points.
 

@@ -14,7 +14,7 @@ _LETTERS = "ABCDEFGHIJKLMNOPQRSTUVWXYZ"
 
 
 def write_example(folder: Path, n_images: int = 3, seed: int = 1) -> None:
-    """Write a block of images with RPCs; the first sees four control points, the last none.
+    """Write a block of images with RPCs; the first two see six control points.
 
     Raises
     ------
@@ -23,7 +23,7 @@ def write_example(folder: Path, n_images: int = 3, seed: int = 1) -> None:
     """
     if folder.exists():
         raise TermselError("this folder exists already", file=folder, hint="Name a new one.")
-    simulated = simulate_block(n_images, rpcs=True, control=(4, 4), wrong=0.05, seed=seed,
+    simulated = simulate_block(n_images, rpcs=True, control=(6, 6), wrong=0.05, seed=seed,
                                independent=30)
     block = simulated.block
     names = [_LETTERS[i % 26] + str(i // 26 or "") for i in range(n_images)]

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from termsel_block.joint import BlockResult
-from termsel_block.record import BlockRecord
+from termsel_block.record import BlockRecord, seen_twice
 from termsel_block.summary import text_of
 
 _STYLE = """
@@ -71,7 +71,8 @@ def _map(result: BlockResult) -> str:
     from scipy.spatial import ConvexHull, QhullError
 
     ties, state = result.block.ties, result.adjusted.state
-    some = np.linspace(0, len(ties.names) - 1, min(_MOST, len(ties.names))).astype(int)
+    placed = np.flatnonzero(seen_twice(result))
+    some = placed[np.linspace(0, len(placed) - 1, min(_MOST, len(placed))).astype(int)]
     dots = [{"east": float(e), "north": float(n), "sigma": float(s)} for e, n, s in zip(
         state.ties[some, 0] / 1000, state.ties[some, 1] / 1000, result.sigma_ties[some, 2],
         strict=True)]
@@ -89,7 +90,8 @@ def _map(result: BlockResult) -> str:
     hulls = alt.Chart(alt.Data(values=outlines)).mark_line(strokeWidth=1).encode(
         x=x, y=y, order="order:Q", color=alt.Color("image:N", title="image"))
     points = alt.Chart(alt.Data(values=dots)).mark_circle(size=14).encode(
-        x=x, y=y, fill=alt.Fill("sigma:Q", title="sigma of height [m]"))
+        x=x, y=y, fill=alt.Fill("sigma:Q", title="sigma of height [m]",
+                               scale=alt.Scale(scheme="viridis")))
     return _svg(alt.layer(points, hulls).resolve_scale(color="independent").properties(
         width=560, height=420))
 
@@ -116,6 +118,7 @@ def _residuals(result: BlockResult) -> str:
     count, edges = np.histogram(np.minimum(far, limit), bins=24, range=(0, limit))
     rows = [{"from": float(a), "to": float(b), "count": int(n)}
             for a, b, n in zip(edges[:-1], edges[1:], count, strict=True)]
-    return _svg(alt.Chart(alt.Data(values=rows)).mark_bar().encode(
+    return _svg(alt.Chart(alt.Data(values=rows)).mark_rect().encode(
         x=alt.X("from:Q", title=f"distance [px]; the last bar is all beyond {edges[-2]:.1f} px"),
-        x2="to:Q", y=alt.Y("count:Q", title="measurements")).properties(width=560, height=240))
+        x2="to:Q", y=alt.Y("count:Q", title="measurements"),
+        y2=alt.value(240)).properties(width=560, height=240))
