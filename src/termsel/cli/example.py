@@ -18,7 +18,7 @@ def example(folder: Path) -> None:
     batch of five images. All are simulated. README.txt says what each file is.
 
     \b
-    Example:
+    Examples:
       termsel example files
     """
     from termsel.io.example import README, write_example

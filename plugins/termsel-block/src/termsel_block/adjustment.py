@@ -25,7 +25,7 @@ _PRIOR_COUNT = 4.0
 _CONVERGED = 1e-3  # px
 _SETTLED = 0.02  # relative change of a standard deviation
 _STEPS = 15  # of one stage at most
-_BENT = 3  # first steps of a stage, in which derivatives are taken anew
+_BENT = 3  # first steps of a stage, in which derivatives are renewed
 _TRUST = 3  # first steps, in which control keeps its weight
 _ROBUST = 2.5  # standard deviations at which a weight is a half
 _SLOPE_OVER = 10.0  # m
@@ -276,7 +276,7 @@ class _Run:
                              zip(state.cameras, self.control, strict=True))]
 
     def estimate(self, robust: bool) -> bool:
-        """Estimate the standard deviations and variances anew; return whether they settled."""
+        """Estimate the standard deviations and variances; return whether they settled."""
         state = self.state
         covariances = self.solved.reduced.own()
         before = np.array([state.sigma_ties, state.sigma_control])

@@ -222,4 +222,4 @@ def _number(text: str, file: Path, line: int, column: str) -> float:
         if math.isfinite(value):
             return value
     raise TermselError(f"{text!r} is not a number", file=file, line=line, column=column,
-                       hint="Write positions in pixels, such as 1234.5.")
+                       hint="Write positions in px, such as 1234.5.")
