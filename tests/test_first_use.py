@@ -302,8 +302,8 @@ def test_the_command_for_a_table_without_header_is_right(kind: str, order: str, 
     path.write_bytes(table("", order=order, **more))
     with pytest.raises(TermselError, match="no header that names its columns") as caught:
         termsel.read(path, crs="EPSG:4979")
-    assert f"--columns '{caught.value.columns}'" in str(caught.value)
-    agree(termsel.read(path, crs="EPSG:4979", columns=caught.value.columns))
+    assert f"--columns {caught.value.options['--columns']!r}" in str(caught.value)
+    agree(termsel.read(path, crs="EPSG:4979", columns=caught.value.options["--columns"]))
 
 
 def test_two_signs_of_one_kind_separate_thousands() -> None:
@@ -326,7 +326,7 @@ def test_bare_numbers_without_heights_are_advised_on(numbered: bool, tmp_path: P
     path.write_text("\n".join(" ".join(f"{value:.9g}" for value in row) for row in columns))
     with pytest.raises(TermselError, match="no header that names its columns") as caught:
         termsel.read(path, crs="EPSG:4979")
-    points = termsel.read(path, crs="EPSG:4979", columns=caught.value.columns).points
+    points = termsel.read(path, crs="EPSG:4979", columns=caught.value.options["--columns"]).points
     np.testing.assert_allclose(points.image, np.column_stack([LINE, SAMPLE]), rtol=1e-8)
     assert points.ids[:2] == (("1", "2") if numbered else ("P1", "P2"))
 
@@ -337,7 +337,7 @@ def test_the_command_holds_what_was_recognised(tmp_path: Path) -> None:
     with pytest.raises(TermselError) as caught:
         termsel.read(path, crs="EPSG:4979")
     for pair in ("id=Nr", "x=Länge", "y=Breite", "z=Höhe"):
-        assert pair in caught.value.columns.split(",")
+        assert pair in caught.value.options["--columns"].split(",")
 
 
 # Decimal signs: by evidence, or on request
@@ -531,7 +531,7 @@ def test_the_command_line_shows_a_command_that_runs(tmp_path: Path,
 
     path = tmp_path / "points.txt"
     path.write_bytes(DECLARED["no header"][0])
-    asked = ["run", "--points", str(path), "--crs", "EPSG:4979", "--quiet"]
+    asked = ["run", "--points", str(path), "--quiet"]
     with pytest.raises(SystemExit) as ended:
         cli.main(asked)
     assert ended.value.code == 2
@@ -540,6 +540,32 @@ def test_the_command_line_shows_a_command_that_runs(tmp_path: Path,
         cli.main(shlex.split(ready))
     assert not ended.value.code
     assert f"{path}: rfm-terms" in capsys.readouterr().out.replace("\n", "")
+
+
+DEGREES = {"--crs": "EPSG:4979"}
+
+
+@pytest.mark.parametrize(("content", "options"), [
+    (table("id|x|y|z|line|sample"), DEGREES),
+    (table("id|x|y|line|sample", order="ixyls"), {"--crs": "EPSG:4326"}),
+    (table("id|x|y|z|line|sample", order="iyxzls"), {**DEGREES, "--columns": "x=y,y=x"}),
+    (table("id|x|y|z|line|sample", degrees=(plain(8), lambda lat: f"{lat + 70:.8f}")),
+     {**DEGREES, "--columns": "x=y,y=x"}),
+    (table("", delimiter=","), {**DEGREES, "--columns": "id=1,line=5,sample=6,x=2,y=3,z=4"}),
+    (table("id|x|y|z|line|sample", order="ienzls"), {}),
+    # Metres of an own plane.
+    (table("id|x|y|z|line|sample", degrees=(lambda lon: f"{lon - 11:.8f}",
+                                            lambda lat: f"{lat - 47:.8f}")), {}),
+    (table("id|x|y|z|line|sample", degrees=lambda value: f"{value % 1 * 1000:.3f}"), {})])
+def test_a_file_without_crs_is_answered_with_one_command(content: bytes, options: dict[str, str],
+                                                         tmp_path: Path) -> None:
+    path = tmp_path / "points.csv"
+    path.write_bytes(content)
+    with pytest.raises(TermselError) as caught:
+        termsel.read(path)
+    assert caught.value.options == options
+    if options:
+        termsel.read(path, crs=options["--crs"], columns=options.get("--columns"))
 
 
 @pytest.mark.parametrize("kind", ["sheet", "OpenDocument", "GeoPackage", "FlatGeobuf"])

@@ -35,11 +35,10 @@ class TermselError(Exception):
 
     Attributes
     ----------
-    columns : str
-        What ``--columns`` could say of a table that was not understood, "" for other errors.
+    options : dict of str
+        What options of the command could say instead, such as ``{"--crs": "EPSG:4979"}``; a "?" is
+        for the user to complete.
     """
-
-    columns = ""
 
     def __init__(
         self,
@@ -60,6 +59,7 @@ class TermselError(Exception):
         self.column = column
         self.ids = tuple(ids)
         self.name = name
+        self.options: dict[str, str] = {}
 
     def __str__(self) -> str:
         """Return the message as it can be shown: printable, and long cells without their middle."""

@@ -17,6 +17,7 @@ from contextlib import contextmanager, suppress
 from copy import copy
 from difflib import get_close_matches
 from importlib import import_module
+from itertools import chain
 from typing import Any, NoReturn
 
 import click
@@ -137,10 +138,12 @@ class Commands(click.Group):
             value = super().main(args, prog_name, complete_var, False, **extra)
         except TermselError as error:
             echo(f"Error: {error}", err=True)
-            typed = shlex.join([*(sys.argv[1:] if args is None else args), "--columns"])
-            if error.columns and is_printable(typed):  # what is shown otherwise cannot be pasted
-                verb = "Complete and run" if "?" in error.columns else "Ready to run"
-                echo(f"{verb}: termsel {typed} {shlex.quote(error.columns)}", err=True)
+            typed = shlex.join([*(sys.argv[1:] if args is None else args),
+                                *chain.from_iterable(error.options.items())])
+            if error.options and is_printable(typed):  # what is shown otherwise cannot be pasted
+                asks = "?" in "".join(error.options.values())
+                verb = "Complete and run" if asks else "Ready to run"
+                echo(f"{verb}: termsel {typed}", err=True)
             sys.exit(CORRECTABLE)
         except click.ClickException as error:
             page = io.StringIO()

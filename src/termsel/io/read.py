@@ -17,8 +17,8 @@ from termsel.files.names import is_there
 from termsel.formats.base import Reader, is_utf16, located, read_head, read_once, utf16_error
 from termsel.formats.readers.advice import unknown_table
 from termsel.guard.faults import PluginFault, is_own, name_of
-from termsel.measurements.coordinates.crs import EXAMPLES, normalise
-from termsel.measurements.coordinates.earth import say_turned
+from termsel.measurements.coordinates.crs import normalise
+from termsel.measurements.coordinates.earth import say_turned, unknown_crs
 from termsel.measurements.coordinates.plausible import check_ground
 from termsel.measurements.features import FeatureSet, no_lines, no_points
 from termsel.measurements.tables.columns import LINES, OPTIONAL, POINTS, columns_text
@@ -147,6 +147,7 @@ def _read_frame(frame: Any, crs: str | None, options: Mapping[str, Any]) -> Feat
     place = Path("the table")
     measured = replace(features, crs=_agreed_crs(
         {place: features}, None if crs is None else normalise(crs)))
+    _require_crs(measured, [place], "columns" not in options)
     _say_misspelt(place, measured)
     check_ground(measured)
     say_turned(measured)
@@ -259,10 +260,20 @@ def read_features(points: Path | None, lines: Path | None, *, areas: Path | None
         raise TermselError(f"there are {len(formats)} --format for "
                            f"{counted(len(paths), 'file')}",
                            hint="Give --format once per file, that of the points first.")
-    chosen = {path: find_reader(path, known, name, options)
-              for path, name in zip_longest(paths, formats)}
-    _refuse_idle(options or {}, chosen)
-    sets = {path: reader.read(path) for path, reader in chosen.items()}
+    try:
+        chosen = {path: find_reader(path, known, name, options)
+                  for path, name in zip_longest(paths, formats)}
+        _refuse_idle(options or {}, chosen)
+        sets = {path: reader.read(path) for path, reader in chosen.items()}
+    except TermselError as error:
+        columns = error.options.get("--columns", "?")
+        if crs is None and "?" not in columns:
+            try:  # what would be asked next
+                read_features(points, lines, areas=areas, crs=crs, readers=known, formats=formats,
+                              options={**(options or {}), "columns": columns}, either=either)
+            except TermselError as later:
+                error.options = {**later.options, **error.options}
+        raise
     for path, features in sets.items():
         _say_misspelt(path, features)
         if chosen[path].areas or path == areas:
@@ -277,6 +288,8 @@ def read_features(points: Path | None, lines: Path | None, *, areas: Path | None
         no_lines() if lines is None else sets[lines].lines,
         _agreed_crs(sets, stated),
         next((one.image_size for one in sets.values() if one.image_size), None))
+    _require_crs(measured, sets, not (options or {}).get("columns") and all(
+        "columns" in reader.options for reader in chosen.values()))
     if areas is not None:
         measured = _with_areas(measured, sets[areas], areas)
     try:
@@ -361,8 +374,11 @@ def _agreed_crs(sets: dict[Path, FeatureSet], stated: str | None) -> str:
             raise TermselError(
                 f"the file declares the CRS {declared}, but {source} says {agreed}", file=path,
                 hint="Correct one of them; termsel does not transform coordinates.")
-    if agreed is None:
-        raise TermselError("the CRS of the ground coordinates is unknown",
-                           file=" and ".join(str(path) for path in sets),
-                           hint=f"State it with --crs: {EXAMPLES}.")
-    return agreed
+    return agreed or ""
+
+
+def _require_crs(features: FeatureSet, files: Iterable[Path], may_turn: bool) -> None:
+    if not features.crs:
+        error = unknown_crs(features, may_turn)
+        error.file = " and ".join(map(str, files))
+        raise error

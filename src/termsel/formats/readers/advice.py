@@ -38,10 +38,11 @@ def with_advice(error: TermselError, header: Sequence[str], rows: Sequence[Seque
             pairs.append(f"{meaning}={names[i] if plain else i + 1}")
         elif i is None and meaning in ("line", "sample", "x", "y"):
             pairs.append(f"{meaning}=?")
-    error.columns = ",".join(pairs)
-    doubt = " Put the column for each ?." if "?" in error.columns else \
+    text = ",".join(pairs)
+    error.options["--columns"] = text
+    doubt = " Put the column for each ?." if "?" in text else \
         " Check which is which: the file does not tell." if columns.keys() - found else ""
-    error.hint = f"{error.hint or ''} Declare the columns: --columns {error.columns!r}.{doubt}"
+    error.hint = f"{error.hint or ''} Declare the columns: --columns {text!r}.{doubt}"
     return error
 
 

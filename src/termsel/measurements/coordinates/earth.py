@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import logging
+from dataclasses import replace
 
 import numpy as np
 
 from termsel.errors import TermselError
 from termsel.measurements.coordinates.crs import (
+    EXAMPLES,
     area_of_use,
     horizontal,
     is_geocentric,
@@ -27,6 +29,7 @@ log = logging.getLogger(__name__)
 _TELLING = 4  # points from which on a mirror image shows, or half as many again lines
 _UNLIKE = 0.2  # share of the image coordinates' variance that relief and distortion may leave
 _FLAT = 0.05  # ratio of the axes of what a matrix makes of a circle, below which nothing tells
+_WIDE = 20.0  # degrees that a scene may be wide
 _BEYOND = 5.0  # degrees outside the area of a CRS at which features may still be
 
 
@@ -43,7 +46,7 @@ def place_of(features: FeatureSet) -> str:
 def say_turned(features: FeatureSet) -> None:
     """Say so where axes look swapped, or where lines or samples are counted the other way."""
     if doubt := swapped(features):
-        which, other = ("x=y,y=x", "line=sample,sample=line")[::-1 if doubt[0] == "l" else 1]
+        which, other = _exchanged(doubt)
         place = place_of(features)
         where = f" As they stand, x and y are near {place}." if place else ""
         log.warning("Warning: %s.%s Name the columns the other way round, as in --columns %s; "
@@ -51,6 +54,34 @@ def say_turned(features: FeatureSet) -> None:
     elif counted := _counted(features):
         log.warning("Note: %s here, as on maps whose y points up and in some radar images. If "
                     "this is neither, check whether x and y are swapped.", counted)
+
+
+def unknown_crs(features: FeatureSet, may_turn: bool) -> TermselError:
+    """Return the error for features without a CRS, with what --crs could say where they tell.
+
+    Where axes look swapped and `may_turn`, it says what --columns could say, too.
+    """
+    error = TermselError("the CRS of the ground coordinates is unknown",
+                         hint=f"State it with --crs: {EXAMPLES}.")
+    ground = features.ground_vertices()
+    place = ground[:, :2]
+    if not len(ground) or np.abs(place).max() > 180 or np.ptp(place, axis=0).max() > _WIDE \
+            or np.hypot(*place.mean(axis=0)) < _WIDE:  # near 0, 0: rather metres of an own plane
+        return error
+    crs = "EPSG:4979" if np.isfinite(ground[:, 2]).any() else "EPSG:4326"
+    error.options["--crs"] = crs
+    error.hint = f"{error.hint} They look like degrees: --crs {crs}."
+    beyond = "x and y look swapped: no latitude is beyond 90" if np.abs(place[:, 1]).max() > 90 \
+        else ""
+    if may_turn and (doubt := beyond or swapped(replace(features, crs=crs))):
+        error.options["--columns"] = _exchanged(doubt)[0]
+        error.hint = f"{error.hint} {doubt[0].upper()}{doubt[1:]}."
+    return error
+
+
+def _exchanged(doubt: str) -> tuple[str, ...]:
+    """Return what --columns says to exchange the axes that `swapped` names, then the others."""
+    return ("x=y,y=x", "line=sample,sample=line")[::-1 if doubt[0] == "l" else 1]
 
 
 def swapped(features: FeatureSet) -> str:
