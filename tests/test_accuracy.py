@@ -164,7 +164,7 @@ def test_record_and_folder_hold_prediction_and_accuracy(tmp_path: Path) -> None:
     back = termsel.read_result(tmp_path / "r")
     assert back.predicted == result.predicted
     assert back.accuracy == result.accuracy
-    text = result.summary()
+    text = result.summary(verbose=True)
     assert "90 % interval" in text
     assert "Predicted RMSE of 26 independent points" in text
 
@@ -175,7 +175,7 @@ def test_without_independent_points_the_interval_is_for_the_true_accuracy() -> N
     assert result.accuracy is None
     assert result.predicted is not None
     assert result.predicted.points is None
-    assert "Predicted RMSE of any further points" in result.summary()
+    assert "Predicted RMSE of any further points" in result.summary(verbose=True)
 
 
 def test_a_search_has_accuracy_and_no_prediction() -> None:
@@ -239,7 +239,7 @@ def test_standards_have_figures_only_where_their_rules_hold() -> None:
 
 
 def test_the_summary_says_why_a_standard_has_no_figure() -> None:
-    text = termsel.run("rfm-terms", features=_all_points(independent=10)).summary()
+    text = termsel.run("rfm-terms", features=_all_points(independent=10)).summary(verbose=True)
     assert "NSSDA: no figure (10 independent points, at least 20 needed)" in text
     assert "ASPRS 2024: no figure (10 independent points, at least 30 needed)" in text
 
@@ -250,7 +250,7 @@ def test_local_coordinates_have_no_metres() -> None:
     assert result.accuracy is not None
     assert result.accuracy.ground is None
     assert "NSSDA: no figure (the errors on the ground are not known in metres)" \
-        in result.summary()
+        in result.summary(verbose=True)
 
 
 def test_a_plane_model_is_judged_on_the_ground_too() -> None:

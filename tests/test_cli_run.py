@@ -47,7 +47,8 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_own_files_run_and_write_the_result(files: Path, tmp_path: Path, call: Call) -> None:
     out = tmp_path / "out"
     done = call("run", "--problem", "owdis-lines", "--points", files / "points.csv", "--lines",
-                files / "lines.csv", "--crs", "EPSG:4979", "--out", out, *QUICK)
+                files / "lines.csv", "--crs", "EPSG:4979", "--out", out, "--verbose",
+                *QUICK)
     assert done.exit_code == 0, done.stderr
     assert "RMSE [px], with 90 % intervals" in done.stdout
     assert (out / "summary.txt").read_text() == done.stdout
@@ -362,7 +363,7 @@ def test_a_problem_follows_from_features_in_python() -> None:
 
 def test_a_problem_follows_from_a_data_set(call: Call) -> None:
     done = call("run", "--dataset", "hamedan-candidates", "--generations", 1, "--quiet")
-    assert done.stdout.startswith("hamedan-candidates (simulated): rfm-terms\n")
+    assert done.stdout.startswith("Read: hamedan-candidates (simulated): 240 points; ")
 
 
 @pytest.mark.parametrize(("crs", "message"), [

@@ -81,7 +81,8 @@ def test_parameters_reach_record_report_and_exports(distorted: Path, tmp_path: P
     assert record["options"]["model"]["centre_line"] == 0.0  # as asked for
     result = read_result(distorted)
     assert result.fit.model.options["centre_line"] == parameters["centre_line"]
-    assert f"Parameters: centre_line {parameters['centre_line']:.6g}" in result.summary()
+    shown = result.summary(verbose=True)
+    assert f"Parameters: centre_line {parameters['centre_line']:.6g}" in shown
     termsel.export(result, "residuals-gpkg", tmp_path / "residuals.gpkg")
     ground = result.features.points.ground
     errors = result.project(ground) - result.features.points.image

@@ -103,7 +103,7 @@ def test_the_proven_front_is_recommended_from_where_a_rule_is_given() -> None:
         assert not found.certificate.optimal
         assert found.certificate.gap == pytest.approx(
             found.objectives["check-rmse"] / best.objectives["check-rmse"] - 1)
-        text = found.summary()
+        text = found.summary(verbose=True)
         assert f"recommended by the rule {rule}" in text
         assert "above the proven optimum" in text
         assert "--set recommend=best finds it" in text

@@ -16,6 +16,7 @@ from termsel.io.result_folder import read_result, write_result
 from termsel.measurements.features import FeatureSet, Points
 from termsel.results.checksums import of_record
 from termsel.results.result import Result
+from termsel.simulate import simulate_scene
 from termsel.simulate.maps import simulate_map
 from termsel.testing import example_results
 
@@ -118,7 +119,7 @@ def test_places_without_coordinates_have_no_image() -> None:
         image = result.project(ground)
         assert np.isfinite(image).all(axis=1).tolist() == seen
         assert np.isnan(image).all(axis=1).tolist() == [not one for one in seen]
-        with pytest.raises(TermselError, match=r"shape \(3,\), expected \(n, 3\)"):
+        with pytest.raises(TermselError, match=r"shape \(3,\), expected .*\(n, 3\)"):
             result.project(ground[0])
 
 
@@ -141,7 +142,33 @@ def test_residuals_are_a_table_for_pandas_and_features_for_geopandas() -> None:
 
 def test_notebook_shows_the_summary() -> None:
     assert example_results()[0]._repr_html_().startswith(
-        "<div><strong>Result of rfm-terms: model rfm")
+        "<div><strong>Result: rfm, ")
+
+
+def test_a_result_shows_structure_points_blunders_and_accuracy() -> None:
+    scene = simulate_scene("ikonos-hamedan", n_points=60, n_lines=0)
+    moved = scene.points.image.copy()
+    moved[0] += (0.0, 90.0)
+    roles = [("control", "check", "independent")[i % 3] for i in range(60)]
+    features = scene.with_(points=replace(scene.points, image=moved, roles=roles))
+    shown = repr(termsel.run(features=features)).splitlines()
+    assert shown[0].startswith("<Result: ")
+    assert shown[2:4] == ["  fitted to: 39 points; exported: fitted to 59",
+                          f"  blunders left out: {features.points.ids[0]}"]
+    assert shown[4].endswith("m on the ground (RMSE of 20 independent points).")
+
+
+def test_a_plane_model_takes_places_without_heights() -> None:
+    scene = simulate_scene("ikonos-hamedan", n_points=30, n_lines=0)
+    plane = termsel.run("poly-terms", features=scene, solver="all-terms")
+    places = scene.points.ground
+    assert np.array_equal(plane.project(places[:, :2]), plane.project(places))
+    assert np.array_equal(plane.sigma(places[:, :2]), plane.sigma(places))
+    with pytest.raises(TermselError, match=r"shape \(2,\), expected \(n, 2\) or \(n, 3\)"):
+        plane.project(places[0, :2])
+    solid = termsel.run("rfm-terms", features=scene, solver="all-terms", model="affine")
+    with pytest.raises(TermselError, match=r"expected \(n, 3\), as the model uses heights"):
+        solid.project(places[:, :2])
 
 
 def _damaged(folder: Path, **change: object) -> None:

@@ -295,7 +295,7 @@ def test_auto_for_lines_is_read_back(of_lines: termsel.Result, folder: Path, tmp
     assert again.final.control.ids == found.final.control.ids
     assert not {one.id for one in found.outliers} & set(again.final.control.ids)
     assert list(again.as_exported().residuals) == list(found.as_exported().residuals)
-    assert f"all {len(found.final.control)} features; --no-final" in found.summary()
+    assert f"all {len(found.final.control)} features; --no-final" in found.summary(verbose=True)
     termsel.export(again, "lines-csv", tmp_path / "all.csv")
     rows = [row.split(",") for row in (tmp_path / "all.csv").read_text().splitlines()[2:]]
     assert {row[0] for row in rows if row[2] == "0"} == {one.id for one in found.outliers}
@@ -308,7 +308,7 @@ def test_few_lines_are_answered(points: int, lines: int) -> None:
     features = FeatureSet(control, scene.lines.take(5 * np.arange(lines)), crs=scene.crs)
     result = termsel.run(features=features)
     assert len(result.fit.control) == points + lines
-    assert "points determine" not in result.summary()
+    assert "points determine" not in result.summary(verbose=True)
     if points + lines == 4:  # lines alone are too few to predict by
         assert (result.predicted is None) == (points == 0)
 
@@ -401,7 +401,7 @@ def test_a_search_is_told_where_a_robust_fit_is_no_worse() -> None:
     assert result.rmse["independent"].total > 1.05 * reference
     assert "Use --strategy auto instead" in result.judgement
     assert "without 8 blunders, which the rule of auto chooses" in result.judgement
-    assert "without blunders *" in result.summary()
+    assert "without blunders *" in result.summary(verbose=True)
 
 
 def test_searches_over_points_are_compared_with_robust_fits_too() -> None:

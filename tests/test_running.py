@@ -197,7 +197,7 @@ def test_out_holds_the_result_the_residuals_and_the_summary(tmp_path) -> None:
     assert stored["selection"]["n_features"] == len(result.selection.features)
     rows = (folder / "residuals.csv").read_text().splitlines()
     assert len(rows) == 1 + 2 * 120 + 24 + 26
-    assert (folder / "summary.txt").read_text() == result.summary()
+    assert (folder / "summary.txt").read_text() == result.summary(verbose=True)
     assert sorted(p.name for p in folder.iterdir()) == [
         "lines.csv", "points.csv", "residuals.csv", "result.json", "summary.txt"]
 

@@ -114,7 +114,7 @@ def test_the_reason_states_the_figures_that_decided(
 
 def test_the_page_states_the_reason_of_the_choice(result: termsel.Result) -> None:
     assert result.strategy is not None
-    assert result.strategy.reason in " ".join(result.summary().split())
+    assert result.strategy.reason in " ".join(result.summary(verbose=True).split())
 
 
 def test_without_shrunken_polynomials_the_least_error_is_the_reason() -> None:

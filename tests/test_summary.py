@@ -74,22 +74,35 @@ def share(most: float) -> dict[str, Any]:
     return {"options": {**record()["options"], "problem": {"max_share": most}}}
 
 
+def text(whole: bool = True, **changed: Any) -> str:
+    return text_of(document(convert(record(**changed), Record)), whole=whole, titled=False)
+
+
+def opening(**changed: Any) -> list[str]:
+    """Return the lines before the first heading."""
+    return text(False, **changed).partition("\n\n")[0].splitlines()
+
+
 def page(**changed: Any) -> list[str]:
-    return text_of(document(convert(record(**changed), Record))).splitlines()
+    """Return the lines of the whole summary from the first heading on."""
+    return text(**changed).partition("\n\n")[2].splitlines()
 
 
 def added(**changed: Any) -> list[str]:
-    """Return the lines that a change of the record adds or changes."""
+    """Return the lines that a change of the record adds or changes below the first heading."""
     before = page()
     return [line for line in page(**changed) if line not in before]
 
 
 def test_the_page_of_an_ordinary_search() -> None:
+    assert opening() == [
+        "Read: points.csv: 45 points; EPSG:4979.",
+        "Control: 24 points; 12 check points; 9 independent points.",
+        "Model: poly3d, all 2 terms, all 2 points.",
+        "Accuracy: not known, as there are no independent points.",
+        "Blunders: none found.",
+        "Next: termsel report, export and rectify take the folder that --out DIR writes."]
     assert page() == [
-        "points.csv: rfm-terms",
-        "Model poly3d, solver ga, criterion press, seed 4; termsel 9.9",
-        "Control: 24 points; 12 check points; 9 independent points",
-        "",
         "How accurate is it?",
         "The accuracy is not known: there are no independent points. Give some points the role",
         "independent.",
@@ -109,23 +122,72 @@ def test_the_page_of_an_ordinary_search() -> None:
         "",
         "What was selected, and why?",
         "Selected: all 2 control features, all 2 terms; redundancy 46",
-        "Search: 500 evaluations (30 looked up), 7 generations, 1.2 s"]
+        "Search: 500 evaluations (30 looked up), 7 generations, 1.2 s",
+        "",
+        "How is it repeated?",
+        "Problem rfm-terms. Model poly3d, solver ga, criterion press, seed 4; termsel 9.9"]
+    assert text(False).partition("\n\n")[2].splitlines() == page()[:6]
+
+
+READ = {"points": 60, "lines": 0, "without_height": 0, "place": "47.4 N, 11.0 E", "doubt": "",
+        "left_out": {}}
+
+
+@pytest.mark.parametrize(("read", "lines"), [
+    ({}, ["Read: points.csv: 60 points; EPSG:4979 near 47.4 N, 11.0 E.",
+          "Control: 24 points; 12 check points; 9 independent points."]),
+    ({"lines": 1, "without_height": 61}, [
+        "Read: points.csv: 60 points, 1 line without heights; EPSG:4979 near 47.4 N, 11.0 E."]),
+    ({"without_height": 2, "left_out": {"without a height": ["P1", "P7"]}}, [
+        "Read: points.csv: 60 points (2 without a height); EPSG:4979 near 47.4 N, 11.0 E.",
+        "Control: 24 points; 12 check points; 9 independent points. Left out: 2 without a "
+        "height."]),
+    ({"points": 0, "lines": 40, "place": "", "left_out": {"by the role off": ["L1"]}}, [
+        "Read: points.csv: 40 lines; EPSG:4979.",
+        "Control: 24 points; 12 check points; 9 independent points. Left out: 1 by the role off."]),
+    ({"doubt": "x and y look swapped: they do"}, [
+        "Next: x and y look swapped: check them before anything else."])])
+def test_what_was_read_comes_first(read: dict[str, Any], lines: list[str]) -> None:
+    assert set(lines) <= set(opening(data=data(read={**READ, **read})))
+
+
+@pytest.mark.parametrize(("changed", "line"), [
+    ({"data": data(crs="local", source="a/b/gcps.csv, c/lines.csv")},
+     "Read: gcps.csv, lines.csv: 45 points; coordinates without a CRS."),
+    ({"data": data(source="n" * 300)}, f"Read: {'n' * 17} ... {'n' * 10}: 45 points; EPSG:4979."),
+    ({"offered": {"n_terms": 20, "n_features": 3}},
+     "Model: poly3d, 2 of 20 terms, 2 of 3 points; selected by ga (criterion press)."),
+    ({"feasible": False}, "Next: measure more control, or choose a smaller model."),
+    ({"interrupted": True}, "Next: the run was interrupted; run it again to its end."),
+    ({"predicted": {"rmse": 1234.5, "low": 0.5, "high": 99999.0}},
+     "Accuracy: 1,234 px predicted (0.5 to 99,999 px); no independent point confirms it."),
+    ({"judgement": "Use --strategy auto instead: it is better."},
+     "Next: run --strategy auto, which predicts better."),
+    ({"data": data(counts={**record()["data"]["counts"], "independent": 0})},
+     "Next: measure further points, some of the role independent; termsel plan names places.")])
+def test_the_answer_comes_first(changed: dict[str, Any], line: str) -> None:
+    assert line in opening(**changed)
+
+
+def test_the_opening_stays_short_whatever_names_there_are() -> None:
+    many = {"outliers": [
+        {"id": f"{i}" * 200, "kind": "point", "role": "control", "error": 1e6 / (i + 1),
+         "excluded": i % 2 == 0} for i in range(9)]}
+    lines = opening(**many, data=data(
+        source="/very/long/" + "name" * 70, crs="EPSG:25832+7837",
+        read={**READ, "lines": 120, "without_height": 12,
+              "left_out": {"without a height": ["A"] * 12, "by the role off": ["B"]}}))
+    assert len(lines) <= 8
+    assert max(map(len, lines)) <= 88
+    assert "Blunders: 9 found, 4 of them in use; see the list below." in lines
 
 
 @pytest.mark.parametrize(("changed", "lines"), [
-    ({"data": data(fit_crs="EPSG:32639")}, [
-        "Fitted in EPSG:32639; coordinates are given in EPSG:4979, heights EGM96"]),
-    ({"data": counts(control=0, lines=40)}, [
-        "Control: 40 lines; 12 check points; 9 independent points"]),
-    ({"data": counts(lines=40)}, [
-        "Control: 24 points and 40 lines; 12 check points; 9 independent points"]),
-    ({"data": counts(control=1, lines=1, check=1, independent=1)}, [
-        "Control: 1 point and 1 line; 1 check point; 1 independent point"]),
     ({"evaluations": 1, "lookups": 0, "generations": 1}, [
         "Search: 1 evaluation (0 looked up), 1 generation, 1.2 s"]),
     ({"criterion": "check-rmse"}, [
-        "Model poly3d, solver ga, criterion check-rmse, seed 4; termsel 9.9",
-        "check = the fitness, which the search minimised; independent = the accuracy"]),
+        "check = the fitness, which the search minimised; independent = the accuracy",
+        "Problem rfm-terms. Model poly3d, solver ga, criterion check-rmse, seed 4; termsel 9.9"]),
     (share(1.0), []),
     (share(0.67), [
         "Terms are 67 % of their equations at most; --set max_share=1 lifts this"]),
@@ -136,6 +198,17 @@ def test_the_page_of_an_ordinary_search() -> None:
     ({"notes": ["One note.", "Another."]}, ["Note: One note.", "Note: Another."])])
 def test_lines_about_the_search(changed: dict[str, Any], lines: list[str]) -> None:
     assert added(**changed) == lines
+
+
+@pytest.mark.parametrize(("changed", "line"), [
+    (counts(control=0, lines=40), "Control: 40 lines; 12 check points; 9 independent points."),
+    (counts(lines=40), "Control: 24 points and 40 lines; 12 check points; 9 independent points."),
+    (counts(control=1, lines=1, check=1, independent=0),
+     "Control: 1 point and 1 line; 1 check point; no independent points."),
+    (data(fit_crs="EPSG:32639"),
+     "Fitted in EPSG:32639; coordinates are given in EPSG:4979, heights EGM96")])
+def test_what_the_control_is(changed: dict[str, Any], line: str) -> None:
+    assert line in text(data=changed).splitlines()
 
 
 @pytest.mark.parametrize(("n_features", "n_terms", "lines"), [
@@ -242,9 +315,9 @@ def strategy(chosen: str, predicted: float | None, *names: str) -> dict[str, Any
 
 def test_the_page_of_a_choice() -> None:
     text = page(strategy=strategy("shrunken-cubic", 0.6, "dlt", "shrunken-cubic"))
-    assert text[1] == "Model poly3d, strategy auto, seed 4; termsel 9.9"
+    assert text[-1] == "Model poly3d, strategy auto, seed 4; termsel 9.9"
     assert "The predicted RMSE is that of the whole choice, repeated in 20 folds." in text
-    assert text[-9:] == [
+    assert text[-12:-3] == [
         "What was selected, and why?",
         "Chosen: shrunken cubic, fitted to control and check together; 1.2 s",
         "It is good. good. good. good. good. good. good. good. good. good. good. good. good.",
@@ -328,22 +401,32 @@ def blunders(*named: tuple[str, float, bool], sigma: float | None = 0.5,
         "sigma": sigma, "wrong": {}, "in_use": [], "spare": list(spare)}}
 
 
-@pytest.mark.parametrize(("changed", "lines"), [
-    (blunders(), []),
-    (blunders(("P1", 4.0, True), ("P2", 9.0, True)), [
+@pytest.mark.parametrize(("changed", "line", "lines"), [
+    (blunders(), "none found.", []),
+    (blunders(("P1", 4.0, True), ("P2", 9.0, True)), "P2 (9 px), P1 (4 px) left out.", [
         "2 probable blunders (beyond 3 sigma, 1.5 px): point P2, 9 px, left out; point P1, 4 px,",
         "left out."]),
-    (blunders(("P2", 9.0, True), sigma=None), [
+    (blunders(("P2", 9.0, True), sigma=None), "P2 (9 px) left out.", [
         "1 probable blunder: point P2, 9 px, left out."]),
-    (blunders(("P1", 4.0, False), ("P2", 9.0, True)), [
+    (blunders(("P1", 4.0, False), ("P2", 9.0, True)),
+     "P2 (9 px) left out; P1 (4 px) in use: leave it out by --off P1.", [
         "2 probable blunders (beyond 3 sigma, 1.5 px): point P2, 9 px, left out; point P1, 4 px,",
         "in use.", "Leave out those in use by --off P1 and run again."]),
-    (blunders(("P1", 4.0, False), ("P2", 9.0, False)), [
+    (blunders(("P1", 4.0, False), ("P2", 9.0, False)),
+     "P2 (9 px), P1 (4 px) in use: leave them out by --off P2,P1.", [
         "2 probable blunders (beyond 3 sigma, 1.5 px): point P2, 9 px, in use; point P1, 4 px, in",
-        "use.", "Leave out those in use by --off P1,P2 and run again."]),
-    (blunders(spare=("P3", "P4")), ["Left out though they fit: 2; they were not needed."])])
-def test_probable_blunders(changed: dict[str, Any], lines: list[str]) -> None:
+        "use.", "Leave out those in use by --off P2,P1 and run again."]),
+    (blunders(*((f"P{i}", 9.0 - i, True) for i in range(5)), sigma=None),
+     "P0 (9 px), P1 (8 px), P2 (7 px) and 2 more left out.", [
+        "5 probable blunders: point P0, 9 px, left out; point P1, 8 px, left out; point P2, 7 px,",
+        "left out; point P3, 6 px, left out; point P4, 5 px, left out."]),
+    (blunders(spare=("P3", "P4")), "none found.", [
+        "Left out though they fit: 2; they were not needed."])])
+def test_probable_blunders(changed: dict[str, Any], line: str, lines: list[str]) -> None:
+    assert f"Blunders: {line}" in opening(**changed)
     assert added(**changed) == lines
+    # A short summary has a list where the opening has not all.
+    assert (lines[0] in text(False, **changed) if lines else False) == ("more" in line)
 
 
 @pytest.mark.parametrize(("p", "lines"), [

@@ -337,14 +337,14 @@ def test_leave_one_out_figures_are_next_to_those_of_the_control(name: str) -> No
     assert found["line"] == pytest.approx(line)
     assert found["sample"] == pytest.approx(sample)
     assert found["total"] == pytest.approx(np.hypot(line, sample))
-    [shown, _] = re.findall(r"^  leave-one-out +(\S+)$", result.summary(), re.MULTILINE)
+    [shown, _] = re.findall(r"^  leave-one-out +(\S+)$", result.summary(verbose=True), re.MULTILINE)
     assert shown == f"{found['total']:.3f}"
 
 
 def test_other_models_need_no_leave_one_out() -> None:
     result = termsel.run("hybrid-2", generations=1)
     assert list(result.to_dict()["rmse"]) == ["control", "check", "independent"]
-    assert "\n  leave-one-out" not in result.summary()
+    assert "\n  leave-one-out" not in result.summary(verbose=True)
 
 
 def test_a_line_is_left_out_as_a_whole() -> None:

@@ -18,7 +18,9 @@ from termsel.interrupts import INTERRUPTED
 @run_options
 @click.option("--out", metavar="DIR", type=click.Path(path_type=Path),
               help="Folder for result.json, residuals.csv, summary.txt and the features.")
-def run(**given: Any) -> None:
+@click.option("--verbose", is_flag=True,
+              help="Print all of the summary, as in summary.txt: every table, term and proof.")
+def run(verbose: bool, **given: Any) -> None:
     """Search for the terms or control features that serve best.
 
     Check points judge each selection. Independent points judge the result and take no part in any
@@ -55,7 +57,7 @@ def run(**given: Any) -> None:
             source=asked.source, model=asked.model, solver=asked.solver,
             criterion=asked.criterion, options=options, **asked.budget,
             observers=[observe] if observe else [], out=out, overwrite=asked.overwrite)
-    echo(result.to_json() if asked.as_json else result.summary(), nl=False)
+    echo(result.to_json() if asked.as_json else result.summary(verbose=verbose), nl=False)
     if out is not None:
         say_written([f"{out}/{RECORD}", *names_of(result.features)[1:]])
         asked.write(result, exported, page)

@@ -224,7 +224,7 @@ class Fit(Glance):
 
         Parameters
         ----------
-        ground : array_like, shape (n, 3)
+        ground : array_like, shape (n, 3), of a plane model also (n, 2)
             In the CRS of the control; NaN for heights a plane model does without.
 
         Returns
@@ -237,7 +237,7 @@ class Fit(Glance):
         TermselError
             If the array has another shape.
         """
-        places = _places(ground)
+        places = self._places(ground)
         scaled = self.model.predict(self.adjustment.coefficients, self._scaled_used,
                                     self.scaling.ground(places))
         image = self.scaling.pixels(scaled)
@@ -252,7 +252,7 @@ class Fit(Glance):
 
         Parameters
         ----------
-        ground : array_like, shape (n, 3)
+        ground : array_like
             As for `project`.
         measured : bool
             Whether to add the noise of a measurement at the place, with which measured minus
@@ -269,10 +269,20 @@ class Fit(Glance):
         TermselError
             If the array has another shape.
         """
-        made, places = self.made or self, _places(ground)
+        made, places = self.made or self, self._places(ground)
         found = made.estimator.spread(made, made.scaling.ground(places))
         variance = found.variance + found.noise if measured else found.variance
         return self._known(np.sqrt(variance) * self.scaling.image_scale, places)
+
+    def _places(self, ground: ArrayLike) -> FloatArray:
+        """Return ground points (n, 3); a plane model also takes them without heights."""
+        places = np.asarray(ground, dtype=np.float64)
+        plane = not self.model.uses_height
+        if places.ndim != 2 or places.shape[1] not in ((2, 3) if plane else (3,)):
+            raise TermselError(f"ground points have shape {places.shape}, expected " + (
+                "(n, 2) or (n, 3)" if plane else "(n, 3), as the model uses heights"))
+        return places if places.shape[1] == 3 else np.column_stack(
+            [places, np.full(len(places), np.nan)])
 
     def _known(self, image: FloatArray, places: FloatArray) -> FloatArray:
         """Return figures at places, and NaN where a coordinate that the model uses is unknown."""
@@ -383,13 +393,6 @@ class Fit(Glance):
     def rmse(self, points: Points) -> Rmse | None:
         """Return the RMSE of points that took no part in the adjustment; None without points."""
         return rmse_of(self.errors(points), len(points))
-
-
-def _places(ground: ArrayLike) -> FloatArray:
-    places = np.asarray(ground, dtype=np.float64)
-    if places.ndim != 2 or places.shape[1] != 3:
-        raise TermselError(f"ground points have shape {places.shape}, expected (n, 3)")
-    return places
 
 
 @one_blas_thread

@@ -95,7 +95,7 @@ def _files(result: Result) -> dict[str, str]:
     points, lines, crs = result.features.points, result.features.lines, result.features.crs
     return {**({POINTS: points_text(points, crs)} if len(points) else {}),
             **({LINES: lines_text(lines, crs)} if len(lines) else {}),
-            RESIDUALS: residuals_csv(result), SUMMARY: result.summary(),
+            RESIDUALS: residuals_csv(result), SUMMARY: result.summary(verbose=True),
             RECORD: result.to_json()}
 
 

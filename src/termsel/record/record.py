@@ -94,6 +94,23 @@ class IdsByRole(RecordPart, frozen=True):
     """Independent points."""
 
 
+class WhatWasRead(RecordPart, frozen=True):
+    """What the files or the data set held."""
+
+    points: Count
+    """Number of points."""
+    lines: Count
+    """Number of lines."""
+    without_height: Count
+    """How many of these have no height."""
+    place: str
+    """Latitude and longitude of the middle, such as "34.8 N, 48.5 E"; empty where nothing tells."""
+    doubt: str
+    """Which axes look swapped, and why; empty if none do."""
+    left_out: Mapping[str, Names]
+    """Ids of what takes no part, by the reason; without blunders, which are `outliers`."""
+
+
 class DataRecord(RecordPart, frozen=True):
     """What the result was made from."""
 
@@ -115,6 +132,8 @@ class DataRecord(RecordPart, frozen=True):
     """Numbers of features by role."""
     roles: IdsByRole
     """Ids of features by role."""
+    read: WhatWasRead | None = None
+    """What was read; absent before 0.3."""
 
 
 class Offered(RecordPart, frozen=True):

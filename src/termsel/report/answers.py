@@ -17,9 +17,19 @@ from termsel.fits.figures import LEAVE_ONE_OUT
 from termsel.record.base import plain
 from termsel.record.figures import InImage, OnGround, Predicted, RoleRmse
 from termsel.record.record import Record
-from termsel.report.blocks import Block, Code, Document, Note, Section, Statement, TableBlock
+from termsel.report.blocks import (
+    Block,
+    Code,
+    Detail,
+    Document,
+    Note,
+    Section,
+    Statement,
+    TableBlock,
+)
 from termsel.report.charts import bars, maps
 from termsel.report.compared import fits_of
+from termsel.report.opening import are_all_named, off_option, opening, rounded
 from termsel.report.plots import figure, missing
 from termsel.report.selected import selected
 from termsel.report.tables import sigma_table
@@ -37,14 +47,11 @@ def document(record: Record, view: View | None = None, picture: str = "") -> Doc
     picture : str
         The image, smaller, as a data URL.
     """
-    strategy = record.strategy
-    by = f"strategy {strategy.name}" if strategy else \
-        f"solver {record.solver}, criterion {record.criterion}"
+    # The strategy auto answers, whatever the problem; without one asked for there is none.
+    title = record.data.source if record.strategy else f"{record.data.source}: {record.problem}"
     return Document(
-        f"{record.data.source}: {record.problem}",
-        f"Model {record.model}, {by}, seed {record.seed}; termsel "
-        f"{record.versions['termsel']}",
-        tuple(_read(record)),
+        title, _made_by(record),
+        (*opening(record), *_fitted_in(record)),
         tuple(Section(title, blocks) for title, answer in (
             ("How accurate is it?", _accuracy(record)),
             ("Is it better than plain structures?", _compared(record, view)),
@@ -54,16 +61,11 @@ def document(record: Record, view: View | None = None, picture: str = "") -> Doc
             ("How is it repeated?", _repeated(record, view))) if (blocks := tuple(answer))))
 
 
-def _read(record: Record) -> Iterator[Block]:
-    """Yield what the run was given."""
-    data, counts = record.data, record.data.counts
-    control = [counted(n, word) for n, word in ((counts.control, "point"), (counts.lines, "line"))
-               if n]
-    yield (f"Control: {' and '.join(control)}; {counted(counts.check, 'check point')}; "
-           f"{counted(counts.independent, 'independent point')}")
+def _fitted_in(record: Record) -> Iterator[Block]:
+    data = record.data
     if data.fit_crs != data.crs:
-        yield (f"Fitted in {data.fit_crs}; coordinates are given in {data.crs}, heights "
-               f"{data.heights}")
+        yield Detail(f"Fitted in {data.fit_crs}; coordinates are given in {data.crs}, heights "
+                     f"{data.heights}")
 
 
 def _accuracy(record: Record) -> Iterator[Block]:
@@ -82,13 +84,14 @@ def _accuracy(record: Record) -> Iterator[Block]:
                 (accuracy.asprs, "ASPRS 2024", "RMSE without the error of the survey itself")):
             yield (f"{title}: {standard.value:.3g} m, {meaning}."
                    if standard.value is not None else
-                   f"{title}: no figure ({standard.reason}).")
+                   Detail(f"{title}: no figure ({standard.reason})."))
         if predicted:
             yield _prediction(predicted)
     if (strategy := record.strategy) and strategy.predicted is not None:
-        yield (f"The predicted RMSE is that of the whole choice, repeated in {strategy.folds} "
-               "folds." if strategy.folds > EXACT + 1 else
-               "The predicted RMSE is that of this candidate without each point.")
+        yield Detail(
+            f"The predicted RMSE is that of the whole choice, repeated in {strategy.folds} folds."
+            if strategy.folds > EXACT + 1 else
+            "The predicted RMSE is that of this candidate without each point.")
     if record.final:
         what = "features" if record.data.counts.lines else "points"
         yield (f"Exported: the same structure fitted to all {len(record.final.features)} "
@@ -103,10 +106,10 @@ def statement(record: Record) -> str:
         image, ground = accuracy.image, accuracy.ground
         low, high = rmse_interval(image.total, image.n) if image.total \
             else (0.0, 0.0)
-        metres = f", {ground.total:.3g} m on the ground" if ground else ""
-        return (f"RMSE {image.total:.3g} px{metres} on "
-                f"{counted(image.n, 'independent point')} (90 % interval {low:.3g} to "
-                f"{high:.3g} px).")
+        metres = f", {rounded(ground.total)} m on the ground" if ground else ""
+        return (f"RMSE {rounded(image.total)} px{metres} on "
+                f"{counted(image.n, 'independent point')} (90 % interval {rounded(low)} to "
+                f"{rounded(high)} px).")
     if predicted:
         return f"{_prediction(predicted)} There are no independent points."
     return ("The accuracy is not known: there are no independent points. Give some points the role "
@@ -116,13 +119,13 @@ def statement(record: Record) -> str:
 def _prediction(predicted: Predicted) -> str:
     of = f"of {counted(predicted.points, 'independent point')}" if predicted.points \
         else "of any further points"
-    return (f"Predicted RMSE {of}: {predicted.rmse:.3g} px "
-            f"({100 * predicted.level:.0f} % interval {predicted.low:.3g} to "
-            f"{predicted.high:.3g} px).")
+    return (f"Predicted RMSE {of}: {rounded(predicted.rmse)} px "
+            f"({100 * predicted.level:.0f} % interval {rounded(predicted.low)} to "
+            f"{rounded(predicted.high)} px).")
 
 
 def _distances(of: InImage | OnGround, unit: str, first: float, second: float) -> tuple[str, ...]:
-    return tuple(f"{value:.3g} {unit}" for value in (
+    return tuple(f"{rounded(value)} {unit}" for value in (
         of.total, first, second, of.maximum, of.ce90))
 
 
@@ -130,7 +133,12 @@ def _compared(record: Record, view: View | None) -> Iterator[Block]:
     yield record.judgement
     yield from map(Note, record.notes)
     yield from figure(view, "baselines")
-    yield _fits(record)
+    yield Detail(_fits(record))
+    yield from map(Detail, _legend(record, view))
+
+
+def _legend(record: Record, view: View | None) -> Iterator[str]:
+    """Yield what the table of all fits means."""
     baselines = record.baselines
     if record.rmse.leave_one_out is not None:
         yield (f"{LEAVE_ONE_OUT}: each control feature by the fit without it, as "
@@ -174,20 +182,7 @@ def _figure(rmse: RoleRmse) -> str:
 
 
 def _bad(record: Record, view: View | None, picture: str) -> Iterator[Block]:
-    outliers, doubts = record.outliers, record.doubts
-    if outliers:
-        beyond = f" (beyond {BEYOND:g} sigma, {BEYOND * doubts.sigma:.2g} px)" if doubts else ""
-        named = "; ".join(f"{one.kind} {one.id}, {one.error:.3g} px, "
-                          + ("left out" if one.excluded else "in use")
-                          for one in sorted(outliers, key=lambda one: -one.error))
-        yield f"{counted(len(outliers), 'probable blunder')}{beyond}: {named}."
-        in_use = [one.id for one in outliers if not one.excluded]
-        if in_use:
-            yield f"Leave out those in use by --off {','.join(in_use)} and run again."
-    else:
-        yield "No feature is a probable blunder."
-    if doubts and doubts.spare:
-        yield f"Left out though they fit: {len(doubts.spare)}; they were not needed."
+    yield from _blunders(record) if not are_all_named(record) else map(Detail, _blunders(record))
     if view is None:
         return
     yield from figure(view, "worst", bars.worst_bars(view))
@@ -204,6 +199,24 @@ def _bad(record: Record, view: View | None, picture: str) -> Iterator[Block]:
         choice="picked", keys=[row["id"] for row in view.worst], folded=True)
 
 
+def _blunders(record: Record) -> Iterator[str]:
+    """Yield all blunders, and what was left out though it is none."""
+    outliers, doubts = record.outliers, record.doubts
+    if outliers:
+        beyond = f" (beyond {BEYOND:g} sigma, {BEYOND * doubts.sigma:.2g} px)" if doubts else ""
+        named = "; ".join(f"{one.kind} {one.id}, {one.error:.3g} px, "
+                          + ("left out" if one.excluded else "in use")
+                          for one in sorted(outliers, key=lambda one: -one.error))
+        yield f"{counted(len(outliers), 'probable blunder')}{beyond}: {named}."
+        if used := [one for one in sorted(outliers, key=lambda one: -one.error)
+                    if not one.excluded]:
+            yield f"Leave out those in use by {off_option(used)} and run again."
+    else:
+        yield "No feature is a probable blunder."
+    if doubts and doubts.spare:
+        yield f"Left out though they fit: {len(doubts.spare)}; they were not needed."
+
+
 def _weak(view: View | None) -> Iterator[Block]:
     if view is None:
         return
@@ -216,8 +229,18 @@ def _weak(view: View | None) -> Iterator[Block]:
     yield "termsel plan names the places where further points help most."
 
 
+def _made_by(record: Record) -> str:
+    strategy = record.strategy
+    by = f"strategy {strategy.name}" if strategy else \
+        f"solver {record.solver}, criterion {record.criterion}"
+    return (f"Model {record.model}, {by}, seed {record.seed}; termsel "
+            f"{record.versions['termsel']}")
+
+
 def _repeated(record: Record, view: View | None) -> Iterator[Block]:
     if view is None:
+        yield Detail(f"{'' if record.strategy else f'Problem {record.problem}. '}"
+                     f"{_made_by(record)}")
         return
     if view.command:
         yield "In the folder of this result:"

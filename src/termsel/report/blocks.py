@@ -12,9 +12,10 @@ _LONGEST_NUMBER = 24
 
 @dataclass(frozen=True)
 class Note:
-    """What else a reader must know."""
+    """What else a reader must know, or a fact behind its label."""
 
     text: str
+    label: str = "Note"
 
 
 @dataclass(frozen=True)
@@ -99,7 +100,14 @@ class Figure:
     keeps_ratio: bool = False
 
 
-Block = str | Note | Statement | Code | Names | TableBlock | Figure
+@dataclass(frozen=True)
+class Detail:
+    """What a short text leaves out."""
+
+    block: Block
+
+
+Block = str | Note | Detail | Statement | Code | Names | TableBlock | Figure
 """A block; text alone is a paragraph."""
 
 

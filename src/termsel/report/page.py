@@ -20,6 +20,7 @@ from termsel.errors import printable
 from termsel.report.blocks import (
     Block,
     Code,
+    Detail,
     Document,
     Figure,
     Names,
@@ -91,10 +92,12 @@ def _blocks(blocks: Iterable[Block], specs: dict[str, Any]) -> Iterator[str]:
 
 
 def _block(block: Block, specs: dict[str, Any]) -> str:
+    if isinstance(block, Detail):
+        return _block(block.block, specs)
     if isinstance(block, str):
         return f"<p>{_text(block)}</p>"
     if isinstance(block, Note):
-        return f"<p><strong>Note:</strong> {_text(block.text)}</p>"
+        return f"<p><strong>{_text(block.label)}:</strong> {_text(block.text)}</p>"
     if isinstance(block, Names):
         return (f"<details><summary>{_text(block.title)}: {len(block.names)}</summary>"
                 f"<p>{_text(' '.join(block.names))}</p></details>")

@@ -11,9 +11,10 @@ from termsel.record.figures import RoleRmse
 from termsel.record.record import Record
 from termsel.record.search import Certificate, Member, SizeRow, Strategy
 from termsel.report import sizes
-from termsel.report.blocks import Block, Figure, Names, TableBlock
+from termsel.report.blocks import Block, Detail, Figure, Names, TableBlock
 from termsel.report.charts import search
 from termsel.report.compared import label_of
+from termsel.report.opening import share
 from termsel.report.plots import figure, missing
 from termsel.report.tables import OF_TERMS
 from termsel.report.view import View
@@ -29,9 +30,13 @@ def selected(record: Record, view: View | None, picture: str) -> Iterator[Block]
     picture : str
         The image, smaller, as a data URL.
     """
-    yield from _choice(record, record.strategy, view) if record.strategy else _search(record)
+    if record.strategy:
+        yield from _choice(record, record.strategy, view)
+    else:
+        yield from map(Detail, _search(record))
+        yield from _proven(record)
     yield from _front(record, view, picture)
-    yield from _coefficients(record)
+    yield from map(Detail, _coefficients(record))
     if view is not None:
         there = [name for name in OF_TERMS if not missing(view, name)]
         for name in there:
@@ -39,43 +44,44 @@ def selected(record: Record, view: View | None, picture: str) -> Iterator[Block]
         yield from (table(view) for name in there if (table := OF_TERMS[name]) is not None)
     selection, offered = record.selection, record.offered
     if selection.n_features < offered.n_features and not record.strategy:
-        yield Names("Features", selection.features)
+        yield Detail(Names("Features", selection.features))
     if selection.n_terms < offered.n_terms:
-        yield Names("Terms", selection.terms)
+        yield Detail(Names("Terms", selection.terms))
 
 
 def _choice(record: Record, strategy: Strategy, view: View | None) -> Iterator[Block]:
     """Yield the candidates with their leave-one-out RMSE, the chosen one marked."""
     candidates = strategy.candidates
-    yield (f"Chosen: {label_of(strategy.chosen)}, fitted to control and check together; "
-           f"{record.seconds:.1f} s")
+    yield Detail(f"Chosen: {label_of(strategy.chosen)}, fitted to control and check together; "
+                 f"{record.seconds:.1f} s")
     if strategy.reason:  # records of version 0.1 do not say it
-        yield strategy.reason
+        yield Detail(strategy.reason)
     yield from figure(view, "candidates")
     names = [one.name for one in candidates]
-    yield TableBlock("Candidates", ("candidate", "terms", "effective", "leave-one-out RMSE [px]"), [
-        (label_of(one.name), str(one.n_terms), f"{one.effective:.1f}",
-         "-" if one.predicted is None else f"{one.predicted:.3f}") for one in candidates],
-        marked=names.index(strategy.chosen) if strategy.chosen in names else None)
+    yield Detail(TableBlock(
+        "Candidates", ("candidate", "terms", "effective", "leave-one-out RMSE [px]"), [
+            (label_of(one.name), str(one.n_terms), f"{one.effective:.1f}",
+             "-" if one.predicted is None else f"{one.predicted:.3f}") for one in candidates],
+        marked=names.index(strategy.chosen) if strategy.chosen in names else None))
 
 
 def _search(record: Record) -> Iterator[Block]:
-    """Yield what was selected, how it was searched for, and what is proven."""
+    """Yield what was selected, and how it was searched for."""
     selection, offered = record.selection, record.offered
     if stability := record.stability:
         yield (f"{selection.n_terms} of {offered.n_terms} terms are in at least "
                f"{stability.threshold:.0%} of {stability.repeats} selections, each with "
                "other control and check points.")
-    yield (f"Selected: {_share(selection.n_features, offered.n_features)} control features, "
-           f"{_share(selection.n_terms, offered.n_terms)} terms; "
+    yield (f"Selected: {share(selection.n_features, offered.n_features)} control features, "
+           f"{share(selection.n_terms, offered.n_terms)} terms; "
            f"redundancy {record.adjustment.redundancy}")
     if parameters := selection.parameters:  # not in older records
         yield "Parameters: " + ", ".join(
             f"{name} {value:.6g}" if isinstance(value, float) else f"{name} {value}"
             for name, value in parameters.items())
-    share = cast("float", record.options.problem.get("max_share", 1.0))
-    if share < 1:
-        yield (f"Terms are {100 * share:.0f} % of their equations at most; --set max_share=1 lifts "
+    most = _max_share(record)
+    if most < 1:
+        yield (f"Terms are {100 * most:.0f} % of their equations at most; --set max_share=1 lifts "
                "this")
     yield (f"Search: {counted(record.evaluations, 'evaluation')} ({record.lookups} looked "
            f"up), {counted(record.generations, 'generation')}, {record.seconds:.1f} s")
@@ -83,15 +89,18 @@ def _search(record: Record) -> Iterator[Block]:
         yield (f"Local refinement: {record.criterion} {refined.found:.4g} as "
                f"{record.solver} found it, {refined.polished:.4g} after it "
                f"({counted(refined.evaluations, 'evaluation')})")
+
+
+def _max_share(record: Record) -> float:
+    return cast("float", record.options.problem.get("max_share", 1.0))
+
+
+def _proven(record: Record) -> Iterator[Block]:
     if record.certificate:
-        exact = "--solver exact" + " --set max_share=1" * (share == 1.0)
+        exact = "--solver exact" + " --set max_share=1" * (_max_share(record) == 1.0)
         if record.solver == "exact":  # it has a front once it has decided all
             exact = "--set recommend=best" if record.front else "a larger budget"
         yield _certificate(record.certificate, exact)
-
-
-def _share(chosen: int, offered: int) -> str:
-    return f"all {offered}" if chosen == offered else f"{chosen} of {offered}"
 
 
 def _certificate(certificate: Certificate, exact: str) -> str:

@@ -6,7 +6,17 @@ import textwrap
 from collections.abc import Iterable, Iterator, Sequence
 
 from termsel.errors import printable
-from termsel.report.blocks import Block, Code, Document, Figure, Names, Note, Statement, TableBlock
+from termsel.report.blocks import (
+    Block,
+    Code,
+    Detail,
+    Document,
+    Figure,
+    Names,
+    Note,
+    Statement,
+    TableBlock,
+)
 
 _WIDTH = 88
 _LONGEST_TABLE = 40
@@ -14,19 +24,33 @@ _LONGEST_TABLE = 40
 _WIDEST_COLUMN = 60
 
 
-def text_of(document: Document) -> str:
-    """Return what is shown of a result or a study as text."""
-    lines = [document.title, *_wrapped(document.subtitle), *_lines(document.facts)]
+def text_of(document: Document, *, whole: bool = True, titled: bool = True) -> str:
+    """Return what is shown of a result or a study as text: the whole of it, or without details.
+
+    `titled` is whether it begins with the title, and not with the facts.
+    """
+    lines = [document.title, *_wrapped(document.subtitle)] if titled else []
+    lines += _lines(_shown(document.facts, whole))
     for section in document.sections:
-        lines += ["", section.title, *_lines(section.blocks)]
+        if shown := list(_shown(section.blocks, whole)):
+            lines += ["", section.title, *_lines(shown)]
     # File names may have what a terminal would obey.
     return printable("\n".join(lines)) + "\n"
+
+
+def _shown(blocks: Iterable[Block], whole: bool) -> Iterator[Block]:
+    """Yield the blocks that a text shows."""
+    for block in blocks:
+        if isinstance(block, Detail):
+            yield from _shown([block.block] if whole else [], whole)
+        elif not (isinstance(block, Figure) or (isinstance(block, TableBlock) and block.folded)):
+            yield block
 
 
 def _lines(blocks: Iterable[Block]) -> Iterator[str]:
     """Yield the lines of blocks, with an empty one around each table."""
     apart = False
-    for i, block in enumerate(block for block in blocks if not _is_left_out(block)):
+    for i, block in enumerate(blocks):
         is_table = isinstance(block, TableBlock | Code)
         if i and (apart or is_table):
             yield ""
@@ -34,21 +58,17 @@ def _lines(blocks: Iterable[Block]) -> Iterator[str]:
         yield from _block(block)
 
 
-def _is_left_out(block: Block) -> bool:
-    return isinstance(block, Figure) or (isinstance(block, TableBlock) and block.folded)
-
-
 def _block(block: Block) -> Iterator[str]:
     if isinstance(block, TableBlock):
         yield from _table(block)
     elif isinstance(block, Note):
-        yield from _wrapped(f"Note: {block.text}", 6)
+        yield from _wrapped(f"{block.label}: {block.text}", 4)
     elif isinstance(block, Names):
         yield from _wrapped(f"{block.title}: {' '.join(block.names)}", 2)
     elif isinstance(block, Code):
         yield from block.text.splitlines()
-    elif not isinstance(block, Figure):
-        yield from _wrapped(block.text if isinstance(block, Statement) else block)
+    elif isinstance(block, str | Statement):
+        yield from _wrapped(block if isinstance(block, str) else block.text)
 
 
 def _table(table: TableBlock) -> Iterator[str]:

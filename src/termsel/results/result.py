@@ -47,7 +47,8 @@ from termsel.record.search import (
     Strategy,
     TermFrequencies,
 )
-from termsel.report.answers import document, statement
+from termsel.report.answers import document
+from termsel.report.opening import accuracy_of, title_of
 from termsel.report.page import page
 from termsel.report.plots import Plots
 from termsel.report.text import text_of
@@ -65,6 +66,8 @@ CARRIED = (
     "evaluations", "lookups", "generations", "seconds", "history", "budget", "stability", "by_size",
     "interrupted", "polish", "versions")
 """What a result and its record hold alike."""
+
+_SHORTENED = "All tables, terms and proofs: --verbose, in Python summary(verbose=True)."
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -363,18 +366,31 @@ class Result(Glance):
             shown = self.of_image(size)
         write_text(path, page(document(shown.view.record, shown.view, picture)))
 
-    def summary(self) -> str:
-        """Return what was selected, how good it is and what it is worth, as text."""
-        return text_of(document(self.record))
+    def summary(self, *, verbose: bool = False) -> str:
+        """Return the answer, how good it is and what it is worth, as text.
+
+        Parameters
+        ----------
+        verbose : bool
+            Whether to return all of it, as summary.txt has it: every table, term and proof.
+        """
+        text = text_of(document(self.record), whole=verbose, titled=False)
+        return text if verbose else f"{text}\n{_SHORTENED}\n"
 
     def _glance(self) -> tuple[str, Mapping[str, str]]:
-        counts = self.data.counts
-        features = [counted(getattr(counts, key), word) for key, word in (
-            ("control", "control point"), ("lines", "control line"), ("check", "check point"),
-            ("independent", "independent point")) if getattr(counts, key)]
-        return f"Result of {self.problem}: model {self.model}", {
+        counts, record = self.data.counts, self.record
+        features = [counted(n, word) for n, word in (
+            (counts.control, "control point"), (counts.lines, "control line"),
+            (counts.check, "check point"), (counts.independent, "independent point")) if n]
+        used = len(record.selection.features) + counts.check * bool(self.strategy)
+        what = ("features" if counts.lines and counts.control else
+                "lines" if counts.lines else "points")
+        out = [one.id for one in self.outliers if one.excluded]
+        title = title_of(record) + f" ({self.model})" * bool(self.strategy)
+        return f"Result: {title}, {counted(len(self.selection.terms), 'term')}", {
             "data": f"{self.data.source}; {', '.join(features)}",
-            "selected": f"{len(self.selection.terms)} terms, {len(self.selection.features)} "
-                        "features",
-            "accuracy": statement(self.record),
+            "fitted to": f"{used} {what}" + (
+                f"; exported: fitted to {len(self.final.control)}" if self.final else ""),
+            "blunders left out": ", ".join(out) or "none",
+            "accuracy": accuracy_of(record),
             "see": "summary(), plot.residuals(), report('report.html')"}

@@ -112,7 +112,7 @@ def assessed(task: Task, found: Search) -> Result:
         options={**task.options, "model": task.model.options, "solver": task.solver.options,
                  "criterion": task.criterion.options,
                  **({"then": task.then.options} if task.then else {})},
-        data=data_of(task.features, task.source, observations), selection=selection,
+        data=data_of(task, observations), selection=selection,
         feasible=feasible, rmse=rmse,
         baselines=baselines,
         judgement=judge(name_conventional(task.problem.genome, observations),

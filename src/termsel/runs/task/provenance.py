@@ -8,27 +8,47 @@ from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
 from termsel.measurements.coordinates.crs import height_reference
-from termsel.measurements.features import FeatureSet
+from termsel.measurements.coordinates.earth import place_of, swapped
+from termsel.measurements.features import select
 from termsel.measurements.roles import Observations
 from termsel.plugins.hookspecs import PROJECT
 from termsel.plugins.registry import SESSION, registry
-from termsel.record.record import Counts, DataRecord, IdsByRole
+from termsel.record.record import Counts, DataRecord, IdsByRole, WhatWasRead
 from termsel.results.checksums import of_features
 
 if TYPE_CHECKING:
     from termsel.runs.task.request import Setup
 
 
-def data_of(features: FeatureSet, source: str, observations: Observations) -> DataRecord:
-    """Return what a record says of features, as read, and of the same ones in their roles."""
-    control, size = observations.control, features.image_size
+def data_of(setup: Setup, observations: Observations) -> DataRecord:
+    """Return what a record says of the features of a setup, as read and in their roles."""
+    features, control = setup.features, observations.control
     return DataRecord(
-        source, of_features(features), features.crs, control.fit_crs or features.crs,
-        features.heights or height_reference(features.crs) or None, features.noise, size,
+        setup.source, of_features(features), features.crs, control.fit_crs or features.crs,
+        features.heights or height_reference(features.crs) or None, features.noise,
+        features.image_size,
         Counts(len(control.points), len(observations.check), len(observations.independent),
                len(control.lines.features), len(observations.off)),
         IdsByRole(control.ids, observations.off, observations.check.ids,
-                  observations.independent.ids))
+                  observations.independent.ids), _read(setup, observations))
+
+
+def _read(setup: Setup, observations: Observations) -> WhatWasRead:
+    """Return what was read, and what of it takes no part for another reason than as a blunder."""
+    read, points = setup.read, setup.features.points
+    stay = set(setup.features.lines.ids)
+    off = [name for name in (*select(points.ids, [role == "off" for role in points.roles]),
+                             *read.lines.features) if name not in stay]
+    control, idle = observations.control, set(observations.off).difference(off)
+    why = {"without a height": setup.blank,
+           "by the role off": [name for name in off if name not in setup.blank],
+           "points, as lines are the control": [
+               name for name in points.ids if name in idle and not len(control.points)],
+           "lines, as points are the control": () if len(control.lines) else
+           setup.features.lines.features}
+    return WhatWasRead(
+        len(read.points), len(read.lines.features), len(read.without_height()), place_of(read),
+        swapped(read), {reason: tuple(ids) for reason, ids in why.items() if ids})
 
 
 def versions() -> dict[str, str]:

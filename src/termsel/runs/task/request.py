@@ -54,8 +54,10 @@ class Setup:
     model : SensorModel
     criterion : Criterion
     solver : Solver
+    read : FeatureSet
+        As read.
     features : FeatureSet
-        As read, all roles together.
+        With the roles asked for, all together; without lines that are left out.
     source : str
         Where the features come from.
     options : mapping
@@ -72,6 +74,7 @@ class Setup:
     model: SensorModel
     criterion: Criterion
     solver: Solver
+    read: FeatureSet
     features: FeatureSet
     source: str
     options: Mapping[str, Mapping[str, Any]]
@@ -158,10 +161,10 @@ class Request:
             spec = names.taken("datasets", recipe.dataset if self.dataset is None else self.dataset)
             features = loaded(spec)
             source = f"{spec.name} (simulated)" if spec.simulated else spec.name
-        features = with_roles(features, named)
+        read, features = features, with_roles(features, named)
         blank = to_leave_out(features) if made["model"].uses_height else ()
         return Setup(recipe, made["model"], made["criterion"], made["solver"],
-                     with_roles(features, dict.fromkeys(blank, "off")),
+                     read, with_roles(features, dict.fromkeys(blank, "off")),
                      printable(source or "given in Python"),
                      {"problem": of_problem, "data": of_data, "search": of_search},
                      made.get("then"), set_options, blank)

@@ -42,7 +42,7 @@ class Task(Glance, Setup):
 
     Parameters
     ----------
-    recipe, model, criterion, solver, features, source, options, then, set_options, blank
+    recipe, model, criterion, solver, read, features, source, options, then, set_options, blank
         As for `Setup`; the model is prepared for the features.
     problem : Problem
     observations : Observations

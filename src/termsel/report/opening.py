@@ -1,0 +1,178 @@
+"""The answer first: what was read, the model, its accuracy, blunders, and what to do next."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Iterator, Sequence
+from pathlib import PurePath
+
+from termsel.candidates.structures import named
+from termsel.errors import counted, cut
+from termsel.measurements.coordinates.crs import LOCAL, short
+from termsel.record.figures import Outlier
+from termsel.record.record import Record, WhatWasRead
+from termsel.report.blocks import Note
+from termsel.report.compared import label_of
+
+_SOURCE = 32
+"""Characters of the names of files."""
+_NAMED = 3
+"""Blunders that are named."""
+_LONGEST = 60
+"""Characters of the ids of an option that fit in."""
+_MOST, _WIDTH = 8, 85
+"""Lines of all, and characters of a line."""
+_PLAIN = {"shrunken": "uncertain terms held near zero",
+          "field": "small local shifts that fade with distance"}
+"""What words of statistics mean."""
+
+
+def opening(record: Record) -> list[Note]:
+    """Return the answer in at most eight lines of text."""
+    whole = list(_notes(record, brief=False))
+    return list(_notes(record, brief=True)) if _lines(whole) > _MOST else whole
+
+
+def _lines(notes: Sequence[Note]) -> int:
+    """Return about how many lines of text notes take."""
+    return sum(1 + (len(note.label) + len(note.text)) // _WIDTH for note in notes)
+
+
+def _notes(record: Record, brief: bool) -> Iterator[Note]:
+    yield from _data(record, brief)
+    yield Note(_model(record), "Model")
+    yield Note(accuracy_of(record), "Accuracy")
+    yield Note(blunders_of(record, brief), "Blunders")
+    yield Note(_next(record), "Next")
+
+
+def _data(record: Record, brief: bool) -> Iterator[Note]:
+    data, counts = record.data, record.data.counts
+    source = cut(", ".join(PurePath(name).name for name in data.source.split(", ")), _SOURCE)
+    read = data.read or _as_in_earlier_records(record)
+    kinds = ", ".join(counted(n, word) for n, word in (
+        (read.points, "point"), (read.lines, "line")) if n)
+    heights = "" if not read.without_height else (
+        " without heights" if read.without_height == read.points + read.lines else
+        f" ({read.without_height} without a height)")
+    crs = "coordinates without a CRS" if data.crs == LOCAL else short(data.crs)
+    near = f" near {read.place}" if read.place else ""
+    yield Note(f"{source}: {kinds}{heights}; {crs}{near}.", "Read")
+    control = [counted(n, word) for n, word in ((counts.control, "point"), (counts.lines, "line"))
+               if n]
+    blunders = sum(one.excluded for one in record.outliers)
+    left = [*[counted(blunders, "blunder")] * bool(blunders),
+            *(f"{len(ids)} {reason}" for reason, ids in read.left_out.items())]
+    if brief and left:
+        left = [counted(blunders + sum(map(len, read.left_out.values())), "feature")]
+    yield Note(f"{' and '.join(control)}; {_some(counts.check, 'check point')}; "
+               f"{_some(counts.independent, 'independent point')}."
+               + (f" Left out: {'; '.join(left)}." if left else ""), "Control")
+
+
+def _some(number: int, noun: str) -> str:
+    return counted(number, noun) if number else f"no {noun}s"
+
+
+def _as_in_earlier_records(record: Record) -> WhatWasRead:
+    counts = record.data.counts
+    return WhatWasRead(counts.control + counts.check + counts.independent + counts.off,
+                       counts.lines, 0, "", "", {})
+
+
+def title_of(record: Record) -> str:
+    """Return the structure of the model in words, without an article."""
+    if record.strategy is None:
+        return record.model
+    candidate = named(record.strategy.chosen)
+    return label_of(record.strategy.chosen) if candidate is None else \
+        candidate.title.partition(" ")[2]
+
+
+def _model(record: Record) -> str:
+    title, selection, offered = title_of(record), record.selection, record.offered
+    if record.strategy:
+        meaning = next((f" ({text})" for word, text in reversed(_PLAIN.items())
+                        if word in title), "")
+        return f"{title}{meaning}, chosen by auto."
+    by = f"; selected by {record.solver} (criterion {record.criterion})"
+    whole = (selection.n_terms, selection.n_features) == (offered.n_terms, offered.n_features)
+    return (f"{title}, {share(selection.n_terms, offered.n_terms)} terms, "
+            f"{share(selection.n_features, offered.n_features)} "
+            f"{'lines' if record.data.counts.lines else 'points'}{'' if whole else by}."
+            + ("" if record.feasible else " It does not satisfy all conditions: do not use it."))
+
+
+def share(chosen: int, offered: int) -> str:
+    """Return how many of those on offer are chosen."""
+    return f"all {offered}" if chosen == offered else f"{chosen} of {offered}"
+
+
+def accuracy_of(record: Record) -> str:
+    """Return the accuracy in one sentence."""
+    accuracy, predicted = record.accuracy, record.predicted
+    if accuracy:
+        metres = f", {rounded(accuracy.ground.total)} m on the ground" if accuracy.ground else ""
+        return (f"{rounded(accuracy.image.total)} px{metres} (RMSE of "
+                f"{counted(accuracy.image.n, 'independent point')}).")
+    if predicted:
+        return (f"{rounded(predicted.rmse)} px predicted ({rounded(predicted.low)} to "
+                f"{rounded(predicted.high)} px); no independent point confirms it.")
+    return "not known, as there are no independent points."
+
+
+def rounded(value: float) -> str:
+    """Return a size with three digits, a large one with all before the decimal point."""
+    return f"{value:.3g}" if value < 999.5 else f"{value:,.0f}"
+
+
+def blunders_of(record: Record, brief: bool) -> str:
+    """Return the worst blunders, with the option that leaves out those in use."""
+    worst = sorted(record.outliers, key=lambda one: -one.error)
+    if not worst:
+        return "none found."
+    out, used = ([one for one in worst if one.excluded is state] for state in (True, False))
+    if brief:
+        return f"{len(worst)} found, {len(used)} of them in use; see the list below."
+    off = off_option(used)
+    said = [f"{_listed(out)} left out"] * bool(out) + [
+        f"{_listed(used)} in use: leave {'it' if len(used) == 1 else 'them'} out by "
+        + (off if len(off) <= _LONGEST else "the option --off below")] * bool(used)
+    return f"{'; '.join(said)}."
+
+
+def off_option(used: Sequence[Outlier]) -> str:
+    """Return the option that leaves out blunders that are in use."""
+    return f"--off {shlex.quote(','.join(one.id for one in used))}"
+
+
+def are_all_named(record: Record) -> bool:
+    """Return whether the opening names all blunders, with the option that leaves them out."""
+    out, used = ([one for one in record.outliers if one.excluded is state]
+                 for state in (True, False))
+    return max(len(out), len(used)) <= _NAMED and len(off_option(used)) <= _LONGEST \
+        and _lines(list(_notes(record, brief=False))) <= _MOST
+
+
+def _listed(some: Sequence[Outlier]) -> str:
+    more = f" and {len(some) - _NAMED} more" if len(some) > _NAMED else ""
+    return ", ".join(f"{cut(one.id, _SOURCE)} ({rounded(one.error)} px)"
+                     for one in some[:_NAMED]) + more
+
+
+def _next(record: Record) -> str:
+    """Return what to do next, the most urgent alone."""
+    read = record.data.read
+    if read and read.doubt:
+        return f"{read.doubt.partition(':')[0]}: check them before anything else."
+    if record.interrupted:
+        return "the run was interrupted; run it again to its end."
+    if not record.feasible:
+        return "measure more control, or choose a smaller model."
+    if any(not one.excluded for one in record.outliers):
+        return "look at the blunders in use: correct them, or leave them out and run again."
+    if not record.data.counts.independent:
+        return "measure further points, some of the role independent; termsel plan names places."
+    if "Use --strategy auto" in record.judgement:
+        return "run --strategy auto, which predicts better."
+    return "termsel report, export and rectify take the folder that --out DIR writes."
