@@ -278,11 +278,12 @@ class Fit(Glance):
         """Return ground points (n, 3); a plane model also takes them without heights."""
         places = np.asarray(ground, dtype=np.float64)
         plane = not self.model.uses_height
-        if places.ndim != 2 or places.shape[1] not in ((2, 3) if plane else (3,)):
+        if plane and places.shape[1:] == (2,):
+            return np.pad(places, ((0, 0), (0, 1)), constant_values=np.nan)
+        if places.shape[1:] != (3,):
             raise TermselError(f"ground points have shape {places.shape}, expected " + (
                 "(n, 2) or (n, 3)" if plane else "(n, 3), as the model uses heights"))
-        return places if places.shape[1] == 3 else np.column_stack(
-            [places, np.full(len(places), np.nan)])
+        return places
 
     def _known(self, image: FloatArray, places: FloatArray) -> FloatArray:
         """Return figures at places, and NaN where a coordinate that the model uses is unknown."""

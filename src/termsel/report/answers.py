@@ -201,15 +201,14 @@ def _bad(record: Record, view: View | None, picture: str) -> Iterator[Block]:
 
 def _blunders(record: Record) -> Iterator[str]:
     """Yield all blunders, and what was left out though it is none."""
-    outliers, doubts = record.outliers, record.doubts
+    outliers, doubts = sorted(record.outliers, key=lambda one: -one.error), record.doubts
     if outliers:
         beyond = f" (beyond {BEYOND:g} sigma, {BEYOND * doubts.sigma:.2g} px)" if doubts else ""
         named = "; ".join(f"{one.kind} {one.id}, {one.error:.3g} px, "
                           + ("left out" if one.excluded else "in use")
-                          for one in sorted(outliers, key=lambda one: -one.error))
+                          for one in outliers)
         yield f"{counted(len(outliers), 'probable blunder')}{beyond}: {named}."
-        if used := [one for one in sorted(outliers, key=lambda one: -one.error)
-                    if not one.excluded]:
+        if used := [one for one in outliers if not one.excluded]:
             yield f"Leave out those in use by {off_option(used)} and run again."
     else:
         yield "No feature is a probable blunder."
