@@ -119,7 +119,7 @@ def test_places_without_coordinates_have_no_image() -> None:
         image = result.project(ground)
         assert np.isfinite(image).all(axis=1).tolist() == seen
         assert np.isnan(image).all(axis=1).tolist() == [not one for one in seen]
-        with pytest.raises(TermselError, match=r"shape \(3,\), expected .*\(n, 3\)"):
+        with pytest.raises(TermselError, match=r"shape \(3,\), expected \(n, 3\)"):
             result.project(ground[0])
 
 
@@ -164,10 +164,10 @@ def test_a_plane_model_takes_places_without_heights() -> None:
     places = scene.points.ground
     assert np.array_equal(plane.project(places[:, :2]), plane.project(places))
     assert np.array_equal(plane.sigma(places[:, :2]), plane.sigma(places))
-    with pytest.raises(TermselError, match=r"shape \(2,\), expected \(n, 2\) or \(n, 3\)"):
+    with pytest.raises(TermselError, match=r"shape \(2,\), expected \(n, 3\)"):
         plane.project(places[0, :2])
     solid = termsel.run("rfm-terms", features=scene, solver="all-terms", model="affine")
-    with pytest.raises(TermselError, match=r"expected \(n, 3\), as the model uses heights"):
+    with pytest.raises(TermselError, match=r"expected \(n, 3\)"):
         solid.project(places[:, :2])
 
 

@@ -108,9 +108,8 @@ GIVEN = Given()
 class HeldOut:
     """Errors of control features in use under the same procedure without them.
 
-    `errors` are measured minus predicted [px] of the points, then of both vertices of each line,
-    shape (n_points + 2 n_lines, 2), `squares` the sums of their squares by feature, shape (n,).
-    """
+    `errors`, measured minus predicted [px], are as of `FeatureSet.ground_vertices`, shape (m, 2);
+    `squares` are the sums of their squares by feature, shape (n,)."""
 
     errors: FloatArray
     squares: FloatArray
@@ -277,12 +276,11 @@ class Fit(Glance):
     def _places(self, ground: ArrayLike) -> FloatArray:
         """Return ground points (n, 3); a plane model also takes them without heights."""
         places = np.asarray(ground, dtype=np.float64)
-        plane = not self.model.uses_height
-        if plane and places.shape[1:] == (2,):
+        if places.shape[1:] == (2,) and not self.model.uses_height:
             return np.pad(places, ((0, 0), (0, 1)), constant_values=np.nan)
         if places.shape[1:] != (3,):
-            raise TermselError(f"ground points have shape {places.shape}, expected " + (
-                "(n, 2) or (n, 3)" if plane else "(n, 3), as the model uses heights"))
+            raise TermselError(f"ground points have shape {places.shape}, expected (n, 3)",
+                               hint="Models without heights take (n, 2), too.")
         return places
 
     def _known(self, image: FloatArray, places: FloatArray) -> FloatArray:
