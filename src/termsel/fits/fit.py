@@ -239,8 +239,7 @@ class Fit(Glance):
         places = self._places(ground)
         scaled = self.model.predict(self.adjustment.coefficients, self._scaled_used,
                                     self.scaling.ground(places))
-        image = self.scaling.pixels(scaled)
-        return self._known(image, places)
+        return self._known(self.scaling.pixels(scaled), places)
 
     def sigma(self, ground: ArrayLike, *, measured: bool = False) -> FloatArray:
         """Return the standard deviation of the error of `project`.
