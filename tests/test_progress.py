@@ -12,8 +12,10 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
+from click.testing import CliRunner
 
 import termsel
+from termsel.cli.main import cli
 from termsel.measurements.features import FeatureSet
 from termsel.simulate import simulate_scene
 from termsel.solvers.ledger import Progress
@@ -138,3 +140,17 @@ def test_the_bar_of_auto_moves() -> None:
     assert len(percent - {0, 100}) >= 3
     assert "fold " in text
     assert on_terminal(*words, "--quiet") == ""
+
+
+@pytest.mark.parametrize("what", [["--dataset", "old-map"],
+                                  ["--problem", "poly-terms", "--evaluations", "500"]])
+def test_programs_get_lines_of_json(what: list[str]) -> None:
+    done = CliRunner().invoke(cli, ["run", *what, "--progress", "json"])
+    assert done.exit_code == 0, done.output
+    lines = [json.loads(line) for line in done.stderr.splitlines() if line.startswith("{")]
+    shares = [line["progress"] for line in lines]
+    assert shares
+    assert shares == sorted(shares)
+    assert 0 <= shares[0] <= shares[-1] <= 1
+    assert all(line["what"] for line in lines)
+    assert '"progress"' not in done.stdout

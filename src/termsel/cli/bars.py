@@ -1,19 +1,26 @@
-"""Progress bars on stderr, where it is a terminal; nothing elsewhere."""
+"""Progress on stderr: a bar where it is a terminal, lines of JSON where a program asks for them."""
 
 from __future__ import annotations
 
+import json
 import math
 import sys
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
 from typing import TYPE_CHECKING
 
+import click
+
+from termsel.cli.options.shared import PROGRESS
 from termsel.errors import percent, printable
 
 if TYPE_CHECKING:
     from termsel.solvers.ledger import Progress
     from termsel.studies.execution.progress import StudyProgress
+
+_BETWEEN = 0.2  # seconds between two lines
 
 
 @contextmanager
@@ -65,6 +72,10 @@ def study_bar(quiet: bool) -> Iterator[Callable[[StudyProgress], None] | None]:
 def _bar(title: str, quiet: bool, *, total: float | None = None, remaining: bool = True,
          ) -> Iterator[Callable[..., None] | None]:
     """Yield what renews a bar that leaves no trace; what is printed meanwhile appears above it."""
+    context = click.get_current_context(silent=True)
+    if context is not None and context.meta.get(PROGRESS) == "json" and not quiet:
+        yield _lines(title, total)
+        return
     if quiet or not sys.stderr.isatty():
         yield None
         return
@@ -85,3 +96,19 @@ def _bar(title: str, quiet: bool, *, total: float | None = None, remaining: bool
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task(printable(title), total=total, state="")
         yield partial(bar.update, task)
+
+
+def _lines(title: str, total: float | None) -> Callable[..., None]:
+    """Return what prints the share that is done as lines of JSON, at most five a second."""
+    printed = -math.inf
+
+    def renew(*, completed: float, total: float | None = total, description: str = title,
+              state: str = "") -> None:
+        nonlocal printed
+        share = completed / total if total else None
+        if time.monotonic() - printed < _BETWEEN and share != 1.0:
+            return
+        printed = time.monotonic()
+        click.echo(json.dumps({"progress": share, "what": description, "state": state}), err=True)
+
+    return renew

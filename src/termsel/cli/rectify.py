@@ -8,7 +8,7 @@ import click
 
 from termsel.cli.bars import share_bar
 from termsel.cli.messages import refuse_stdout, say_written, show_messages
-from termsel.cli.options.shared import allow_remote, final_option
+from termsel.cli.options.shared import allow_remote, final_option, progress_option
 from termsel.errors import TermselError
 
 
@@ -31,6 +31,7 @@ from termsel.errors import TermselError
 @final_option
 @click.option("--overwrite", is_flag=True, help="Replace an existing file.")
 @click.option("--quiet", is_flag=True, help="Show no progress bar.")
+@progress_option
 @allow_remote
 def rectify(folder: Path, image: Path, output: Path, dem: Path | None, height: float | None,
             crs: str | None, resolution: float | None, resampling: str, nodata: float | None,

@@ -12,7 +12,7 @@ import click
 
 from termsel.cli.completion import complete
 from termsel.cli.messages import say_written
-from termsel.cli.options.shared import Command, allow_remote
+from termsel.cli.options.shared import Command, allow_remote, progress_option
 from termsel.cli.report import REPORT
 from termsel.errors import TermselError
 from termsel.options import SEED
@@ -97,6 +97,7 @@ _OPTIONS = (
     click.option("--overwrite", is_flag=True, help="Replace what is already in --out."),
     click.option("--json", "as_json", is_flag=True, help="Print JSON alone on stdout."),
     click.option("--quiet", is_flag=True, help="No progress bar."),
+    progress_option,
 )
 
 

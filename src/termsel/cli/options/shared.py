@@ -1,4 +1,4 @@
-"""Options of many commands: which fit of a result is taken, and whether servers are asked."""
+"""Options of many commands: fit of a result, form of progress, and whether servers are asked."""
 
 from __future__ import annotations
 
@@ -11,6 +11,19 @@ final_option = click.option(
     "--final/--no-final", default=None,
     help="Take the fit of the chosen model to all points, independent ones included, or the fit "
          "without them. By default the first, where auto chose a model.")
+
+PROGRESS = "termsel.progress"
+"""Where a context keeps the form in which its command shows progress."""
+
+
+def _keep(context: click.Context, parameter: click.Parameter, form: str) -> None:  # noqa: ARG001
+    context.meta[PROGRESS] = form
+
+
+progress_option = click.option(
+    "--progress", type=click.Choice(["bar", "json"]), default="bar", show_default=True,
+    expose_value=False, callback=_keep,
+    help="Show progress as a bar, or, for programs, as lines of JSON on stderr.")
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 
