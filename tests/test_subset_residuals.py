@@ -126,6 +126,20 @@ def test_bounds_without_a_column_hold_whatever_weights_a_node_inherits() -> None
     assert lowered > 5
 
 
+def test_a_bound_is_not_below_what_all_columns_leave_after_few_sweeps() -> None:
+    """A limit that is far off ends the sweeps early, so that inherited weights stay too high."""
+    columns = np.arange(8)
+    for seed in range(60):
+        ready = stack(quotient(np.random.default_rng([seed, 8]), 8), "rss", (), None)
+        for limit in (1.0, 1e9):
+            for scale in (0.1, 1.0, 10.0):
+                tree = ready._tree(Piece(columns[:0], columns, 8))[0]
+                m = min(len(tree.least), 12)
+                tree.weights[0], tree.point[0, :m] = m, np.arange(m)
+                tree.weight[0, :m] = tree.rss[0] * scale * np.linspace(0.5, 1.0, m)
+                assert node_bound(tree, 0, limit) >= tree.rss[0]
+
+
 def test_what_few_columns_can_do_stays_proven(monkeypatch: pytest.MonkeyPatch) -> None:
     beaten = 0
     for name, value in (("_DESCEND_FROM", 1), ("_SMALL", 600)):

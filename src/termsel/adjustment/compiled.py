@@ -20,7 +20,7 @@ _UNREADABLE = (EOFError, UnpicklingError, OSError, AttributeError, ImportError)
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
 
-class _Cache(FunctionCache):  # type: ignore[misc]  # numba has no types
+class _Cache(FunctionCache):
     """Machine code on disk that is compiled again if it is damaged, and need not be kept."""
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:

@@ -14,7 +14,7 @@ from functools import reduce
 from typing import Any
 
 import numba
-from llvmlite import ir  # type: ignore[import-untyped]
+from llvmlite import ir
 from numba.extending import intrinsic
 
 LANES = 8
@@ -110,14 +110,13 @@ def _reflector(count: int) -> Any:
         over_rows(builder, t, stop, 1, [], subtract)
         return context.get_dummy_value()
 
-    @intrinsic  # type: ignore[untyped-decorator]
     def apply(_context: Any, panels: Any, vectors: Any, beta: Any, gram: Any,
               c: Any, t: Any, stop: Any) -> Any:
         del c, t, stop
         whole = numba.types.intp
         return numba.types.void(panels, vectors, beta, gram, whole, whole, whole), generate
 
-    return apply
+    return intrinsic(apply)
 
 
 apply_one = _reflector(1)

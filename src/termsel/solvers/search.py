@@ -26,8 +26,7 @@ from termsel.solvers.refinement import POLISH_SHARE, refine
 from termsel.threads import one_blas_thread
 
 if TYPE_CHECKING:
-    from termsel.solvers.proofs.exact_features import FeatureProof
-    from termsel.solvers.proofs.proof import Proof
+    from termsel.solvers.proofs.proof import FeatureProof, Proof
 
 NONE = Evaluation(np.full((1, 1), np.inf), np.zeros(1))
 """Of an individual, before a solver has evaluated any."""
@@ -211,15 +210,13 @@ def search(
         interrupted = True
     if ledger.best_genes is None:
         raise TermselError(f"solver {solver.name!r} evaluated nothing", hint="Increase the budget.")
+    details = generation.details if generation else {}
     return Search(ledger.best_genes, ledger.best_objectives, ledger.best[0], seed, ledger.count,
                   generation.index if generation else 0, ledger.lookups,
-                  time.perf_counter() - start, interrupted, refined,
-                  generation.details.get("certificate") if generation else None,
+                  time.perf_counter() - start, interrupted, refined, details.get("certificate"),
                   tuple(ledger.front() if len(problem.objectives) > 1
-                        else generation.details.get("front", ()) if generation else ()),
-                  generation.details.get("coefficients") if generation else None,
-                  notes=notes, history=tuple(history),
-                  proof=generation.details.get("proof") if generation else None)
+                        else details.get("front", ())),
+                  details.get("coefficients"), notes, tuple(history), details.get("proof"))
 
 
 def begin(problem: Problem, solver: Solver) -> None:

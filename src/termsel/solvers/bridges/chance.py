@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import random
 from threading import Lock, get_ident
-from types import TracebackType
 from typing import Any
 
 import numpy as np
@@ -37,8 +36,7 @@ class OwnChance:
         self._others = _exchanged(self._own)
         self._outer = _taken(self._generator)
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None,
-                 trace: TracebackType | None) -> None:
+    def __exit__(self, *_error: object) -> None:
         _taken(self._outer)
         self._own = _exchanged(self._others)
 

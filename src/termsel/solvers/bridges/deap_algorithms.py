@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import itertools
 import os
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -94,7 +95,8 @@ def _loop(said: str) -> Callable[..., Any]:
     known = ("eaSimple", "eaMuPlusLambda", "eaMuCommaLambda")
     if not module:
         if name in known:
-            return getattr(algorithms, name)  # type: ignore[no-any-return]
+            loop: Callable[..., Any] = getattr(algorithms, name)
+            return loop
         raise TermselError(f"there is no algorithm {said!r}",
                            hint=f"Known are {', '.join(known)}; a loop of yours is "
                                 "module:function.")
@@ -107,7 +109,7 @@ def _loop(said: str) -> Callable[..., Any]:
                            hint="Give module:function, importable from where you run.") from None
     finally:
         sys.path.pop(0)
-    return loop  # type: ignore[no-any-return]
+    return loop
 
 
 def evolved(box: base.Toolbox, loop: Callable[..., Any], rng: np.random.Generator, population: int,
@@ -136,8 +138,7 @@ def evolved(box: base.Toolbox, loop: Callable[..., Any], rng: np.random.Generato
         people = box.population(n=population)
     # A generator function that takes no ngen runs on; it is read step by step.
     steps = loop(people, box, **named) if "ngen" not in takes else None
-    index = 0
-    while True:
+    for index in itertools.count():
         with blamed(loop, called, CHECK), chance:
             if steps is not None:
                 people = next(steps, None)
@@ -152,7 +153,6 @@ def evolved(box: base.Toolbox, loop: Callable[..., Any], rng: np.random.Generato
         hall.update(people)
         book.record(gen=index, **stats.compile(people))
         yield _generation(index, people, {"logbook": book, "halloffame": hall})
-        index += 1
 
 
 def _evaluate(box: base.Toolbox, people: Iterable[Individual]) -> None:

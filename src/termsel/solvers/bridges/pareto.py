@@ -31,7 +31,7 @@ from termsel.solvers.bridges.pymoo_problem import steps
 from termsel.solvers.genetic.operators import crossover, mutation
 
 
-class _Keep(Repair):  # type: ignore[misc]
+class _Keep(Repair):
     """Forced genes and cardinality, after every operator."""
 
     def __init__(self, genome: Genome, rng: np.random.Generator) -> None:
@@ -42,7 +42,7 @@ class _Keep(Repair):  # type: ignore[misc]
         return self.genome.repair(X.astype(self.genome.dtype), self.rng)
 
 
-class _Start(Sampling):  # type: ignore[misc]
+class _Start(Sampling):
     """The random population that all solvers start from."""
 
     def __init__(self, genome: Genome, rng: np.random.Generator) -> None:
@@ -53,7 +53,7 @@ class _Start(Sampling):  # type: ignore[misc]
         return self.genome.random(self.rng, n_samples)
 
 
-class _Mate(Crossover):  # type: ignore[misc]
+class _Mate(Crossover):
     """Crossover of a genome that has other genes than bits."""
 
     def __init__(self, genome: Genome) -> None:
@@ -68,7 +68,7 @@ class _Mate(Crossover):  # type: ignore[misc]
         return children.reshape(-1, 2, self.genome.size).swapaxes(0, 1)
 
 
-class _Mutate(Mutation):  # type: ignore[misc]
+class _Mutate(Mutation):
     """Mutation of a genome that has other genes than bits."""
 
     def __init__(self, genome: Genome, rate: float) -> None:
@@ -129,7 +129,7 @@ class Nsga2(PymooSolver):
     made_of = NSGA2
 
 
-class _AgeSurvival(AGEMOEA2Survival):  # type: ignore[misc]
+class _AgeSurvival(AGEMOEA2Survival):
     """pymoo's, which divides by zero if a member is best in every objective."""
 
     @staticmethod
@@ -150,7 +150,7 @@ def _project(points: FloatArray, p: float) -> FloatArray:
     return np.asarray(points / np.where(length > 0, length, 1.0))
 
 
-class _Spea2Survival(SPEA2Survival):  # type: ignore[misc]
+class _Spea2Survival(SPEA2Survival):
     """pymoo's, which divides by zero if all members are equal in an objective."""
 
     norm: Any
@@ -163,7 +163,7 @@ class _Spea2Survival(SPEA2Survival):  # type: ignore[misc]
         return super()._do(problem, *args, **given)
 
 
-class _Ranges(HyperplaneNormalization):  # type: ignore[misc]
+class _Ranges(HyperplaneNormalization):
     """Ranges of the objectives, 1 where there is none."""
 
     nadir_point: Any
@@ -175,7 +175,7 @@ class _Ranges(HyperplaneNormalization):  # type: ignore[misc]
                                     self.ideal_point + 1.0)
 
 
-class RveaSurvival(APDSurvival):  # type: ignore[misc]
+class RveaSurvival(APDSurvival):
     """pymoo's, whose angles are undefined by rounding, and if all are equal in an objective."""
 
     V: FloatArray

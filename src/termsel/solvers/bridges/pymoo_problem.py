@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator
 from copy import deepcopy
 from typing import Any
@@ -28,7 +29,7 @@ from termsel.solvers.bridges.chance import OwnChance
 from termsel.solvers.budget import EVALUATIONS
 
 
-class _Posed(PymooProblem):  # type: ignore[misc]
+class _Posed(PymooProblem):
     """The genes are the variables, the violation is the only constraint."""
 
     def __init__(self, problem: Problem) -> None:
@@ -120,7 +121,7 @@ def to_pymoo(problem: Problem) -> PymooProblem:
     return _Posed(problem)
 
 
-class _Horizon(MaximumGenerationTermination):  # type: ignore[misc]
+class _Horizon(MaximumGenerationTermination):
     """The expected length of a run, which it does not end."""
 
     def _update(self, algorithm: Algorithm) -> float:
@@ -145,8 +146,7 @@ def steps(algorithm: Algorithm, problem: Problem, rng: np.random.Generator,
     with chance:
         algorithm.setup(_Posed(problem), termination=_Horizon(expected))
     algorithm.random_state = rng
-    index = 0
-    while True:
+    for index in itertools.count():
         with chance:
             offspring = algorithm.ask()
         if offspring is None or not len(offspring):
@@ -165,4 +165,3 @@ def steps(algorithm: Algorithm, problem: Problem, rng: np.random.Generator,
         people = algorithm.pop
         yield Generation(index, people.get("X").astype(genome.dtype),
                          Evaluation(people.get("F"), np.maximum(people.get("G")[:, 0], 0.0)))
-        index += 1

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator, Mapping
 from typing import Any, ClassVar
 
@@ -95,9 +96,7 @@ class GeneticAlgorithm(Solver):
         genes = box.population()
         evaluation = box.evaluate(genes)
         yield Generation(0, genes, evaluation)
-        index = 0
-        while True:
-            index += 1
+        for index in itertools.count(1):
             kept = self.survivors(genes, evaluation)
             children = self.children(box, genes, evaluation, len(genes) - len(kept))
             children = problem.genome.repair(children, rng)

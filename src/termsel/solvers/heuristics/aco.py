@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator
 
 import numpy as np
@@ -105,10 +106,8 @@ class AntColony(Solver):
         champion, of_champion = ants[:0], evaluation.take(np.arange(0))
         best, of_best = champion, of_champion
         pheromone = np.full((2, problem.genome.size), 0.5)
-        index = 0
-        while True:
+        for index in itertools.count():
             yield Generation(index, ants, evaluation, {"pheromone": pheromone})
-            index += 1
             ranked, of_ranked = _best(o["elite"], best, of_best, ants, evaluation)
             best, of_best = ranked[:1], of_ranked.take(np.arange(1))
             pheromone = renew(pheromone, deposit(ranked), o["evaporation"], o["tau_min"],

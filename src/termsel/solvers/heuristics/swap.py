@@ -111,7 +111,7 @@ def descend(problem: Problem, genes: Genes, evaluation: Evaluation, index: int =
 
 
 def climb(problem: Problem, genes: Genes, evaluation: Evaluation,
-          rng: np.random.Generator, index: int = 0) -> Iterator[list[Generation]]:
+          rng: np.random.Generator) -> Iterator[list[Generation]]:
     """Descend from a selection (1, size), then repeatedly from others, without end.
 
     Yielded are the steps of one start at a time; the last is the best so far.
@@ -122,7 +122,7 @@ def climb(problem: Problem, genes: Genes, evaluation: Evaluation,
     finds the optimum of small problems, the second improves large ones.
     """
     genome = problem.genome
-    climbed = list(descend(problem, genes, evaluation, index))
+    climbed = list(descend(problem, genes, evaluation))
     for start in itertools.count():
         best = climbed[-1]
         yield climbed
@@ -186,6 +186,5 @@ class Swap(Solver):
     def generations(self, problem: Problem, rng: np.random.Generator) -> Iterator[Generation]:
         """Yield one generation per step of each descent, without end (see `Solver.generations`)."""
         genes = problem.genome.random(rng, 1)
-        climbing = climb(problem, genes, problem.evaluate(genes), rng)
-        for climbed in climbing:
+        for climbed in climb(problem, genes, problem.evaluate(genes), rng):
             yield from climbed

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator
 
 import numpy as np
@@ -22,11 +23,9 @@ class RandomSearch(Solver):
 
     def generations(self, problem: Problem, rng: np.random.Generator) -> Iterator[Generation]:
         """Yield fresh random populations without end."""
-        index = 0
-        while True:
+        for index in itertools.count():
             genes = problem.genome.random(rng, self.options["population"])
             yield Generation(index, genes, problem.evaluate(genes))
-            index += 1
 
 
 class AllTerms(Solver):

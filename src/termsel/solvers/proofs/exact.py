@@ -11,14 +11,21 @@ import numpy as np
 
 from termsel.enumeration import subsets
 from termsel.errors import TermselError, amount
-from termsel.measurements.features import BoolArray
 from termsel.options import COUNT, Option
-from termsel.problems.base import EnumerablePart, Evaluation, Problem
+from termsel.problems.base import EnumerablePart, Problem
 from termsel.problems.segments import AnySegment, Bits, Subset
 from termsel.solvers.base import Generation, Solver
 from termsel.solvers.heuristics.swap import neighbours
 from termsel.solvers.proofs.exact_features import duration, proof_generations, quick_optimum
-from termsel.solvers.proofs.proof import TIE, Proof, count, limits_of, prove, space_of
+from termsel.solvers.proofs.proof import (
+    TIE,
+    Proof,
+    count,
+    generation_of,
+    limits_of,
+    prove,
+    space_of,
+)
 
 log = logging.getLogger(__name__)
 
@@ -111,6 +118,7 @@ class Exact(Solver):
         log.info("exact: deciding %s (%s, %s)%s", amount(count(problem, most), "subset"), space,
                  amount(len(parts), "part"), _estimate(problem, parts, most, workers))
         index, reported, decided = 0, 0.0, 0
+        nothing = np.zeros((1, problem.genome.size), dtype=bool)
         proof: Proof | None = None
         for state, proof in enumerate(prove(problem, most, workers)):
             share = proof.decided / proof.total
@@ -118,48 +126,29 @@ class Exact(Solver):
             if (index and not descends and not proof.complete and state % _REPORT_STATES
                     and share - reported < _REPORT_SHARE):
                 continue
-            generation = self._report(problem, proof, index, space, most)
-            if generation is not None:
+            reported = share
+            if proof.complete or proof.front():
+                generation = generation_of(problem, proof, index, space, nothing)
+                if proof.complete and proof.front():
+                    _require_unbeaten(problem, proof, generation, most)
                 yield generation
                 index += 1
-            reported = share
-
-    def _report(self, problem: Problem, proof: Proof, index: int, space: str,
-                most: int | None) -> Generation | None:
-        front = proof.front()
-        if not front and not proof.complete:
-            return None
-        # The best of every size once all is proven; the best of all until then.
-        genes = (np.array(front) if proof.complete else np.array(front[-1:])) if front \
-            else np.zeros((1, problem.genome.size), dtype=bool)
-        evaluation = problem.evaluate(genes)
-        if proof.complete and front:
-            _require_unbeaten(problem, proof, front[-1], evaluation, most)
-        bound = _bound(proof, evaluation)
-        proven = bool(front) and evaluation.violation[-1] == 0 and (
-            proof.complete or bound.get("gap", 1.0) <= TIE)
-        details: dict[str, Any] = {
-            "share": proof.decided / proof.total,
-            "front": genes if front and proof.complete else (), "proof": proof,
-            "certificate": {"optimal": bool(proven), "subsets": proof.decided,
-                            "bounded": proof.pruned, "of": proof.total, "space": space,
-                            **bound, **({} if front else {"feasible": False})}}
-        return Generation(index, genes, evaluation, details)
 
 
-def _require_unbeaten(problem: Problem, proof: Proof, optimum: BoolArray,
-                      front: Evaluation, most: int | None) -> None:
+def _require_unbeaten(problem: Problem, proof: Proof, generation: Generation,
+                      most: int | None) -> None:
     """Refuse a proof that an evaluation contradicts.
 
     The enumeration decides by the criterion's `subset_score` and `subset_cost`, and a plugin's may
     not agree with its `score`. The best selection of every size and all neighbours of the optimum
     are evaluated as any solver's are.
     """
+    front = generation.evaluation
     best, violation = front.objectives[-1, 0], front.violation[-1]
     if violation > 0:  # enumeration and evaluation differ at a tolerance: nothing is proven
         return
     values = [front.objectives[front.violation == 0, 0]]
-    for genes in neighbours(optimum, problem.genome):
+    for genes in neighbours(generation.genes[-1], problem.genome):
         if most is not None:  # larger ones are outside of the space that is proven
             sizes = [genes[:, part.genes].sum(axis=1) for part in proof.parts]
             genes = genes[np.all(np.array(sizes) <= most, axis=0)]
@@ -172,15 +161,6 @@ def _require_unbeaten(problem: Problem, proof: Proof, optimum: BoolArray,
             "the criterion's subset_score does not agree with its score",
             hint="Tell the author of the criterion, or choose another solver, such as "
                  "--solver ga.")
-
-
-def _bound(proof: Proof, front: Evaluation) -> dict[str, float]:
-    """Return the lower bound of all selections and the gap, as far as they are known."""
-    best = float(front.objectives[-1, 0])
-    bound = proof.bound(best) if front.violation[-1] == 0 else None
-    if bound is None:
-        return {}
-    return {"bound": bound} | ({"gap": max(0.0, best / bound - 1)} if bound > 0 else {})
 
 
 def _estimate(problem: Problem, parts: tuple[EnumerablePart, ...], most: int | None,

@@ -7,7 +7,6 @@ import time
 from collections import deque
 from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -18,7 +17,7 @@ from termsel.measurements.features import BoolArray, FloatArray
 from termsel.problems.segments import Bits, Genes, Subset
 from termsel.solvers.base import Generation
 from termsel.solvers.heuristics.swap import descend
-from termsel.solvers.proofs.proof import SizeProof, each_of
+from termsel.solvers.proofs.proof import FeatureProof, generation_of
 
 if TYPE_CHECKING:
     from termsel.enumeration.features.walk import RowSystem
@@ -36,45 +35,6 @@ _BATCH = 64  # selections evaluated at first; more where these are not feasible
 _LARGEST = 4096
 _REPORTS = 4  # so many reports, then as many with a further branch between them, and so on
 _TIMED = 1 << 16  # selections of which the time of all is estimated
-
-
-@dataclass(frozen=True, eq=False)
-class FeatureProof:
-    """State of a proof."""
-
-    # (n + 1,): least objective of the selections of each size so far; infinite without any.
-    best: FloatArray
-    genes: dict[int, Genes]  # the selection itself, by its size
-    decided: int  # selections decided
-    total: int  # selections to be decided
-    floor: float  # a lower bound of the objective of all selections; 0 if none is known
-
-    @property
-    def complete(self) -> bool:
-        """True if every selection is decided."""
-        return self.decided == self.total
-
-    def front(self) -> list[Genes]:
-        """Return the best selection of every size that beats all smaller ones."""
-        least, front = np.inf, []
-        for size in sorted(self.genes):
-            if self.best[size] < least:
-                least = self.best[size]
-                front.append(self.genes[size])
-        return front
-
-    def by_size(self, problem: Problem) -> list[SizeProof]:
-        """Return the best selection of every size and its proof (see `Proof.by_size`)."""
-        sizes = sorted(self.genes)
-        if not sizes:
-            return []
-        values, _ = each_of(problem, np.array([self.genes[size] for size in sizes]))
-        better = values < np.minimum.accumulate(np.append(np.inf, values))[:-1]
-        # Until then nothing is known of single sizes but the floor of all selections.
-        bounds = values if self.complete else np.minimum(values, self.floor)
-        return [SizeProof(self.genes[size], *of_size) for size, *of_size in zip(
-            sizes, values.tolist(), bounds.tolist(), (values <= bounds).tolist(), better.tolist(),
-            strict=True)]
 
 
 def selections_of(problem: Problem, systems: tuple[RowSystem, ...]) -> Selections:
@@ -171,24 +131,12 @@ def proof_generations(problem: Problem, systems: tuple[RowSystem, ...], workers:
            else "; each is evaluated, as the criterion or the model allows no other way")
     log.info("exact: deciding %s (%s)%s", amount(total, "subset"), space, how)
     index, last = 0, 0
+    nothing = problem.genome.random(np.random.default_rng(0), 1)
     for state, proof in enumerate(prove_features(problem, selections, workers)):
-        front = proof.front()
-        if index and not proof.complete and (not front or state - last <= index // _REPORTS):
+        soon = state - last <= index // _REPORTS
+        if index and not proof.complete and (soon or not proof.front()):
             continue
-        genes = np.array(front if proof.complete else front[-1:]) if front \
-            else problem.genome.random(np.random.default_rng(0), 1)
-        evaluation = problem.evaluate(genes)
-        certificate = {"optimal": proof.complete and bool(front), "subsets": proof.decided,
-                       "bounded": 0, "of": total, "space": space}
-        if front and (proof.complete or proof.floor > 0):
-            best = float(evaluation.objectives[-1, 0])
-            bound = best if proof.complete else min(best, proof.floor)
-            certificate |= {"bound": bound} | ({"gap": best / bound - 1} if bound > 0 else {})
-        if proof.complete and not front:
-            certificate["feasible"] = False
-        yield Generation(index, genes, evaluation, {
-            "share": proof.decided / total, "certificate": certificate,
-            "front": genes if front and proof.complete else (), "proof": proof})
+        yield generation_of(problem, proof, index, space, nothing)
         index, last = index + 1, state
 
 

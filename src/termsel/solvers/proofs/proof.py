@@ -14,6 +14,7 @@ from termsel.enumeration.subsets import SubsetResult
 from termsel.measurements.features import BoolArray, FloatArray, IntArray
 from termsel.problems.base import EnumerablePart, Problem
 from termsel.problems.segments import Bits, Genes
+from termsel.solvers.base import Generation
 
 ALL = "all selections"
 """Space of a certificate that leaves no selection out."""
@@ -151,6 +152,71 @@ class Proof:
         return genes
 
 
+@dataclass(frozen=True, eq=False)
+class FeatureProof:
+    """State of a proof."""
+
+    # (n + 1,): least objective of the selections of each size so far; infinite without any.
+    best: FloatArray
+    genes: dict[int, Genes]  # the selection itself, by its size
+    decided: int  # selections decided
+    total: int  # selections to be decided
+    floor: float  # a lower bound of the objective of all selections; 0 if none is known
+    pruned = 0  # no bound rules selections out
+
+    @property
+    def complete(self) -> bool:
+        """True if every selection is decided."""
+        return self.decided == self.total
+
+    def bound(self, best: float) -> float | None:
+        """Return a lower bound of the objective, given that of the best so far; None if unknown."""
+        if self.complete:
+            return best
+        return min(best, self.floor) if self.floor > 0 else None
+
+    def front(self) -> list[Genes]:
+        """Return the best selection of every size that beats all smaller ones."""
+        return [self.genes[size] for size in np.flatnonzero(_better(self.best)).tolist()]
+
+    def by_size(self, problem: Problem) -> list[SizeProof]:
+        """Return the best selection of every size and its proof (see `Proof.by_size`)."""
+        sizes = sorted(self.genes)
+        if not sizes:
+            return []
+        values, _ = each_of(problem, np.array([self.genes[size] for size in sizes]))
+        # Until then nothing is known of single sizes but the floor of all selections.
+        bounds = values if self.complete else np.minimum(values, self.floor)
+        return [SizeProof(self.genes[size], *of_size) for size, *of_size in zip(
+            sizes, values.tolist(), bounds.tolist(), (values <= bounds).tolist(),
+            _better(values).tolist(), strict=True)]
+
+
+def generation_of(problem: Problem, proof: Proof | FeatureProof, index: int, space: str,
+                  nothing: Genes) -> Generation:
+    """Return the best of every size once all is proven, the best of all until then.
+
+    The details have the share that is decided and the certificate, of a space in words. As long as
+    nothing is known to be feasible, the genes are those given for this, shape (1, size).
+    """
+    front = proof.front()
+    genes = np.array(front if proof.complete else front[-1:]) if front else nothing
+    evaluation = problem.evaluate(genes)
+    best = float(evaluation.objectives[-1, 0])
+    feasible = bool(front) and evaluation.violation[-1] == 0
+    bound = proof.bound(best) if feasible else None
+    gap = max(0.0, best / bound - 1) if bound is not None and bound > 0 else None
+    proven = proof.complete or (gap is not None and gap <= TIE)
+    certificate = {"optimal": bool(feasible and proven), "subsets": proof.decided,
+                   "bounded": proof.pruned, "of": proof.total, "space": space,
+                   "bound": bound, "gap": gap,
+                   "feasible": False if proof.complete and not front else None}
+    return Generation(index, genes, evaluation, {
+        "share": proof.decided / proof.total, "proof": proof,
+        "front": genes if front and proof.complete else (),
+        "certificate": {name: value for name, value in certificate.items() if value is not None}})
+
+
 def each_of(problem: Problem, genes: Genes) -> tuple[FloatArray, BoolArray]:
     """Return the first objectives of individuals, and whether they are feasible.
 
@@ -222,13 +288,19 @@ def prove(problem: Problem, max_terms: int | None = None,
 
 def limits_of(problem: Problem, part: EnumerablePart, max_terms: int | None) -> tuple[int, int]:
     """Return the fewest and the most genes of a part that leave a degree of freedom."""
-    slices = problem.genome.slices()
-    segment = next(s for s in problem.genome.segments
-                   if slices[s.name].start <= part.genes[0] < slices[s.name].stop)
-    assert isinstance(segment, Bits)  # what the solver declares
+    segment = segment_of(problem, part)
     most = [n for n in (segment.maximum, max_terms, len(part.genes),
                         len(part.system.design) - 1) if n is not None]
     return segment.minimum, min(most)
+
+
+def segment_of(problem: Problem, part: EnumerablePart) -> Bits:
+    """Return the segment that has the genes of a part."""
+    segment = next(s for s, where in zip(
+        problem.genome.segments, problem.genome.slices().values(), strict=True)
+        if where.start <= part.genes[0] < where.stop)
+    assert isinstance(segment, Bits)  # what the solvers declare
+    return segment
 
 
 def count(problem: Problem, max_terms: int | None = None) -> int:

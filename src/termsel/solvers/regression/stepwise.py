@@ -17,8 +17,8 @@ from termsel.errors import TermselError
 from termsel.measurements.features import BoolArray, FloatArray, IntArray
 from termsel.options import COUNT, Option
 from termsel.problems.base import EnumerablePart, Problem
-from termsel.problems.segments import Bits
 from termsel.solvers.base import Generation, Solver
+from termsel.solvers.proofs.proof import segment_of
 
 EXPLAINED = 1e-12
 """A target is explained when its residual is below this fraction of its length: rounding."""
@@ -82,10 +82,7 @@ def _regression(problem: Problem, part: EnumerablePart) -> Regression:
     forced = none if system.forced is None else system.forced
     forbidden = none if system.forbidden is None else system.forbidden
     constant = _constant(system) & ~forbidden
-    slices = problem.genome.slices()
-    segment = next(s for s in problem.genome.segments
-                   if slices[s.name].start <= part.genes[0] < slices[s.name].stop)
-    assert isinstance(segment, Bits)  # what the solver declares
+    segment = segment_of(problem, part)
     kept = forced | constant
     most = min(k if segment.maximum is None else segment.maximum, m - 1)  # a redundancy of 1
     return Regression(part.genes, system.design, system.target, system.denominator, constant,
