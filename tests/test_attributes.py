@@ -250,10 +250,10 @@ def test_an_objective_takes_a_column(scene: FeatureSet) -> None:
     result = termsel.run("owdis-points", features=scene, model="affine", solver="nsga2",
                          generations=6, options={"objectives": "n_features,share-of-maps"})
     for member in result.front:
-        used = np.isin(scene.ids, member["selection"]["features"])
+        used = np.isin(scene.ids, member.selection.features)
         sources = scene.texts("source")[used]
-        assert member["objectives"]["share-of-maps"] == pytest.approx(np.mean(sources == "map"))
-    assert min(one["objectives"]["share-of-maps"] for one in result.front) < 0.5
+        assert member.objectives["share-of-maps"] == pytest.approx(np.mean(sources == "map"))
+    assert min(one.objectives["share-of-maps"] for one in result.front) < 0.5
 
 
 def test_a_problem_takes_a_column(scene: FeatureSet) -> None:

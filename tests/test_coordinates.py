@@ -216,7 +216,7 @@ def test_without_pyproj(tmp_path: Path) -> None:
     done = subprocess.run([sys.executable, "-c", code, "run", "--problem", "rfm-terms",
                            "--fit-crs", "geocentric"], capture_output=True, text=True, check=False)
     assert done.returncode == 2, done.stderr
-    assert 'requires the package pyproj, which is not installed. Install it: pip install ' \
+    assert 'requires pyproj, which is not installed. Install it: pip install ' \
         '"termsel[gis]"' in done.stderr
     assert "Traceback" not in done.stderr
 

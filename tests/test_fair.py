@@ -169,7 +169,7 @@ def test_histories_of_repeated_searches_follow_each_other() -> None:
     result = termsel.run("owdis-lines-terms", generations=4,
                          options={"steps": "terms-first", "population": 20, "polish": False,
                                   "blunders": "keep"})
-    counts = [one["evaluations"] for one in result.history]
+    counts = [one.evaluations for one in result.history]
     assert counts == sorted(counts)
     assert len(counts) == 6
     assert counts[-1] == result.evaluations

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import unicodedata
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from difflib import get_close_matches
 
 _KEPT = frozenset("\u200c\u200d")
@@ -136,3 +137,26 @@ def amount(number: int, noun: str = "") -> str:
     short = f"{number:,}" if number < 10**15 else f"{number:.1e}".replace("e+", "e")
     ending = "" if number == 1 else "s"
     return f"{short} {noun}{ending}" if noun else short
+
+
+def first_of(names: Sequence[str], most: int = 10) -> str:
+    """Return the first names of a list, with dots where there are more."""
+    return ", ".join(names[:most]) + " ..." * (len(names) > most)
+
+
+@contextmanager
+def requires(what: str, packages: str, install: str, file: object = None) -> Iterator[None]:
+    """Run imports; where one fails, say what needs which packages, and how to install them.
+
+    `what` has its verb, as in "charts require"; `install` is what pip installs.
+    """
+    try:
+        yield
+    except ImportError:
+        are, them = ("are", "them") if " and " in packages else ("is", "it")
+        raise TermselError(f"{what} {packages}, which {are} not installed", file=file,
+                           hint=f"Install {them}: pip install {install}.") from None
+
+
+GIS = '"termsel[gis]"'
+"""The extra of what reads rasters, vector files and reference systems."""

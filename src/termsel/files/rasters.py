@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from termsel.errors import TermselError
+from termsel.errors import GIS, TermselError, requires
 from termsel.files.names import is_there, refuse_pipe, utf8_name
 from termsel.files.remote import HINT, NO_PROXY_EXISTS, local_alone
 from termsel.measurements.features import FloatArray
@@ -21,11 +21,8 @@ from termsel.measurements.features import FloatArray
 
 def require_rasterio() -> Any:
     """Return the package rasterio; the TermselError says how to install it if it is not there."""
-    try:
+    with requires("this requires", "rasterio", GIS):
         import rasterio
-    except ImportError:
-        raise TermselError("this requires rasterio, which is not installed",
-                           hint='Install it: pip install "termsel[gis]".') from None
     # GDAL's errors come as exceptions, which termsel explains; the log would repeat them.
     logging.getLogger("rasterio").addHandler(logging.NullHandler())
     return rasterio

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from termsel.errors import TermselError, printable
+from termsel.errors import GIS, TermselError, first_of, printable, requires
 from termsel.files.rasters import open_raster, positions
 from termsel.measurements.coordinates.crs import LOCAL, vertical_datum
 from termsel.measurements.coordinates.longitudes import nearest
@@ -21,7 +21,6 @@ log = logging.getLogger(__name__)
 
 _TILE = 1024  # pixels read at once along either side
 _METRES = frozenset({"", "m", "metre", "metres", "meter", "meters"})
-_NAMED = 10  # features named in a message
 _PLACED = "Give a raster in a geographic or projected CRS of the Earth."
 
 
@@ -108,12 +107,9 @@ def open_dem(path: Path, crs: str) -> Iterator[Dem]:
                            "CRS", file=path,
                            hint="State the CRS of the ground coordinates instead of local.")
     with open_raster(path) as raster:
-        try:
+        with requires("heights require", "pyproj", GIS):
             from pyproj import CRS, Transformer
             from pyproj.exceptions import CRSError, ProjError
-        except ImportError:
-            raise TermselError("heights require the package pyproj, which is not installed",
-                               hint='Install it: pip install "termsel[gis]".') from None
         if raster.crs is None or raster.transform.is_identity:
             raise TermselError("this raster is not georeferenced", file=path,
                                hint="Give a raster with a geotransform and a CRS.")
@@ -165,9 +161,8 @@ def with_heights(features: FeatureSet, dem: Path) -> FeatureSet:
         n = len(features.points)
         owner = features.points.ids + tuple(np.repeat(features.lines.ids, 2))
         names = list(dict.fromkeys(str(owner[i]) for i in np.flatnonzero(gone)))
-        named = ", ".join(names[:_NAMED]) + (" ..." if len(names) > _NAMED else "")
         raise TermselError(f"{len(names)} of {len(features)} features are outside the raster or "
-                           f"where it has no data: {named}", file=dem, ids=names,
+                           f"where it has no data: {first_of(names)}", file=dem, ids=names,
                            hint="Give a larger raster, fill its holes, or remove these features.")
     n = len(features.points)
     statement = (f"{unknown.sum()} of {len(ground)} heights from {printable(dem.name)}, bilinear; "

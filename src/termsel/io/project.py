@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from termsel.errors import TermselError, counted
+from termsel.errors import TermselError, counted, first_of
 from termsel.files.names import is_there
 from termsel.fits.extrapolation import FAR, outside
 from termsel.formats.base import read_once
@@ -25,7 +25,6 @@ from termsel.measurements.tables.columns import COORDINATES
 if TYPE_CHECKING:
     from termsel.results.result import Result
 
-_NAMED = 10  # points named in a warning
 _ID = {"id": ("id", "name")}
 
 
@@ -100,14 +99,10 @@ def _warnings(missed: Sequence[str], far: Sequence[str], *, encloses: bool) -> I
     if not encloses:
         yield "the control encloses no area, so nothing tells which places lie outside it"
     if missed:
-        yield f"no position was found for {counted(len(missed), 'point')}: {_listed(missed)}"
+        yield f"no position was found for {counted(len(missed), 'point')}: {first_of(missed)}"
     if far:
         yield (f"{counted(len(far), 'point')} {'is' if len(far) == 1 else 'are'} far outside the "
-               f"control, where the model does not hold: {_listed(far)}")
-
-
-def _listed(ids: Sequence[str]) -> str:
-    return f"{', '.join(ids[:_NAMED])}{' ...' if len(ids) > _NAMED else ''}"
+               f"control, where the model does not hold: {first_of(far)}")
 
 
 def _control(result: Result) -> FloatArray:

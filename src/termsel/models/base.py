@@ -11,7 +11,7 @@ import numpy as np
 
 from termsel.adjustment.equations import Equations
 from termsel.adjustment.interpolation import Interpolation
-from termsel.errors import TermselError
+from termsel.errors import TermselError, first_of
 from termsel.fits.fit import Fit
 from termsel.fits.of_features import control_of, fit_all_terms
 from termsel.guard.arrays import of_shape, of_type
@@ -358,8 +358,7 @@ def require_heights(model: SensorModel, features: FeatureSet) -> None:
     """Refuse features without height for a model that uses it, and name them."""
     missing = features.without_height()
     if model.uses_height and missing:
-        some = ", ".join(missing[:5]) + (" ..." if len(missing) > 5 else "")
         raise TermselError(
             f"model {model.name!r} needs heights; they are unknown for {len(missing)} of the "
-            f"features: {some}",
+            f"features: {first_of(missing, 5)}",
             hint="Add heights, or choose a plane model such as --model poly2d.", ids=missing[:1])

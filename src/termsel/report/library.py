@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from functools import cache
 
-from termsel.errors import TermselError
+from termsel.errors import requires
 from termsel.report.theme import require_altair
 
 EMBED = "termselEmbed"
@@ -21,9 +21,6 @@ def library() -> str:
         If altair or vl-convert-python is not installed.
     """
     require_altair()
-    try:
+    with requires("pages require", "vl-convert-python", '"termsel[report]"'):
         from vl_convert import javascript_bundle
-    except ImportError:
-        raise TermselError("pages require vl-convert-python, which is not installed",
-                           hint='Install it: pip install "termsel[report]".') from None
     return javascript_bundle(f"window.{EMBED} = vegaEmbed;").replace("</script", "<\\/script")

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from termsel.errors import TermselError, unknown_name
+from termsel.errors import TermselError, requires, unknown_name
 from termsel.files.atomic import write_bytes
 from termsel.report.blocks import Figure
 from termsel.report.charts import bars, maps, search, terms
@@ -242,11 +242,8 @@ def save(drawn: Any, path: Path) -> None:
         If the suffix is another, vl-convert-python is missing, or the file cannot be written.
     """
     require_picture(path)
-    try:
+    with requires("pictures require", "vl-convert-python", '"termsel[report]"'):
         import vl_convert
-    except ImportError:
-        raise TermselError("pictures require vl-convert-python, which is not installed",
-                     hint='Install it: pip install "termsel[report]".') from None
     spec = drawn.to_json(indent=None)
     suffix = path.suffix.lower()
     content = (vl_convert.vegalite_to_svg(spec).encode() if suffix == ".svg" else

@@ -9,7 +9,7 @@ from __future__ import annotations
 from functools import cache
 from typing import Any
 
-from termsel.errors import TermselError
+from termsel.errors import requires
 
 CONTROL, CHECK, INDEPENDENT = "#0072b2", "#e08a00", "#1b1f24"
 UNUSED, BLUNDER, LINE = "#9aa1ab", "#c8003c", "#0072b2"
@@ -32,11 +32,8 @@ def require_altair() -> Any:
     TermselError
         If it is not installed, with the command that installs it.
     """
-    try:
+    with requires("charts require", "altair and vl-convert-python", '"termsel[report]"'):
         import altair
-    except ImportError:
-        raise TermselError("charts require altair and vl-convert-python, which are not installed",
-                           hint='Install them: pip install "termsel[report]".') from None
     return altair
 
 

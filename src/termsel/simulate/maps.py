@@ -22,6 +22,7 @@ from numpy.random import Generator
 from termsel.errors import TermselError
 from termsel.measurements.datasets import DatasetSpec
 from termsel.measurements.features import FeatureSet, FloatArray, Points, no_lines
+from termsel.measurements.roles import ASSIGNABLE
 
 NAME = "old-map"
 CRS = "EPSG:32633"
@@ -113,7 +114,7 @@ def simulate_map(
     image = _shrunk(of_paper, shrinkage, image) + noise * of_noise.standard_normal(drawn.shape)
     up, right = -(drawn - extent / 2).T * [[1.0], [-1.0]] * GSD
     ground = np.column_stack([ORIGIN[0] + right, ORIGIN[1] + up, np.full(n_points, np.nan)])
-    roles = tuple(("control", "check", "independent")[i % 3] for i in range(n_points))
+    roles = tuple(ASSIGNABLE[i % 3] for i in range(n_points))
     points = Points(tuple(f"M{i + 1:03d}" for i in range(n_points)), image, ground, None, roles)
     return FeatureSet(points, no_lines(), CRS, SIZE, noise)
 

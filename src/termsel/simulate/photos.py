@@ -11,6 +11,7 @@ import numpy as np
 
 from termsel.measurements.datasets import DatasetSpec
 from termsel.measurements.features import FeatureSet, FloatArray, Points, no_lines
+from termsel.measurements.roles import ASSIGNABLE
 
 NAME = "aerial-photo"
 CRS = "EPSG:32633"
@@ -56,7 +57,7 @@ def photo() -> FeatureSet:
     inside = ((image > 40) & (image < np.array(SIZE) - 40)).all(axis=1)
     ground, image = ground[inside][:_POINTS], image[inside][:_POINTS]
     image = image + NOISE * rng.standard_normal(image.shape)
-    roles = tuple(("control", "check", "independent")[i % 3] for i in range(len(image)))
+    roles = tuple(ASSIGNABLE[i % 3] for i in range(len(image)))
     points = Points(tuple(f"A{i + 1:03d}" for i in range(len(image))), image,
                     ground + np.array([*ORIGIN, 0.0]), None, roles)
     return FeatureSet(points, no_lines(), CRS, SIZE, NOISE)

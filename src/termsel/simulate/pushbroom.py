@@ -7,6 +7,7 @@ aberration of light, light travel time and the motion of the pole.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,6 +28,9 @@ from termsel.simulate.wgs84 import (
 # Refractivity of air (n - 1) at sea level in the standard atmosphere, visible light, times the
 # height p0 / (rho0 g) = 8434 m of the equivalent homogeneous atmosphere: metres.
 _REFRACTIVITY_COLUMN = 2.778e-4 * 8434.0
+
+Heights = Callable[[FloatArray], FloatArray]
+"""Ellipsoidal heights [m], shape (n,), of longitude and latitude [deg], shape (n, 2)."""
 
 _CONVERGED = 1e-8  # px
 ITERATIONS = 40
@@ -247,6 +251,19 @@ class Pushbroom:
                 bent = straight - _refraction(to_ecef(place), vertical(place), height, station)
                 place = from_ecef(bent)
         return place[:, :2]
+
+    def on_terrain(self, terrain: Heights, image: FloatArray, start: float, rounds: int = 12,
+                   ) -> FloatArray:
+        """Return the points where rays of image points meet the terrain, shape (n, 3).
+
+        Longitude, latitude [deg] and ellipsoidal height [m], of line and sample [px], shape (n, 2);
+        `start` is the first approximation of the height [m].
+        """
+        height = np.full(len(image), start)
+        for _ in range(rounds):
+            place = self.locate(image, height)
+            height = terrain(place)
+        return np.column_stack([place, height])
 
     def off_nadir(self, line: float | None = None) -> float:
         """Return the angle between the middle detector's ray and the Earth's centre [deg].

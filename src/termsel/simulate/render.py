@@ -8,31 +8,13 @@ import numpy as np
 from scipy.ndimage import map_coordinates
 
 from termsel.measurements.features import FloatArray
-from termsel.simulate.pushbroom import Pushbroom
-
-Heights = Callable[[FloatArray], FloatArray]
-"""Ellipsoidal heights [m], shape (n,), of longitude and latitude [deg], shape (n, 2)."""
+from termsel.simulate.pushbroom import Heights, Pushbroom
 
 Pattern = Callable[[FloatArray], FloatArray]
 """Brightness, shape (n,), of longitude and latitude [deg], shape (n, 2)."""
 
-_ROUNDS = 12
 _MESH = 4  # px; the ground between is interpolated by cubic splines
 _MARGIN = 3  # meshes around the image, as splines are worst at the edge
-
-
-def on_terrain(sensor: Pushbroom, terrain: Heights, image: FloatArray, start: float,
-               ) -> FloatArray:
-    """Return the points where rays of image points meet the terrain, shape (n, 3).
-
-    Longitude, latitude [deg] and ellipsoidal height [m], of line and sample [px], shape (n, 2);
-    `start` is the first approximation of the height [m].
-    """
-    height = np.full(len(image), start)
-    for _ in range(_ROUNDS):
-        place = sensor.locate(image, height)
-        height = terrain(place)
-    return np.column_stack([place, height])
 
 
 def checkerboard(origin: tuple[float, float], side: tuple[float, float]) -> Pattern:
@@ -58,7 +40,7 @@ def render(sensor: Pushbroom, terrain: Heights, pattern: Pattern, *, oversample:
                       for size in (sensor.n_lines, sensor.n_samples))
     image = np.stack(np.meshgrid(lines, samples, indexing="ij"), axis=-1).astype(np.float64)
     middle = sensor.locate(np.array([sensor.centre]), 0.0)
-    ground = on_terrain(sensor, terrain, image.reshape(-1, 2), float(terrain(middle)[0]))
+    ground = sensor.on_terrain(terrain, image.reshape(-1, 2), float(terrain(middle)[0]))
     ground = ground.reshape(*image.shape[:2], 3)
     # From the centre of a pixel: the middles of its equal parts.
     part = (np.arange(oversample) + 0.5) / oversample - 0.5

@@ -25,13 +25,13 @@ from termsel.measurements.features import (
     no_lines,
     no_points,
 )
+from termsel.measurements.roles import ASSIGNABLE
 from termsel.simulate.catalogue import OTHERS, SCENES, Scene
 from termsel.simulate.orbit import pushbroom_at
 from termsel.simulate.pushbroom import Angle, Pushbroom
 from termsel.simulate.terrain import Terrain, hilly
 from termsel.simulate.wgs84 import SEMI_MAJOR
 
-_ROLES = ("control", "check", "independent")
 _EDGE = 0.015  # fraction of the image at each edge without measurements
 _CANDIDATES = 24  # places tried for each point
 _SMALLEST, _LARGEST = 4.0, 15.0  # sideways displacement of a mismatched line [px]
@@ -214,12 +214,8 @@ def _shaken(scene: Scene, sensor: Pushbroom) -> Pushbroom:
 def _on_ground(name: str, image: FloatArray) -> FloatArray:
     """Return lon, lat, height, shape (n, 3), of image points on the terrain."""
     sensor, terrain, _ = _geometry(name)
-    height = np.full(len(image), sum(_scene(name).heights) / 2)
-    # Slopes are gentle, so each iteration leaves about a twentieth of the error.
-    for _ in range(8):
-        place = sensor.locate(image, height)
-        height = terrain(place)
-    return np.column_stack([place, height])
+    # Slopes are gentle, so each round leaves about a twentieth of the error.
+    return sensor.on_terrain(terrain, image, sum(_scene(name).heights) / 2, rounds=8)
 
 
 def _role_counts(scene: Scene, count: int) -> tuple[int, int, int]:
@@ -256,7 +252,7 @@ def _points(scene: Scene, rng: Generator, numbers: tuple[int, int, int]) -> Poin
         done[i] = True
     ground = _on_ground(scene.name, image)
     return Points(_ids("P", count), sensor.project(ground), ground, None,
-                  tuple(_ROLES[role] for role in roles))
+                  tuple(ASSIGNABLE[role] for role in roles))
 
 
 def _lines(scene: Scene, rng: Generator, count: int) -> Lines:

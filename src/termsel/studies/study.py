@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from termsel.display import Glance
-from termsel.errors import TermselError, counted
+from termsel.errors import TermselError, counted, requires
 from termsel.studies.cells.journal import CellRecord
 from termsel.studies.cells.table import Row, columns_of, rows_of
 from termsel.studies.plan.spec import Spec
@@ -38,11 +38,8 @@ class Rows(list[Row]):
         TermselError
             If pandas is not installed.
         """
-        try:
+        with requires("tables require", "pandas", '"termsel[studies]"'):
             import pandas as pd
-        except ImportError as error:
-            raise TermselError("pandas is not installed", hint="Run: pip install "
-                               '"termsel[studies]".') from error
         return pd.DataFrame(list(self), columns=list(self.columns))
 
 

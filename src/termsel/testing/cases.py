@@ -7,12 +7,13 @@ import warnings
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from termsel.errors import unknown_name
+from termsel.errors import TermselError, unknown_name
 from termsel.guard.calls import unguarded
 from termsel.guard.inside import TooSlow, within
 from termsel.options import Configurable
@@ -68,6 +69,23 @@ def require(condition: object, message: str) -> None:
     """
     if not condition:
         raise AssertionError(message)
+
+
+def refused(call: Callable[[], object], path: Path, what: str, unnoticed: str) -> None:
+    """Require that a call raises a TermselError that names a file.
+
+    `what` is wrong with the file; `unnoticed` is said where nothing is raised.
+    """
+    try:
+        call()
+    except TermselError as error:
+        require(str(path) in str(error), f"the error on {what} does not name the file: {error}; "
+                                         "raise TermselError(..., file=path)")
+        return
+    except Exception as error:
+        raise AssertionError(f"{what} raises {type(error).__name__}: {error}; the user can "
+                             "correct it, so raise TermselError(..., file=path)") from error
+    raise AssertionError(f"{what} {unnoticed}; raise TermselError(..., file=path)")
 
 
 def assemble(

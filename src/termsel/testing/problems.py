@@ -23,7 +23,7 @@ from termsel.problems.segments import (
 )
 from termsel.problems.selection import SelectionProblem
 from termsel.testing.cases import require
-from termsel.testing.scenes import imaged
+from termsel.testing.scenes import imaged, numbered
 
 SIZE = 12
 
@@ -149,8 +149,8 @@ def bound() -> Toy:
     of 6; segment "c" is free but for c1, which is always on. The cost counts the genes that
     differ from a1, a5, a6, b4, b5, b6, c1 and c3: the optimum is 0.
     """
-    segments = (Bits("a", _labels("a", 8), 2, 4), Bits("b", _labels("b", 6), 3, 3),
-                Bits("c", _labels("c", 4)))
+    segments = (Bits("a", numbered("a", 8), 2, 4), Bits("b", numbered("b", 6), 3, 3),
+                Bits("c", numbered("c", 4)))
     genome = Genome(segments, on=("a1", "c1"), off=("a2",))
     best = np.isin(genome.labels, ("a1", "a5", "a6", "b4", "b5", "b6", "c1", "c3"))
     return Toy(genome, lambda genes: (
@@ -170,12 +170,12 @@ def typed(types: Iterable[type[AnySegment]]) -> Toy:
     Of `Bits` and a `Subset` one label is forced on and one off.
     """
     made: dict[type[AnySegment], AnySegment] = {
-        Bits: Bits("bits", _labels("b", 6), 2, 4),
-        Integers: Integers("integers", _labels("i", 2), (-2, 0), (3, 100)),
-        Reals: Reals("reals", _labels("r", 2), -1.5, 2.5),
-        Categories: Categories("categories", _labels("c", 2), ("x", "y", "z")),
-        Permutation: Permutation("permutation", _labels("p", 5)),
-        Subset: Subset("subset", _labels("s", 8), 3)}
+        Bits: Bits("bits", numbered("b", 6), 2, 4),
+        Integers: Integers("integers", numbered("i", 2), (-2, 0), (3, 100)),
+        Reals: Reals("reals", numbered("r", 2), -1.5, 2.5),
+        Categories: Categories("categories", numbered("c", 2), ("x", "y", "z")),
+        Permutation: Permutation("permutation", numbered("p", 5)),
+        Subset: Subset("subset", numbered("s", 8), 3)}
     segments = [made[one] for one in types]
     switched = [one for one in segments if isinstance(one, Bits | Subset)]
     genome = Genome(segments, on=[one.labels[0] for one in switched],
@@ -186,7 +186,7 @@ def typed(types: Iterable[type[AnySegment]]) -> Toy:
 
 def narrow(size: int, on: tuple[str, ...] = ()) -> Toy:
     """Return the problem of switching few genes on, some or all of them forced on."""
-    return Toy(Genome([Bits("terms", _labels("g", size))], on=on),
+    return Toy(Genome([Bits("terms", numbered("g", size))], on=on),
                lambda genes: (_off(genes), np.zeros(len(genes))))
 
 
@@ -203,12 +203,8 @@ def optimum(problem: Problem) -> float:
 
 def _plain(size: int) -> Genome:
     half = size // 2
-    return Genome([Bits("terms.line", _labels("l", half)),
-                   Bits("terms.sample", _labels("s", size - half))])
-
-
-def _labels(letter: str, n: int) -> tuple[str, ...]:
-    return tuple(f"{letter}{i + 1}" for i in range(n))
+    return Genome([Bits("terms.line", numbered("l", half)),
+                   Bits("terms.sample", numbered("s", size - half))])
 
 
 def _off(genes: BoolArray) -> FloatArray:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -11,7 +12,7 @@ import numpy as np
 from termsel.errors import TermselError
 from termsel.formats.base import Reader
 from termsel.measurements.features import FeatureSet
-from termsel.testing.cases import Case, Suite, declares, instance, label, require
+from termsel.testing.cases import Case, Suite, declares, instance, label, refused, require
 
 HEAD = 65536
 """Bytes of a file that are shown to `sniff`."""
@@ -161,17 +162,7 @@ def _cuts(example: Example) -> list[int]:
 
 
 def _refused(example: Example, path: Path, what: str) -> None:
-    """Require a TermselError that names the file."""
-    try:
-        example.reader.read(path)
-    except TermselError as error:
-        require(str(path) in str(error), f"the error on {what} does not name the file: {error}; "
-                                         "raise TermselError(..., file=path)")
-        return
-    except Exception as error:
-        raise AssertionError(f"{what} raises {type(error).__name__}: {error}; the user can "
-                             "correct it, so raise TermselError(..., file=path)") from error
-    raise AssertionError(f"{what} is read as if nothing were wrong; raise TermselError")
+    refused(lambda: example.reader.read(path), path, what, "is read as if nothing were wrong")
 
 
 def _require_refused(example: Example, content: bytes, what: str) -> None:
@@ -183,13 +174,9 @@ def _read_or_refuse(example: Example, folder: str, content: bytes, what: str,
                     ) -> FeatureSet | None:
     """Return the features read, or None if a TermselError names the file."""
     path = _put(example, folder, content)
-    try:
+    with suppress(Exception):
         return example.reader.read(path)
-    except TermselError:
-        _refused(example, path, what)
-    except Exception as error:
-        raise AssertionError(f"{what} raises {type(error).__name__}: {error}; raise TermselError("
-                             "..., file=path) for anything the user can correct") from error
+    _refused(example, path, what)
     return None
 
 

@@ -60,9 +60,9 @@ def imaged(model: SensorModel, coefficients: FloatArray, rng: np.random.Generato
     ends = model.project(coefficients, vertices.reshape(-1, 3)).reshape(-1, 2, 2)
     along = np.array([-0.3, 1.4])[None, :, None] * (ends[:, 1:] - ends[:, :1])
     return FeatureSet(
-        Points(_ids("p", points), model.project(coefficients, ground), ground)
+        Points(numbered("p", points), model.project(coefficients, ground), ground)
         if points else no_points(),
-        Lines(_ids("l", lines), ends[:, :1] + along, vertices) if lines else no_lines())
+        Lines(numbered("l", lines), ends[:, :1] + along, vertices) if lines else no_lines())
 
 
 def experiment(model: SensorModel, points: int, lines: int, shrink: float = 1.0,
@@ -103,5 +103,6 @@ def fitted(model: SensorModel, features: FeatureSet, ground: FloatArray) -> Floa
     return model.predict(coefficients, features, ground)
 
 
-def _ids(letter: str, n: int) -> tuple[str, ...]:
+def numbered(letter: str, n: int) -> tuple[str, ...]:
+    """Return names such as p1, p2, p3."""
     return tuple(f"{letter}{i + 1}" for i in range(n))

@@ -18,7 +18,7 @@ from termsel.results.result import Result
 from termsel.runs.judgement.assess import assessed
 from termsel.runs.task.task import prepare
 from termsel.solvers.search import search
-from termsel.testing.cases import Case, Suite, declares, instance, label, require
+from termsel.testing.cases import Case, Suite, declares, instance, label, refused, require
 from termsel.testing.scenes import imaged, random_coefficients, seeded
 
 OLD = b"what was there before"
@@ -169,18 +169,8 @@ def example_results() -> tuple[Result, ...]:
 
 
 def _refused(export: Export, result: Result, path: Path, what: str) -> None:
-    """Require a TermselError that names the file."""
-    try:
-        export.writer.write(result, path)
-    except TermselError as error:
-        require(str(path) in str(error), f"the error on {what} does not name the file: {error}; "
-                                         "raise TermselError(..., file=path)")
-        return
-    except Exception as error:
-        raise AssertionError(f"{what} raises {type(error).__name__}: {error}; write through "
-                             "termsel.files.atomic, or raise TermselError(..., "
-                             "file=path)") from error
-    raise AssertionError(f"{what} goes unnoticed; raise TermselError(..., file=path)")
+    refused(lambda: export.writer.write(result, path), path, what,
+            "goes unnoticed: write through termsel.files.atomic")
 
 
 def _require_old(path: Path, what: str) -> None:

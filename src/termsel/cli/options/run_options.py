@@ -166,10 +166,9 @@ class Asked:
             raise TermselError("there is nothing to run",
                                hint="Give --points FILE or --lines FILE, or --problem NAME or "
                                     "--dataset NAME for simulated data.")
-        if self.exports and self.out is None:
-            raise TermselError("--export requires --out", hint="Give a folder: --out DIR.")
-        if self.reports and self.out is None:
-            raise TermselError("--report requires --out", hint="Give a folder: --out DIR.")
+        if (self.exports or self.reports) and self.out is None:
+            raise TermselError(f"--{'export' if self.exports else 'report'} requires --out",
+                               hint="Give a folder: --out DIR.")
 
     @property
     def files(self) -> list[Path]:

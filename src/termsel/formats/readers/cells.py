@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from termsel.errors import TermselError
+from termsel.errors import TermselError, requires
 from termsel.files.names import is_there
 from termsel.formats.base import read_data
 from termsel.measurements.tables.columns import FOREIGN, USE, Aliases, declared, matches
@@ -209,11 +209,8 @@ def _of_text(path: Path, text: str, delimiter: str) -> Cells:
 
 def _sheet(path: Path, aliases: Aliases, own: Mapping[str, str], layer: str | None) -> Cells:
     """Return the rows of a sheet of a spreadsheet: the first visible one that names columns."""
-    try:
+    with requires("spreadsheets require", "python-calamine", '"termsel[tables]"', path):
         from python_calamine import CalamineError, CalamineWorkbook, SheetVisibleEnum
-    except ImportError:
-        raise TermselError("spreadsheets require python-calamine, which is not installed",
-                           file=path, hint='Install it: pip install "termsel[tables]".') from None
     try:
         with CalamineWorkbook.from_path(str(path)) as book:
             names = [sheet.name for sheet in book.sheets_metadata

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from termsel.errors import TermselError
+from termsel.errors import TermselError, first_of
 from termsel.formats.base import Reader, located, read_head
 from termsel.formats.readers.geojson import (
     Feature,
@@ -27,7 +27,6 @@ log = logging.getLogger(__name__)
 
 _IMAGE = {name: LINES[name] for name in ("id", "line1", "sample1", "line2", "sample2")}
 _GEOMETRIES = {"LineString": 1, "MultiLineString": 2}
-_NAMED = 10  # ids in a message
 
 _JOIN = (
     Option("image_lines", None, "Table of image lines: id,line1,sample1,line2,sample2. Pieces of "
@@ -99,9 +98,8 @@ def _joined(path: Path, features: list[Feature], crs: str, image_lines: str | No
             described.setdefault(name, []).append(feature.attributes({join, "ji", "sigma"}))
     missing = [name for name in image if name not in ground]
     if missing:
-        named = ", ".join(missing[:_NAMED]) + (" ..." if len(missing) > _NAMED else "")
         raise TermselError(f"{len(missing)} of {len(image)} image lines have no ground line: "
-                           f"{named}", file=path, column=join,
+                           f"{first_of(missing)}", file=path, column=join,
                            hint="Check the ids, or choose their column with --set join=NAME.")
     idle = len({feature.text(join) for feature in features}) - len(image)
     if idle:

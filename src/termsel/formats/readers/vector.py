@@ -10,7 +10,7 @@ from warnings import catch_warnings, simplefilter
 
 import numpy as np
 
-from termsel.errors import TermselError
+from termsel.errors import GIS, TermselError, requires
 from termsel.files.names import is_there, utf8_name
 from termsel.files.remote import local_alone
 from termsel.formats.base import read_head
@@ -63,14 +63,11 @@ def read_layer(path: Path, layer: str | None, kinds: Mapping[str, int],
     Raises TermselError if GDAL cannot read the file, or a feature has another geometry.
     """
     read_head(path, "Expected a GeoPackage, Shapefile or FlatGeobuf.")
-    try:
+    with requires("this requires", "pyogrio and shapely", GIS, path):
         from pyogrio import list_layers
         from pyogrio.errors import DataLayerError, DataSourceError
         from pyogrio.raw import read
         from shapely import GEOSException, from_wkb, get_coordinates, get_parts
-    except ImportError:
-        raise TermselError("this requires pyogrio and shapely, which are not installed", file=path,
-                           hint='Install them: pip install "termsel[gis]".') from None
     try:
         with (local_alone(path) as options, _configured(options), catch_warnings(),
               utf8_name(path) as name):

@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from termsel.errors import TermselError
+from termsel.errors import GIS, TermselError, requires
 from termsel.files.atomic import private_folder, write_bytes
 from termsel.fits.scene import errors_on_ground
 from termsel.formats.base import Writer
@@ -45,15 +45,11 @@ class ResidualsGeopackage(Writer):
 
     def write(self, result: Result, path: Path) -> None:
         """Write the layers residuals and vectors, with their styles; needs the extra `gis`."""
-        try:
+        with requires("this format requires", "pyogrio and shapely", GIS, path):
             import shapely
             from pyogrio import read_info
             from pyogrio.errors import DataLayerError, DataSourceError
             from pyogrio.raw import write
-        except ImportError:
-            raise TermselError("this format requires pyogrio and shapely, which are not "
-                               "installed", file=path,
-                               hint='Install them: pip install "termsel[gis]".') from None
         residuals = result.residuals
         columns: dict[str, Any] = {
             name: np.array([getattr(r, name) for r in residuals]) for name in (

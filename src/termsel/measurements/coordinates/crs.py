@@ -17,7 +17,7 @@ from warnings import catch_warnings, simplefilter
 import numpy as np
 from numpy.typing import NDArray
 
-from termsel.errors import TermselError
+from termsel.errors import GIS, TermselError, requires
 
 if TYPE_CHECKING:
     from pyproj import CRS
@@ -132,13 +132,10 @@ def transformation(source: str, target: str, *, strict: bool = True) -> Transfor
     if LOCAL in (source, target):
         raise TermselError(f"plane coordinates without a CRS cannot be transformed to {into}",
                            hint="State the CRS of the ground coordinates.")
-    try:
+    with requires(f"the transformation of {short(source)} to {into} requires", "pyproj", GIS):
         from pyproj import Transformer
         from pyproj.exceptions import ProjError
-    except ImportError:
-        raise TermselError(f"the transformation of {short(source)} to {into} requires the package "
-                           "pyproj, which is not installed",
-                           hint='Install it: pip install "termsel[gis]".') from None
+
     failure = f"coordinates in {short(source)} cannot be transformed to {into}"
     known = [_with_pyproj(name) for name in (source, target)]
     ends = [one if len(one.axis_info) > 2 else one.to_3d() for one in known if one is not None]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from termsel.errors import TermselError
+from termsel.errors import GIS, TermselError, requires
 from termsel.measurements.coordinates.crs import horizontal, is_geographic, transformation
 from termsel.measurements.features import FloatArray
 
@@ -15,12 +15,10 @@ def utm_zone(lon: float, lat: float) -> str:
     Raises TermselError near the poles, where there is none; without pyproj.
     """
     lon = (lon + 180) % 360 - 180
-    try:
+    with requires("the UTM zone of the control requires", "pyproj", GIS):
         from pyproj.aoi import AreaOfInterest
         from pyproj.database import query_utm_crs_info
-    except ImportError:
-        raise TermselError("the UTM zone of the control needs the package pyproj, which is not "
-                           "installed", hint='Install it: pip install "termsel[gis]".') from None
+
     zones = query_utm_crs_info("WGS 84", AreaOfInterest(lon, lat, lon, lat))
     if not zones:
         raise TermselError(f"no UTM zone holds longitude {lon:.6g}, latitude {lat:.6g}",

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from termsel.display import Glance
-from termsel.errors import TermselError
+from termsel.errors import TermselError, requires
 from termsel.measurements.coordinates.crs import horizontal
 from termsel.measurements.tables.attributes import Attributes, as_attributes, joined, rows_at
 from termsel.measurements.values import (
@@ -39,11 +39,8 @@ class Framed:
 
     def to_pandas(self) -> Any:
         """Return a pandas DataFrame with a row for each."""
-        try:
+        with requires("tables require", "pandas", "pandas"):
             from pandas import DataFrame
-        except ImportError:
-            raise TermselError("tables require pandas, which is not installed",
-                               hint="Install it: pip install pandas.") from None
         return DataFrame(dict(self._columns()))
 
     def to_geopandas(self, crs: str = "local") -> Any:
@@ -51,12 +48,9 @@ class Framed:
 
         `crs` is that of the feature set.
         """
-        try:
+        with requires("maps of features require", "geopandas", "geopandas"):
             import shapely
             from geopandas import GeoDataFrame
-        except ImportError:
-            raise TermselError("maps of features require geopandas, which is not installed",
-                               hint="Install it: pip install geopandas.") from None
         places = self._places()
         flat = bool(np.isnan(places[..., 2]).any())
         at = places[..., :2] if flat else places

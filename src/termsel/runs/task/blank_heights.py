@@ -6,11 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from termsel.errors import counted
+from termsel.errors import counted, first_of
 from termsel.measurements.control import Control, carriers
 from termsel.measurements.features import FeatureSet
-
-_NAMED = 10
 
 
 def to_leave_out(features: FeatureSet) -> tuple[str, ...]:
@@ -34,7 +32,7 @@ def to_leave_out(features: FeatureSet) -> tuple[str, ...]:
 
 def note_on_blank(ids: Sequence[str], features: FeatureSet) -> str:
     """Return the note on features, of those as read, that were left out for want of a height."""
-    named = ", ".join(ids[:_NAMED]) + " ..." * (len(ids) > _NAMED)
+    named = first_of(ids)
     one = len(ids) == 1
     return (f"{counted(len(ids), features.word[:-1])} without a height "
             f"{'takes' if one else 'take'} no part, as the model uses heights: {named}. Give "

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from termsel.errors import TermselError
+from termsel.errors import requires
 from termsel.io.result_folder import read_result
 from termsel.measurements.coordinates.crs import horizontal
 from termsel.studies.cells.images import IMAGES, folders_of
@@ -25,12 +25,9 @@ def map_of(rows: Sequence[Row], columns: Sequence[str], cells: Mapping[str, Mapp
     `cells` are the labels of all cells by key, `folder` that of the study. Images without a result
     are left out. Raises TermselError without geopandas, or where a result cannot be read.
     """
-    try:
+    with requires("maps of images require", "geopandas", "geopandas"):
         import geopandas as gpd
         import shapely
-    except ImportError:
-        raise TermselError("maps of images require geopandas, which is not installed",
-                           hint="Install it: pip install geopandas.") from None
     folders = folders_of(cells)
     found: dict[str, tuple[str, Any]] = {}
     for key in (row["cell"] for row in rows if row["state"] == "done" and row["cell"] in folders):

@@ -11,7 +11,7 @@ from queue import Empty, Queue
 from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 
-from termsel.errors import TermselError
+from termsel.errors import TermselError, requires
 from termsel.measurements.features import FeatureSet
 from termsel.plugins.registry import registry
 from termsel.runs.task.provenance import versions
@@ -65,11 +65,9 @@ def on_cluster(cells: Sequence[Cell], features: Mapping[str, FeatureSet], stop: 
 
 
 def _connected(address: str) -> Client:
-    try:
+    with requires("a scheduler requires", "dask.distributed", '"termsel[distributed]"'):
         from distributed import Client
-    except ImportError as error:
-        raise TermselError("dask.distributed is not installed", hint="Run: pip install "
-                           '"termsel[distributed]".') from error
+
     wrong = TermselError(f"{address!r} is no address of a scheduler",
                          hint="Write --scheduler tcp://host:8786.")
     if not _has_port(address):  # a client of dask would wait, then fail in its own words
