@@ -207,21 +207,11 @@ def has_pole(fitted: Fit) -> bool:
 
 
 def left_out_squares(fitted: Fit) -> FloatArray:
-    """Return the squared error of each control feature under the fit without it, shape (n,).
+    """Return the squared error of each control feature under the fit without it [px^2], (n,).
 
-    As the criterion press judges: with equations to first order where others are not exact, so
-    that this is closed form throughout.
-
-    Parameters
-    ----------
-    fitted : Fit
-        By least squares.
-
-    Returns
-    -------
-    ndarray, shape (n,)
-        [px^2]; infinite throughout where some feature is indispensable, and where a denominator
-        falls short.
+    By least squares, as the criterion press judges: with equations to first order where others are
+    not exact, so that this is closed form throughout. Infinite throughout where some feature is
+    indispensable, and where a denominator falls short.
     """
     model, control = fitted.model, fitted.scaled_control
     parts = independent_parts(model.equations(control), model.axis)

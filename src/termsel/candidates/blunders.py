@@ -64,13 +64,9 @@ coefficients of a cubic polynomial, and a right point that shows a bend may look
 def find_blunders(control: Control, portfolio: Portfolio | None = None) -> Suspects | None:
     """Return which control features are blunders; None where they are too few for a test.
 
-    What the shrunken polynomial suspects is left out of the choice among all candidates. Features
-    that the chosen one predicts within STRAIN are no blunders: their errors were the polynomial's.
-
-    Parameters
-    ----------
-    portfolio : Portfolio, optional
-        By default the built-in candidates.
+    What the shrunken polynomial suspects is left out of the choice among all candidates, by default
+    those that are built in. Features that the chosen one predicts within STRAIN are no blunders:
+    their errors were the polynomial's.
     """
     everything = np.ones(len(control), dtype=bool)
     whole = Division(control, everything).shrunken_test()
@@ -128,19 +124,10 @@ def _errors(fitted: Fit, features: FeatureSet) -> FloatArray:
 
 
 def judge_others(chosen: Judged, heights: bool, others: Points) -> Suspects | None:
-    """Return which points that took no part contradict all control.
+    """Return which of other points, that took no part, contradict all control.
 
-    Parameters
-    ----------
-    chosen : Judged
-        The choice for control without blunders.
-    heights : bool
-        Whether models with heights are fitted.
-
-    Returns
-    -------
-    Suspects or None
-        For the other points; None as for `find_blunders`, or without any.
+    The choice is that for control without blunders, with heights or not. None as for
+    `find_blunders`, or without other points.
     """
     control, count = chosen.fit.control, len(chosen.fit.control.points)
     if not len(others):

@@ -23,25 +23,14 @@ WITHOUT_BLUNDERS = "without-blunders"
 
 @dataclass(frozen=True, eq=False)
 class Yardsticks:
-    """What a selection is compared with.
+    """What a selection is compared with."""
 
-    Parameters
-    ----------
-    baselines : tuple of Baseline
-        Each fitted to control and check together.
-    reference : str
-        Name of the one that `choose` takes for control and check, without a look at
-        the independent points; empty if none is determined.
-    choice : Choice or None
-        That choice.
-    blunders : tuple of str
-        Ids of features that it does without.
-    """
-
-    baselines: tuple[Baseline, ...]
+    baselines: tuple[Baseline, ...]  # each fitted to control and check together
+    # Name of the one that `choose` takes for control and check, without a look at the independent
+    # points; empty if none is determined.
     reference: str
-    choice: Choice | None
-    blunders: tuple[str, ...] = ()
+    choice: Choice | None  # that choice
+    blunders: tuple[str, ...] = ()  # ids of features that it does without
 
     @property
     def candidate(self) -> Candidate | None:

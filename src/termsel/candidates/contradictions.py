@@ -48,47 +48,30 @@ UNUSED = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class Suspects:
-    """Features against the predictions of the others, points before lines.
+    """Features against the predictions of the others, points before lines."""
 
-    Parameters
-    ----------
-    blunders : ndarray of bool, shape (n,)
-    probable : ndarray of bool, shape (n,)
-        Those blunders that the features in use do not show for certain.
-    undecided : ndarray of bool, shape (n,)
-        Those with such an error that the others do not determine the model at their place.
-    errors : ndarray, shape (n,)
-        Largest error in line or sample, or of a vertex off its line, as the features in use predict
-        it [px].
-    limits : ndarray, shape (n,)
-        Error that would be named at each feature [px].
-    """
-
-    blunders: BoolArray
-    probable: BoolArray
+    blunders: BoolArray  # (n,)
+    probable: BoolArray  # (n,): those blunders that the features in use do not show for certain
+    # (n,): those with such an error that the others do not determine the model at their place.
     undecided: BoolArray
+    # (n,): largest error in line or sample, or of a vertex off its line, as the features in use
+    # predict it [px].
     errors: FloatArray
-    limits: FloatArray
+    limits: FloatArray  # (n,): error that would be named at each feature [px]
 
 
 @dataclass(frozen=True, eq=False)
 class Test:
-    """What features in use predict for all features.
+    """What features in use predict for all features."""
 
-    `chance`, `strain` and `spread`, shape (n,), are the chance of an error as large, the error in
-    standard deviations, and the standard deviation of the prediction by that of the noise, which
-    is `noise` [px] with `freedom` degrees of freedom. `squares` are those of the errors of features
-    in use; `local` is true where a random field predicts.
-    """
-
-    errors: FloatArray
-    chance: FloatArray
-    strain: FloatArray
-    spread: FloatArray
-    noise: float
-    freedom: int
-    squares: FloatArray
-    local: bool = False
+    errors: FloatArray  # (n,): largest in line or sample, or of a vertex off its line [px]
+    chance: FloatArray  # (n,): of an error as large
+    strain: FloatArray  # (n,): the error in standard deviations
+    spread: FloatArray  # (n,): standard deviation of the prediction by that of the noise
+    noise: float  # [px]
+    freedom: int  # degrees of freedom of the noise
+    squares: FloatArray  # of the errors of features in use
+    local: bool = False  # whether a random field predicts
 
     def far(self, n: int) -> BoolArray:
         """Return the features whose error is beyond chance."""
@@ -109,12 +92,7 @@ class Test:
 
 @dataclass(frozen=True, eq=False)
 class Division:
-    """Features, of which some are in use and predict all.
-
-    Parameters
-    ----------
-    used : ndarray of bool, shape (n,)
-    """
+    """Features, of which those `used` (n,) predict all."""
 
     every: Control
     used: BoolArray

@@ -21,10 +21,7 @@ ESTIMATORS: dict[str, type[Estimator]] = {one.name: one for one in (
 def estimator_named(name: str, options: Mapping[str, Any]) -> Estimator:
     """Return the estimator of a name, made with options as `Estimator.options` gives them.
 
-    Raises
-    ------
-    TermselError
-        If there is no estimator of this name, or it has no such option.
+    Refuses a name that none has, and options that it does not take.
     """
     if name not in ESTIMATORS:
         raise unknown_name("estimator", name, ESTIMATORS)

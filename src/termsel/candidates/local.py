@@ -48,18 +48,7 @@ class Interpolated(Estimator):
 
 
 def points_alone(control: FeatureSet, used: BoolArray, what: str) -> Points:
-    """Return the points in use, and refuse lines.
-
-    Parameters
-    ----------
-    used : ndarray of bool, shape (len(control),)
-    what : str
-        What does not take lines, as the subject of a sentence.
-
-    Raises
-    ------
-    Undetermined
-    """
+    """Return the points in use (n,), and refuse lines for what does not take them, in words."""
     if len(control.lines):
         raise Undetermined(f"{what} takes control points alone, and there are control lines",
                            hint="Leave the lines out, or choose another model.")

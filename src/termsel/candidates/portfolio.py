@@ -35,28 +35,17 @@ EXACT = 3
 
 @dataclass(frozen=True, eq=False)
 class Choice:
-    """A candidate chosen from a portfolio.
-
-    Parameters
-    ----------
-    judged : tuple of Judged
-        All candidates the features determine with redundancy.
-    reason : str
-        Why this one, in sentences with the figures that decided.
-    """
+    """A candidate chosen from a portfolio."""
 
     chosen: Judged
-    judged: tuple[Judged, ...]
-    reason: str
+    judged: tuple[Judged, ...]  # all candidates that the features determine with redundancy
+    reason: str  # why this one, in sentences with the figures that decided
 
 
 class Portfolio:
     """The candidates of one run. One of a plugin that fails is left out from then on.
 
-    Parameters
-    ----------
-    candidates : iterable of Candidate
-        In the order of the tables that compare them; by default those that are built in.
+    They are in the order of the tables that compare them; by default those that are built in.
     """
 
     def __init__(self, candidates: Iterable[Candidate] = CANDIDATES) -> None:
@@ -125,30 +114,19 @@ Watch = Callable[[Judged | None], None]
 
 def choose(control: Control, portfolio: Portfolio | None = None, watch: Watch | None = None, *,
            whole: bool = True) -> Choice | None:
-    """Fit the portfolio to features and choose by leave-one-out.
+    """Fit the portfolio to features and choose by leave-one-out; None if none is determined.
 
-    A shrunken polynomial is averaged over all that lies between the plain ones, by a measure
-    that needs no points to be left out. The quadratic one is taken unless the cubic one is better
-    by BETTER standard errors (the rule of Breiman et al. 1984), and likewise any further candidate
+    A shrunken polynomial is averaged over all that lies between the plain ones, by a measure that
+    needs no points to be left out. The quadratic one is taken unless the cubic one is better by
+    BETTER standard errors (the rule of Breiman et al. 1984), and likewise any further candidate
     with a prior of its own. What none of them contains is taken only if it is better by CLEARLY
     standard errors, since the best of several is so partly by luck: projective and rational models,
     and few terms of their own. Where the points call for a random field, the shrunken polynomial
     with it takes the place of those without. Logarithms of squared errors are compared, lest a few
     great errors make everything uncertain. Where features are too few for any candidate with a
     prior, the smallest sum of squares decides: similarities and a plane affine polynomial are then
-    candidates too.
-
-    Parameters
-    ----------
-    portfolio : Portfolio, optional
-        By default the built-in candidates.
-    whole : bool
-        Whether candidates that others contain are judged all the same, to be shown.
-
-    Returns
-    -------
-    Choice or None
-        None if the features do not determine any candidate with redundancy.
+    candidates too. With `whole`, candidates that others contain are judged all the same, to be
+    shown.
     """
     portfolio = portfolio or Portfolio()
     offered = portfolio.offered(control)
@@ -183,15 +161,7 @@ def _contained(candidate: Candidate, judged: Iterable[Judged]) -> bool:
 def exact(control: Control) -> Choice:
     """Return what two or three features determine: a similarity, or an affine polynomial.
 
-    Parameters
-    ----------
-    control : Control
-        Two or three features.
-
-    Raises
-    ------
-    Undetermined
-        If three points lie on a line, or lines are parallel.
+    Raises Undetermined if three points lie on a line, or lines are parallel.
     """
     plane, n = replace(control, heights=False), len(control)
     candidate = named("similarity" if n == 2 else "affine")
@@ -228,17 +198,8 @@ def choose_features(control: Control, portfolio: Portfolio | None = None,
     """Choose as `choose`, and whether from points with lines, or from the points alone.
 
     Lines that add more error than redundancy are left out whole: where the points alone predict the
-    points, each by the others, better by BETTER standard errors.
-
-    Parameters
-    ----------
-    control, portfolio, watch, whole
-        As for `choose`; `watch` is told of the choice from all features alone.
-
-    Returns
-    -------
-    Choice or None
-        As `choose`. The control of the chosen fit has no lines where points alone are better.
+    points, each by the others, better by BETTER standard errors. The control of the chosen fit then
+    has no lines. `watch` is told of the choice from all features alone.
     """
     portfolio, count = portfolio or Portfolio(), len(control.features.points)
     choice = choose(control, portfolio, watch, whole=whole)

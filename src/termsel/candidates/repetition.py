@@ -24,24 +24,13 @@ def folds_of(control: FeatureSet) -> int:
 
 def repeated(control: Control, portfolio: Portfolio | None = None,
              watch: Watch | None = None) -> FloatArray | None:
-    """Return the errors of features under choices made without them.
+    """Return the errors of features under choices made without them, (n_points + n_lines, 2) [px].
 
-    In each fold the choice is made again, so that its errors are not those that it was made by.
-
-    Parameters
-    ----------
-    control : Control
-        Folds are spread over the scene.
-    portfolio, watch
-        As for `choose`.
-
-    Returns
-    -------
-    ndarray, shape (n_points + n_lines, 2), or None
-        Measured minus predicted [px]: of a point its line and sample; of a line the distances of
-        its two vertices, weighted by how well the image line is known there, so that they compare
-        with two coordinates of a point. None if some fold leaves too little to choose by, or lines
-        alone that are too few to shrink.
+    In each fold, spread over the scene, the choice is made again, so that its errors are not those
+    that it was made by. They are measured minus predicted: of a point its line and sample; of a
+    line the distances of its two vertices, weighted by how well the image line is known there, so
+    that they compare with two coordinates of a point. None if some fold leaves too little to choose
+    by, or lines alone that are too few to shrink.
     """
     portfolio, features = portfolio or Portfolio(), control.features
     order, folds = spatial_order(ground_centres(features)), folds_of(features)

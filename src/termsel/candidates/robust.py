@@ -33,12 +33,7 @@ SETTLED = 1e-8
 
 @dataclass(frozen=True)
 class Reweighted(Estimator):
-    """Huber's estimator, or Tukey's biweight that begins with its solution.
-
-    Parameters
-    ----------
-    biweight : bool
-    """
+    """Huber's estimator, or Tukey's biweight that begins with its solution."""
 
     name = "reweighted"
     biweight: bool
@@ -57,21 +52,10 @@ class Reweighted(Estimator):
 
 
 def reweighted(equations: Equations, biweight: bool) -> tuple[FloatArray, FloatArray]:
-    """Return the coefficients of an M-estimator and the weights of its rows, 0 to 1.
+    """Return the coefficients (k,) of an M-estimator and the weights of its rows (m,), 0 to 1.
 
-    The scale is the median absolute residual of each iteration.
-
-    Parameters
-    ----------
-    equations : Equations
-        m rows that determine k terms.
-    biweight : bool
-        Whether the estimator is Tukey's biweight, after Huber's.
-
-    Returns
-    -------
-    coefficients : ndarray, shape (k,)
-    weights : ndarray, shape (m,)
+    The scale is the median absolute residual of each iteration. With `biweight` the estimator is
+    Tukey's, after Huber's.
     """
     A, b = equations.A, equations.b
     x, weights = np.linalg.lstsq(A, b)[0], np.ones(len(b))

@@ -29,17 +29,11 @@ MAX_FOLDS = 100
 
 @dataclass(frozen=True, eq=False)
 class AxisTerms:
-    """Terms selected for one axis.
+    """Terms selected for one axis."""
 
-    Parameters
-    ----------
-    terms : ndarray of bool, shape (k,)
-    errors : ndarray, shape (n,)
-        Measured minus predicted by a selection that was made without that point, or without its
-        fold where there are more than MAX_FOLDS points.
-    """
-
-    terms: BoolArray
+    terms: BoolArray  # (k,)
+    # (n,): measured minus predicted by a selection that was made without that point, or without its
+    # fold where there are more than MAX_FOLDS points.
     errors: FloatArray
 
 
@@ -70,20 +64,10 @@ class ForwardSelection(Estimator):
 
 def select_forward(columns: FloatArray, target: FloatArray,
                    forced: BoolArray) -> list[AxisTerms] | None:
-    """Select terms of some axes, each by itself.
+    """Select terms of each of a axes by itself, of columns (a, n, k) for a target (a, n).
 
-    Parameters
-    ----------
-    columns : ndarray, shape (a, n, k)
-    target : ndarray, shape (a, n)
-    forced : ndarray of bool, shape (k,)
-        Terms that are always in.
-
-    Returns
-    -------
-    list of AxisTerms, or None
-        None if the points without one leave no redundancy of a third of the equations with
-        the forced terms alone.
+    Forced terms (k,) are always in. None if the points without one leave no redundancy of a third
+    of the equations with the forced terms alone.
     """
     axes, n, k = columns.shape
     most = (2 * (n - 1)) // 3 - int(forced.sum())
@@ -140,19 +124,10 @@ def _triangle(rows: FloatArray) -> FloatArray:
 
 def _chosen(systems: FloatArray, equations: FloatArray, forced: int,
             most: int) -> BoolArray | None:
-    """Return the terms that each of s systems selects, shape (s, k); None if the forced ones are
-    dependent.
+    """Return the terms that each of s systems selects, (s, k); None if forced ones are dependent.
 
-    Parameters
-    ----------
-    systems : ndarray, shape (s, r, k + 1)
-        Triangular factors of columns and target.
-    equations : ndarray, shape (s,)
-        How many each system had.
-    forced : int
-        Terms that are always in; they come first.
-    most : int
-        Terms that are selected at most, forced ones apart.
+    The systems (s, r, k + 1) are triangular factors of columns and target, of so many equations
+    (s,). Forced terms come first and are always in; at most so many others are selected.
     """
     count, free = len(systems), systems.shape[2] - 1 - forced
     lengths = np.linalg.norm(systems[:, :, :-1], axis=1)

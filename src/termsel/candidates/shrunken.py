@@ -47,22 +47,14 @@ from termsel.priors.posterior import DRAWS, polynomial_posterior
 
 @dataclass(frozen=True, eq=False)
 class Average:
-    """An averaged polynomial.
+    """An averaged polynomial."""
 
-    Parameters
-    ----------
-    coefficients : ndarray, shape (k, 2)
-        Of line and sample.
-    errors : ndarray, shape (n, 2)
-        Measured minus predicted by the same procedure without that point, or without the line of
-        a vertex.
-    effective : float
-        Effective parameters of line and sample together: the trace of the matrix that turns
-        measurements into their fitted values.
-    """
-
-    coefficients: FloatArray
+    coefficients: FloatArray  # (k, 2): of line and sample
+    # (n, 2): measured minus predicted by the same procedure without that point, or without the line
+    # of a vertex.
     errors: FloatArray
+    # Effective parameters of line and sample together: the trace of the matrix that turns
+    # measurements into their fitted values.
     effective: float
 
 
@@ -102,22 +94,11 @@ class Averaging(Estimator):
 
 def average(ground: FloatArray, image: FloatArray, exponents: Exponents,
             weights: FloatArray | None = None) -> Average | None:
-    """Fit an averaged polynomial.
+    """Fit an averaged polynomial; None if all points but any one do not determine the affine terms.
 
-    Parameters
-    ----------
-    ground : ndarray, shape (n, 3)
-        Scaled to [-1, 1].
-    image : ndarray, shape (n, 2)
-    exponents : k exponents of X, Y, Z
-        Affine ones first.
-    weights : ndarray, shape (n, 2), optional
-        By which equations are multiplied: reciprocals of standard deviations, up to a factor.
-
-    Returns
-    -------
-    Average or None
-        None if all points but any one do not determine the affine terms.
+    The ground (n, 3) is scaled to [-1, 1], the image is (n, 2), of the k exponents affine ones come
+    first. Equations are multiplied by weights (n, 2): reciprocals of standard deviations, up to a
+    factor.
     """
     order = np.array(exponents).sum(axis=1)
     columns = monomials(ground, exponents)
@@ -138,18 +119,10 @@ def average(ground: FloatArray, image: FloatArray, exponents: Exponents,
 
 
 def average_with_lines(features: FeatureSet, model: Polynomial) -> Average | None:
-    """Fit an averaged polynomial to points and lines, or to lines.
+    """Fit an averaged polynomial to points and lines, or to lines, scaled to [-1, 1].
 
-    Parameters
-    ----------
-    features : FeatureSet
-        Scaled to [-1, 1].
-
-    Returns
-    -------
-    Average or None
-        None if all features but any one do not determine the affine terms. The errors are of the
-        points, then of both vertices of each line, along its normal.
+    The errors are of the points, then of both vertices of each line, along its normal. None if all
+    features but any one do not determine the affine terms.
     """
     equations = model.equations(features)
     found = coupled(equations, model.exponents, DRAWS, len(equations.b))

@@ -245,22 +245,10 @@ def posterior(columns: FloatArray, image: FloatArray, order: IntArray, weights: 
 
 def polynomial_posterior(ground: FloatArray, image: FloatArray, exponents: Exponents,
                          weights: FloatArray | None) -> Posterior | None:
-    """Return all solutions of a polynomial for points that are all in use.
+    """Return all solutions of a polynomial for points that are all in use (see `posterior`).
 
-    Parameters
-    ----------
-    ground : ndarray, shape (n, 3)
-        Scaled to [-1, 1].
-    image : ndarray, shape (n, 2)
-    exponents : k exponents of X, Y, Z
-        Affine ones first.
-    weights : ndarray, shape (n, 2) or None
-        By which equations are multiplied.
-
-    Returns
-    -------
-    Posterior or None
-        As `posterior`.
+    The ground (n, 3) is scaled to [-1, 1], the image is (n, 2), of the k exponents affine ones come
+    first; the equations are multiplied by the weights (n, 2), if any.
     """
     return _of_polynomial(ground.tobytes(), image.tobytes(), exponents,
                           None if weights is None else weights.tobytes())

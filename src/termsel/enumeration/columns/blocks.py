@@ -38,12 +38,8 @@ def prepare(top: FloatArray, extra: FloatArray, first: int, n: int, upper: Float
             floor: FloatArray, b: SubsetBlock) -> tuple[float, float]:
     """Write the inner products of columns first, ..., n - 1, and sums of their denominators.
 
-    The share of a column that depends on those in use, to the floor of its square, is zero.
-
-    Returns
-    -------
-    errors, below : float
-        Accuracy of a root of a sum of squared errors, and of a sum of denominators.
+    The share of a column that depends on those in use, to the floor of its square, is zero. Return
+    the accuracy of a root of a sum of squared errors, and of a sum of denominators.
     """
     height = len(upper) - 1
     for k in range(height):
