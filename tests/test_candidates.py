@@ -25,7 +25,7 @@ from termsel.measurements.features import BoolArray, FeatureSet, FloatArray
 from termsel.measurements.scaling import Scaling
 from termsel.models.base import SensorModel
 from termsel.models.polynomial import Affine, Polynomial3D
-from termsel.models.rational import Blocks, RationalModel
+from termsel.models.quotient import Blocks, RationalModel
 from termsel.plugins.registry import registry
 from termsel.testing import check, checks
 
