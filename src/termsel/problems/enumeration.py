@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -153,12 +153,8 @@ def _merge(sides: list[SubsetSystem], genes: list[IntArray]) -> SubsetSystem:
 def _ordered(system: SubsetSystem, order: IntArray, genome: Genome,
              genes: IntArray) -> SubsetSystem:
     """Return the system with its columns in order, and with the genome's forced genes."""
-    def columns(array: FloatArray | None) -> FloatArray | None:
-        return None if array is None else np.ascontiguousarray(array[:, order])
-
-    return SubsetSystem(
-        np.ascontiguousarray(system.design[:, order]), system.target,
-        columns(system.check_design), system.check_target, columns(system.denominator),
-        columns(system.check_denominator), columns(system.guard_denominator), system.margin,
-        genome.on[genes], genome.off[genes], system.some_of,
-        None if system.parents is None else system.parents[np.ix_(order, order)])
+    by_column = ("design", "check_design", "denominator", "check_denominator", "guard_denominator")
+    columns: dict[str, Any] = {name: np.ascontiguousarray(array[:, order]) for name in by_column
+                               if (array := getattr(system, name)) is not None}
+    return replace(system, **columns, forced=genome.on[genes], forbidden=genome.off[genes],
+                   parents=None if system.parents is None else system.parents[np.ix_(order, order)])

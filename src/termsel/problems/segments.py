@@ -30,6 +30,15 @@ class _Named:
         """Number of genes."""
         return len(self.labels)
 
+    @property
+    def limits(self) -> tuple[Any, Any]:
+        """Least and greatest number that a gene may be, of all or of each."""
+        return 0, len(self.labels) - 1
+
+    def repaired(self, genes: Genes) -> Genes:
+        """Return the nearest valid genes."""
+        return np.asarray(np.clip(np.rint(genes), *self.limits).astype(np.intp))
+
     def value(self, genes: Genes) -> Any:
         """Return the labels that the genes number, in the order of the genes."""
         return tuple(self.labels[int(i)] for i in genes)
@@ -56,6 +65,11 @@ class _Bounded(_Named):
                 np.isfinite(low) & np.isfinite(high) & (low <= high)).all():
             raise TermselError(f"the bounds of segment {self.name!r} are not {n} pairs of finite "
                                "numbers, the lower one first")
+
+    @property
+    def limits(self) -> tuple[Any, Any]:
+        """Least and greatest value of each gene."""
+        return self.low, self.high
 
     def fault(self, genes: Genes) -> str:
         """Return what is wrong with genes of any dtype, or nothing."""
@@ -94,6 +108,11 @@ class Bits(_Named):
     def most(self) -> int:
         """How many genes may be on."""
         return len(self.labels) if self.maximum is None else self.maximum
+
+    @property
+    def limits(self) -> tuple[int, int]:
+        """Off and on."""
+        return 0, 1
 
     def random(self, rng: np.random.Generator, n: int) -> BoolArray:
         """Return the genes of n individuals, each with its own random share of genes on.
@@ -138,10 +157,6 @@ class Integers(_Bounded):
     def random(self, rng: np.random.Generator, n: int) -> Genes:
         """Return uniform values, shape (n, size)."""
         return rng.integers(self.low, self.high, (n, self.size), endpoint=True)
-
-    def repaired(self, genes: Genes) -> Genes:
-        """Return the nearest valid genes."""
-        return np.asarray(np.clip(np.rint(genes), self.low, self.high).astype(np.intp))
 
     def fault(self, genes: Genes) -> str:
         """Return what is wrong with genes of any dtype, or nothing."""
@@ -202,9 +217,10 @@ class Categories(_Named):
         """Return uniform choices, shape (n, size)."""
         return rng.integers(0, len(self.choices), (n, self.size))
 
-    def repaired(self, genes: Genes) -> Genes:
-        """Return the nearest valid genes."""
-        return np.asarray(np.clip(np.rint(genes), 0, len(self.choices) - 1).astype(np.intp))
+    @property
+    def limits(self) -> tuple[int, int]:
+        """First and last number of a choice."""
+        return 0, len(self.choices) - 1
 
     def fault(self, genes: Genes) -> str:
         """Return what is wrong with genes of any dtype, or nothing."""
@@ -246,6 +262,8 @@ class Permutation(_Named):
 class Subset(_Named):
     """m of n things: m different numbers below n, ascending.
 
+    `Genome.repair` replaces numbers that occur twice.
+
     Parameters
     ----------
     name : str
@@ -285,10 +303,6 @@ class Subset(_Named):
     def random(self, rng: np.random.Generator, n: int) -> Genes:
         """Return random subsets, shape (n, m)."""
         return random_subsets(n, len(self.labels), self.m, rng)
-
-    def repaired(self, genes: Genes) -> Genes:
-        """Return the nearest numbers; the genome replaces those that occur twice."""
-        return np.asarray(np.clip(np.rint(genes), 0, len(self.labels) - 1).astype(np.intp))
 
     def fault(self, genes: Genes) -> str:
         """Return what is wrong with genes of any dtype, or nothing."""

@@ -14,16 +14,7 @@ from pymoo.termination.max_gen import MaximumGenerationTermination
 
 from termsel.measurements.features import FloatArray
 from termsel.problems.base import Evaluation, Problem
-from termsel.problems.segments import (
-    AnySegment,
-    Bits,
-    Categories,
-    Genes,
-    Integers,
-    Permutation,
-    Reals,
-    Subset,
-)
+from termsel.problems.segments import Bits, Genes
 from termsel.solvers.base import Generation
 from termsel.solvers.bridges.chance import OwnChance
 from termsel.solvers.budget import EVALUATIONS
@@ -67,23 +58,10 @@ def _broken(problem: Problem, genes: Genes) -> FloatArray:
 
 def _bounds(problem: Problem) -> tuple[FloatArray, FloatArray]:
     """Return the range of each gene, shape (g,) each."""
-    low, high = zip(*map(_range_of, problem.genome.segments), strict=True)
-    return np.concatenate(low), np.concatenate(high)
-
-
-def _range_of(segment: AnySegment) -> tuple[FloatArray, FloatArray]:
-    match segment:
-        case Integers() | Reals():
-            return np.array(segment.low, dtype=float), np.array(segment.high, dtype=float)
-        case Bits():
-            most = 1
-        case Categories():
-            most = len(segment.choices) - 1
-        case Permutation():
-            most = segment.size - 1
-        case Subset():
-            most = len(segment.labels) - 1
-    return np.zeros(segment.size), np.full(segment.size, float(most))
+    sides = [[np.broadcast_to(np.array(one, dtype=float), segment.size) for one in segment.limits]
+             for segment in problem.genome.segments]
+    low, high = map(np.concatenate, zip(*sides, strict=True))
+    return low, high
 
 
 def to_pymoo(problem: Problem) -> PymooProblem:
