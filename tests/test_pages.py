@@ -36,8 +36,8 @@ PAGES = [page for page in [ROOT / "README.md", *sorted(ROOT.glob("plugins/*/READ
                            *sorted(ROOT.glob("docs/**/*.md"))]
          if "_build" not in page.parts and snippets.steps(page.read_text(encoding="utf-8"))]
 SLOW = {"README.md", "docs/explanation/searching.md", "docs/tutorial/index.md",
-        *(f"docs/how-to/{name}.md" for name in (
-            "attributes", "blunders", "compare", "match", "points", "report"))}
+        "docs/tutorial/map-archivist.md", *(f"docs/how-to/{name}.md" for name in (
+            "attributes", "block", "blunders", "compare", "export", "match", "points", "report"))}
 """Pages that take long; `pytest -m slow` runs them, and the gallery as a build does."""
 
 
@@ -76,6 +76,8 @@ def _plugin() -> str:
 def test_page_can_be_followed(page: Path, tmp_path: Path, example: Path,
                               monkeypatch: pytest.MonkeyPatch) -> None:
     text = page.read_text(encoding="utf-8")
+    for package in set(re.findall(r"\./plugins/termsel-(\w+)", text)):
+        pytest.importorskip(f"termsel_{package}")
     if "termsel_dlt" in text:  # the plugin of the README
         (tmp_path / "termsel_dlt.py").write_text(_plugin(), encoding="utf-8")
         monkeypatch.syspath_prepend(tmp_path)
