@@ -108,10 +108,7 @@ MOST_NAMED = 40
 
 
 def unknown_name(kind: str, name: str, known: Iterable[str], hint: str = "") -> TermselError:
-    """Return the error for a name that is not among the known ones, with the nearest of them.
-
-    `kind` is what it names, such as "model"; `hint` a further sentence for the user.
-    """
+    """Return the error for a name of some kind that is not among the known, with the nearest."""
     names = sorted(set(known))
     near = get_close_matches(name, names, n=1, cutoff=0.6)
     guess = f"Did you mean {near[0]!r}? " if near else ""

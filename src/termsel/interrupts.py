@@ -40,16 +40,14 @@ def leave(_number: int = signal.SIGINT, _frame: FrameType | None = None) -> NoRe
 
 
 def end() -> NoReturn:
-    """End the program with the exit code `INTERRUPTED`, after what it has printed.
-
-    Python itself would end by the signal, whatever the exit code, if the interrupt passed through
-    code that was executed from text, such as that of a dataclass.
-    """
+    """End the program with the exit code `INTERRUPTED`, after what it has printed."""
     from contextlib import suppress
 
     for stream in (sys.stdout, sys.stderr):
         with suppress(OSError, ValueError):  # a full disk, or closed
             stream.flush()
+    # Python itself would end by the signal, whatever the exit code, if the interrupt passed through
+    # code that was executed from text, such as that of a dataclass.
     os._exit(INTERRUPTED)
 
 

@@ -160,10 +160,7 @@ def by_part(given: Mapping[str, Any],
 
 
 def resolve(declared: Iterable[Option], given: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the value of every declared option, given what was set.
-
-    Raises TermselError for a key that is not declared, or a value its option does not accept.
-    """
+    """Return the value of every declared option, given what was set; refuse all else."""
     options = {option.name: option for option in declared}
     for key in given:
         if key not in options:

@@ -13,11 +13,9 @@ R = TypeVar("R")
 
 
 def one_blas_thread(function: Callable[P, R]) -> Callable[P, R]:
-    """Return a function that limits BLAS to one thread during its calls.
-
-    Matrices are small here. More threads wait for each other in busy loops: that gains nothing,
-    and on a busy machine it takes several times the processor time.
-    """
+    """Return a function that limits BLAS to one thread during its calls."""
+    # Matrices are small here. More threads wait for each other in busy loops: that gains nothing,
+    # and on a busy machine it takes several times the processor time.
     @wraps(function)
     def alone(*args: P.args, **kwargs: P.kwargs) -> R:
         with threadpool_limits(1, user_api="blas"):

@@ -10,10 +10,8 @@ PLUGIN_API = f"{_MAJOR}.{_MINOR}"
 
 
 def plugin_bound() -> str:
-    """Return the versions of termsel that a plugin written for this one works with: ``>=0.3,<0.4``.
-
-    Before the release of 0.3.0 it begins with the development version, which ``>=0.3`` would leave
-    out.
-    """
+    """Return the versions of termsel that a plugin of this one works with: ``>=0.3,<0.4``."""
+    # Before the release of 0.3.0 it begins with the development version, which >=0.3 would leave
+    # out.
     development = __version__ if "dev" in __version__ else PLUGIN_API
     return f">={development},<{_MAJOR}.{_MINOR + 1}"

@@ -37,10 +37,7 @@ _UNWRITABLE = {errno.EPIPE, errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, 
 
 @contextmanager
 def _stdout_may_end() -> Iterator[None]:
-    """End the program silently when the reader of its output, such as head, has ended.
-
-    Raises TermselError if stdout cannot be written for another reason, such as a full disk.
-    """
+    """End the program silently when the reader of its output, such as head, has ended."""
     try:
         yield
         stdout().flush()

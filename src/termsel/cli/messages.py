@@ -18,10 +18,8 @@ _results: TextIO | None = None
 
 
 def take_stdout() -> None:
-    """Keep stdout for `echo`: what else prints, such as a plugin, prints on stderr from here on.
-
-    Once for a command and not for each call into a plugin, as other threads may be printing.
-    """
+    """Keep stdout for `echo`: what else prints, such as a plugin, prints on stderr from here on."""
+    # Once for a command and not for each call into a plugin, as other threads may be printing.
     global _results
     if _results is None:
         _results, sys.stdout = sys.stdout, sys.stderr
@@ -40,10 +38,8 @@ def stdout() -> TextIO:
 
 
 def echo(text: str = "", *, err: bool = False, nl: bool = True) -> None:
-    """Print text, printable whatever names and files brought, and a line end (`nl`).
-
-    If stderr (`err`) cannot be written, as on a full disk, the command goes on.
-    """
+    """Print text, printable whatever names and files brought, and a line end (`nl`)."""
+    # If stderr cannot be written, as on a full disk, the command goes on.
     with suppress(OSError) if err else nullcontext():
         click.echo(printable(text), file=sys.stderr if err else stdout(), nl=nl)
 

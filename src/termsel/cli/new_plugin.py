@@ -74,10 +74,7 @@ def new_plugin(name: str, kind: str, parent: Path) -> None:
 
 
 def package(name: str, kind: str) -> dict[str, str]:
-    """Return the files of a new package, by their path in it.
-
-    Raises TermselError for a name that no package or module can have, or that is taken.
-    """
+    """Return the files of a new package, by their path in it; refuse a name that cannot be."""
     module = re.sub(r"[-_.]+", "_", name).lower()
     thing = re.sub(r"[-_.]+", "-", name).lower().removeprefix("termsel-")
     _require_free(name, module, thing, kind)

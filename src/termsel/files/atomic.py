@@ -46,10 +46,7 @@ def atomic_path(path: Path | str) -> Iterator[Path]:
 
 
 def put_in_place(file: Path, target: Path) -> None:
-    """Replace a file, no link, by another on the same disk, which takes its permissions.
-
-    The content of the other is on the disk already; see `sync`.
-    """
+    """Replace a file, no link, by a synced one on this disk, which takes its permissions."""
     with suppress(FileNotFoundError):
         before = target.stat()
         if sys.platform != "win32":
@@ -104,10 +101,7 @@ def private_folder(parent: Path | None = None) -> Iterator[Path]:
 
 @contextmanager
 def new_folder(folder: Path) -> Iterator[Path]:
-    """Yield a private folder that becomes `folder` in the end, completely or not at all.
-
-    Raises TermselError if `folder` exists or cannot be written.
-    """
+    """Yield a private folder that becomes `folder` in the end, completely or not at all."""
     if os.path.lexists(folder):
         raise TermselError("this folder exists already" if folder.is_dir() else
                            "a file of this name exists already", file=folder,

@@ -17,15 +17,12 @@ JOURNAL = "journal.jsonl"
 
 
 def is_there(path: Path) -> bool:
-    """Return whether there is such a file or folder.
-
-    Raises TermselError if it cannot be told: the name is too long, its folder may not be searched,
-    or symbolic links lead in a circle.
-    """
+    """Return whether there is such a file or folder; TermselError if it cannot be told."""
     try:
         path.stat()
     except (FileNotFoundError, NotADirectoryError):
         return False
+    # The name may be too long, its folder not be searched, or links lead in a circle.
     except OSError as error:
         raise TermselError(f"cannot look for this file: {error.strerror or error}", file=path,
                            hint="Check the name, and the permissions of its folder.") from error
@@ -53,15 +50,13 @@ def _kind(path: Path) -> int | None:
 
 @contextmanager
 def utf8_name(path: Path | str) -> Iterator[Path | str]:
-    """Yield a name for libraries that take only UTF-8: the path, or that of a link to it.
-
-    Files with the same stem are linked too, as GDAL looks for them next to an image.
-    """
+    """Yield a name for libraries that take only UTF-8: the path, or that of a link to it."""
     if _is_utf8(Path(path)):
         yield path
         return
     path = Path(path)
     with private_folder() as folder:
+        # Files with the same stem are linked too, as GDAL looks for them next to an image.
         for file in (path, *path.parent.glob(f"{glob.escape(path.stem)}*")):
             with suppress(FileExistsError):
                 (folder / _in_utf8(file.name)).symlink_to(file.absolute())

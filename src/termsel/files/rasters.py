@@ -34,13 +34,11 @@ def empty_tiff() -> bytes:
 
 
 def tiff_bytes(pixels: Any, driver: str = "GTiff", **profile: Any) -> bytes:
-    """Return a GeoTIFF, or other image, of pixels (bands, lines, samples), made in memory.
-
-    A file that is written as bytes is complete; GDAL may not report a full disk.
-    """
+    """Return a GeoTIFF, or other image, of pixels (bands, lines, samples), made in memory."""
     rasterio = require_rasterio()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
+        # What is written as bytes is complete; GDAL may not report a full disk.
         with rasterio.MemoryFile() as memory:
             with memory.open(driver=driver, count=pixels.shape[0], height=pixels.shape[1],
                              width=pixels.shape[2], dtype=pixels.dtype.name, **profile) as raster:
@@ -50,10 +48,8 @@ def tiff_bytes(pixels: Any, driver: str = "GTiff", **profile: Any) -> bytes:
 
 @contextmanager
 def _quiet_about_encodings() -> Iterator[None]:
-    """Keep Python from printing that rasterio cannot log a message that is not UTF-8.
-
-    It prints that twice, through either hook, before the error comes as an exception.
-    """
+    """Keep Python from printing that rasterio cannot log a message that is not UTF-8."""
+    # It prints that twice, through either hook, before the error comes as an exception.
     unraisable, uncaught = sys.unraisablehook, sys.excepthook
 
     def not_raised(what: sys.UnraisableHookArgs) -> None:

@@ -16,10 +16,7 @@ LONGEST = 1000
 
 def thumbnail(path: Path | str, expected: tuple[int, int] | None = None,
               ) -> tuple[str, tuple[int, int]]:
-    """Return an image as a small grey JPEG in a data URL, and its size.
-
-    Raises TermselError if it cannot be read, or has other lines and samples than `expected`.
-    """
+    """Return an image as a small grey JPEG in a data URL, and its size, which may be expected."""
     rasterio = require_rasterio()
     with open_raster(path) as raster:
         size = (int(raster.height), int(raster.width))

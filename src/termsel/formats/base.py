@@ -175,10 +175,7 @@ def located(error: TermselError, file: Path | None, line: int | None = None,
 
 
 def image_of(path: Path, images: Iterable[_Image], wanted: _Image | None, option: str) -> _Image:
-    """Return which image of a file is read: the wanted or only one.
-
-    Raises TermselError, with the option that chooses one, if that is not among `images`.
-    """
+    """Return which image of a file is read: the wanted or only one; an option chooses it."""
     known = sorted(set(images))
     chosen = known[0] if wanted is None and len(known) == 1 else wanted
     if chosen is None or chosen not in known:
@@ -190,10 +187,7 @@ def image_of(path: Path, images: Iterable[_Image], wanted: _Image | None, option
 
 
 def read_text(path: Path) -> str:
-    """Return the text of a UTF-8 file, without a byte order mark, line ends as they are.
-
-    Raises TermselError if the file cannot be read, is binary or is in another encoding.
-    """
+    """Return the text of a UTF-8 file, without a byte order mark, line ends as they are."""
     data = read_data(path)
     if is_utf16(data):
         raise utf16_error(path)
@@ -217,10 +211,9 @@ def read_data(path: Path) -> bytes:
 
 
 def parse_json(text: str, hint: str) -> Any:
-    """Return what a text in JSON holds; `hint` says what to do if this is not possible.
+    """Return what a text in JSON holds; `hint` says what to do where that is not possible.
 
-    Raises TermselError, with the line, if the text is not JSON; if it is nested too deeply or has
-    whole numbers of thousands of digits.
+    Refused, with the line, is also what is nested too deeply or has numbers of too many digits.
     """
     try:
         return json.loads(text)
@@ -234,10 +227,7 @@ def parse_json(text: str, hint: str) -> Any:
 
 
 def read_head(path: Path, expected: str) -> bytes:
-    """Return the first 64 KiB of a file; `expected` is a sentence that says what it should be.
-
-    Raises TermselError if the file is missing, empty, a folder or not readable.
-    """
+    """Return the first 64 KiB of a file; `expected` is a sentence that says what it should be."""
     if is_there(path) and path.is_dir():
         raise TermselError("this is a folder, expected a file", file=path, hint=expected)
     refuse_pipe(path)

@@ -34,11 +34,9 @@ _ACROSS = 15  # places along either side of the image at which files are compare
 
 
 def places_of(fitted: Fit) -> FloatArray:
-    """Return ground places (n, 3) over the image that the model can locate.
-
-    They are at the lowest, middle and highest control.
-    """
+    """Return ground places (n, 3) over the image, at three heights, that the model can locate."""
     middle, half = fitted.ground_box()
+    # At the lowest, middle and highest control.
     levels: set[float] = {float(middle[2] + share * half[2]) for share in (-1.0, 0.0, 1.0)} \
         if fitted.model.uses_height else {0.0}
     (top, left), (bottom, right) = fitted.image_box()

@@ -39,11 +39,7 @@ class Dem:
     turns: bool
 
     def __call__(self, xy: FloatArray) -> FloatArray:
-        """Return heights, shape (n,), of x and y, shape (n, 2); NaN where there are none.
-
-        Heights are those of the pixel centres. In the outer half of the outermost pixels
-        they are constant across the edge.
-        """
+        """Return heights, shape (n,), of x and y, shape (n, 2); NaN where there are none."""
         x, y = self.to_raster.transform(*np.asarray(xy, dtype=np.float64).T)
         if self.turns:
             x = nearest(np.asarray(x), (self.raster.bounds.left + self.raster.bounds.right) / 2)
@@ -51,6 +47,7 @@ class Dem:
         size = np.array(self.raster.shape)
         heights = np.full(len(place), np.nan)
         inside = np.flatnonzero(((place >= -0.5) & (place <= size - 0.5)).all(axis=1))
+        # In the outer half of the outermost pixels, heights are constant across the edge.
         place = np.clip(place[inside], 0, size - 1)
         first = np.minimum(place.astype(np.intp), np.maximum(size - 2, 0))
         tiles, member = np.unique(first // _TILE, axis=0, return_inverse=True)
@@ -146,11 +143,7 @@ def surface_of(dem: Path | str | None, crs: str, height: float,
 
 
 def with_heights(features: FeatureSet, dem: Path) -> FeatureSet:
-    """Return the features with unknown heights [m] from a raster; `heights` says which datum.
-
-    Raises TermselError as `open_dem`; names all features outside the raster or on pixels without
-    data.
-    """
+    """Return the features with unknown heights [m] from a raster; `heights` says which datum."""
     ground = features.ground_vertices()
     unknown = np.isnan(ground[:, 2])
     with open_dem(dem, features.crs) as surface:

@@ -81,15 +81,13 @@ def _read(path: Path, head: bytes) -> Rpc:
 
 
 def _entries(text: str) -> Iterator[tuple[str, str, int]]:
-    """Yield name, value and line of the entries of an RPB or a _RPC.TXT.
-
-    In an RPB the values follow "=", in a _RPC.TXT ":". Those in parentheses may span lines.
-    """
+    """Yield name, value and line of the entries of an RPB or a _RPC.TXT."""
     closed = text.rfind(")")  # looked for once, as many may be open
     line, counted, at = 1, 0, 0
     while name := _NAME.search(text, at):
         line += text.count("\n", counted, name.start(1))
         counted = name.start(1)
+        # Values follow "=" or ":"; those in parentheses may span lines.
         if text.startswith("(", name.end()) and name.end() < closed:
             at = text.index(")", name.end()) + 1
         else:
@@ -177,15 +175,13 @@ def _parsed(content: bytes) -> ElementTree.Element:
 
 
 def _from_dimap(root: ElementTree.Element) -> Rpc:
-    """Return the RPC from ground to image of a DIMAP file, as GDAL takes it.
-
-    In versions 1 and 2 the centre of the first pixel is (1, 1). Version 3 states its first
-    column, and GDAL subtracts it from both offsets.
-    """
+    """Return the RPC from ground to image of a DIMAP file, as GDAL takes it."""
     model, domain = root.find(".//Global_RFM"), root.find(".//RFM_Validity")
     if model is None or domain is None:
         raise TermselError("this DIMAP file has no Global_RFM with RFM_Validity",
                            hint="The RPC of an image is in the file RPC_*.XML next to it.")
+    # The centre of the first pixel is (1, 1) in versions 1 and 2. Version 3 states its first
+    # column, and GDAL subtracts it from both offsets.
     values = model.find("GroundtoImage_Values")
     first = "1"
     if values is None:

@@ -44,11 +44,7 @@ class Picture:
 
 
 def picture_for(result: Result, image: Path | str | None) -> Picture:
-    """Return what a VRT must know of the image of a result.
-
-    Without an image, the size is that of the image, if known, or of the measured points. Raises
-    TermselError if GDAL cannot read the image, or its size differs from that of the result.
-    """
+    """Return what a VRT must know of the image of a result, by default of a size that holds all."""
     known = result.features.image_size
     if image is None:
         bottom, right = np.maximum(result.fit.image_box()[1],

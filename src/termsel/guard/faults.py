@@ -70,10 +70,7 @@ def name_of(thing: Any) -> str:
 
 
 def wrong(thing: Any, method: str, what: str, hint: str = HINT) -> PluginFault:
-    """Return the fault of a method, such as "score", that returned what it must not.
-
-    What it returned and what was expected come after the name of the method.
-    """
+    """Return the fault of a method, such as "score"; `what` it returned and was expected."""
     file, line = _defined(thing, method)
     return PluginFault(f"{name_of(thing)}: {method}() {what}", file=file, line=line, hint=hint)
 
@@ -102,10 +99,7 @@ def blamed(thing: Any, method: str, hint: str = HINT) -> Iterator[None]:
 
 
 def failed(error: BaseException, what: str, package: str, hint: str = HINT) -> PluginFault:
-    """Return the fault of code that raised an exception, which is being handled.
-
-    Of the package, the top-level module of the plugin, the innermost line is named.
-    """
+    """Return the fault of code that raised an exception, at the package's innermost line."""
     if os.environ.get("TERMSEL_DEBUG") == "1":
         traceback.print_exc()
     file, line = _raised(error.__traceback__, package)

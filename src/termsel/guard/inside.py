@@ -59,17 +59,15 @@ def is_marked(error: BaseException) -> bool:
 
 
 class Surroundings:
-    """Puts the working folder and the filters of warnings back after a block.
-
-    An import that changes them would send the files of a result elsewhere, or turn warnings of
-    termsel into errors.
-    """
+    """Puts the working folder and the filters of warnings back after a block."""
 
     def __enter__(self) -> None:
         self.folder = _folder()
         self.filters = list(warnings.filters)
 
     def __exit__(self, *error: object) -> None:
+        # Else an import that changes them would send the files of a result elsewhere, or turn
+        # warnings of termsel into errors.
         if self.folder is not None and _folder() != self.folder:
             os.chdir(self.folder)
         if warnings.filters != self.filters:

@@ -63,12 +63,10 @@ def _offered(content: dict[str, Any]) -> dict[str, Any]:
 
 def iteration_known(how: FitRecord, model: SensorModel, control: FeatureSet, scaling: Scaling,
                     terms: BoolArray, used: BoolArray, check: Points) -> FitRecord:
-    """Return how a fit was found, with whether the iteration for lines was run.
-
-    Up to 0.2 that follows from the rule of the run alone, which is applied again.
-    """
+    """Return how a fit was found, with whether the iteration for lines was run."""
     if how.estimator != LEAST_SQUARES.name or how.options:
         return how
+    # Up to 0.2 that follows from the rule of the run alone, which is applied again.
     chosen = least_squares_of(model, control, scaling, terms, used, check)
     return msgspec.structs.replace(how, options=chosen.estimator.options)
 

@@ -18,10 +18,7 @@ log = logging.getLogger(__name__)
 
 
 def writer_of(to: str, **options: Any) -> Writer:
-    """Return the writer of a format, without options that only other formats have.
-
-    Raises TermselError for an unknown name or option.
-    """
+    """Return the writer of a format, without options that only other formats have."""
     writer: type[Writer] = registry().get("writers", to)
     return writer(**{key: value for key, value in options.items()
                      if key not in _of_others(writer)})

@@ -102,10 +102,7 @@ def read(
 
 def features_of(given: Any, crs: str | None = None,
                 columns: str | Mapping[str, Any] | None = None) -> FeatureSet:
-    """Return features from whatever holds them: a FeatureSet, a file or a table, as for `read`.
-
-    A file may have points, lines or both. A FeatureSet takes no CRS and no columns.
-    """
+    """Return features, points or lines or both, from a FeatureSet, a file or a table, as `read`."""
     if isinstance(given, FeatureSet):
         if crs is not None or columns is not None:
             raise TermselError(f"the features have the CRS {given.crs} already",

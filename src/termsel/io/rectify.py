@@ -288,10 +288,7 @@ def _nodata(raster: Any) -> float:
 def _warp(raster: Any, output: Path, shape: tuple[int, int], transform: Any, crs: str,
           nodata: float, progress: Callable[[float], None] | None, *, resampling: str,
           **options: Any) -> None:
-    """Warp tile by tile into a GeoTIFF, make that cloud-optimised, and read it back.
-
-    GDAL does not report that a disk is full when it closes a file.
-    """
+    """Warp tile by tile into a GeoTIFF, make that cloud-optimised, and read it back."""
     import rasterio
     from rasterio.enums import Resampling
     from rasterio.shutil import copy
@@ -322,6 +319,7 @@ def _warp(raster: Any, output: Path, shape: tuple[int, int], transform: Any, crs
             if progress is not None:
                 progress((done + 1) / len(tiles))
     copy(plain, output, driver="COG", compress="deflate", bigtiff="if_safer")
+    # GDAL does not report that a disk is full when it closes a file.
     with rasterio.open(output) as made:
         if [crc32(made.read(window=window).data) for window in tiles] != checksums:
             raise TermselError("the map that is read back is not the one that was written",

@@ -31,10 +31,7 @@ AGAIN = "Run the search again."
 
 
 def record_from(content: Any) -> Record:
-    """Return the record that the content of result.json is, completed where it is an earlier one.
-
-    Raises TermselError otherwise, with the place in the JSON and what is expected there.
-    """
+    """Return the record that result.json holds, completed if earlier; refuse what is damaged."""
     if not isinstance(content, dict) or content.get("schema") != SCHEMA:
         raise TermselError(f"this is not a result with the schema {SCHEMA}",
                            hint="Run the search again with this version of termsel.")
@@ -51,11 +48,7 @@ def record_from(content: Any) -> Record:
 
 
 def result_from(record: Record, features: FeatureSet) -> Result:
-    """Return the result of a record and its features, each point with its role.
-
-    Raises TermselError if the model or an option is unknown, or the model is not the one of the
-    run.
-    """
+    """Return the result of a record and its features, each point with its role."""
     observations = by_roles(features)
     model = _model(record)
     fitted = _fit(record, model, observations)

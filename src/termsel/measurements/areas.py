@@ -102,11 +102,9 @@ def boundary(areas: Sequence[Area]) -> Lines:
 
 
 def centroids(areas: Sequence[Area]) -> Points:
-    """Return the centroids of areas as points; without a role they become control.
-
-    The image of a centroid is the centroid of the image where the area is plane and so small that
-    the projection is affine across it.
-    """
+    """Return the centroids of areas as points; without a role they become control."""
+    # That in the image is the image of that on the ground where the area is plane, and so small
+    # that the projection is affine across it.
     return Points(tuple(area.id for area in areas),
                   np.reshape([centroid(area.image) for area in areas], (-1, 2)),
                   np.reshape([centroid(area.ground) for area in areas], (-1, 3)),

@@ -63,10 +63,8 @@ class Observations:
 
     @cached_property
     def heights(self) -> bool:
-        """Whether all features have heights, and these differ without any one or two of them.
-
-        Of independent points nothing else is looked at.
-        """
+        """Whether all features have heights, and these differ without any one or two of them."""
+        # Of independent points nothing else is looked at.
         return not np.isnan(self.independent.ground[:, 2]).any() \
             and self._together.heights and not self.carriers
 
@@ -144,10 +142,7 @@ def asked_roles(off: str | None, role: str | None) -> dict[str, str]:
 
 
 def with_roles(features: FeatureSet, named: Mapping[str, str]) -> FeatureSet:
-    """Return the features with the roles that are named; lines that are off are not among them.
-
-    Raises TermselError for an id that no feature has, or a line with the role of points.
-    """
+    """Return the features with the roles that are named; lines that are off are not among them."""
     points, lines = features.points, features.lines
     for name, role in named.items():
         if name not in features.ids:
@@ -210,10 +205,8 @@ def observe(
 
 
 def in_order(features: FeatureSet) -> FeatureSet:
-    """Return features in the order of their ids, in which P2 comes before P10.
-
-    What chance or ties decide is then the same, however the rows of a file are ordered.
-    """
+    """Return features in the order of their ids, in which P2 comes before P10."""
+    # What chance or ties decide is then the same, however the rows of a file are ordered.
     points, lines = ([i for _, i in sorted((_by_name(name), i) for i, name in enumerate(part.ids))]
                      for part in (features.points, features.lines))
     return features.with_(points=features.points.take(points), lines=features.lines.take(lines))
@@ -265,11 +258,7 @@ def _assign_blank(xy: FloatArray, shares: Sequence[float], how: str,
 
 
 def parsed_shares(text: str, needs_check: bool) -> tuple[float, ...]:
-    """Return the shares of control, check and independent points, from an option such as "1:1:1".
-
-    Raises TermselError if they are not three numbers of at least 0, or have none for check points
-    that are needed.
-    """
+    """Return the shares of control, check and independent points, from an option like "1:1:1"."""
     try:
         found = tuple(float(part) for part in text.replace(",", ":").split(":"))
     except ValueError:

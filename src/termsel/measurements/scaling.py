@@ -115,10 +115,7 @@ _geographic = lru_cache(is_geographic)  # asked at every fit, and pyproj takes i
 
 
 def in_fit_crs(ground: FloatArray, crs: str, fit_crs: str) -> FloatArray:
-    """Return ground coordinates (..., 3) in the CRS a model is fitted in; NaN stays NaN.
-
-    If either CRS is empty, they are returned as they are.
-    """
+    """Return ground coordinates (..., 3) in the CRS a model is fitted in, if any; NaN stays NaN."""
     if not (crs and fit_crs):
         return ground
     flat = ground.reshape(-1, 3)

@@ -100,11 +100,8 @@ def _repeated(rows: FloatArray) -> tuple[int, int] | None:
 
 
 def refused(name: str) -> str:
-    """Return what is wrong with an id, "" if nothing.
-
-    An id is printable, without line breaks, and not blank, so that tables keep it and a terminal
-    shows it.
-    """
+    """Return what is wrong with an id, "" if nothing."""
+    # So that tables keep it, and a terminal shows it.
     if not name:
         return "is blank"
     if len(name) > LONGEST:
@@ -113,10 +110,7 @@ def refused(name: str) -> str:
 
 
 def check_ids(ids: Sequence[str], kind: str, *, unique: bool) -> None:
-    """Refuse ids that break the rule, or are not `unique`; the TermselError has the id.
-
-    `kind` is that of the features: "point" or "line".
-    """
+    """Refuse ids of points or lines, a `kind`, that break the rule, or are not `unique`."""
     for name in ids:
         if wrong := refused(name):
             raise TermselError(f"the id {cut(name, 40)!r} of a {kind} {wrong}", ids=[name],

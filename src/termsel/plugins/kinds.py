@@ -49,10 +49,7 @@ class Kind:
             thing()
 
     def require_of(self, thing: Any) -> None:
-        """Refuse what is no class or instance of the kind, by TypeError.
-
-        So is what lacks methods or has no usable name.
-        """
+        """Refuse by TypeError what is not of the kind, lacks methods or has no usable name."""
         base: type = getattr(import_module(self.home), self.base)
         classes = issubclass(base, Configurable)
         wanted = f"a subclass of {self.base}" if classes else f"an instance of {self.base}"

@@ -97,10 +97,7 @@ class Registry:
         return [entry.name for entry in self.entries(kind)]
 
     def get(self, kind: str, name: str) -> Any:
-        """Return the thing of a kind of `KINDS` that has a name, or ``distribution:name``.
-
-        Raises TermselError if there is none, with the names there are.
-        """
+        """Return the thing of a kind of `KINDS` that has a name, or ``distribution:name``."""
         if (thing := self.known(kind, name)) is not None:
             return thing
         raise unknown_name(KINDS[kind].word, name, self.names(kind), self.hint(name, kind))
@@ -112,10 +109,7 @@ class Registry:
                      if entry.answers_to(name)), None)
 
     def taken(self, kind: str, given: Any) -> Any:
-        """Return the thing of a kind that is given: by its name, as for `get`, or itself.
-
-        It may also be a class or an instance of the kind. Raises TermselError for anything else.
-        """
+        """Return what is given, of a kind of `KINDS`, or the thing of its name, as for `get`."""
         if isinstance(given, str):
             return self.get(kind, given)
         try:
@@ -150,11 +144,9 @@ class Registry:
                 if entry.answers_to(name)]
 
     def origin(self, thing: Any) -> Entry | None:
-        """Return the entry of a class, `Recipe` or `DatasetSpec`; None if nothing provides it.
-
-        A recipe that comes from another process is equal, and not the same.
-        """
+        """Return the entry of a class, `Recipe` or `DatasetSpec`; None if nothing provides it."""
         kinds = [kind for kind in KINDS if KINDS[kind].is_of(thing)]
+        # Equality: a recipe that comes from another process is not the same object.
         return next((entry for names in (built_in(), self) for kind in kinds
                      for entry in names.entries(kind) if entry.object == thing), None)
 

@@ -130,14 +130,12 @@ def _places(rng: Generator, count: int) -> FloatArray:
 
 
 def _field(rng: Generator, size: float, places: FloatArray) -> FloatArray:
-    """Return the local distortion at places [px], shape (n, 2).
-
-    Waves whose numbers are drawn from the spectrum of a Matern field of smoothness 5/2, a Student
-    distribution with 5 degrees of freedom.
-    """
+    """Return the local distortion at places [px], shape (n, 2)."""
     length = REACH * max(SIZE)
     shift = np.empty(places.shape)
     for axis in (0, 1):
+        # Waves whose numbers are drawn from the spectrum of a Matern field of smoothness 5/2, a
+        # Student distribution with 5 degrees of freedom.
         stretched = np.sqrt(5 / rng.chisquare(5, (WAVES, 1)))
         waves = stretched * rng.standard_normal((WAVES, 2)) / length
         phases = rng.uniform(0, 2 * np.pi, WAVES)

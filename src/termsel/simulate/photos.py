@@ -45,10 +45,7 @@ _POINTS, _SEED, _STEPS = 120, 1971, 50
 
 
 def photo() -> FeatureSet:
-    """Return the measured points of the photo, with roles in thirds.
-
-    Easting and northing in UTM zone 33 and heights [m].
-    """
+    """Return the measured points of the photo: easting, northing in UTM zone 33 and height [m]."""
     rng = np.random.default_rng(_SEED)
     reach = 0.62 * SIZE[0] / FOCAL * HEIGHT
     ground = rng.uniform(-reach, reach, (20 * _POINTS, 3))

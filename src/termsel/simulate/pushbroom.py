@@ -312,11 +312,9 @@ def _refraction(target: FloatArray, up: FloatArray, height: FloatArray, station:
 
 
 def _meet(station: FloatArray, ray: FloatArray, height: FloatArray) -> FloatArray:
-    """Return the points where rays reach ellipsoidal heights, Earth-fixed [m], shape (n, 3).
-
-    Starts on the ellipsoid with both axes longer by the height, which is nearly the surface of
-    that height, and continues with Newton's method along the ray.
-    """
+    """Return the points where rays reach ellipsoidal heights, Earth-fixed [m], shape (n, 3)."""
+    # Starts on the ellipsoid with both axes longer by the height, which is nearly the surface of
+    # that height, and continues with Newton's method along the ray.
     axes = np.stack([SEMI_MAJOR + height, SEMI_MAJOR + height, SEMI_MINOR + height], axis=-1)
     s, d = station / axes, ray / axes
     a, b, c = (d * d).sum(axis=1), (s * d).sum(axis=1), (s * s).sum(axis=1) - 1

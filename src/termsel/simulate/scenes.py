@@ -256,11 +256,7 @@ def _points(scene: Scene, rng: Generator, numbers: tuple[int, int, int]) -> Poin
 
 
 def _lines(scene: Scene, rng: Generator, count: int) -> Lines:
-    """Return lines free of noise, dense like the streets of towns, sparse elsewhere.
-
-    The image line is measured at two places of the ground line other than its vertices, in
-    either order.
-    """
+    """Return lines free of noise, dense like the streets of towns, sparse elsewhere."""
     if count == 0:
         return no_lines()
     sensor, terrain, _ = _geometry(scene.name)
@@ -280,6 +276,8 @@ def _lines(scene: Scene, rng: Generator, count: int) -> Lines:
                             half * np.cos(azimuth)])
     ends = np.stack([middle - step, middle + step], axis=1)
     ground = np.dstack([ends, terrain(ends.reshape(-1, 2)).reshape(-1, 2)])
+    # The image line is measured at two places of the ground line other than its vertices, in either
+    # order.
     along = np.column_stack([rng.uniform(-0.2, 0.3, count), rng.uniform(0.7, 1.2, count)])
     swap = rng.random(count) < 0.5
     along[swap] = along[swap, ::-1]

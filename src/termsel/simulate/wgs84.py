@@ -26,14 +26,12 @@ def to_ecef(ground: FloatArray) -> FloatArray:
 
 
 def from_ecef(position: FloatArray) -> FloatArray:
-    """Return WGS84 lon, lat [deg], height [m] of Earth-fixed coordinates [m], shape (n, 3).
-
-    Source: B. R. Bowring, "Transformation from spatial to geographical coordinates", Survey Review
-    23 (1976) 323-327, iterated twice: exact to rounding anywhere near the surface.
-    """
+    """Return WGS84 lon, lat [deg], height [m] of Earth-fixed coordinates [m], shape (n, 3)."""
     x, y, z = position.T
     p = np.hypot(x, y)
     reduced = np.arctan2(z, p * (1 - FLATTENING))
+    # B. R. Bowring, "Transformation from spatial to geographical coordinates", Survey Review 23
+    # (1976) 323-327, iterated twice: exact to rounding anywhere near the surface.
     for _ in range(2):
         lat = np.arctan2(z + _E2 / (1 - _E2) * SEMI_MINOR * np.sin(reduced) ** 3,
                          p - _E2 * SEMI_MAJOR * np.cos(reduced) ** 3)

@@ -145,10 +145,7 @@ def asked(study: Path | str | Mapping[str, Any] | None, keys: Mapping[str, Any]
 
 
 def plan_cells(spec: Spec, folder: Path) -> list[Cell]:
-    """Return the cells of a study, everything about them checked.
-
-    File names are relative to `folder`.
-    """
+    """Return the cells of a study, all checked; file names are relative to `folder`."""
     for i, name in enumerate(spec.exports):
         try:
             writer_of(name)

@@ -63,10 +63,8 @@ class Suite:
 
 
 def require(condition: object, message: str) -> None:
-    """Raise AssertionError with `message` unless `condition` holds.
-
-    Unlike the statement `assert`, this also holds under ``python -O``.
-    """
+    """Raise AssertionError with `message` unless `condition` holds."""
+    # Unlike the statement `assert`, also under ``python -O``.
     if not condition:
         raise AssertionError(message)
 

@@ -78,10 +78,7 @@ SUITE = Suite((declares("objectives"), figure_each, control_kinds, deterministic
 
 
 def _selections(points: int = 14, lines: int = 0) -> list[PopulationSelection]:
-    """Return what problems of terms, and of features, show to an objective.
-
-    The individuals select nothing, all, and something between.
-    """
+    """Return selections of nothing, all and some, from problems of terms and of features."""
     model, rng = Affine(), seeded()
     truth = random_coefficients(model, rng)
     control = imaged(model, truth, rng, points=points, lines=lines)

@@ -66,10 +66,7 @@ class Watched(ProblemAround):
         self.best: tuple[float, float] = (np.inf, np.inf)
 
     def evaluate(self, genes: BoolArray) -> Evaluation:
-        """Return the evaluation of genes; AssertionError where they are not valid.
-
-        That is for another type or shape, or against the rules of the genome.
-        """
+        """Return the evaluation of genes, whose type, shape and rules must be kept."""
         require_genes(self.genome, genes, "evaluate() got")
         self.calls += 1
         if self.before is not None:
@@ -84,10 +81,7 @@ class Watched(ProblemAround):
 
 
 def require_genes(genome: Genome, genes: object, who: str) -> None:
-    """Require a population that keeps type, shape, forced genes and cardinality.
-
-    The message begins with where the genes come from.
-    """
+    """Require a population that keeps type, shape, forced genes and cardinality; `who` sent it."""
     fault = genome.fault(genes)
     require(fault is None, f"{who} {fault}")
     assert isinstance(genes, np.ndarray)
@@ -165,10 +159,7 @@ def two_aims(size: int = SIZE) -> Toy:
 
 
 def typed(types: Iterable[type[AnySegment]]) -> Toy:
-    """Return a problem with a segment of each type: the sum of the squares of all genes.
-
-    Of `Bits` and a `Subset` one label is forced on and one off.
-    """
+    """Return a problem with a segment of each type: the sum of the squares of all genes."""
     made: dict[type[AnySegment], AnySegment] = {
         Bits: Bits("bits", numbered("b", 6), 2, 4),
         Integers: Integers("integers", numbered("i", 2), (-2, 0), (3, 100)),
@@ -177,6 +168,7 @@ def typed(types: Iterable[type[AnySegment]]) -> Toy:
         Permutation: Permutation("permutation", numbered("p", 5)),
         Subset: Subset("subset", numbered("s", 8), 3)}
     segments = [made[one] for one in types]
+    # Of `Bits` and a `Subset` one label is forced on and one off.
     switched = [one for one in segments if isinstance(one, Bits | Subset)]
     genome = Genome(segments, on=[one.labels[0] for one in switched],
                     off=[one.labels[1] for one in switched])
@@ -191,11 +183,9 @@ def narrow(size: int, on: tuple[str, ...] = ()) -> Toy:
 
 
 def optimum(problem: Problem) -> float:
-    """Return the least first objective of the feasible selections of a small problem.
-
-    All selections that keep forced genes and cardinality are evaluated.
-    """
+    """Return the least first objective of the feasible selections of a small problem."""
     genome = problem.genome
+    # All selections that keep forced genes and cardinality are evaluated.
     everything = (np.arange(2**genome.size)[:, None] >> np.arange(genome.size)) & 1 > 0
     found = problem.evaluate(everything[kept(genome, everything)])
     return float(found.objectives[found.violation == 0, 0].min())

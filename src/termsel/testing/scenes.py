@@ -48,16 +48,14 @@ def random_coefficients(model: SensorModel, rng: np.random.Generator) -> FloatAr
 
 def imaged(model: SensorModel, coefficients: FloatArray, rng: np.random.Generator, *,
            points: int = 0, lines: int = 0) -> FeatureSet:
-    """Return so many control points and lines whose image coordinates the model computes itself.
-
-    The ground vertices of a line lie on the image line, but the image points that define it are
-    elsewhere along it.
-    """
+    """Return so many control points and lines whose image coordinates the model computes itself."""
     ground = random_ground(rng, points)
     middle = rng.uniform(-0.7, 0.7, (lines, 1, 3))
     half = rng.uniform(0.1, 0.3, (lines, 1, 3)) * rng.choice([-1.0, 1.0], (lines, 1, 3))
     vertices = np.concatenate([middle - half, middle + half], axis=1)
     ends = model.project(coefficients, vertices.reshape(-1, 3)).reshape(-1, 2, 2)
+    # The ground vertices of a line lie on the image line, but the image points that define it are
+    # elsewhere along it.
     along = np.array([-0.3, 1.4])[None, :, None] * (ends[:, 1:] - ends[:, :1])
     return FeatureSet(
         Points(numbered("p", points), model.project(coefficients, ground), ground)

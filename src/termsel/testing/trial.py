@@ -72,10 +72,8 @@ class Trial:
 
     def search_until(self, reached: Callable[[Progress], bool], problem: Problem, *,
                      seed: int = 1, evaluations: int) -> Search:
-        """Search as a run does, and end as after Ctrl-C if more would not show more.
-
-        Later generations must not be able to undo what was reached.
-        """
+        """Search as a run does, and end as after Ctrl-C if more would not show more."""
+        # Later generations must not be able to undo what was reached.
         def end(progress: Progress) -> None:
             if reached(progress):
                 raise KeyboardInterrupt

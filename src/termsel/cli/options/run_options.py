@@ -199,11 +199,7 @@ class Asked:
                 "patience": self.patience}
 
     def exported(self) -> dict[str, Path]:
-        """Return the file in ``--out`` of each format.
-
-        Raises TermselError for an unknown format, and for a file that is read or may not be
-        replaced.
-        """
+        """Return the file in ``--out`` of each format; refuse those that may not be replaced."""
         from termsel.io.export import writer_of
         from termsel.io.replacing import require_replaceable
 
@@ -216,10 +212,7 @@ class Asked:
         return files
 
     def page(self) -> Path | None:
-        """Return the page of ``--report``, if it is asked for.
-
-        Raises TermselError without altair, and for a page that may not be replaced.
-        """
+        """Return the page of ``--report``, if it is asked for and may be written."""
         from termsel.io.replacing import require_replaceable
         from termsel.report.theme import require_altair
 
@@ -240,11 +233,7 @@ class Asked:
             say_written([page])
 
     def read(self) -> tuple[FeatureSet | None, dict[str, str]]:
-        """Return the features of the files, if any are given, and the options that remain.
-
-        Options of readers are theirs alone. Raises TermselError as `termsel.read`, and for an
-        option of a reader that is given twice.
-        """
+        """Return the features of the files, if any are given, and the options that remain."""
         from termsel.io.read import read, readers_of
         from termsel.plugins.registry import registry
 
@@ -258,6 +247,7 @@ class Asked:
                  "columns": self.columns}
         known = {option.name for reader in readers_of(self.files, self.formats)
                  for option in reader.declared_options}
+        # Options of readers are theirs alone.
         of_readers = {key: options.pop(key) for key in list(options) if key in known}
         for key in of_readers:
             if given.get(key) is not None:
@@ -267,10 +257,7 @@ class Asked:
 
     def command(self, problem: str, solver: str, criterion: str,
                 settings: Mapping[str, str]) -> str:
-        """Return a command that runs another method on the same data, quoted for the shell.
-
-        The settings are all options of ``--set``, those of the readers included.
-        """
+        """Return a command that runs another method on the same data, all of ``--set`` included."""
         from termsel.files.remote import remote_allowed
 
         words = ["termsel", "run", "--problem", problem]
@@ -285,10 +272,7 @@ class Asked:
 
 
 def parse_settings(settings: tuple[str, ...], **own: str | None) -> dict[str, str]:
-    """Return the options of ``--set KEY=VALUE``, with those that commands have as their own.
-
-    Raises TermselError for a setting without an equals sign, or a key set twice.
-    """
+    """Return the options of ``--set KEY=VALUE``, with those that commands have as their own."""
     options: dict[str, str] = {}
     for setting in settings:
         key, equals, value = setting.partition("=")

@@ -47,10 +47,7 @@ def with_advice(error: TermselError, header: Sequence[str], rows: Sequence[Seque
 
 
 def unknown_table(path: Path, expected: str, columns: str) -> TermselError | None:
-    """Return the error for a file that no reader recognises, None unless it is a table of numbers.
-
-    `expected` is a sentence that says what the file should be.
-    """
+    """Return the error for a file without a reader, None unless it is a table of numbers."""
     own = parse_columns(columns)
     try:
         cells = read_cells(path, POINTS, own)

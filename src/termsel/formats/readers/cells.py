@@ -76,10 +76,7 @@ def header_row(rows: Sequence[Sequence[str]], aliases: Aliases, own: Mapping[str
 
 def read_cells(path: Path, aliases: Aliases, own: Mapping[str, str], layer: str | None = None,
                ) -> Cells:
-    """Return the rows of a file; `aliases` and `own` choose its separator, or its sheet (`layer`).
-
-    Raises TermselError if the file is neither text nor a spreadsheet.
-    """
+    """Return the rows of a file; `aliases` and `own` choose its separator, or its sheet."""
     data = read_data(path)
     if data.startswith(_SHEETS):
         return _sheet(path, aliases, own, layer)
@@ -134,10 +131,7 @@ def decoded(data: bytes, path: Path, *, final: bool = True) -> tuple[str, str]:
 
 
 def _refuse_wide(path: Path, text: str) -> None:
-    """Refuse what has an endless first row, before its names are compared with all that is known.
-
-    Raises BadText.
-    """
+    """Refuse what has an endless first row, before its names are compared with those known."""
     first = next(_first_lines(text), "")
     cells = max(len(_split(first, delimiter)) for delimiter in _DELIMITERS)
     if cells > WIDEST:

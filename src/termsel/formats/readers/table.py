@@ -152,11 +152,8 @@ def points_of(table: Table, crs: str) -> FeatureSet:
 
 
 def guarded(text: str) -> str:
-    """Return a cell that no spreadsheet takes for a formula, as `unguarded` takes it back.
-
-    A spreadsheet runs text that begins with = + - or @, unless an apostrophe is in front of it.
-    Numbers stay as they are.
-    """
+    """Return a cell that no spreadsheet takes for a formula, as `unguarded` takes it back."""
+    # A spreadsheet runs text that begins with = + - or @, unless an apostrophe is in front of it.
     return f"'{text}" if _FORMULA.match(text) and not is_number(text) else text
 
 

@@ -80,10 +80,7 @@ def sniff_table(path: Path, head: bytes, aliases: Aliases, columns: str = "",
 def _columns(path: Path | None, line: int | None, header: Sequence[str], rows: list[list[str]],
              aliases: Aliases, chosen: Mapping[str, int], fixed: Collection[int], *,
              flat: bool) -> dict[str, int]:
-    """Return the one column of each meaning, refusing missing and ambiguous ones.
-
-    If `flat`, all columns of heights may be missing together.
-    """
+    """Return the column of each meaning; of heights none if `flat` and all are missing."""
     here = f"The columns here are: {', '.join(cell.strip() for cell in header)}."
     found: dict[str, int] = {}
     by_name = matches(header, aliases)
@@ -226,10 +223,7 @@ def table_of(path: Path | None, cells: Cells, aliases: Aliases, own: Mapping[str
 
 
 def _further(header: Sequence[str], used: Collection[int]) -> dict[str, int]:
-    """Return the places of the columns that are attributes, by name.
-
-    Those whose names tables use otherwise are left out; of several alike the first is taken.
-    """
+    """Return the places of the columns that are attributes, by name; of several alike the first."""
     columns: dict[str, int] = {}
     for i, cell in enumerate(header):
         name = unguarded(cell.strip())

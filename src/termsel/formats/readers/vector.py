@@ -58,10 +58,7 @@ def _configured(options: Mapping[str, str]) -> Iterator[None]:
 
 def read_layer(path: Path, layer: str | None, kinds: Mapping[str, int],
                ) -> tuple[list[Feature], str]:
-    """Return the features of a layer, by default of the first that has such kinds, and its CRS.
-
-    Raises TermselError if GDAL cannot read the file, or a feature has another geometry.
-    """
+    """Return the features of a layer, by default of the first that has such kinds, and its CRS."""
     read_head(path, "Expected a GeoPackage, Shapefile or FlatGeobuf.")
     with requires("this requires", "pyogrio and shapely", GIS, path):
         from pyogrio import list_layers

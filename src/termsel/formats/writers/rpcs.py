@@ -130,11 +130,7 @@ class RpcVrt(RpcWriter):
 
 
 def require_read_back(rpc: Rpc, text: str, suffix: str) -> None:
-    """Refuse the content of a file that does not give back the RPC it was made from.
-
-    Raises TermselError if termsel reads another RPC, or if GDAL, where rasterio is installed,
-    cannot use it or projects any of 1,000 ground points more than AGREED away.
-    """
+    """Refuse the content of a file from which termsel or GDAL takes another RPC."""
     with private_folder() as folder:
         path = folder / f"scene{suffix}"
         write_text(path, text)

@@ -61,10 +61,7 @@ _NO_POINTS = "It has no control points; residuals-gpkg and lines-csv take contro
 
 
 class QgisPointsWriter(SelectionWriter):
-    """All points, the selected ones enabled, with residuals, as QGIS's georeferencer saves them.
-
-    The format has no heights.
-    """
+    """All points without heights, the selected ones enabled, with residuals, as QGIS saves them."""
 
     name = "qgis-points"
     summary = "points for QGIS's georeferencer, the selected ones enabled, with residuals"

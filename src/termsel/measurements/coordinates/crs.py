@@ -87,19 +87,12 @@ def normalise(crs: str) -> str:
 
 
 def is_geographic(crs: str) -> bool:
-    """Return True where x and y are longitude and latitude.
-
-    False, too, for a CRS whose kind only pyproj knows, if that is not installed. Names are refused
-    as by `normalise`.
-    """
+    """Return True where x and y are longitude and latitude, as far as is known without pyproj."""
     return kind_of(normalise(crs)) == "geographic"
 
 
 def metres_per_unit(crs: str) -> float | None:
-    """Return the length of the unit of x and y of a projected CRS in metres.
-
-    None for other kinds, and where only pyproj would know and is not installed.
-    """
+    """Return the unit of x and y of a projected CRS [m]; None for others, or where nobody knows."""
     crs = normalise(crs)
     if UTM.fullmatch(crs):
         return 1.0
@@ -109,10 +102,7 @@ def metres_per_unit(crs: str) -> float | None:
 
 
 def to_wgs84(crs: str) -> Transformation:
-    """Return a function from ground coordinates to WGS84 longitude, latitude, ellipsoidal height.
-
-    See `transformation`.
-    """
+    """Return the `transformation` to WGS84 longitude, latitude and ellipsoidal height."""
     return transformation(crs, "EPSG:4979")
 
 

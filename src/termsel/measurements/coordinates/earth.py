@@ -112,10 +112,8 @@ def _counted(features: FeatureSet) -> str:
 
 
 def _is_diagonal(turn: FloatArray) -> bool:
-    """Return whether a reflection exchanges both axes, and does not turn one of them round.
-
-    The reflection next to the matrix has cos 2t and sin 2t proportional to these.
-    """
+    """Return whether a reflection exchanges both axes, and does not turn one of them round."""
+    # The reflection next to the matrix has cos 2t and sin 2t proportional to these.
     return bool(abs(turn[0, 1] + turn[1, 0]) > abs(turn[0, 0] - turn[1, 1]))
 
 
@@ -160,15 +158,13 @@ def _turn(features: FeatureSet) -> FloatArray | None:
 
 
 def _misplaced(features: FeatureSet) -> bool:
-    """Return whether features lie outside the area of their CRS, and inside with x and y swapped.
-
-    Scenes may reach beyond the area, so one that is near it is not outside.
-    """
+    """Return whether features lie outside the area of their CRS, but inside if swapped."""
     ground = features.ground_vertices()
     area = area_of_use(features.crs) if len(ground) else None
     if area is None or is_geocentric(features.crs):
         return False
     here, there = (_on_earth(features.crs, place) for place in (ground, ground[:, [1, 0, 2]]))
+    # Scenes may reach beyond the area, so one that is near it is not outside.
     return there is not None and _is_inside(there, area, 0.0) \
         and (here is None or not _is_inside(here, area, _BEYOND))
 

@@ -14,10 +14,8 @@ TURN = 360.0
 
 
 def continuous(lon: FloatArray) -> FloatArray:
-    """Return longitudes [deg] (n,) that go on beyond 180 degrees where they would jump.
-
-    They stay as they are unless they span more than half a turn and need not.
-    """
+    """Return longitudes [deg] (n,) that go on beyond 180 degrees where they would jump."""
+    # They stay as they are unless they span more than half a turn and need not.
     if np.ptp(lon) <= TURN / 2:
         return lon
     turned = np.sort(lon % TURN)
@@ -41,11 +39,7 @@ def jumps(features: FeatureSet) -> bool:
 
 
 def without_jump(features: FeatureSet) -> FeatureSet:
-    """Return features whose longitudes go on beyond 180 degrees where they would jump.
-
-    Independent points and those that are off take no part in what is decided. The same object where
-    nothing is to be changed.
-    """
+    """Return features whose longitudes go on beyond 180 degrees; the same where none jump."""
     points, lines = features.points, features.lines
     every, decides = features.ground_vertices()[:, 0], _deciding(features)
     if not decides.any() or not is_geographic(features.crs):

@@ -13,11 +13,7 @@ small distances differ by less than 0.02 %."""
 
 
 def in_metres(crs: str, places: FloatArray, offsets: FloatArray) -> FloatArray | None:
-    """Return small offsets to the east and to the north (n, 2) in metres.
-
-    They begin at the places (n, 2) or (n, 3). None where the unit is not known, and for geocentric
-    coordinates.
-    """
+    """Return offsets (n, 2) to east and north of places in metres; None if the unit is unknown."""
     if is_geographic(crs):
         latitude = np.radians(places[:, 1])
         short = 1.0 - ECCENTRICITY * np.sin(latitude) ** 2

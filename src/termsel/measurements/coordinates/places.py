@@ -9,13 +9,11 @@ from termsel.measurements.features import FeatureSet, FloatArray, IntArray
 
 
 def spatial_order(xy: ArrayLike) -> IntArray:
-    """Return an order (n,) of points (n, 2) in which neighbours in it are neighbours in the plane.
-
-    The points are halved repeatedly at the median of their longer side; the order is that of the
-    leaves.
-    """
+    """Return an order (n,) of points (n, 2): neighbours in it are neighbours in the plane."""
     xy = np.asarray(xy, dtype=np.float64)
     order, starts = np.arange(len(xy)), np.zeros(1, dtype=np.intp)
+    # The points are halved repeatedly at the median of their longer side; the order is that of the
+    # leaves.
     while (sizes := np.diff(starts, append=len(xy))).max(initial=0) > 2:
         part = np.repeat(np.arange(len(starts)), sizes)
         there = xy[order]

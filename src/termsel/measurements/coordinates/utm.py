@@ -10,10 +10,7 @@ from termsel.measurements.features import FloatArray
 
 
 def utm_zone(lon: float, lat: float) -> str:
-    """Return the CRS of the zone of a place [deg]; longitudes may go on beyond 180 degrees.
-
-    Raises TermselError near the poles, where there is none; without pyproj.
-    """
+    """Return the CRS of the zone of a place [deg], whose longitude may go on beyond 180 degrees."""
     lon = (lon + 180) % 360 - 180
     with requires("the UTM zone of the control requires", "pyproj", GIS):
         from pyproj.aoi import AreaOfInterest
@@ -28,11 +25,8 @@ def utm_zone(lon: float, lat: float) -> str:
 
 
 def for_warping(ground: FloatArray, crs: str) -> tuple[FloatArray, str]:
-    """Return ground coordinates, and the CRS without heights, as GDAL's warper needs them.
-
-    It does not find places whose longitudes go on beyond 180 degrees: these come in UTM. The ground
-    has the shape (..., 3), NaN where nothing is known.
-    """
+    """Return ground coordinates (..., 3), and the CRS without heights, for GDAL's warper."""
+    # It does not find places whose longitudes go on beyond 180 degrees: these come in UTM.
     if not is_geographic(crs) or not (np.abs(ground[..., 0]) > 180.0).any():
         return ground, horizontal(crs)
     lon, lat = (float(np.nanmin(ground[..., i]) + np.nanmax(ground[..., i])) / 2 for i in (0, 1))

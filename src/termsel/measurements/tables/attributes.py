@@ -112,10 +112,7 @@ def columns_of(rows: Sequence[Mapping[str, str]]) -> dict[str, TextArray]:
 
 
 def all_rows(parts: Sequence[Attributes], rows: Sequence[int], name: str) -> TextArray:
-    """Return a column of several tables one after another, with so many rows of each.
-
-    Raises TermselError if no part has it.
-    """
+    """Return a column of several tables one after another, with so many rows of each."""
     known = distinct(key for part in parts for key in part)
     if name.casefold() not in map(str.casefold, known):
         raise unknown_name("column of attributes", name, known,
@@ -124,10 +121,7 @@ def all_rows(parts: Sequence[Attributes], rows: Sequence[int], name: str) -> Tex
 
 
 def as_numbers(cells: TextArray, ids: Sequence[str], name: str) -> FloatArray:
-    """Return text as numbers, NaN where it is blank; `ids` are for the message.
-
-    Raises TermselError naming the first feature whose text is not a finite number.
-    """
+    """Return text as numbers, NaN where it is blank; `ids` are for the message."""
     found = np.empty(len(cells))
     for row, cell in enumerate(cells):
         try:

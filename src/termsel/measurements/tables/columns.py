@@ -75,10 +75,7 @@ def _forms(name: str) -> tuple[str, str]:
 
 
 def matches(header: Sequence[str], aliases: Aliases) -> dict[str, list[int]]:
-    """Return the columns that could hold each meaning, by their names.
-
-    Names in other languages count where no column has one of the plain names in `aliases`.
-    """
+    """Return the columns that could hold each meaning, by their names."""
     own = {meaning: frozenset(map(folded, names)) for meaning, names in aliases.items()}
     # Readers of other programs' tables have meanings of these names, too, and no further names.
     further = {meaning: frozenset(f"{name}{end}" for name in _FURTHER.get(base, ()))
@@ -87,6 +84,7 @@ def matches(header: Sequence[str], aliases: Aliases) -> dict[str, list[int]]:
     forms = list(map(_forms, header))
     found: dict[str, list[int]] = {}
     for meaning, names in own.items():
+        # Names in other languages count where no column has one of the plain names.
         for known in (names, further.get(meaning, frozenset())):
             found[meaning] = [i for i, (whole, bare) in enumerate(forms) if whole in known or (
                 bare in known and not any(whole in others for others in own.values()))]
@@ -109,10 +107,7 @@ def columns_text(given: str | Mapping[str, object]) -> str:
 
 
 def parse_columns(given: str) -> dict[str, str]:
-    """Return the name or number of a column by its meaning, of pairs such as "line=Zeile,sample=4".
-
-    Raises TermselError for text that is not such a pair, an unknown meaning, or one given twice.
-    """
+    """Return the name or number of a column by its meaning, of pairs "line=Zeile,sample=4"."""
     known = POINTS | LINES | CORNER
     own: dict[str, str] = {}
     for pair in filter(None, map(str.strip, given.split(","))):

@@ -44,10 +44,7 @@ class Framed:
         return DataFrame(dict(self._columns()))
 
     def to_geopandas(self, crs: str = "local") -> Any:
-        """Return a geopandas GeoDataFrame with the place of each on the ground.
-
-        `crs` is that of the feature set.
-        """
+        """Return a geopandas GeoDataFrame with the place of each on the ground, in that CRS."""
         with requires("maps of features require", "geopandas", "geopandas"):
             import shapely
             from geopandas import GeoDataFrame
@@ -143,10 +140,7 @@ def _rows_at(value: Any, rows: NDArray[np.intp]) -> Any:
 
 
 def rows_of(ids: Sequence[str], index: ArrayLike) -> NDArray[np.intp]:
-    """Return the rows that an index of integers or a mask names, each once.
-
-    Raises TermselError for a row that is asked for twice.
-    """
+    """Return the rows that an index of integers or a mask names, each at most once."""
     array = np.asarray(index)
     rows = np.arange(len(ids))[array if array.size else np.zeros(0, dtype=np.intp)]
     times = np.bincount(rows, minlength=1)
@@ -157,11 +151,9 @@ def rows_of(ids: Sequence[str], index: ArrayLike) -> NDArray[np.intp]:
 
 
 def unchecked(whole: _Table, **changes: Any) -> _Table:
-    """Return points or lines with some fields changed, without the checks of new ones.
-
-    What was checked once holds for a part of them, and in other units. Fits make so many of these
-    that the checks took a quarter of their time.
-    """
+    """Return points or lines with some fields changed, without the checks of new ones."""
+    # What was checked once holds for a part of them, and in other units. Fits make so many of these
+    # that the checks took a quarter of their time.
     made = object.__new__(type(whole))
     for name, value in _own(whole):
         value = changes.get(name, value)

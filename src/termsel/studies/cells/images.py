@@ -43,10 +43,7 @@ def file_word(text: str, empty: str) -> str:
 
 
 def write_files(folder: Path, files: Mapping[str, bytes]) -> None:
-    """Write the files of a result into the folder of its image, each completely or not at all.
-
-    Those of a cell that is repeated replace the earlier ones, which are the same.
-    """
+    """Write the files of a result into the folder of its image, each completely or not at all."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with private_folder(folder) as new:
@@ -54,6 +51,7 @@ def write_files(folder: Path, files: Mapping[str, bytes]) -> None:
                 (new / Path(name).name).write_bytes(content)
                 sync(new / Path(name).name)
             for name in files:
+                # Those of a cell that is repeated replace the earlier ones, which are the same.
                 put_in_place(new / Path(name).name, folder / Path(name).name)
     except OSError as error:
         raise TermselError(f"cannot write the result: {error.strerror or error}", file=folder,

@@ -63,11 +63,7 @@ class Journal:
     _synced: float = 0.0
 
     def open(self, versions: Mapping[str, str]) -> None:
-        """Cut off a torn last line, and begin the file if it is new.
-
-        Raises TermselError if the study was begun with other versions, or the file cannot be
-        written.
-        """
+        """Cut off a torn last line, begin the file if it is new, refuse one of other versions."""
         if self.versions and dict(self.versions) != dict(versions):
             both = {name: (self.versions.get(name, "none"), versions.get(name, "none"))
                     for name in sorted({*self.versions, *versions})}
@@ -121,10 +117,7 @@ class Journal:
 
 
 def read_journal(folder: Path) -> Journal:
-    """Return the journal of a folder, empty if there is none. Nothing is changed.
-
-    Raises TermselError if the file cannot be read or is no journal.
-    """
+    """Return the journal of a folder, empty if there is none; nothing is changed on the disk."""
     journal = Journal(folder / JOURNAL)
     try:
         content = journal.path.read_bytes()

@@ -34,10 +34,7 @@ def columns_of(strategies: Sequence[str]) -> tuple[str, ...]:
 
 def rows_of(cells: Mapping[str, Mapping[str, Any]], records: Mapping[str, CellRecord],
             strategies: Sequence[str]) -> list[Row]:
-    """Return one row a cell, in the order of the cells; of the strategy auto alone worst first.
-
-    A cell without a record is waiting.
-    """
+    """Return one row a cell, waiting without a record, in order; of auto alone worst first."""
     columns = columns_of(strategies)
     rows = []
     for key, labels in cells.items():

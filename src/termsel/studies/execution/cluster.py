@@ -108,10 +108,7 @@ def _require_alike(client: Client, needed: Mapping[str, str]) -> None:
 
 
 def require_alike(needed: Mapping[str, str], found: Mapping[str, str | None], worker: str) -> None:
-    """Refuse the worker at an address if its versions by name are not those of this process.
-
-    What it lacks has the version None.
-    """
+    """Refuse the worker at an address if its versions by name are not those of this process."""
     for name, version in needed.items():
         if found.get(name) is None:
             raise TermselError(f"the worker {worker} lacks {name}, which the study needs",

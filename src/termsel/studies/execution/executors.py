@@ -66,15 +66,13 @@ def serial(cells: Sequence[Cell], features: Mapping[str, FeatureSet], stop: Stop
 
 def processes(cells: Sequence[Cell], features: Mapping[str, FeatureSet], stop: Stop, workers: int
               ) -> Iterator[Outcome]:
-    """Yield the outcomes of cells, run in processes of this machine, as they end.
-
-    A process that dies takes all others of its pool with it. The cells that were under way are
-    then repeated one by one, so that the one at fault is known by name and fails alone.
-    """
+    """Yield the outcomes of cells, run in processes of this machine, as they end."""
     waiting = deque(cells)
     while waiting and not stop():
         suspects: list[Cell] = []
         yield from _in_pool(waiting, features, stop, workers, suspects)
+        # A process that dies takes all others of its pool with it. What was under way is then
+        # repeated one by one, so that the cell at fault is known by name and fails alone.
         for cell in suspects:
             if stop():
                 return
@@ -108,10 +106,7 @@ _features: Mapping[str, FeatureSet] = {}
 
 
 def begin_worker(features: Mapping[str, FeatureSet]) -> None:
-    """Make a new process ready: the features of the study, and no answer to Ctrl-C of its own.
-
-    The features are sent once to each process, not with every cell.
-    """
+    """Make a new process ready: the features of the study, and no answer to Ctrl-C of its own."""
     global _features
     _features = features
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the study decides when cells end

@@ -116,10 +116,7 @@ def _done(cell: Cell, features: FeatureSet) -> Outcome:
 
 
 class _Trace:
-    """Observes a search: evaluations, best objective and CPU seconds at each improvement.
-
-    It ends the run after `timeout` seconds, if any.
-    """
+    """Observes a search: its gains, with evaluations and CPU seconds; `timeout` [s] ends it."""
 
     def __init__(self, timeout: float | None) -> None:
         self.points: list[list[float]] = []
@@ -157,11 +154,7 @@ class _Trace:
 
 def _as_asked(cell: Cell, features: FeatureSet, trace: _Trace) -> tuple[
         State, dict[str, Any], list[list[float]], dict[str, bytes]]:
-    """Return state, figures and front of a search.
-
-    Only the figures of a table are computed. A run also compares its selection with all plain
-    models, which takes longer than most searches and is the same for all seeds.
-    """
+    """Return state, figures and front of a search."""
     call = cell.call
     names = {word: cell.things.get(word, call[word])
              for word in ("problem", "model", "criterion", "solver") if call[word] is not None}
@@ -180,6 +173,8 @@ def _as_asked(cell: Cell, features: FeatureSet, trace: _Trace) -> tuple[
     fitness = float(found.objectives[0]) if judged else None
     trace.end(found.evaluations, fitness)
     times = trace.times()  # what follows tells about the study, and takes no part in the run
+    # Only the figures of a table. A run also compares its selection with all plain models, which
+    # takes longer than most searches and is the same for all seeds.
     figures: dict[str, Any] = {
         "objective": task.problem.objectives[0],
         "proven": _proven(task, found),

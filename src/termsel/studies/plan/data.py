@@ -34,11 +34,7 @@ class Data:
 
 
 def data_of(spec: Spec, folder: Path) -> list[Data]:
-    """Return all data that a study names; file names are relative to `folder`.
-
-    Raises TermselError if a pattern matches no file, two data have one label, or nothing at all can
-    be read.
-    """
+    """Return all data that a study names, each once; file names are relative to `folder`."""
     found = [data for source in spec.data for data in _of_source(spec, source, folder)]
     labels: set[str] = set()
     for data in found:

@@ -39,10 +39,7 @@ class Places:
 
 
 def places_of(text: str, file: object) -> Places:
-    """Return the places of all keys and list items of a text.
-
-    `file` is its name, for messages; the parser accepts the text.
-    """
+    """Return the places of all keys and list items of a valid text; `file` is for messages."""
     reader = _Reader(text)
     reader.document()
     return Places(file, reader.known)

@@ -75,11 +75,7 @@ class Spec:
 
 
 def read_spec(file: Path) -> Spec:
-    """Return what a study file asks for.
-
-    Raises TermselError, with line and column, for text that is not TOML, an unknown key, or a value
-    of another type.
-    """
+    """Return what a study file asks for; what is refused has its line and column."""
     text = read_text(file)
     try:
         table = tomllib.loads(text)

@@ -30,10 +30,7 @@ _STEPS = 60
 
 
 def figures_of(study: Study) -> list[Figure]:
-    """Return the charts of a study, those that its runs allow; auto alone searches nothing.
-
-    Raises TermselError without altair.
-    """
+    """Return the charts of a study, those that its runs allow; auto alone searches nothing."""
     if study.spec.strategies == ("auto",):
         return []
     groups = group(study.rows, study.records, study.spec.measure)
@@ -53,10 +50,7 @@ def figures_of(study: Study) -> list[Figure]:
 
 
 def running_times(groups: Groups, column: int) -> Figure:
-    """Return the ECDF of running times over all targets and instances, a line a method.
-
-    `column` is 0 for evaluations, 2 for CPU seconds.
-    """
+    """Return the ECDF of evaluations (column 0) or CPU seconds (2) over all targets."""
     rows, last = [], 0.0
     for method in groups.methods:
         hits = [hit(record.trace, target, column)
@@ -136,15 +130,13 @@ def profile(groups: Groups) -> Figure:
 
 
 def critical_differences(comparison: Comparison) -> Figure:
-    """Return the mean ranks, with bars over methods that cannot be told apart.
-
-    Source: Demšar 2006, J. Mach. Learn. Res. 7, figure 1.
-    """
+    """Return the mean ranks, with bars over methods that cannot be told apart."""
     alt = require_altair()
     assert comparison.difference is not None
     order = np.argsort(comparison.ranks, kind="stable")
     names = [comparison.methods[i] for i in order]
     ranks = [comparison.ranks[i] for i in order]
+    # Demšar 2006, J. Mach. Learn. Res. 7, figure 1.
     ends = alike(ranks, comparison.difference)
     axis = alt.X("rank:Q", title="mean rank; 1 is best", scale=alt.Scale(
         domain=[1, len(names)], nice=False))

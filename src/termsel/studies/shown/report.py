@@ -66,10 +66,7 @@ def _document(study: Study, charts: list[Figure], pictures: dict[str, str]) -> D
 
 
 def thumbnails(study: Study) -> dict[str, str]:
-    """Return small drawings of each image's residuals, by the key of the cell.
-
-    SVG, or why there is none, as HTML.
-    """
+    """Return small drawings of each image's residuals by the key of the cell: SVG, or why not."""
     if study.folder is None:
         return {}
     drawings = {}

@@ -16,10 +16,7 @@ _SIZES = ((0.71, "large"), (0.64, "medium"), (0.56, "small"))
 
 
 def claims(groups: Groups, comparison: Comparison | None, rows: list[Row]) -> list[str]:
-    """Return sentences on what may be claimed, and what not.
-
-    `comparison` is None where there are too few instances.
-    """
+    """Return sentences on what may be claimed, and what not; with few instances no comparison."""
     said = [f"Compared by {MEASURES[groups.measure]}; lower is better."]
     if len(groups.methods) < 2:
         said.append("There is one method, so nothing is compared." if groups.methods else

@@ -30,8 +30,7 @@ class FrontFigures:
 def front_figures(groups: Groups) -> list[FrontFigures]:
     """Return the figures of all fronts of a study.
 
-    A front that was proven is the reference where there is one; else the non-dominated members of
-    all runs are.
+    A proven front is the reference where there is one; else the non-dominated members of all runs.
     """
     found = []
     for instance, by_method in groups.instances.items():
@@ -55,10 +54,7 @@ def front_figures(groups: Groups) -> list[FrontFigures]:
 
 
 def non_dominated(points: FloatArray) -> FloatArray:
-    """Return the points that no other one dominates, each once.
-
-    Points have the shape (n, objectives); lower is better.
-    """
+    """Return the points (n, objectives) that no other one dominates, each once; lower is better."""
     points = np.unique(points, axis=0)
     better = (points[:, None] <= points[None]).all(axis=2) & (points[:, None] != points[None]
                                                               ).any(axis=2)

@@ -49,10 +49,7 @@ class Comparison:
 
 
 def medians_of(groups: Groups) -> FloatArray:
-    """Return the median of every method on every instance that all methods were run on.
-
-    The shape is (instances, methods).
-    """
+    """Return medians (instances, methods) on every instance that all methods were run on."""
     return np.array([[quantiles(groups.instances[name][method].values, (0.5,))[0]
                       for method in groups.methods] for name in groups.common]
                     ).reshape(len(groups.common), len(groups.methods))

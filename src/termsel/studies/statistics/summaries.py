@@ -80,30 +80,21 @@ def quantiles(values: Sequence[float], shares: Sequence[float]) -> list[float]:
 
 
 def wilson(successes: int, runs: int, level: float = 0.95) -> tuple[float, float]:
-    """Return the interval of a share of successes.
-
-    Source: Wilson 1927, J. Am. Stat. Assoc. 22(158); as scipy computes it, without correction for
-    continuity.
-    """
+    """Return the interval of a share of successes, without correction for continuity."""
     from scipy.stats import binomtest
 
+    # Wilson 1927, J. Am. Stat. Assoc. 22(158).
     found = binomtest(successes, runs).proportion_ci(level, method="wilson")
     return float(found.low), float(found.high)
 
 
 def hit(trace: Sequence[Sequence[float]], target: float, column: int = 0) -> float:
-    """Return when a run reached a target; infinite if it never did.
-
-    `column` is 0 for evaluations, 2 for CPU seconds.
-    """
+    """Return evaluations (column 0) or CPU seconds (2) until a target is reached, or infinity."""
     return next((float(point[column]) for point in trace if point[1] <= target), math.inf)
 
 
 def length(figures: Mapping[str, Any]) -> float:
-    """Return the evaluations of a run, those of the local refinement included.
-
-    The `figures` are those of its record; empty for a run that failed.
-    """
+    """Return the evaluations of a run by its figures, those of the local refinement included."""
     return float(figures.get("evaluations") or 0)
 
 
@@ -121,10 +112,7 @@ def expected_running_time(hits: Sequence[float], lengths: Sequence[float]) -> fl
 
 
 def ecdf(hits: Sequence[float]) -> tuple[list[float], list[float]]:
-    """Return budgets, and which share of runs and targets is reached within each, inclusive.
-
-    `hits` is when each run reached each target, as `hit` returns it.
-    """
+    """Return budgets, and which share of the moments, as of `hit`, is reached within each."""
     steps = {moment: (i + 1) / len(hits)
              for i, moment in enumerate(sorted(filter(math.isfinite, hits)))}
     return list(steps), list(steps.values())
@@ -146,10 +134,7 @@ def targets_of(optimum: float | None, runs: Iterable[Runs], number: int = 21) ->
 
 def bands(traces: Sequence[Sequence[Sequence[float]]], budgets: Sequence[float]
           ) -> list[tuple[float, float, float, float]]:
-    """Return budgets [evaluations] with the quartiles of the best value found within each.
-
-    A trace is one a run; quartiles are infinite where runs have found nothing.
-    """
+    """Return budgets [evaluations] with the quartiles of the best value of the runs within each."""
     rows = []
     for budget in budgets:
         values = [min((point[1] for point in trace if point[0] <= budget), default=math.inf)
