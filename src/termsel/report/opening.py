@@ -174,5 +174,5 @@ def _next(record: Record) -> str:
     if not record.data.counts.independent:
         return "measure further points, some of the role independent; termsel plan names places."
     if "Use --strategy auto" in record.judgement:
-        return "run --strategy auto, which predicts better."
+        return "name no problem and no method: then auto chooses, and predicts better."
     return "termsel report, export and rectify take the folder that --out DIR writes."
