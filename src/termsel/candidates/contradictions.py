@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Protocol, TypeVar
+from typing import TypeVar
 
 import numpy as np
 from scipy.special import fdtri
@@ -171,12 +171,7 @@ class Division:
         return int(np.flatnonzero(self.used)[looked_at[odds.argmax()]]) if likely else None
 
 
-class _Judged(Protocol):
-    @property
-    def squares(self) -> FloatArray: ...
-
-
-_One = TypeVar("_One", bound=_Judged)
+_One = TypeVar("_One", Test, "_OfPoints")
 
 
 def _better(quadratic: _One | None, cubic: _One | None) -> _One | None:

@@ -4,7 +4,5 @@ from termsel.criteria.base import CheckRmse, Criterion, Fits
 from termsel.criteria.cross_validation import KFold, Press
 from termsel.criteria.information import Ebic
 from termsel.criteria.robust import Huber, Median
-from termsel.models.poles import POLE_MARGIN
 
-__all__ = ["POLE_MARGIN", "CheckRmse", "Criterion", "Ebic", "Fits", "Huber", "KFold", "Median",
-           "Press"]
+__all__ = ["CheckRmse", "Criterion", "Ebic", "Fits", "Huber", "KFold", "Median", "Press"]

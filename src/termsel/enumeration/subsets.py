@@ -27,25 +27,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from termsel.enumeration.columns.system import (
-    MAX_COLUMNS,
-    SCORES,
-    Masks,
-    Piece,
-    SubsetSystem,
-    Walked,
-    better,
-    count_subsets,
-)
+from termsel.enumeration.columns.system import Masks, Piece, SubsetSystem, Walked, better
 from termsel.enumeration.descents import descents
 from termsel.enumeration.rungs import rungs
 from termsel.enumeration.stack import Stack, stack
 from termsel.measurements.features import BoolArray, FloatArray, IntArray
 
 log = logging.getLogger(__name__)
-
-__all__ = ["MAX_COLUMNS", "SCORES", "SubsetResult", "SubsetSystem", "count_subsets",
-           "estimate_seconds", "search"]
 
 _PIECE = 1 << 16  # subsets enumerated between two checks for interruption: some milliseconds
 _BRANCH = 1 << 25  # the same, where bounds rule out most of them: a fraction of a second

@@ -98,7 +98,7 @@ class Genome:
         found = np.zeros((len(genes), len(self.labels)), dtype=bool)
         for segment, where in self._switched():
             part = genes[:, self._slices[segment.name]]
-            found[:, where] = segment.mask(part) if isinstance(segment, Subset) else part
+            found[:, where] = segment.mask(part)
         return found
 
     def part(self, genes: Genes, name: str) -> Genes:
@@ -149,10 +149,9 @@ class Genome:
     def _forced(self, segment: Bits | Subset, genes: Genes, rng: np.random.Generator) -> Genes:
         """Return the genes of a segment with its forced labels and cardinality."""
         where = self._of_labels[segment.name]
-        mask = segment.mask(genes) if isinstance(segment, Subset) else genes
-        mask = (mask | self.on[where]) & ~self.off[where]
+        mask = (segment.mask(genes) | self.on[where]) & ~self.off[where]
         _keep_count(mask, segment, self.free[where], rng)
-        return segment.members(mask) if isinstance(segment, Subset) else mask
+        return segment.members(mask)
 
     def fault(self, genes: object) -> str | None:
         """Return what is wrong with genes and what was expected, if anything.

@@ -135,6 +135,14 @@ class Bits(_Named):
         """Return the labels of the genes that are on."""
         return select(self.labels, genes.astype(bool))
 
+    def mask(self, genes: Genes) -> Genes:
+        """Return what is on: the genes themselves."""
+        return genes
+
+    def members(self, mask: BoolArray) -> Genes:
+        """Return genes from a mask of what is on, which they are."""
+        return mask
+
 
 @dataclass(frozen=True)
 class Integers(_Bounded):

@@ -31,7 +31,7 @@ class Coding:
     m: int  # how many of them are on at most
     blanks: int  # how many fewer there may be: the number of blank numbers, which start at n
     forced: BoolArray  # (n of all,): labels that are always on
-    subset: Subset | None = None  # the segment, where its genes are tuples themselves
+    segment: Bits | Subset
 
     @property
     def numbers(self) -> int:
@@ -40,7 +40,7 @@ class Coding:
 
     def tuples(self, genes: Genes) -> IntArray:
         """Return chromosomes, shape (p, m), each row ascending, from genes (p, size)."""
-        on = (self.subset.mask(genes) if self.subset else genes)[:, self.free]
+        on = self.segment.mask(genes)[:, self.free]
         # As many blanks as there are fewer than m, the first ones: each set has one tuple.
         blank = np.arange(self.blanks) < self.m - on.sum(axis=1, keepdims=True)
         return np.nonzero(np.concatenate([on, blank], axis=1))[1].reshape(len(genes), self.m)
@@ -52,7 +52,7 @@ class Coding:
         label = np.concatenate([self.free, np.full(self.blanks, size)])
         np.put_along_axis(chosen, label[tuples], True, axis=1)
         chosen = chosen[:, :size] | self.forced
-        return self.subset.members(chosen) if self.subset else chosen
+        return self.segment.members(chosen)
 
 
 def coding(genome: Genome) -> Coding:
@@ -67,8 +67,7 @@ def coding(genome: Genome) -> Coding:
     assert isinstance(segment, Bits | Subset)  # what the solver declares
     free, forced = np.flatnonzero(genome.free), int(genome.on.sum())
     most = min(segment.most - forced, len(free))
-    return Coding(free, most, most - max(segment.minimum - forced, 0), genome.on,
-                  segment if isinstance(segment, Subset) else None)
+    return Coding(free, most, most - max(segment.minimum - forced, 0), genome.on, segment)
 
 
 class SteadyStateGA(GeneticAlgorithm):

@@ -22,7 +22,6 @@ from termsel.solvers.proofs.proof import FeatureProof, generation_of
 if TYPE_CHECKING:
     from termsel.enumeration.features.walk import RowSystem
     from termsel.problems.base import Evaluation, Problem
-    from termsel.problems.genome import Genome
 
 log = logging.getLogger(__name__)
 
@@ -37,11 +36,15 @@ _REPORTS = 4  # so many reports, then as many with a further branch between them
 _TIMED = 1 << 16  # selections of which the time of all is estimated
 
 
+def _segment(problem: Problem) -> Bits | Subset:
+    segment, = problem.genome.segments
+    assert isinstance(segment, Bits | Subset)  # of features
+    return segment
+
+
 def selections_of(problem: Problem, systems: tuple[RowSystem, ...]) -> Selections:
     """Return all selections of a problem that selects features alone; refuse too many features."""
-    genome = problem.genome
-    segment, = genome.segments
-    assert isinstance(segment, Bits | Subset)  # of features
+    genome, segment = problem.genome, _segment(problem)
     n = len(segment.labels)
     return Selections(n, segment.minimum, segment.most, genome.on, genome.off, systems)
 
@@ -170,6 +173,7 @@ class _Records:
 
     def __init__(self, problem: Problem, selections: Selections) -> None:
         self.problem, self.selections = problem, selections
+        self.segment = _segment(problem)
         self.best = np.full(selections.n + 1, np.inf)
         self.genes: dict[int, Genes] = {}
         # The squared errors of a system are of one axis, or of both: a point has two.
@@ -196,7 +200,7 @@ class _Records:
             while start < len(here):
                 some = here[start:start + batch]
                 start, batch = start + len(some), min(2 * batch, _LARGEST)
-                genes = _genes(self.problem.genome, chosen[some])
+                genes = self.segment.members(chosen[some])
                 self.take(genes, self.problem.evaluate(genes))
                 # They are in the order of their scores: those beyond the limit are no better.
                 limit = self.selections.reach(self.limits()[size])
@@ -211,8 +215,3 @@ class _Records:
             size, value = int(sizes[row]), float(evaluation.objectives[row, 0])
             if value < self.best[size]:
                 self.best[size], self.genes[size] = value, genes[row].copy()
-
-
-def _genes(genome: Genome, chosen: BoolArray) -> Genes:
-    segment, = genome.segments
-    return segment.members(chosen) if isinstance(segment, Subset) else chosen

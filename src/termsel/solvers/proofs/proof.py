@@ -10,6 +10,7 @@ from functools import partial
 import numpy as np
 
 from termsel.enumeration import subsets
+from termsel.enumeration.columns.system import count_subsets
 from termsel.enumeration.subsets import SubsetResult
 from termsel.measurements.features import BoolArray, FloatArray, IntArray
 from termsel.problems.base import EnumerablePart, Problem
@@ -306,8 +307,8 @@ def segment_of(problem: Problem, part: EnumerablePart) -> Bits:
 def count(problem: Problem, max_terms: int | None = None) -> int:
     """Return the number of subsets of all parts together (raises as `prove`)."""
     return sum(
-        subsets.count_subsets(int(problem.genome.free[part.genes].sum()),
-                              limits_of(problem, part, max_terms)[1])
+        count_subsets(int(problem.genome.free[part.genes].sum()),
+                      limits_of(problem, part, max_terms)[1])
         for part in problem.parts())
 
 
