@@ -78,7 +78,7 @@ def test_plugin_of_the_readme_is_a_plugin(tmp_path: Path) -> None:
     done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True,
                           text=True, check=False)
     assert done.returncode == 0, done.stderr
-    assert "Model dlt-demo, solver ga" in done.stdout
+    assert "Model: dlt-demo, all " in done.stdout
     assert "all 11 terms" in done.stdout or "11 of 11 terms" in done.stdout
 
 
@@ -153,7 +153,7 @@ def test_readme_has_one_command_for_the_tests() -> None:
 
 
 def test_picture_is_of_the_run_the_readme_shows() -> None:
-    selected = re.search(r"^Selected: (\d+) of 120 control features", _page("README.md"),
+    selected = re.search(r"^Model: .*, (\d+) of 120 lines;", _page("README.md"),
                          re.MULTILINE)
     assert selected is not None
     roles = {name: role for name, (role, _) in _marks(_page(PICTURE)).items()}
