@@ -74,7 +74,7 @@ def steps(text: str) -> list[Step]:
         kind, body, start = block[1], block[2], block.start(2)
         if _NOT_RUN.search(text[:block.start()]):
             continue
-        if kind == "python" and not body.startswith(">>>"):  # which doctest runs
+        if kind == "python":
             output = _OUTPUT.match(text, block.end())
             found.append(Step(body, True, output[1], output.start(1), output.end(1)) if output
                          else Step(body, True, None, block.end(2), block.end(2)))
