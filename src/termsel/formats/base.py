@@ -15,7 +15,7 @@ import numpy as np
 from termsel.errors import TermselError
 from termsel.files.atomic import private_folder
 from termsel.files.names import is_open_pipe, is_there, refuse_pipe
-from termsel.guard.arrays import of_type
+from termsel.guard.arrays import returns
 from termsel.guard.calls import Check
 from termsel.measurements.features import FeatureSet
 from termsel.options import Configurable, Option
@@ -36,14 +36,6 @@ def _answer_fault(_own: Configurable, value: Any, *_args: Any) -> str | None:
     """Return what is wrong with a yes or no, if anything."""
     return None if isinstance(value, bool | np.bool_) else \
         f"returned {value!r:.100}; expected True or False"
-
-
-def _features_fault(_own: Configurable, value: Any, *_args: Any) -> str | None:
-    return of_type(value, FeatureSet)
-
-
-def _error_fault(_own: Configurable, value: Any, *_args: Any) -> str | None:
-    return of_type(value, TermselError)
 
 
 def _files_fault(_own: Configurable, value: Any, *_args: Any) -> str | None:
@@ -70,7 +62,7 @@ class Reader(Configurable, ABC):
 
     kind = "reader"
     guards: ClassVar[Mapping[str, Check | None]] = {
-        "sniff": _answer_fault, "read": _features_fault, "placed": _error_fault}
+        "sniff": _answer_fault, "read": returns(FeatureSet), "placed": returns(TermselError)}
 
     name: ClassVar[str]
     summary: ClassVar[str]

@@ -57,15 +57,14 @@ def picture_for(result: Result, image: Path | str | None) -> Picture:
     picture = picture_of(Path(image))
     bottom, right = result.features.image_vertices().max(axis=0)
     if known is None and (bottom > picture.size[0] or right > picture.size[1]):
-        raise TermselError(f"the image has {picture.size[0]} lines and {picture.size[1]} samples, "
-                           f"but features extend to line {bottom:g} and sample "
-                           f"{right:g}", file=image,
-                           hint="Give the image in which the features were measured.")
-    if known is not None and picture.size != known:
-        raise TermselError(f"the image has {picture.size[0]} lines and {picture.size[1]} samples, "
-                           f"the image of the result {known[0]} and {known[1]}", file=image,
-                           hint="Give the image in which the features were measured.")
-    return picture
+        what = f"but features extend to line {bottom:g} and sample {right:g}"
+    elif known is not None and picture.size != known:
+        what = f"the image of the result {known[0]} and {known[1]}"
+    else:
+        return picture
+    raise TermselError(f"the image has {picture.size[0]} lines and {picture.size[1]} samples, "
+                       f"{what}", file=image,
+                       hint="Give the image in which the features were measured.")
 
 
 def picture_of(image: Path) -> Picture:

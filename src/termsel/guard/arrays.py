@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -30,6 +31,11 @@ def of_shape(value: Any, shape: tuple[int, ...], *, finite: bool = True,
 def _listed(shape: tuple[int, ...]) -> str:
     sizes = ["n" if size == -1 else str(size) for size in shape]
     return f"{sizes[0]}," if len(sizes) == 1 else ", ".join(sizes)
+
+
+def returns(wanted: type) -> Callable[..., str | None]:
+    """Return a check of methods, for `Guarded`, that must return an object of a type."""
+    return lambda _own, value, *_args: of_type(value, wanted)
 
 
 def of_type(value: Any, wanted: type) -> str | None:

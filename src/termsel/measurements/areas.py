@@ -87,18 +87,17 @@ def boundary(areas: Sequence[Area]) -> Lines:
                 hint="Lines are always control: use control, off or blank. Centroids can have any "
                      "role (--set areas_as=centroid).", ids=[area.id])
     on = [area for area in areas if area.role != "off"]
-    own = _own_edges(on)
-    for area, edges in zip(on, own, strict=True):
+    used = list(zip(on, _own_edges(on), strict=True))
+    for area, edges in used:
         if not edges:
             raise TermselError(f"all edges of area {area.id!r} belong to other areas on the same "
                                "side", ids=[area.id], hint="Remove one of these areas.")
-    return Lines(tuple(area.id for area, edges in zip(on, own, strict=True) for _ in edges),
-                 np.concatenate([np.empty((0, 2, 2)), *(
-                     _edges(area.image)[edges] for area, edges in zip(on, own, strict=True))]),
-                 np.concatenate([np.empty((0, 2, 3)), *(
-                     _edges(area.ground)[edges] for area, edges in zip(on, own, strict=True))]),
-                 attributes=columns_of([area.attributes for area, edges in zip(on, own, strict=True)
-                                        for _ in edges]))
+    # The empty arrays are for no areas at all.
+    return Lines(tuple(area.id for area, edges in used for _ in edges), np.concatenate([
+        np.empty((0, 2, 2)), *(_edges(area.image)[edges] for area, edges in used)]),
+                 np.concatenate([
+        np.empty((0, 2, 3)), *(_edges(area.ground)[edges] for area, edges in used)]),
+                 attributes=columns_of([area.attributes for area, edges in used for _ in edges]))
 
 
 def centroids(areas: Sequence[Area]) -> Points:

@@ -14,7 +14,7 @@ from termsel.adjustment.interpolation import Interpolation
 from termsel.errors import TermselError, first_of
 from termsel.fits.fit import Fit
 from termsel.fits.of_features import control_of, fit_all_terms
-from termsel.guard.arrays import of_shape, of_type
+from termsel.guard.arrays import of_shape, of_type, returns
 from termsel.guard.calls import Check
 from termsel.measurements.coordinates.crs import to_wgs84
 from termsel.measurements.features import FeatureSet, FloatArray, IntArray
@@ -63,11 +63,6 @@ def _axis_fault(model: SensorModel, value: Any) -> str | None:
     return what
 
 
-def _of(wanted: type) -> Check:
-    """Return a check of values that are of a type."""
-    return lambda _model, value, *_args: of_type(value, wanted)
-
-
 def _rpc_fault(_model: SensorModel, value: Any, *_args: Any) -> str | None:
     from termsel.models.rpc import Rpc
 
@@ -97,7 +92,8 @@ class SensorModel(Configurable, ABC):
         "equations": _equations_fault, "linearised": _or_none(_equations_fault),
         "project": _image_fault, "predict": _image_fault, "denominators": _or_none(_image_fault),
         "residual_weights": _or_none(_weights_fault), "as_rpc": _or_none(_rpc_fault),
-        "interpolation": _or_none(_of(Interpolation)), "polynomial_degree": _or_none(_of(int))}
+        "interpolation": _or_none(returns(Interpolation)),
+        "polynomial_degree": _or_none(returns(int))}
 
     uses_height: ClassVar[bool] = True
     """Whether it requires the heights of the features."""

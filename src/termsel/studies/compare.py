@@ -19,7 +19,7 @@ from termsel.plugins.registry import registry
 from termsel.runs.notebook import line_of_many
 from termsel.runs.task.provenance import versions
 from termsel.studies.cells.cell import Cell, cells_of, kind_of
-from termsel.studies.cells.folder import PLAN, StudyPlan, write_plan
+from termsel.studies.cells.folder import PLAN, write_plan
 from termsel.studies.cells.images import IMAGES, folders_of, write_files
 from termsel.studies.cells.journal import Journal, read_journal
 from termsel.studies.cells.lock import locked
@@ -90,17 +90,16 @@ def compare(
         raise TermselError(f"{workers} workers cannot run anything", hint="Give 1 or more.")
     spec, folder = asked(study, keys)
     cells = plan_cells(spec, folder)
-    plan = StudyPlan(spec, {cell.data.label: cell.data.key for cell in cells}, workers,
-                {cell.key: cell.labels for cell in cells})
-    folders = folders_of(plan.cells)
+    labels = {cell.key: cell.labels for cell in cells}
+    folders = folders_of(labels)
     with ExitStack() as stack:
         place = Path(out) if out is not None else stack.enter_context(private_folder())
         plugins = _plugins(cells, spec)
         journal = _begun(stack, place, {**versions(), **plugins})
-        write_plan(plan, place)
+        write_plan(spec, cells, workers, place)
         finished = {cell.key: journal.records[cell.key] for cell in cells
                     if cell.key in journal.records}
-        tally = Tally(plan.cells, workers, finished)
+        tally = Tally(labels, workers, finished)
         title = spec.title or "Study"
         show = stack.enter_context(line_of_many(title))
         observers = (*observers, lambda progress: show(
@@ -124,7 +123,7 @@ def compare(
             tally.count(outcome.record)
             for observe in observers:
                 observe(tally.progress())
-        return Study(spec, plan.cells, finished, Path(out) if out is not None else None)
+        return Study(spec, labels, finished, Path(out) if out is not None else None)
 
 
 LONG = 20.0

@@ -180,19 +180,16 @@ def errors_pass(trial: Trial) -> None:
             raised.append(call)
             raise _Stop
 
-    problem = Watched(trial.problem(), before)
+    hides = "which hides the end of the budget; let it pass"
     try:
-        for _ in trial.few(problem, 20):
-            require(not raised, "an exception of evaluate() is caught, which hides the end of "
-                                "the budget; let it pass")
+        for _ in trial.few(Watched(trial.problem(), before), 20):
+            require(not raised, f"an exception of evaluate() is caught, {hides}")
+        require(not raised, f"an exception of evaluate() is caught, {hides}")
     except _Stop:
         pass
     except _Runaway:
-        raise AssertionError("it goes on evaluating after an exception of evaluate(), which "
-                             "hides the end of the budget; let it pass") from None
-    else:
-        require(not raised, "an exception of evaluate() is caught, which hides the end of the "
-                            "budget; let it pass")
+        raise AssertionError(f"it goes on evaluating after an exception of evaluate(), {hides}"
+                             ) from None
 
 
 def closes(trial: Trial) -> None:

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from termsel.errors import TermselError
 from termsel.files.atomic import write_text
 from termsel.formats.base import located, parse_json, read_text
-from termsel.studies.cells.cell import LABELS
+from termsel.studies.cells.cell import LABELS, Cell
 from termsel.studies.cells.journal import read_journal
 from termsel.studies.cells.lock import holder
 from termsel.studies.execution.progress import StudyProgress, Tally
@@ -21,28 +20,16 @@ from termsel.studies.study import Study
 PLAN = "plan.json"
 
 
-@dataclass(frozen=True)
-class StudyPlan:
-    """Content of plan.json.
-
-    Objects that Python gave are in `spec` by their names, features not at all.
-    """
-
-    spec: Spec
-    data: Mapping[str, str]  # checksum of their content, by label
-    workers: int  # processes at a time
-    cells: Mapping[str, Mapping[str, Any]]  # labels by key, in the order of the tables
-
-
-def write_plan(plan: StudyPlan, folder: Path) -> None:
-    """Write a plan into the folder of its study."""
+def write_plan(spec: Spec, cells: Sequence[Cell], workers: int, folder: Path) -> None:
+    """Write what was asked for, and what cells that makes, into the folder of a study."""
+    # Objects that Python gave are in `spec` by their names, features not at all.
     write_text(folder / PLAN, json.dumps(
-        {"study": table_of(plan.spec), "data": plan.data, "workers": plan.workers,
-         "cells": plan.cells}, indent=1) + "\n")
+        {"study": table_of(spec), "data": {cell.data.label: cell.data.key for cell in cells},
+         "workers": workers, "cells": {cell.key: cell.labels for cell in cells}}, indent=1) + "\n")
 
 
-def read_plan(folder: Path) -> StudyPlan:
-    """Return the plan of a study; TermselError if there is none, or it was damaged."""
+def _read_plan(folder: Path) -> tuple[Spec, int, dict[str, dict[str, Any]]]:
+    """Return what was asked for, workers, and labels of all cells by key; refuse damage."""
     file, repeat = folder / PLAN, "Repeat the command that began the study."
     if not file.is_file():
         raise TermselError("there is no study in this folder", file=folder,
@@ -54,7 +41,7 @@ def read_plan(folder: Path) -> StudyPlan:
     try:
         cells = {key: {name: labels[name] for name in LABELS}
                  for key, labels in table["cells"].items()}
-        return StudyPlan(spec_of(table["study"]), dict(table["data"]), int(table["workers"]), cells)
+        return spec_of(table["study"]), int(table["workers"]), cells
     except (KeyError, TypeError, ValueError, AttributeError, OverflowError,
             TermselError) as error:
         raise TermselError("this is not the plan of a study", file=file, hint=repeat) from error
@@ -78,15 +65,14 @@ def read_study(folder: Path | str) -> Study:
     TermselError
         If there is no study, or its files were damaged.
     """
-    plan = read_plan(Path(folder))
+    spec, _, cells = _read_plan(Path(folder))
     records = read_journal(Path(folder)).records
-    return Study(plan.spec, plan.cells, {key: records[key] for key in plan.cells if key in records},
-                 Path(folder))
+    return Study(spec, cells, {key: records[key] for key in cells if key in records}, Path(folder))
 
 
 def status(folder: Path) -> tuple[StudyProgress, str | None]:
     """Return how far the study of a folder is, and who is at work on it, if anybody is."""
-    study, workers = read_study(folder), read_plan(folder).workers
+    study, workers = read_study(folder), _read_plan(folder)[1]
     return Tally(study.cells, workers, study.records).progress(), holder(folder)
 
 

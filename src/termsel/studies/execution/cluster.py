@@ -51,7 +51,9 @@ def on_cluster(cells: Sequence[Cell], features: Mapping[str, FeatureSet], stop: 
         client = _connected(address)
         running: dict[Future, Cell] = {}
         try:
-            _require_alike(client, needed)
+            # Others would compute something else, or nothing.
+            for worker, found in sorted(client.run(versions_here, tuple(needed)).items()):
+                require_alike(needed, found, worker)
             yield from _submitted(client, waiting, running, features, stop, needed)
         except OSError as error:
             log.warning("The scheduler %s was lost: %s", address, error)
@@ -99,12 +101,6 @@ def _has_port(address: str) -> bool:
         return urlsplit("//" + address.rpartition("://")[2]).port is not None
     except ValueError:
         return False
-
-
-def _require_alike(client: Client, needed: Mapping[str, str]) -> None:
-    """Refuse workers that would compute something else, or cannot."""
-    for worker, found in sorted(client.run(versions_here, tuple(needed)).items()):
-        require_alike(needed, found, worker)
 
 
 def require_alike(needed: Mapping[str, str], found: Mapping[str, str | None], worker: str) -> None:
