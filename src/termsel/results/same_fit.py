@@ -51,11 +51,8 @@ def fit_of_record(model: SensorModel, control: FeatureSet, scaling: Scaling, use
     """Return the fit that a record describes, of the features in use among the control.
 
     The estimator is that of a plugin's candidate, `own`, where it has the name in the record.
-
-    Raises
-    ------
-    TermselError
-        If there is no such estimator, or the errors held out are not those of the features in use.
+    Refuses a name that no estimator has, and errors held out that are not those of the features in
+    use.
     """
     estimator = own if own is not None and own.name == how.estimator \
         else estimator_named(how.estimator, how.options)

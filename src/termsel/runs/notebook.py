@@ -39,11 +39,8 @@ def notebook_observer(title: str) -> Callable[[Progress], None] | None:
 def line_of_many(title: str) -> Iterator[Callable[[str, bool], None]]:
     """Show one line for many runs, which show none of their own.
 
-    Yields
-    ------
-    show : callable
-        Takes the text of the line, and whether it is the last one. Outside a notebook it shows
-        nothing.
+    Yielded is a function of the text of the line, and whether it is the last one. Outside a
+    notebook it shows nothing.
     """
     show = _line(title)
     token = _inside.set(True)

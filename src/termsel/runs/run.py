@@ -154,18 +154,7 @@ def run(
 
 
 def problem_for(features: FeatureSet | None, dataset: str | DatasetSpec | None = None) -> str:
-    """Return the name of the problem that features are for where none is named.
-
-    Parameters
-    ----------
-    dataset : str or DatasetSpec, optional
-        The data set, where there are no features.
-
-    Raises
-    ------
-    TermselError
-        If there are none.
-    """
+    """Return the problem that features, or else a data set, are for where none is named."""
     if features is None and dataset is not None:
         features = loaded(registry().taken("datasets", dataset))
     if features is None:

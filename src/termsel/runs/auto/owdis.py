@@ -31,20 +31,9 @@ def with_selected_lines(control: Control, choice: Choice, portfolio: Portfolio,
                         seed: int) -> tuple[Choice, FloatArray | None]:
     """Return the choice from points and the lines that OWDIS selects, if it is clearly better.
 
-    Parameters
-    ----------
-    control : Control
-        Points and lines.
-    choice : Choice
-        That of `choose_features`; how OWDIS compares with it is added to its reason.
-    seed : int
-        Of the search.
-
-    Returns
-    -------
-    choice : Choice
-    errors : ndarray, shape (n_points, 2), or None
-        Of the points under selections made without them [px], where OWDIS is chosen.
+    The control has points and lines, the choice is that of `choose_features`; how OWDIS compares
+    with it is added to its reason. With OWDIS come the errors of the points under selections made
+    without them [px], (n_points, 2). The seed is that of the search.
     """
     lines, count = control.features.lines, len(control.features.points)
     if count < FOLDS_WITH_LINES or not len(lines):

@@ -53,20 +53,10 @@ def wanted(strategy: str | None, recipe: Recipe, method: Sequence[str] = (), *,
            unnamed: bool = False) -> bool:
     """Return whether a run is to choose its method by itself.
 
-    Parameters
-    ----------
-    strategy : {"auto", "as-asked"} or None
-        None means "auto" for problems that a portfolio can answer, but for those whose search comes
-        first, where nothing of a method is asked for.
-    method : sequence of str
-        What the user has named of a method, in words.
-    unnamed : bool
-        Whether nobody named the problem: then "auto" comes before its own search.
-
-    Raises
-    ------
-    TermselError
-        If "auto" is asked for and so is a method, or the problem is not one for it.
+    Without a strategy, "auto" or "as-asked", it does so for problems that a portfolio can answer,
+    but for those whose search comes first, where nothing of a method is asked for: `method` has
+    what is, in words. If nobody named the problem, "auto" comes before its own search. Refuses
+    "auto" next to a method, and for a problem that is not one for it.
     """
     if strategy is not None and strategy not in NAMES:
         raise TermselError(f"there is no strategy {strategy!r}",
@@ -121,14 +111,11 @@ class _Watch:
 def choose_for(setup: Setup, observations: Observations, seed: int,
                observers: Iterable[Observer] = ()) -> Result:
     """Return the choice from the portfolio as a result.
+
     The model and the solver of the setup take no part. The seed is that of the search by OWDIS,
     where there are points and lines. Observers are called with `Progress` after each candidate.
-    When interrupted with Ctrl-C there is a result if any candidate was judged.
-
-    Raises
-    ------
-    TermselError
-        If control and check points together determine no candidate.
+    When interrupted with Ctrl-C there is a result if any candidate was judged. Refuses control and
+    check points that together determine no candidate.
     """
     start = time.perf_counter()
     portfolio = all_candidates()

@@ -32,24 +32,12 @@ def judge(conventional: str, criterion: str, rmse: Mapping[str, Rmse | None],
           noise: float | None, *, candidate: Candidate | None = None, blunders: int = 0) -> str:
     """Return one or two sentences that compare the selection with what needs no search.
 
-    Parameters
-    ----------
-    conventional : str
-        What the conventional fit uses, such as "all lines".
-    criterion : str
-        Name of what the search minimised.
-    rmse : mapping
-        Of the selection, by role.
-    baselines : tuple of Baseline
-        The conventional fit first.
-    reference : str
-        Name of the baseline that the rule of auto chooses for control and check; may be empty.
-    noise : float or None
-        Standard deviation of the measurements [px], where it is known.
-    candidate : Candidate, optional
-        What the reference is; by default the candidate of its name.
-    blunders : int
-        Number of features that it leaves out as blunders.
+    `conventional` is what the conventional fit uses, such as "all lines"; that fit is the first
+    baseline. `reference` names the one that the rule of auto chooses for control and check, if any;
+    `candidate` is what it is, by default that of its name, and `blunders` how many features it
+    leaves out as such. The criterion is what the search minimised, the RMSE are those of the
+    selection by role, and the noise is the standard deviation of the measurements [px], where it is
+    known.
     """
     if not feasible:
         return ("This selection does not satisfy all conditions, and no better one was found. It "

@@ -18,18 +18,13 @@ from termsel.solvers.search import Search
 def recommended(task: Task, found: Search) -> Search:
     """Return the search with the recommended member of its front as its selection.
 
-    The rule is the problem's option "recommend". The standard error of the best criterion is
-    taken as that of an RMSE of normal errors, RMSE / sqrt(2 f), with f = 2 n coordinates of
-    the n points or lines the criterion looks at. The knee is the member farthest below the
-    straight line between the front's ends, in the logarithm of the criterion, which spans
-    orders of magnitude, and the second objective, both scaled to [0, 1]. "ebic" takes the least
-    `termsel.criteria.Ebic` of the control; where no member has one, the best criterion.
-
-    Parameters
-    ----------
-    found : Search
-        One without a front is returned as it is. With a single objective the members' numbers of
-        genes are the second one.
+    The rule is the problem's option "recommend". The standard error of the best criterion is taken
+    as that of an RMSE of normal errors, RMSE / sqrt(2 f), with f = 2 n coordinates of the n points
+    or lines the criterion looks at. The knee is the member farthest below the straight line between
+    the front's ends, in the logarithm of the criterion, which spans orders of magnitude, and the
+    second objective, both scaled to [0, 1]; with a single objective the number of genes is the
+    second one. "ebic" takes the least `termsel.criteria.Ebic` of the control; where no member has
+    one, the best criterion. A search without a front is returned as it is.
     """
     rule = task.options["problem"].get("recommend", "best")
     alone = len(task.problem.objectives) < 2

@@ -19,29 +19,16 @@ from termsel.solvers.search import Search, begin, search
 
 
 def search_in_steps(task: Task, **how: Any) -> Search:
-    """Search a task's problem as its option "steps" says.
+    """Search a task's problem as its option "steps" says, with arguments of `termsel.search`.
 
-    "joint" searches terms and features together. "terms-first" selects terms with all features
-    in use, then features under these terms; "features-first" selects features under all terms,
-    then terms. The pages of Yavari et al. 2018 that could be consulted combine both and give no
+    "joint" searches terms and features together. "terms-first" selects terms with all features in
+    use, then features under these terms; "features-first" selects features under all terms, then
+    terms. The pages of Yavari et al. 2018 that could be consulted combine both and give no
     sequence. The second step may have a solver of its own. The first step has half of the budget,
-    the second what is left, so that two steps cost no more than one search.
-
-    Parameters
-    ----------
-    **how
-        Arguments of `termsel.search`.
-
-    Returns
-    -------
-    Search
-        Of the last step; evaluations, generations and seconds are those of both.
-
-    Raises
-    ------
-    TermselError
-        For two steps with several objectives, if the solver of the second cannot take it, or if
-        the first step finds nothing feasible.
+    the second what is left, so that two steps cost no more than one search. The search is that of
+    the last step; evaluations, generations and seconds are those of both. Refuses two steps with
+    several objectives or a solver that cannot take the second, and if the first finds nothing
+    feasible.
     """
     problem, options = task.problem, task.options["search"]
     order = task.options["problem"].get("steps", "joint")

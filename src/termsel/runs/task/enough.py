@@ -18,12 +18,9 @@ ALL_PARALLEL = 1e-4
 
 def require_enough(observations: Observations, recipe: Recipe, criterion: Criterion,
                    least: int) -> None:
-    """Refuse data on which a problem cannot be run; `least` is the fewest control features.
+    """Refuse data for a problem: too few features, all in one place, or lines in one direction.
 
-    Raises
-    ------
-    TermselError
-        For too few features, all in one place, or lines all of one direction.
+    `least` is the fewest control features.
     """
     control, check = observations.control, observations.check
     if len(control) < least:

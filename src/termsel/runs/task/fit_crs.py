@@ -40,21 +40,11 @@ FIT_CRS = Option(
 
 
 def with_fit_crs(choice: str, observations: Observations, model: SensorModel) -> Observations:
-    """Return observations that say in which CRS a model is fitted.
+    """Return observations that say in which CRS a model is fitted, by the option `FIT_CRS`.
 
-    Parameters
-    ----------
-    choice : str
-        As the option `FIT_CRS` takes it.
-    observations : Observations
-        Independent points take no part in the choice of a UTM zone or of a CRS.
-
-    Raises
-    ------
-    TermselError
-        For "local" coordinates, an unknown CRS, coordinates that pyproj cannot transform or
-        without pyproj; for geocentric coordinates under a plane model, or of features whose
-        heights are unknown or all alike.
+    Independent points take no part in the choice of a UTM zone or of a CRS. Refuses "local"
+    coordinates, an unknown CRS, and coordinates that pyproj cannot transform or without pyproj; for
+    geocentric ones a plane model, and features whose heights are unknown or all alike.
     """
     features, control = observations.features, observations.control
     if normalise(features.crs) == LOCAL:
@@ -82,19 +72,9 @@ def with_fit_crs(choice: str, observations: Observations, model: SensorModel) ->
 
 
 def fit_crs_of(choice: str, control: FeatureSet) -> str:
-    """Return the name of a CRS.
+    """Return the name of a CRS for control that has one (refuses what `with_fit_crs` does).
 
-    Parameters
-    ----------
-    choice : str
-        "geodetic", "projected", "geocentric", or a CRS by its own name.
-    control : FeatureSet
-        In a CRS.
-
-    Raises
-    ------
-    TermselError
-        As `with_fit_crs`.
+    The choice is "geodetic", "projected", "geocentric", or a CRS by its own name.
     """
     if choice not in SYSTEMS:
         try:

@@ -28,14 +28,9 @@ def class_of(part: type[Configurable] | Configurable) -> type[Configurable]:
 
 def with_options(word: str, part: type[Configurable] | Configurable,
                  options: Mapping[str, Any]) -> Any:
-    """Return an instance of a class, or the instance that is given.
+    """Return an instance of a class, or the instance that is given, which takes no options.
 
     `word` is what it is, such as "model".
-
-    Raises
-    ------
-    TermselError
-        If there are options for an instance.
     """
     if isinstance(part, type):
         try:
@@ -54,15 +49,8 @@ def with_options(word: str, part: type[Configurable] | Configurable,
 def second_solver(recipe: Recipe, given: Mapping[str, Any]) -> Any:
     """Return the solver of the second of two steps as asked for, or the problem's; or None.
 
-    Parameters
-    ----------
-    given : mapping
-        The options of all parts.
-
-    Raises
-    ------
-    TermselError
-        For a solver, or options of one, where there is no second step, or no solver of its own.
+    Given are the options of all parts. Refuses a solver, or options of one, where there is no
+    second step, or no solver of its own.
     """
     options = {option.name: option.default for option in recipe.options}
     own = [key for key in given if key.startswith("then.")]
@@ -91,12 +79,7 @@ def second_solver(recipe: Recipe, given: Mapping[str, Any]) -> Any:
 def objectives_of(asked: str | None, criterion: Criterion) -> tuple[Objective, ...]:
     """Return the objectives that an option names, each once, without the criterion.
 
-    The names are separated by commas.
-
-    Raises
-    ------
-    TermselError
-        For a name that no objective has.
+    The names are separated by commas; one that no objective has is refused.
     """
     names = [name for name in dict.fromkeys(listed(asked)) if name != criterion.name]
     return tuple(registry().get("objectives", name) for name in names)

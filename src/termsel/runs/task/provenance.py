@@ -60,20 +60,11 @@ def versions() -> dict[str, str]:
 def plugins_of(setup: Setup, **chosen: Any) -> dict[str, dict[str, str]]:
     """Return the parts of a run that plugins provide, for the record.
 
-    A name alone does not identify them: two packages may use the same one.
-
-    Parameters
-    ----------
-    **chosen
-        What the strategy "auto" chose in the place of what was asked for: model and candidate.
-
-    Returns
-    -------
-    dict
-        By "problem", "model", "solver", "criterion", "then" and "candidate": ``name`` as
-        ``distribution:name``, and ``version`` of the distribution. Parts of termsel itself are
-        left out. What no plugin provides has the distribution "session" and its ``class``, as
-        "module.Class".
+    They are by "problem", "model", "solver", "criterion", "then" and "candidate": ``name`` as
+    ``distribution:name``, as a name alone does not identify them, and ``version`` of the
+    distribution. Parts of termsel itself are left out. What no plugin provides has the distribution
+    "session" and its ``class``, as "module.Class". `chosen` has the model and the candidate of the
+    strategy "auto".
     """
     parts = {"problem": setup.recipe, "model": type(setup.model), "solver": type(setup.solver),
              "criterion": type(setup.criterion), **chosen}
@@ -97,10 +88,7 @@ def _origin(thing: Any) -> dict[str, str]:
 def notes_on_sessions(plugins: Mapping[str, Mapping[str, str]]) -> Iterator[str]:
     """Yield what is needed to read a result of a model again that no plugin provides.
 
-    Parameters
-    ----------
-    plugins : mapping
-        As `plugins_of` returns them.
+    The plugins are as `plugins_of` returns them.
     """
     if "class" in (model := plugins.get("model", {})):
         yield (f"No plugin provides the model: call termsel.register({model['class']}) before "

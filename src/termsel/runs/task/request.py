@@ -46,51 +46,26 @@ DATA_OPTIONS = (
 
 @dataclass(frozen=True, eq=False)
 class Setup:
-    """What a run is made with: names resolved, options checked, features read.
-
-    Parameters
-    ----------
-    recipe : Recipe
-    model : SensorModel
-    criterion : Criterion
-    solver : Solver
-    read : FeatureSet
-        As read.
-    features : FeatureSet
-        With the roles asked for, all together; without lines that are left out.
-    source : str
-        Where the features come from.
-    options : mapping
-        Options by part: problem, data, search.
-    then : Solver, optional
-        Of the second of two steps, if it is another one.
-    set_options : tuple of str
-        Names of the options of the model that are given.
-    blank : tuple of str
-        Features that are left out as they have no height.
-    """
+    """What a run is made with: names resolved, options checked, features read."""
 
     recipe: Recipe
     model: SensorModel
     criterion: Criterion
     solver: Solver
-    read: FeatureSet
-    features: FeatureSet
-    source: str
-    options: Mapping[str, Mapping[str, Any]]
-    then: Solver | None = None
-    set_options: tuple[str, ...] = ()
-    blank: tuple[str, ...] = ()
+    read: FeatureSet  # the features as read
+    features: FeatureSet  # with the roles asked for, all together; without lines that are left out
+    source: str  # where the features come from
+    options: Mapping[str, Mapping[str, Any]]  # by part: problem, data, search
+    then: Solver | None = None  # of the second of two steps, if it is another one
+    set_options: tuple[str, ...] = ()  # names of the options of the model that are given
+    blank: tuple[str, ...] = ()  # features that are left out as they have no height
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Request:
     """What a user asks for, by names or by the things themselves; None where nothing is said.
 
-    Parameters
-    ----------
-    problem, features, dataset, source, model, solver, criterion, options
-        As for `termsel.prepare`.
+    All is as for `termsel.prepare`.
     """
 
     problem: str | Recipe | None = None
@@ -114,12 +89,7 @@ class Request:
                 *(f"the option {key}" for key in self.options or () if key not in of_data)]
 
     def setup(self) -> Setup:
-        """Return what is asked for, with every name resolved and every option checked.
-
-        Raises
-        ------
-        TermselError
-            For unknown names or options.
+        """Return what is asked for, with every name resolved and every option checked, or refused.
         """
         names = registry()
         recipe: Recipe = names.taken("problems", self.problem)

@@ -109,13 +109,7 @@ def prepared(setup: Setup) -> Task:
 
 
 def observe(setup: Setup, least: int = MIN_CONTROL) -> Observations:
-    """Return the features, each in its role, with the CRS that the model is fitted in.
-
-    Parameters
-    ----------
-    least : int
-        Fewest control features.
-    """
+    """Return the features, at least so many as control, each in its role, in the CRS of the fit."""
     recipe, criterion, of_data = setup.recipe, setup.criterion, setup.options["data"]
     observations = assign_roles(
         setup.features,
