@@ -1,0 +1,89 @@
+"""What all algorithms share."""
+
+import shutil
+from pathlib import Path
+
+from qgis.core import (
+    QgsProcessingAlgorithm,
+    QgsProcessingException,
+    QgsProcessingParameterFile,
+    QgsProcessingUtils,
+)
+from qgis.PyQt.QtGui import QIcon
+
+from ..provider import ICON
+
+FOLDER = QgsProcessingParameterFile.Folder
+
+
+class Algorithm(QgsProcessingAlgorithm):
+    """An algorithm that runs a command of termsel.
+
+    Attributes
+    ----------
+    NAME, TITLE, GROUP, HELP : str
+        Name after the colon, name and group in the toolbox, and text of the dialog.
+    """
+
+    NAME = TITLE = GROUP = HELP = ""
+
+    def name(self):
+        """Return the name after the colon."""
+        return self.NAME
+
+    def displayName(self):
+        """Return the name in the toolbox."""
+        return self.TITLE
+
+    def group(self):
+        """Return the group in the toolbox."""
+        return self.GROUP
+
+    def groupId(self):
+        """Return the group's name."""
+        return self.GROUP.lower()
+
+    def shortHelpString(self):
+        """Return the text of the dialog."""
+        return self.HELP
+
+    def icon(self):
+        """Return the icon in the toolbox."""
+        return QIcon(ICON)
+
+    def createInstance(self):
+        """Return another one."""
+        return type(self)()
+
+
+def result_parameter():
+    """Return the parameter of a folder that has a result."""
+    return QgsProcessingParameterFile("RESULT", "Folder of the result", behavior=FOLDER)
+
+
+def layer_file(layer, what):
+    """Return the file of a raster or vector layer.
+
+    Raises
+    ------
+    QgsProcessingException
+        If it has none, such as a layer of a server.
+    """
+    path = layer.source().split("|")[0]
+    if not Path(path).exists():
+        raise QgsProcessingException(f"The {what} must be a file; {layer.name()} is none. Export "
+                                     "the layer to a file first.")
+    return path
+
+
+def in_place(made, target):
+    """Put a folder that is complete where it was asked for."""
+    target = Path(target)
+    target.mkdir(parents=True, exist_ok=True)
+    for file in sorted(Path(made).iterdir(), key=lambda path: path.name == "result.json"):
+        shutil.move(str(file), str(target / file.name))
+
+
+def scratch():
+    """Return a folder that does not exist yet."""
+    return QgsProcessingUtils.generateTempFilename("result")

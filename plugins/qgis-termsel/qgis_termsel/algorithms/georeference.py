@@ -1,0 +1,171 @@
+"""Georeference from points, and select control lines."""
+
+import html
+import json
+from pathlib import Path
+
+from qgis.core import (
+    QgsProcessing,
+    QgsProcessingContext,
+    QgsProcessingException,
+    QgsProcessingOutputHtml,
+    QgsProcessingOutputNumber,
+    QgsProcessingOutputString,
+    QgsProcessingOutputVectorLayer,
+    QgsProcessingParameterCrs,
+    QgsProcessingParameterFeatureSource,
+    QgsProcessingParameterField,
+    QgsProcessingParameterFile,
+    QgsProcessingParameterFolderDestination,
+    QgsProcessingParameterRasterLayer,
+    QgsProcessingParameterString,
+)
+
+from ..child import run
+from ..layers import (
+    Styled,
+    add_blunders,
+    blunder_style,
+    crs_text,
+    points_csv,
+    residual_style,
+    vector_style,
+)
+from .base import Algorithm, in_place, layer_file, scratch
+
+_RESIDUALS = "result_residuals.gpkg"
+
+
+class Georeference(Algorithm):
+    """Georeference an image from its points."""
+
+    NAME, TITLE, GROUP = "georeference", "Georeference from points", "Georeferencing"
+    HELP = (
+        "Chooses a model for an image from ground control points, names blunders, and says how "
+        "accurate the result is.\n\n"
+        "Points are a layer with fields of line and sample (rows and columns in the image, the "
+        "centre of the upper left pixel is 0, 0), or a file: .points of QGIS's georeferencer, CSV, "
+        "or any other that termsel reads.\n\n"
+        "Points with the role independent judge the result and take no part in it. The output "
+        "folder is what Rectify, Export model and Accuracy report take.")
+
+    def initAlgorithm(self, config=None):
+        """Declare parameters and outputs."""
+        add = self.addParameter
+        add(QgsProcessingParameterFeatureSource(
+            "POINTS", "Layer of points", [QgsProcessing.TypeVectorPoint], optional=True))
+        for name, label in (("LINE", "Field of line (row)"), ("SAMPLE", "Field of sample (column)"),
+                            ("HEIGHT", "Field of height"), ("ID", "Field of names"),
+                            ("ROLE", "Field of roles")):
+            add(QgsProcessingParameterField(name, label, parentLayerParameterName="POINTS",
+                                            optional=True))
+        add(QgsProcessingParameterFile("FILE", "Or file of points", optional=True))
+        add(QgsProcessingParameterCrs("CRS", "CRS of the file, if it states none", optional=True))
+        add(QgsProcessingParameterRasterLayer("DEM", "Raster of heights", optional=True))
+        add(QgsProcessingParameterFile("RPC", "RPC of the vendor", optional=True))
+        add(QgsProcessingParameterFile("LINES", "File of control lines", optional=True))
+        add(QgsProcessingParameterString("OFF", "Points to leave out, such as P07,P12",
+                                         optional=True))
+        self._outputs()
+
+    def _outputs(self):
+        """Declare the outputs."""
+        self.addParameter(QgsProcessingParameterFolderDestination("OUTPUT", "Result"))
+        self.addOutput(QgsProcessingOutputVectorLayer("RESIDUALS", "Residuals"))
+        self.addOutput(QgsProcessingOutputVectorLayer("VECTORS", "Residual vectors"))
+        self.addOutput(QgsProcessingOutputVectorLayer("WRONG", "Layer of blunders"))
+        self.addOutput(QgsProcessingOutputHtml("SUMMARY", "Summary"))
+        self.addOutput(QgsProcessingOutputNumber("RMSE", "RMSE of independent points [px]"))
+        self.addOutput(QgsProcessingOutputString("BLUNDERS", "Blunders"))
+
+    def processAlgorithm(self, parameters, context, feedback):
+        """Run the command."""
+        return self._run(self._points(parameters, context) + self._more(parameters, context),
+                         parameters, context, feedback)
+
+    def _points(self, parameters, context):
+        """Return the arguments of the points."""
+        source = self.parameterAsSource(parameters, "POINTS", context)
+        file = self.parameterAsFile(parameters, "FILE", context)
+        if bool(source) == bool(file):
+            raise QgsProcessingException("Give a layer of points or a file of points, and not "
+                                         "both." if file else "Give a layer or a file of points.")
+        if file:
+            crs = self.parameterAsCrs(parameters, "CRS", context)
+            return ["--points", file, *(["--crs", crs_text(crs)] if crs.isValid() else [])]
+        fields = {meaning: self.parameterAsString(parameters, name, context)
+                  for meaning, name in (("line", "LINE"), ("sample", "SAMPLE"), ("z", "HEIGHT"),
+                                        ("id", "ID"), ("role", "ROLE"))}
+        path, crs = points_csv(source, fields)
+        return ["--points", path, "--crs", crs]
+
+    def _more(self, parameters, context):
+        """Return the other arguments."""
+        arguments = []
+        dem = self.parameterAsRasterLayer(parameters, "DEM", context)
+        if dem is not None:
+            arguments += ["--dem", layer_file(dem, "raster of heights")]
+        for name, option in (("RPC", "--rpc"), ("LINES", "--lines")):
+            file = self.parameterAsFile(parameters, name, context)
+            if file:
+                arguments += [option, file]
+        off = self.parameterAsString(parameters, "OFF", context)
+        return arguments + (["--off", off] if off else [])
+
+    def _run(self, arguments, parameters, context, feedback):
+        """Run the search, put its folder in place, and return the outputs."""
+        made, target = scratch(), self.parameterAsString(parameters, "OUTPUT", context)
+        if (Path(target) / "result.json").exists():
+            raise QgsProcessingException(f"{target} has a result already. Choose another folder.")
+        printed = run(["run", *arguments, "--out", made, "--export", "residuals-gpkg", "--report",
+                       "--progress", "json", "--json"], feedback)
+        record = json.loads(printed)
+        in_place(made, target)
+        target = Path(target)
+        summary = (target / "summary.txt").read_text(encoding="utf-8")
+        feedback.pushInfo(summary)
+        for note in record.get("notes", []):
+            feedback.pushWarning(note)
+        page = target / "summary.html"
+        page.write_text("<!doctype html><meta charset='utf-8'><pre>" + html.escape(summary)
+                        + "</pre>", encoding="utf-8")
+        add_blunders(target, record, target / _RESIDUALS)
+        layers = {"RESIDUALS": ("residuals", "Residuals", residual_style),
+                  "VECTORS": ("vectors", "Residual vectors", vector_style),
+                  "WRONG": ("blunders", "Blunders", blunder_style)}
+        outputs = {"OUTPUT": str(target), "SUMMARY": str(page),
+                   "RMSE": ((record.get("rmse") or {}).get("independent") or {}).get("total"),
+                   "BLUNDERS": ",".join(one["id"] for one in record.get("outliers", []))}
+        for name, (layer, title, style) in layers.items():
+            outputs[name] = f"{target / _RESIDUALS}|layername={layer}"
+            details = QgsProcessingContext.LayerDetails(title, context.project(), name)
+            details.setPostProcessor(Styled(style))
+            context.addLayerToLoadOnCompletion(outputs[name], details)
+        return outputs
+
+
+class SelectLines(Georeference):
+    """Select control lines: OWDIS."""
+
+    NAME, TITLE = "selectlines", "Select control lines (OWDIS)"
+    HELP = (
+        "Selects the optimum number of well-distributed control lines (OWDIS; Yavari et al. 2018) "
+        "and fits the model to them.\n\n"
+        "Lines are a table with two measured image points and two ground vertices of each: "
+        "id, line1, sample1, line2, sample2, x1, y1, z1, x2, y2, z2. Points judge.")
+
+    def initAlgorithm(self, config=None):
+        """Declare parameters and outputs."""
+        self.addParameter(QgsProcessingParameterFile("LINES", "File of control lines"))
+        self.addParameter(QgsProcessingParameterFile("FILE", "File of points that judge"))
+        self.addParameter(QgsProcessingParameterCrs("CRS", "CRS of the files", optional=True))
+        self._outputs()
+
+    def processAlgorithm(self, parameters, context, feedback):
+        """Run the command."""
+        crs = self.parameterAsCrs(parameters, "CRS", context)
+        return self._run(
+            ["--problem", "owdis-lines", "--lines", self.parameterAsFile(
+                parameters, "LINES", context),
+             "--points", self.parameterAsFile(parameters, "FILE", context),
+             *(["--crs", crs_text(crs)] if crs.isValid() else [])], parameters, context, feedback)

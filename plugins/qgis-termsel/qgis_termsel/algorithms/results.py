@@ -1,0 +1,181 @@
+"""What is done with a result: maps, files for other programs, reports and plans."""
+
+import csv
+import json
+from pathlib import Path
+
+from qgis.core import (
+    QgsCoordinateReferenceSystem,
+    QgsFeature,
+    QgsField,
+    QgsFields,
+    QgsGeometry,
+    QgsPointXY,
+    QgsProcessing,
+    QgsProcessingException,
+    QgsProcessingOutputHtml,
+    QgsProcessingParameterCrs,
+    QgsProcessingParameterEnum,
+    QgsProcessingParameterFeatureSink,
+    QgsProcessingParameterFileDestination,
+    QgsProcessingParameterNumber,
+    QgsProcessingParameterRasterDestination,
+    QgsProcessingParameterRasterLayer,
+    QgsWkbTypes,
+)
+from qgis.PyQt.QtCore import QVariant
+
+from ..child import run
+from ..layers import crs_text
+from .base import Algorithm, layer_file, result_parameter, scratch
+
+_FORMATS = ("rpc-txt", "rpb", "rpc-vrt", "gcp-vrt", "gcp-grid-vrt", "geolocation-vrt",
+            "qgis-points", "points-csv", "residuals-gpkg")
+_WITH_IMAGE = ("rpc-vrt", "gcp-vrt", "gcp-grid-vrt", "geolocation-vrt")
+
+
+class Rectify(Algorithm):
+    """Resample an image to a map."""
+
+    NAME, TITLE, GROUP = "rectify", "Rectify", "Results"
+    HELP = ("Resamples an image to a map through the model of a result. The height of the ground "
+            "comes from a raster, or is one number. Without a CRS the map has that of the "
+            "control if it is in metres, else UTM.")
+
+    def initAlgorithm(self, config=None):
+        """Declare parameters and outputs."""
+        add = self.addParameter
+        add(result_parameter())
+        add(QgsProcessingParameterRasterLayer("IMAGE", "Image"))
+        add(QgsProcessingParameterRasterLayer("DEM", "Raster of heights", optional=True))
+        add(QgsProcessingParameterNumber("HEIGHT", "Or one height of the ground [m]",
+                                         QgsProcessingParameterNumber.Double, optional=True))
+        add(QgsProcessingParameterCrs("CRS", "CRS of the map", optional=True))
+        add(QgsProcessingParameterNumber("RES", "Pixel size in units of the CRS",
+                                         QgsProcessingParameterNumber.Double, optional=True,
+                                         minValue=0))
+        add(QgsProcessingParameterRasterDestination("OUTPUT", "Map"))
+
+    def processAlgorithm(self, parameters, context, feedback):
+        """Run the command."""
+        arguments = ["rectify", self.parameterAsString(parameters, "RESULT", context),
+                     layer_file(self.parameterAsRasterLayer(parameters, "IMAGE", context), "image")]
+        dem = self.parameterAsRasterLayer(parameters, "DEM", context)
+        if dem is not None:
+            arguments += ["--dem", layer_file(dem, "raster of heights")]
+        elif parameters.get("HEIGHT") is not None:
+            arguments += ["--height", self.parameterAsDouble(parameters, "HEIGHT", context)]
+        crs = self.parameterAsCrs(parameters, "CRS", context)
+        if crs.isValid():
+            arguments += ["--crs", crs_text(crs)]
+        if parameters.get("RES"):
+            arguments += ["--res", self.parameterAsDouble(parameters, "RES", context)]
+        output = self.parameterAsOutputLayer(parameters, "OUTPUT", context)
+        run([*arguments, "-o", output, "--overwrite", "--progress", "json"], feedback)
+        return {"OUTPUT": output}
+
+
+class ExportModel(Algorithm):
+    """Write the model for another program."""
+
+    NAME, TITLE, GROUP = "export", "Export model", "Results"
+    HELP = ("Writes the model of a result for GDAL, QGIS, OTB and others: as an RPC, as GCPs, as a "
+            "geolocation array, or as points of QGIS's georeferencer. The log says how far the "
+            "file is from the model.")
+
+    def initAlgorithm(self, config=None):
+        """Declare parameters and outputs."""
+        add = self.addParameter
+        add(result_parameter())
+        add(QgsProcessingParameterEnum("FORMAT", "Format", _FORMATS, defaultValue=0))
+        add(QgsProcessingParameterRasterLayer("IMAGE", "Image, for formats that refer to it",
+                                              optional=True))
+        add(QgsProcessingParameterRasterLayer("DEM", "Raster of heights, for grids",
+                                              optional=True))
+        add(QgsProcessingParameterFileDestination("OUTPUT", "File"))
+
+    def processAlgorithm(self, parameters, context, feedback):
+        """Run the command."""
+        form = _FORMATS[self.parameterAsEnum(parameters, "FORMAT", context)]
+        output = self.parameterAsFileOutput(parameters, "OUTPUT", context)
+        arguments = ["export", self.parameterAsString(parameters, "RESULT", context), "--to", form,
+                     "--output", output, "--overwrite"]
+        image = self.parameterAsRasterLayer(parameters, "IMAGE", context)
+        if image is not None:
+            arguments += ["--image", layer_file(image, "image")]
+        elif form in _WITH_IMAGE:
+            raise QgsProcessingException(f"The format {form} refers to the image. Give it.")
+        dem = self.parameterAsRasterLayer(parameters, "DEM", context)
+        if dem is not None:
+            arguments += ["--dem", layer_file(dem, "raster of heights")]
+        run(arguments, feedback)
+        return {"OUTPUT": output}
+
+
+class Report(Algorithm):
+    """Write the report of a result."""
+
+    NAME, TITLE, GROUP = "report", "Accuracy report", "Results"
+    HELP = ("Writes a page that shows a result: model, accuracy, residuals, blunders and "
+            "uncertainty. It opens in the results viewer or in a browser.")
+
+    def initAlgorithm(self, config=None):
+        """Declare parameters and outputs."""
+        self.addParameter(result_parameter())
+        self.addParameter(QgsProcessingParameterFileDestination("OUTPUT", "Page",
+                                                                "HTML files (*.html)"))
+        self.addOutput(QgsProcessingOutputHtml("PAGE", "Report"))
+
+    def processAlgorithm(self, parameters, context, feedback):
+        """Run the command."""
+        output = self.parameterAsFileOutput(parameters, "OUTPUT", context)
+        run(["report", self.parameterAsString(parameters, "RESULT", context), "-o", output,
+             "--overwrite"], feedback)
+        return {"OUTPUT": output, "PAGE": output}
+
+
+class NextPlaces(Algorithm):
+    """Propose where to measure next."""
+
+    NAME, TITLE, GROUP = "nextplaces", "Where to measure next", "Results"
+    HELP = ("Proposes the places where further control points would lower the uncertainty of the "
+            "model most, in their order.")
+
+    def initAlgorithm(self, config=None):
+        """Declare parameters and outputs."""
+        self.addParameter(result_parameter())
+        self.addParameter(QgsProcessingParameterNumber("NUMBER", "Number of places",
+                                                       defaultValue=5, minValue=1))
+        self.addParameter(QgsProcessingParameterFeatureSink(
+            "OUTPUT", "Places", QgsProcessing.TypeVectorPoint))
+
+    def processAlgorithm(self, parameters, context, feedback):
+        """Run the command and return its table as a layer."""
+        folder = self.parameterAsString(parameters, "RESULT", context)
+        table = scratch() + ".csv"
+        run(["plan", folder, "-n", self.parameterAsInt(parameters, "NUMBER", context), "-o", table],
+            feedback)
+        with open(table, newline="", encoding="utf-8") as opened:
+            rows = list(csv.DictReader(line for line in opened if not line.startswith("#")))
+        names = [name for name in (rows[0] if rows else {}) if name not in ("x", "y")]
+        fields = QgsFields()
+        for name in names:
+            fields.append(QgsField(name, QVariant.String if name == "id" else QVariant.Double))
+        sink, target = self.parameterAsSink(parameters, "OUTPUT", context, fields,
+                                            QgsWkbTypes.Point, _crs_of(folder))
+        for row in rows:
+            feature = QgsFeature(fields)
+            feature.setGeometry(QgsGeometry.fromPointXY(QgsPointXY(float(row["x"]),
+                                                                   float(row["y"]))))
+            feature.setAttributes([row[name] if name == "id" else float(row[name] or "nan")
+                                   for name in names])
+            sink.addFeature(feature)
+        return {"OUTPUT": target}
+
+
+def _crs_of(folder):
+    """Return the CRS of a result."""
+    record = json.loads((Path(folder) / "result.json").read_text(encoding="utf-8"))
+    crs = QgsCoordinateReferenceSystem()
+    crs.createFromUserInput(record["data"].get("crs", ""))
+    return crs

@@ -1,0 +1,148 @@
+"""Run termsel as a process of its own: QGIS's Python has other versions of its libraries."""
+
+import json
+import os
+import queue
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+from qgis.core import QgsApplication, QgsProcessingException, QgsSettings
+
+SETTING = "termsel/executable"
+MISSING = ("termsel was not found: run the algorithm 'Set up termsel', or state the path of "
+           "its command in the setting termsel/executable.")
+
+_REMOVED = ("PYTHONHOME", "PYTHONPATH", "PYTHONEXECUTABLE", "PYTHONSTARTUP", "QT_PLUGIN_PATH",
+            "QGIS_PREFIX_PATH", "LD_PRELOAD")
+"""What QGIS sets for its own Python, and would break another."""
+
+_GRACE = 1.0  # seconds between the request to end and the end
+_WINDOWS = sys.platform == "win32"
+
+
+def own_environment():
+    """Return the folder of the environment that 'Set up termsel' makes."""
+    return Path(QgsApplication.qgisSettingsDirPath()) / "termsel-environment"
+
+
+def executable():
+    """Return the command termsel: of the settings, of the own environment, or on PATH.
+
+    Raises
+    ------
+    QgsProcessingException
+        If there is none.
+    """
+    stated = QgsSettings().value(SETTING, "", type=str) or os.environ.get("TERMSEL_EXECUTABLE", "")
+    if stated:
+        path = Path(stated)
+        if path.is_dir():  # a virtual environment
+            path = command_in(path)
+        if not path.is_file():
+            raise QgsProcessingException(
+                f"The setting {SETTING} names {stated}, where there is no command termsel.")
+        return str(path)
+    own = command_in(own_environment())
+    found = str(own) if own.is_file() else shutil.which("termsel")
+    if not found:
+        raise QgsProcessingException(MISSING)
+    return found
+
+
+def command_in(environment, name="termsel"):
+    """Return where a virtual environment has a command."""
+    return environment / ("Scripts" if _WINDOWS else "bin") / (name + ".exe" * _WINDOWS)
+
+
+def clean_environment():
+    """Return the environment variables without those of QGIS's Python."""
+    kept = {name: value for name, value in os.environ.items() if name not in _REMOVED}
+    kept["PYTHONIOENCODING"] = "utf-8"
+    kept["NO_COLOR"] = "1"
+    kept["COLUMNS"] = "100"
+    return kept
+
+
+def run(arguments, feedback, program=None):
+    """Run a command to its end, show its messages and progress, and return its stdout.
+
+    Cancelling ends the process, and those it began, within two seconds.
+
+    Raises
+    ------
+    QgsProcessingException
+        With the message of the command, if it fails or is cancelled.
+    """
+    command = [program or executable(), *map(str, arguments)]
+    feedback.pushCommandInfo(" ".join(command))
+    options = ({"creationflags": subprocess.CREATE_NEW_PROCESS_GROUP | subprocess.CREATE_NO_WINDOW}
+               if _WINDOWS else {"start_new_session": True})
+    try:
+        process = subprocess.Popen(
+            command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, stdin=subprocess.DEVNULL,
+            env=clean_environment(), encoding="utf-8", errors="replace", **options)
+    except OSError as error:
+        raise QgsProcessingException(f"{command[0]} cannot be run: {error.strerror}.") from error
+    printed, messages = [], queue.Queue()
+    readers = [threading.Thread(target=_read, args=(process.stdout, printed.append), daemon=True),
+               threading.Thread(target=_read, args=(process.stderr, messages.put), daemon=True)]
+    for reader in readers:
+        reader.start()
+    said = []
+    while process.poll() is None or any(reader.is_alive() for reader in readers):
+        if feedback.isCanceled():
+            _end(process)
+            raise QgsProcessingException("Cancelled; nothing was written.")
+        _show(messages, feedback, said)
+        time.sleep(0.05)
+    _show(messages, feedback, said)
+    if process.returncode:
+        reasons = [line for line in said if line.startswith("Error:")] or said[-3:]
+        raise QgsProcessingException(" ".join(reasons) or f"termsel ended with code "
+                                     f"{process.returncode}.")
+    return "".join(printed)
+
+
+def _read(stream, take):
+    """Take the lines of a stream as they come."""
+    with stream:
+        for line in stream:
+            take(line)
+
+
+def _show(messages, feedback, said):
+    """Show what has been said since."""
+    while not messages.empty():
+        line = messages.get().rstrip()
+        if line.startswith('{"progress"'):
+            step = json.loads(line)
+            if step["progress"] is not None:
+                feedback.setProgress(100 * step["progress"])
+            feedback.setProgressText(" ".join(filter(None, (step["what"], step["state"]))))
+        elif line:
+            said.append(line)
+            if line.startswith("Error:"):
+                continue  # the exception shows it
+            if line.startswith(("Warning", "Note")):
+                feedback.pushWarning(line)
+            else:
+                feedback.pushInfo(line)
+
+
+def _end(process):
+    """End a process and those that it began."""
+    if _WINDOWS:
+        subprocess.run(["taskkill", "/F", "/T", "/PID", str(process.pid)], check=False,
+                       capture_output=True)
+        return
+    os.killpg(process.pid, signal.SIGTERM)
+    try:
+        process.wait(_GRACE)
+    except subprocess.TimeoutExpired:
+        os.killpg(process.pid, signal.SIGKILL)
+        process.wait()

@@ -1,0 +1,149 @@
+"""A dock that shows a result: its accuracy, its points, and what they say without some of them."""
+
+import csv
+import json
+from pathlib import Path
+
+from qgis.core import QgsProject, QgsVectorLayer
+from qgis.PyQt.QtCore import Qt
+from qgis.PyQt.QtWidgets import (
+    QDockWidget,
+    QFileDialog,
+    QHBoxLayout,
+    QLabel,
+    QPushButton,
+    QTableWidget,
+    QTableWidgetItem,
+    QVBoxLayout,
+    QWidget,
+)
+
+from .layers import blunder_style, residual_style, vector_style
+
+CHECKED = getattr(Qt, "CheckState", Qt).Checked
+UNCHECKED = getattr(Qt, "CheckState", Qt).Unchecked
+DESCENDING = getattr(Qt, "SortOrder", Qt).DescendingOrder
+_FLAGS = getattr(Qt, "ItemFlag", Qt)
+_COLUMNS = ("leave out", "id", "role", "line [px]", "sample [px]", "distance [px]")
+
+
+class ResultDock(QDockWidget):
+    """Residuals on the map and in a table, with boxes to leave points out and run again."""
+
+    def __init__(self, iface):
+        super().__init__("termsel result")
+        self.iface = iface
+        self.folder = None
+        self.setObjectName("termselResult")
+        self.accuracy = QLabel("Open the folder of a result.")
+        self.accuracy.setWordWrap(True)
+        self.table = QTableWidget(0, len(_COLUMNS))
+        self.table.setHorizontalHeaderLabels(_COLUMNS)
+        self.table.setSortingEnabled(True)
+        buttons = QHBoxLayout()
+        self.buttons = {}
+        for name, act in (("Open", self.choose), ("Run again", self.rerun),
+                          ("Export RPC", self.export)):
+            button = QPushButton(name)
+            button.clicked.connect(act)
+            buttons.addWidget(button)
+            self.buttons[name] = button
+        inside, rows = QWidget(), QVBoxLayout()
+        rows.addWidget(self.accuracy)
+        rows.addWidget(self.table)
+        rows.addLayout(buttons)
+        inside.setLayout(rows)
+        self.setWidget(inside)
+        self._enable()
+
+    def choose(self):
+        """Ask for a folder and show it."""
+        folder = QFileDialog.getExistingDirectory(self, "Folder of the result")
+        if folder:
+            self.show_result(folder)
+
+    def show_result(self, folder):
+        """Show the result of a folder."""
+        self.folder = Path(folder)
+        try:
+            record = json.loads((self.folder / "result.json").read_text(encoding="utf-8"))
+            with open(self.folder / "residuals.csv", newline="", encoding="utf-8") as opened:
+                rows = list(csv.DictReader(opened))
+        except (OSError, ValueError) as error:
+            self.folder = None
+            self.accuracy.setText(f"{folder} has no result: {error}")
+            self._enable()
+            return
+        self.accuracy.setText(accuracy_text(record))
+        self._fill(rows)
+        self._enable()
+        file = self.folder / "result_residuals.gpkg"
+        if file.exists() and self.iface is not None:
+            for layer, style in (("residuals", residual_style), ("vectors", vector_style),
+                                 ("blunders", blunder_style)):
+                shown = QgsVectorLayer(f"{file}|layername={layer}", layer, "ogr")
+                style(shown)
+                QgsProject.instance().addMapLayer(shown)
+
+    def _fill(self, rows):
+        """Fill the table, the largest residuals first."""
+        self.table.setSortingEnabled(False)
+        self.table.setRowCount(len(rows))
+        rows.sort(key=lambda row: -float(row["distance"] or 0))
+        for at, row in enumerate(rows):
+            box = QTableWidgetItem()
+            box.setFlags(_FLAGS.ItemIsUserCheckable | _FLAGS.ItemIsEnabled)
+            box.setCheckState(CHECKED if row["used"] == "no" and row["role"] != "independent"
+                              else UNCHECKED)
+            self.table.setItem(at, 0, box)
+            for column, text in enumerate((row["id"], row["role"], row["residual_line"],
+                                           row["residual_sample"], row["distance"]), 1):
+                item = QTableWidgetItem()
+                try:
+                    item.setData(0, round(float(text), 3) if column > 2 else text)
+                except ValueError:
+                    item.setData(0, text)
+                self.table.setItem(at, column, item)
+        self.table.resizeColumnsToContents()
+        self.table.horizontalHeader().setSortIndicator(5, DESCENDING)
+        self.table.setSortingEnabled(True)
+
+    def left_out(self):
+        """Return the ids whose boxes are checked."""
+        return [self.table.item(row, 1).text() for row in range(self.table.rowCount())
+                if self.table.item(row, 0).checkState() == CHECKED]
+
+    def rerun(self):
+        """Open the dialog of the algorithm with the same points, and what is to be left out."""
+        from processing import execAlgorithmDialog
+
+        outputs = execAlgorithmDialog("termsel:georeference", {
+            "FILE": str(self.folder / "points.csv"), "OFF": ",".join(self.left_out())})
+        if outputs:
+            self.show_result(outputs["OUTPUT"])
+
+    def export(self):
+        """Open the dialog of the export."""
+        from processing import execAlgorithmDialog
+
+        execAlgorithmDialog("termsel:export", {"RESULT": str(self.folder), "FORMAT": 0})
+
+    def _enable(self):
+        """Enable the buttons that need a result."""
+        for name in ("Run again", "Export RPC"):
+            self.buttons[name].setEnabled(self.folder is not None)
+
+
+def accuracy_text(record):
+    """Return the accuracy of a result in two sentences."""
+    independent = (record.get("rmse") or {}).get("independent") or {}
+    predicted = record.get("predicted") or {}
+    parts = []
+    if independent:
+        parts.append(f"Accuracy: RMSE {independent['total']:.3g} px on {independent['n']} "
+                     "independent points.")
+    if predicted:
+        parts.append(f"Predicted: {predicted['rmse']:.3g} px, {predicted['low']:.3g} to "
+                     f"{predicted['high']:.3g} px with a probability of "
+                     f"{100 * predicted['level']:.0f} %.")
+    return " ".join(parts) or "No point took no part, so that the accuracy is not known."

@@ -1,0 +1,172 @@
+"""Layers of QGIS as files that termsel reads, and files of termsel as layers."""
+
+import csv
+
+from qgis.core import (
+    QgsArrowSymbolLayer,
+    QgsCoordinateReferenceSystem,
+    QgsCoordinateTransformContext,
+    QgsFeature,
+    QgsFillSymbol,
+    QgsGeometry,
+    QgsLineSymbol,
+    QgsMarkerSymbol,
+    QgsPointXY,
+    QgsProcessingException,
+    QgsProcessingLayerPostProcessorInterface,
+    QgsProcessingUtils,
+    QgsRuleBasedRenderer,
+    QgsSingleSymbolRenderer,
+    QgsVectorFileWriter,
+    QgsVectorLayer,
+    QgsWkbTypes,
+)
+
+KNOWN = {
+    "id": ("id", "name", "gcp", "point", "fid"),
+    "role": ("role", "use"),
+    "line": ("line", "row", "y_pix", "sourcey", "pixely", "img_y", "zeile", "ligne"),
+    "sample": ("sample", "col", "column", "x_pix", "sourcex", "pixelx", "pixel", "img_x", "spalte"),
+    "z": ("z", "height", "h", "elevation", "elev", "hoehe", "altitude")}
+"""Known names of the fields of a layer of points."""
+
+
+def points_csv(source, fields):
+    """Write the features of a source as a table of points; return its path and the CRS's text.
+
+    Selected features, edited and unsaved ones are those that Processing gives.
+
+    Raises
+    ------
+    QgsProcessingException
+        If there are no fields of line and sample, or no CRS.
+    """
+    names = {meaning: _field(source, meaning, fields.get(meaning)) for meaning in KNOWN}
+    for meaning in ("line", "sample"):
+        if names[meaning] is None:
+            raise QgsProcessingException(
+                f"The layer of points has no field that is known as {meaning}. State which it is; "
+                f"its fields are {', '.join(field.name() for field in source.fields())}.")
+    path = QgsProcessingUtils.generateTempFilename("points.csv")
+    with open(path, "w", newline="", encoding="utf-8") as opened:
+        table = csv.writer(opened, lineterminator="\n")
+        table.writerow(["id", "role", "line", "sample", "x", "y", "z"])
+        for number, feature in enumerate(source.getFeatures(), 1):
+            table.writerow(_row(feature, names, number))
+    return path, crs_text(source.sourceCrs())
+
+
+def _field(source, meaning, stated):
+    """Return the name of the field that has a meaning."""
+    if stated:
+        return stated
+    fields = {field.name().lower(): field.name() for field in source.fields()}
+    return next((fields[name] for name in KNOWN[meaning] if name in fields), None)
+
+
+def _row(feature, names, number):
+    """Return the cells of a point."""
+    geometry = feature.geometry()
+    if geometry.isNull() or geometry.isEmpty():
+        raise QgsProcessingException(f"Feature {feature.id()} of the layer of points has no "
+                                     "geometry.")
+    vertex = next(geometry.vertices())
+
+    def cell(meaning):
+        value = feature[names[meaning]] if names[meaning] else None
+        return "" if value is None or str(value) == "NULL" else value
+
+    height = cell("z")
+    if height == "" and QgsWkbTypes.hasZ(geometry.wkbType()):
+        height = repr(vertex.z())
+    return [cell("id") or f"P{number}", cell("role"), cell("line"), cell("sample"),
+            repr(vertex.x()), repr(vertex.y()), height]
+
+
+def crs_text(crs):
+    """Return a CRS as termsel takes it.
+
+    Raises
+    ------
+    QgsProcessingException
+        If there is none.
+    """
+    if not crs.isValid():
+        raise QgsProcessingException("The layer of points has no CRS: give it one in its "
+                                     "properties.")
+    return crs.authid() if crs.authid().startswith("EPSG:") else crs.toWkt()
+
+
+_kept = []  # post-processors, which QGIS does not keep
+
+
+class Styled(QgsProcessingLayerPostProcessorInterface):
+    """Gives an output its look, once it is a layer."""
+
+    def __init__(self, style):
+        super().__init__()
+        self.style = style
+        _kept.append(self)
+
+    def postProcessLayer(self, layer, context, feedback):
+        """Take the look."""
+        self.style(layer)
+        layer.triggerRepaint()
+
+
+def residual_style(layer):
+    """Show points by their role."""
+    root = QgsRuleBasedRenderer.Rule(None)
+    for title, rule, colour in (("independent", "\"role\" = 'independent'", "#2f7d4f"),
+                                ("check", "\"role\" = 'check'", "#c98a1b"),
+                                ("control", "ELSE", "#2b5d8a")):
+        symbol = QgsMarkerSymbol.createSimple({"color": colour, "size": "2.4",
+                                               "outline_color": "white"})
+        root.appendChild(QgsRuleBasedRenderer.Rule(symbol, filterExp=rule, label=title))
+    layer.setRenderer(QgsRuleBasedRenderer(root))
+
+
+def blunder_style(layer):
+    """Show blunders as large red circles."""
+    symbol = QgsMarkerSymbol.createSimple({"color": "#c22f2f", "size": "4",
+                                           "outline_color": "white"})
+    layer.setRenderer(QgsSingleSymbolRenderer(symbol))
+
+
+def add_blunders(folder, record, target):
+    """Add the blunders among the points of a result as a layer to a GeoPackage."""
+    errors = {one["id"]: one["error"] for one in record.get("outliers", [])}
+    crs = QgsCoordinateReferenceSystem()
+    crs.createFromUserInput(record["data"].get("crs", ""))
+    layer = QgsVectorLayer("Point?field=id:string&field=error:double", "blunders", "memory")
+    layer.setCrs(crs)
+    with open(folder / "points.csv", newline="", encoding="utf-8") as opened:
+        rows = csv.DictReader(line for line in opened if not line.startswith("#"))
+        features = []
+        for row in rows:
+            if row["id"] in errors:
+                feature = QgsFeature(layer.fields())
+                feature.setAttributes([row["id"], errors[row["id"]]])
+                feature.setGeometry(QgsGeometry.fromPointXY(
+                    QgsPointXY(float(row["x"]), float(row["y"]))))
+                features.append(feature)
+    layer.dataProvider().addFeatures(features)
+    options = QgsVectorFileWriter.SaveVectorOptions()
+    options.layerName = "blunders"
+    options.actionOnExistingFile = QgsVectorFileWriter.CreateOrOverwriteLayer
+    QgsVectorFileWriter.writeAsVectorFormatV3(layer, str(target), QgsCoordinateTransformContext(),
+                                              options)
+
+
+def vector_style(layer):
+    """Show residual vectors as arrows."""
+    arrow = QgsArrowSymbolLayer()
+    arrow.setArrowWidth(0.4)
+    arrow.setArrowStartWidth(0.4)
+    arrow.setHeadLength(1.6)
+    arrow.setHeadThickness(1.2)
+    arrow.setIsCurved(False)
+    arrow.setSubSymbol(QgsFillSymbol.createSimple({"color": "#8a2b6b", "outline_style": "no"}))
+    symbol = QgsLineSymbol()
+    symbol.changeSymbolLayer(0, arrow)
+    layer.setRenderer(QgsSingleSymbolRenderer(symbol))

@@ -1,0 +1,47 @@
+"""The plugin: a Processing provider, and a dock that shows a result."""
+
+from qgis.core import QgsApplication
+
+from .provider import TermselProvider
+
+
+class TermselPlugin:
+    """What QGIS loads; without a window, as in qgis_process, there is the provider alone."""
+
+    def __init__(self, iface):
+        self.iface = iface
+        self.provider = None
+        self.dock = None
+        self.action = None
+
+    def initProcessing(self):
+        """Add the algorithms."""
+        self.provider = TermselProvider()
+        QgsApplication.processingRegistry().addProvider(self.provider)
+
+    def initGui(self):
+        """Add the algorithms and the dock."""
+        self.initProcessing()
+        from qgis.PyQt.QtCore import Qt
+        from qgis.PyQt.QtGui import QIcon
+
+        from .dock import ResultDock
+        from .provider import ICON
+
+        self.dock = ResultDock(self.iface)
+        area = getattr(Qt, "DockWidgetArea", Qt).RightDockWidgetArea
+        self.iface.addDockWidget(area, self.dock)
+        self.dock.hide()
+        self.action = self.dock.toggleViewAction()
+        self.action.setText("termsel result")
+        self.action.setIcon(QIcon(ICON))
+        self.iface.addPluginToRasterMenu("termsel", self.action)
+
+    def unload(self):
+        """Remove what was added."""
+        if self.provider is not None:
+            QgsApplication.processingRegistry().removeProvider(self.provider)
+        if self.dock is not None:
+            self.iface.removePluginRasterMenu("termsel", self.action)
+            self.iface.removeDockWidget(self.dock)
+            self.dock.deleteLater()

@@ -1,0 +1,31 @@
+"""The Processing provider."""
+
+from pathlib import Path
+
+from qgis.core import QgsProcessingProvider
+from qgis.PyQt.QtGui import QIcon
+
+ICON = str(Path(__file__).with_name("icon.svg"))
+
+
+class TermselProvider(QgsProcessingProvider):
+    """All algorithms of this plugin."""
+
+    def loadAlgorithms(self):
+        """Add the algorithms."""
+        from .algorithms import ALGORITHMS
+
+        for algorithm in ALGORITHMS:
+            self.addAlgorithm(algorithm())
+
+    def id(self):
+        """Return the name before the colon."""
+        return "termsel"
+
+    def name(self):
+        """Return the name in the toolbox."""
+        return "termsel"
+
+    def icon(self):
+        """Return the icon in the toolbox."""
+        return QIcon(ICON)
