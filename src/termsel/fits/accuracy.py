@@ -61,24 +61,22 @@ def predicted_rmse(errors: FloatArray, effective: float, points: int,
     variance of the mean square error that all places have in common; by default that of as many
     equally uncertain coefficients as are effective.
 
-    The logarithm of the RMSE has three uncertainties, and no constant says how large they are. One
-    is that of a mean of so many squares, of the redundancy of those held out and of those to come,
-    with the spread that the squares show, or that of normal errors where this is larger. The others
-    are what all places have in common: coefficients that few points determine, and the doubt which
-    solution is right (see `termsel.fits.uncertainty.shared_variance`). The middle is half the
-    variance below the logarithm of the prediction, which is then the mean of a log-normal RMSE. The
-    interval is that of Student's t with the redundancy.
+    No constant says how large the uncertainties of its logarithm are.
     """
     squares, n = (errors**2).sum(axis=1), len(errors)
     rmse = float(np.sqrt(squares.mean()))
     if rmse == 0:
         return Predicted(0.0, 0.0, 0.0, points=points or None)
+    # As the squares show it, or that of normal errors where this is larger.
     spread = max(squares.var(ddof=1) / squares.mean() ** 2, 1.0)
     redundancy = max(2 * n - effective, 2.0)
     shared = effective / 2 / n**2 if shared is None else shared
     quantile = stdtrit(redundancy, (1 + LEVEL) / 2)
+    # Of a mean of so many squares, of those held out and of those to come; and what all places have
+    # in common: coefficients that few points determine, and the doubt which solution is right.
     variance = min(spread / redundancy / 2 + (spread / points if points else 0.0) / 4 + shared / 4,
                    quantile**2)
+    # The prediction is the mean of a log-normal RMSE.
     middle, half = np.log(rmse) - variance / 2, quantile * np.sqrt(variance)
     return Predicted(rmse, float(np.exp(middle - half)), float(np.exp(middle + half)),
                      points=points or None)

@@ -38,11 +38,8 @@ def locate(
 
     Heights are (n,), one number, or a surface that gives them for x and y; the search starts in the
     middle, `centre` and half-range `scale` of the ground (3,). NaN where the ray meets no ground
-    point, or the surface has no height there. Raises TermselError for other shapes.
-
-    Newton's method at fixed heights; derivatives are kept for some steps. On a surface, the secant
-    method finds the height at which ray and surface agree. Where a ray meets a steep surface
-    several times, one of the places is returned, not always the visible one.
+    point, or the surface has no height there. Where a ray meets a steep surface several times, one
+    of the places is returned, not always the visible one. Raises TermselError for other shapes.
     """
     image = np.asarray(image, dtype=np.float64)
     if image.ndim != 2 or image.shape[1] != 2:
@@ -55,6 +52,7 @@ def locate(
             raise TermselError(f"heights have shape {heights.shape}, expected ({len(image)},) or "
                                "one number for all image points")
         ground[:, 2] = heights
+    # Newton's method at fixed heights, then the secant method for that of the surface.
     inverse = _inverse(project, ground, unit)
     ground = _newton(project, image, ground, unit, inverse)
     if callable(height):

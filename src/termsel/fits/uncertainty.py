@@ -76,11 +76,8 @@ def believed_spread(model: Fittable, control: FeatureSet, ground: FloatArray,
 def shared_variance(model: Fittable, control: FeatureSet) -> float | None:
     """Return the relative variance of the mean square error that all places have in common.
 
-    Errors of coefficients spread over the scene: where few coefficients are uncertain, the mean
-    square of errors all over it is so, too. Places are those of the control points, each predicted
-    by the others. What they have in common is seen by the posterior; to this comes how much the
-    mean squares of its solutions differ. None with lines, and where points are too few for a
-    posterior.
+    Where few coefficients are uncertain, the mean square of errors all over the scene is so, too.
+    None with lines, and where points are too few for a posterior.
     """
     believed = _Belief.of(model, control)
     if believed is None:
@@ -88,12 +85,14 @@ def shared_variance(model: Fittable, control: FeatureSet) -> float | None:
     points, local = control.points, model.interpolation(control)
     left_out = (local if isinstance(local, Collocation) else believed.found).left_out
     weights = weights_of(points)
+    # What places have in common, those of the control points, the posterior sees.
     factors = believed.spread(points.ground, points.image).factors
     assert factors is not None
     # A point that is left out is less certain, and about as much alike others.
     grown = np.sqrt((left_out.spread - 1.0) / weights**2) \
         / np.maximum(np.linalg.norm(factors, axis=2), np.finfo(float).tiny)
     along = (factors * grown[..., None]).reshape(-1, factors.shape[2])
+    # To this comes how much the mean squares of its solutions differ.
     return 2 * float(((along.T @ along) ** 2).sum()
                      / (left_out.spread / weights**2).sum() ** 2) + believed.contest(weights)
 

@@ -29,15 +29,14 @@ def guard_points(control: FeatureSet, check: Points) -> FloatArray:
     """Return scaled ground points at which denominators must stay positive.
 
     They are a grid over the box around control and check features, and the features themselves.
-    Of more than GUARDED features, an even choice over the scene is taken. In geocentric
-    coordinates the box is turned to the features, as X, Y, Z are not along the ground.
     """
     vertices = np.concatenate([control.ground_vertices(), check.ground])
     axes = np.eye(3)
+    # X, Y, Z are not along the ground: the box is turned to the features.
     if control.fit_crs and is_geocentric(control.fit_crs):
         axes = np.linalg.svd(vertices - vertices.mean(axis=0), full_matrices=False)[2].T
     low, high = (vertices @ axes).min(axis=0), (vertices @ axes).max(axis=0)
-    if len(vertices) > GUARDED:
+    if len(vertices) > GUARDED:  # an even choice over the scene
         even = np.linspace(0, len(vertices) - 1, GUARDED).astype(int)
         vertices = vertices[spatial_order(vertices[:, :2])[even]]
     grid = (low + high) / 2 + _GRID * (high - low) / 2

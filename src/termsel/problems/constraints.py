@@ -113,10 +113,11 @@ def capped(segments: Iterable[Bits], gene_of_term: IntArray, parts: tuple[Indepe
            share: float) -> list[Bits]:
     """Return the segments of terms with a maximum that no selection without excess is above.
 
-    The maximum keeps a search from most of what `excess` would count. `excess` counts more where
-    several segments share equations, or features are selected too. Segments are all those of terms,
-    in the order of the genes. Raises TermselError if one may not have any term.
+    Segments are all those of terms, in the order of the genes. Raises TermselError if one may not
+    have any term.
     """
+    # This keeps a search from most of what `excess` would count, which is more where several
+    # segments share equations, or features are selected too.
     found, start = [], 0
     for segment in segments:
         genes = np.arange(start, start + len(segment.labels))

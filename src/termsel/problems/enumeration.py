@@ -34,8 +34,7 @@ def enumerable_parts(inputs: Inputs, equations: Equations, genome: Genome,
                      ) -> tuple[EnumerablePart, ...]:
     """Return the parts of a term selection from control points, by the equations of the control.
 
-    With a mask for each axis, line and sample are two systems. With a shared mask they are one
-    system with two right-hand sides, if their columns are the same. The genome is of terms alone.
+    The genome is of terms alone.
     Denominators must reach the margin at the scaled ground points of the guard (g, 3). Pairs are of
     terms, and for each a parent that must be selected with it. Raises TermselError if the axes are
     coupled, or criterion or model do not allow an enumeration.
@@ -58,6 +57,7 @@ def enumerable_parts(inputs: Inputs, equations: Equations, genome: Genome,
     sides = [_side(model, inputs, equations, side, guard, margin, parents if pairs else None)
              for side in (LINE, SAMPLE)]
     genes = [gene_of_term[axis == side] for side in (LINE, SAMPLE)]
+    # A shared mask is one system with two right-hand sides, if their columns are the same.
     if len(genome.segments) == 1:
         sides, genes = [_merge(sides, genes)], genes[:1]
     # One row a point and axis, so that the rows of a fold are its points.

@@ -20,11 +20,10 @@ def row_systems(inputs: Inputs, parts: tuple[IndependentPart, ...], terms: BoolA
                 freedom: int) -> tuple[RowSystem, ...]:
     """Return the systems of a selection of features, in px; none where no selection can be scored.
 
-    There are some if the criterion is the check RMSE, the image positions of the model are linear
-    in its terms, and the check points determine these. The parts are of the control, with all terms
-    of the model, of which some are in use (k,); share and freedom are share and least of
-    `most_terms`.
+    The parts are of the control, with all terms of the model, of which some are in use (k,); share
+    and freedom are share and least of `most_terms`.
     """
+    # A walk scores by the check RMSE, of image positions that are linear in the terms.
     if type(inputs.criterion).score is not CheckRmse.score:
         return ()
     linear = _linear(inputs)
@@ -44,6 +43,7 @@ def row_systems(inputs: Inputs, parts: tuple[IndependentPart, ...], terms: BoolA
                                  inputs.pixels * columns[np.ix_(rows, chosen)],
                                  inputs.pixels * target[rows],
                                  _fewest_rows(len(chosen), len(b), share, freedom)))
+    # The walk works in units of the check points' errors: these must determine the terms.
     good = explained.all() and all(one.determined for one in systems)
     return tuple(systems) if good else ()
 

@@ -54,11 +54,6 @@ def first_closed(top: FloatArray, extra: FloatArray, first: int, n: int, limit: 
     `extra` (n + 1, c), or (n + 1, 2 c) with denominators, are one depth of `Vectors`, without the
     columns in use. `upper` (c + 1,), U and tau, is lowered in place; it is 1 for scores without
     denominators.
-
-    Columns are eliminated from the last to the first, after the target. The minimum over the
-    coefficients of the last i columns alone is known after i steps, so one elimination tests every
-    tail of F. With the Cholesky factor L of q and the sums s of the denominators' columns the
-    minimum is 1 / |L^-1 s|^2.
     """
     count, c = n - first + 1, len(upper) - 1
     gram, triangle, weight, h, y = space.gram, space.triangle, space.x[0], space.x[1], space.x[2]
@@ -83,7 +78,9 @@ def first_closed(top: FloatArray, extra: FloatArray, first: int, n: int, limit: 
             sphere, scale = 0.5, 0.0
         for k in range(c):
             weight[k] = (1.0 - (sphere + scale) * tau * tau) / (limit * upper[k] * upper[k])
-        # Cholesky's triangle of the quadratic, and the minimum, vector by vector.
+        # Cholesky's triangle L of the quadratic, vector by vector. With the sums s of the
+        # denominators' columns its minimum is 1 / |L^-1 s|^2. After i steps that over the last i
+        # columns alone is known, so one elimination tests every tail of F.
         minimum, failed = 0.0, False
         for i in range(count):
             for k in range(c):

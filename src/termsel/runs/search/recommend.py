@@ -18,13 +18,8 @@ from termsel.solvers.search import Search
 def recommended(task: Task, found: Search) -> Search:
     """Return the search with the recommended member of its front as its selection.
 
-    The rule is the problem's option "recommend". The standard error of the best criterion is taken
-    as that of an RMSE of normal errors, RMSE / sqrt(2 f), with f = 2 n coordinates of the n points
-    or lines the criterion looks at. The knee is the member farthest below the straight line between
-    the front's ends, in the logarithm of the criterion, which spans orders of magnitude, and the
-    second objective, both scaled to [0, 1]; with a single objective the number of genes is the
-    second one. "ebic" takes the least `termsel.criteria.Ebic` of the control; where no member has
-    one, the best criterion. A search without a front is returned as it is.
+    The rule is the problem's option "recommend". With a single objective the number of genes is the
+    second one. A search without a front is returned as it is.
     """
     rule = task.options["problem"].get("recommend", "best")
     alone = len(task.problem.objectives) < 2
@@ -40,16 +35,20 @@ def recommended(task: Task, found: Search) -> Search:
               else evaluation.objectives[:, 1])
     index = int(np.argmin(first))
     if rule == "one-standard-error":
+        # That of an RMSE of normal errors, RMSE / sqrt(2 f), f = 2 n for n points or lines.
         judged = (task.observations.check if task.criterion.needs_check
                   else task.observations.control)
         bound = first[index] * (1 + 1 / np.sqrt(4 * len(judged)))
         within = np.flatnonzero(first <= bound)
         index = int(within[np.lexsort((first[within], second[within]))[0]])
     elif rule == "knee" and np.ptp(first) > 0 and np.ptp(second) > 0:
+        # Farthest below the straight line between the front's ends, both objectives scaled to
+        # [0, 1]; the criterion in logarithms, as it spans orders of magnitude.
         height = np.log(first) if first.min() > 0 else first
         below = (height - height.min()) / np.ptp(height) + (second - second.min()) / np.ptp(second)
         index = int(np.argmin(below))
     elif rule == "ebic" and isinstance(task.problem, SelectionProblem):
+        # Where no member has one, the best criterion.
         by_ebic = task.problem.judged_by(Ebic()).evaluate(genes)
         index = int(np.lexsort((first, by_ebic.objectives[:, 0], by_ebic.violation))[0])
     return replace(found, genes=found.front[index], objectives=evaluation.objectives[index],

@@ -26,9 +26,7 @@ def correlation_sums(design: FloatArray) -> FloatArray:
 
     Akhoundi Khezrabad et al. 2020, eq. 3 and the last line of eq. 4, of a design with a row of each
     equation and a column of each gene. Sums are at least 1, the correlation of a column with
-    itself. The correlation of a constant column is undefined: it takes no part in the sums of the
-    others. Its own sum is the least of theirs, as every model needs a constant term, which rivals
-    none. The sum of a column of zeros is the largest, as its term cannot be determined.
+    itself.
     """
     centred = design - design.mean(axis=0)
     lengths = np.linalg.norm(centred, axis=0)
@@ -38,8 +36,9 @@ def correlation_sums(design: FloatArray) -> FloatArray:
     sums = np.ones(design.shape[1])
     if varies.any():
         sums[varies] = np.abs(unit.T @ unit).sum(axis=0)
+        # The correlation of a constant is undefined; every model needs one, and it rivals none.
         sums[~varies] = sums[varies].min()
-    sums[size == 0] = sums.max()
+    sums[size == 0] = sums.max()  # the term of a column of zeros cannot be determined
     return sums
 
 

@@ -16,21 +16,18 @@ from termsel.solvers.base import Generation, Solver
 def costs(evaluation: Evaluation) -> FloatArray:
     """Return one finite cost per country, shape (p,), in the order of `Evaluation.order`.
 
-    A feasible country costs its first objective. An infeasible one costs more than every
-    feasible one: the worst feasible cost and a penalty. The penalty grows with the rank among the
-    infeasible, by violation and then by objective, up to the spread of the feasible costs. That
-    is at least a thousandth of the worst, and 1 if all are 0 or none is feasible. The paper has
-    no infeasible solutions; a penalty in proportion to the violation would dominate the feasible
-    costs in equations (5), (8) and (9). Countries with the same violation and objective cost the
-    same.
+    A feasible country costs its first objective, an infeasible one more than every feasible one;
+    the paper has none. Countries with the same violation and objective cost the same.
     """
     cost = evaluation.objectives[:, 0].copy()
     failed = evaluation.violation > 0
     feasible = cost[~failed] if not failed.all() else np.zeros(1)
     judged = np.column_stack([evaluation.violation, cost])[failed]
     levels, rank = np.unique(judged, axis=0, return_inverse=True)
+    # The worst feasible cost and a penalty by rank, up to the spread of the feasible costs: in
+    # proportion to the violation it would dominate these in equations (5), (8) and (9).
     worst = feasible.max()
-    scale = max(worst - feasible.min(), 1e-3 * abs(worst)) or 1.0
+    scale = max(worst - feasible.min(), 1e-3 * abs(worst)) or 1.0  # all 0, or none feasible
     cost[failed] = worst + scale * (rank.reshape(-1) + 1) / max(len(levels), 1)
     return cost
 
