@@ -405,7 +405,9 @@ def test_an_unknown_name_lists_the_known_ones_and_who_may_have_it(install, regis
     install("a-broken-one", "import no_such_module")
     with pytest.raises(TermselError, match=r"does not work \(a-broken-one\): see termsel plugins"):
         registry().get("models", "fancy")
-    with pytest.raises(TermselError, match="package termsel-hybrids, which is not installed"):
+    with pytest.raises(TermselError, match=r"package termsel-hybrids, which is not installed\. "
+                                           r"In a clone of termsel: pip install "
+                                           r"\./plugins/termsel-hybrids$"):
         Registry([]).get("models", "multiquadric")
 
 
