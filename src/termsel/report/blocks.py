@@ -42,37 +42,17 @@ class Names:
 
 @dataclass(frozen=True)
 class TableBlock:
-    """A table, which also serves where a chart cannot be seen.
-
-    Parameters
-    ----------
-    caption : str
-    columns : tuple of str
-    rows : sequence of tuple
-        Numbers as text, already rounded.
-    choice : str
-        Name of the choice that a row makes in the charts; "" where there is none.
-    keys : sequence
-        What each row chooses, or what it is of; of the same length as the rows.
-    folded : bool
-        Whether it is shown only when asked for; a text leaves it out.
-    pictures : sequence of str
-        A drawing of each row as SVG, of the same length as the rows; none by default.
-    marked : int, optional
-        The row that was chosen.
-    page_only : tuple of int
-        Columns that a text leaves out, as they are too wide for it.
-    """
+    """A table, which also serves where a chart cannot be seen."""
 
     caption: str
     columns: tuple[str, ...]
-    rows: Sequence[tuple[str, ...]]
-    choice: str = ""
-    keys: Sequence[Any] = ()
-    folded: bool = False
-    pictures: Sequence[str] = ()
-    marked: int | None = None
-    page_only: tuple[int, ...] = ()
+    rows: Sequence[tuple[str, ...]]  # numbers as text, already rounded
+    choice: str = ""  # name of the choice that a row makes in the charts, if any
+    keys: Sequence[Any] = ()  # what each row chooses, or what it is of
+    folded: bool = False  # whether it is shown only when asked for; a text leaves it out
+    pictures: Sequence[str] = ()  # a drawing of each row as SVG, if any
+    marked: int | None = None  # the row that was chosen
+    page_only: tuple[int, ...] = ()  # columns that a text leaves out, as they are too wide for it
 
     def has_words(self, column: int) -> bool:
         """Return whether a column has words, which begin at the left, and not numbers."""
@@ -82,22 +62,13 @@ class TableBlock:
 
 @dataclass(frozen=True)
 class Figure:
-    """A chart with what to look for; a text leaves it out.
-
-    Parameters
-    ----------
-    name, title, look : str
-    chart : altair.Chart
-        Without title and style.
-    keeps_ratio : bool
-        Whether height follows width, as that of a map.
-    """
+    """A chart with what to look for; a text leaves it out."""
 
     name: str
     title: str
     look: str
-    chart: Any
-    keeps_ratio: bool = False
+    chart: Any  # of Altair, without title and style
+    keeps_ratio: bool = False  # whether height follows width, as that of a map
 
 
 @dataclass(frozen=True)
@@ -121,17 +92,9 @@ class Section:
 
 @dataclass(frozen=True)
 class Document:
-    """What is shown of a result or a study.
-
-    Parameters
-    ----------
-    title, subtitle : str
-    facts : tuple of Block
-        What stands before the first heading.
-    sections : tuple of Section
-    """
+    """What is shown of a result or a study."""
 
     title: str
     subtitle: str
-    facts: tuple[Block, ...]
+    facts: tuple[Block, ...]  # what stands before the first heading
     sections: tuple[Section, ...]

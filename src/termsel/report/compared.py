@@ -13,12 +13,7 @@ THIS = "this result"
 
 
 def label_of(name: str) -> str:
-    """Return what tables and charts call a fit without a search.
-
-    Parameters
-    ----------
-    name : str
-        Of a baseline, or of a candidate of the strategy auto.
+    """Return what tables and charts call a fit without a search: a baseline or a candidate of auto.
     """
     candidate = named(name)
     return {"all-terms": "all terms", WITHOUT_BLUNDERS: "without blunders"}.get(name, name) \
@@ -28,13 +23,8 @@ def label_of(name: str) -> str:
 def fits_of(record: Record) -> Iterator[tuple[str, bool, int, RmseByRole]]:
     """Yield this result, then all fits without a search.
 
-    Yields
-    ------
-    label : str
-    fitted : bool
-        Whether it was fitted to the check points too.
-    n_terms : int
-    rmse : RmseByRole
+    Of each the label, whether it was fitted to the check points too, its number of terms, and its
+    RMSE.
     """
     yield THIS, bool(record.strategy), record.selection.n_terms, record.rmse
     for one in record.baselines:

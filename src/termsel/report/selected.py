@@ -23,12 +23,7 @@ from termsel.report.view import View
 def selected(record: Record, view: View | None, picture: str) -> Iterator[Block]:
     """Yield what was selected, from what, and what is known of it.
 
-    Parameters
-    ----------
-    record : Record
-    view : View, optional
-    picture : str
-        The image, smaller, as a data URL.
+    The picture is the image, smaller, as a data URL.
     """
     if record.strategy:
         yield from _choice(record, record.strategy, view)

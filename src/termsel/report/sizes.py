@@ -25,14 +25,7 @@ def proven(row: SizeRow) -> str:
 
 
 def others(by_size: Sequence[SizeRow], criterion: str) -> Iterator[str]:
-    """Yield what is proven of the sizes that are no better than a smaller one.
-
-    Parameters
-    ----------
-    by_size : sequence of SizeRow
-    criterion : str
-        Name of its objective.
-    """
+    """Yield what is proven of the sizes that are no better than a smaller one, by the criterion."""
     settled, open_, least = [], [], float("inf")
     words = counted_by(by_size)
     for row in by_size:
