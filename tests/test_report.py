@@ -250,6 +250,39 @@ def test_a_result_without_heights_is_shown_in_metres() -> None:
     assert result.view.units_per_metre == 1.0
 
 
+@pytest.mark.parametrize(("errors", "broken"), [
+    ([60.0, 1, 0.9, 0.8], {"F0"}), ([80.0, 40, 1, 0.9, 0.8, 0.7, 0.5], {"F0", "F1"}),
+    ([8.0, 4, 2, 1], set()), ([1.0], set()), ([0.0, 0.0], set()), ([], set())])
+def test_one_blunder_does_not_flatten_all_bars(errors: list[float], broken: set[str]) -> None:
+    from termsel.report.charts import bars
+
+    view: Any = SimpleNamespace(worst=[
+        {"id": f"F{i}", "role": "control", "distance": error, "blunder": i == 0 and error > 9}
+        for i, error in enumerate(errors)])
+    shown = max(rows_of(bars.worst_bars(view)).values(), key=len, default=[])
+    assert {row["id"] for row in shown if row.get("broken")} == broken
+    assert {row["label"] for row in shown if row.get("broken")} == {
+        f"{error:.3g} px" + ", blunder" * (i == 0) for i, error in enumerate(errors)
+        if f"F{i}" in broken}
+    ends = [row["end"] for row in shown]
+    assert not broken or max(ends) < 12 * float(np.median(ends))
+    assert bool(bars.broken(view)) == bool(broken)  # which the caption says
+
+
+@pytest.mark.parametrize(("crs", "unit", "axes"), [
+    ("EPSG:4979", 9e-6, ("longitude [°], EPSG:4979", "latitude [°]")),
+    ("EPSG:32639", 1.0, ("x [m], EPSG:32639", "y [m]")),
+    ("EPSG:2263", 1 / 0.3048006, ("x [0.3048 m], EPSG:2263", "y [0.3048 m]")),
+    ("local", None, ("x [unit not known], local", "y [unit not known]"))])
+def test_axes_on_the_ground_have_units(crs: str, unit: float | None,
+                                       axes: tuple[str, str]) -> None:
+    from termsel.report.charts import maps
+
+    view: Any = SimpleNamespace(record=SimpleNamespace(data=SimpleNamespace(crs=crs)),
+                                units_per_metre=unit)
+    assert maps._axes(view) == axes
+
+
 def test_baselines_show_the_record(chosen: termsel.Result) -> None:
     shown = max(rows_of(chosen.plot.baselines()).values(), key=len)
     here = {(row["fit"], row["role"]): row["rmse"] for row in shown}

@@ -49,6 +49,14 @@ DEMSAR = np.array([
 NAMES = ("C4.5", "C4.5+m", "C4.5+cf", "C4.5+m+cf")
 
 
+def test_methods_are_the_solvers_where_each_problem_has_its_own_model() -> None:
+    study = termsel.compare(problems=["poly-terms", "rfm-terms"], solvers=["random", "swap"],
+                            seeds=1, budget={"evaluations": 20})
+    groups = group(study.rows, study.records)
+    assert groups.methods == ("random", "swap")
+    assert groups.common == ["poly-terms", "rfm-terms"]
+
+
 def test_ranks_and_critical_difference_are_those_of_demsar() -> None:
     found = compare_methods(NAMES, -DEMSAR)
     assert found is not None

@@ -51,6 +51,15 @@
   const fit = (view, element) => {
     const svg = element.querySelector("svg");
     if (!svg || !element.clientWidth) return;
+    const { columns } = specs[element.dataset.chart];
+    if (columns) {
+      const now = view.signal("child_width");
+      // What axes and gaps take is known before the first change, which is drawn later.
+      view.beside ??= svg.width.baseVal.value - columns * now;
+      const side = Math.max(120, Math.min(360, (element.clientWidth - view.beside) / columns));
+      if (Math.abs(side - now) >= 1) view.signal("child_width", side).resize().runAsync();
+      return;
+    }
     const around = svg.width.baseVal.value - view.width();
     const ratio = Number(element.dataset.ratio);
     const wide = Math.max(120, Math.min(ratio ? 620 : 720, element.clientWidth - around));
@@ -61,7 +70,9 @@
   };
 
   const draw = async (element) => {
-    const { view } = await window.termselEmbed(element, specs[element.dataset.chart], {
+    const spec = specs[element.dataset.chart];
+    if (spec.columns && element.clientWidth < 480) spec.columns = 1;
+    const { view } = await window.termselEmbed(element, spec, {
       ast: true, actions: false, renderer: "svg", defaultStyle: false, mode: "vega-lite",
       tooltip: { disableDefaultStyle: true } });
     views.push(view);

@@ -29,7 +29,7 @@ from termsel.report.blocks import (
     TableBlock,
 )
 from termsel.report.library import library
-from termsel.report.theme import styled
+from termsel.report.theme import dark_style, styled
 
 
 def page(document: Document) -> str:
@@ -46,7 +46,8 @@ def page(document: Document) -> str:
         shown = "\n".join(_blocks(section.blocks, specs))
         parts.append(f'<section aria-labelledby="s{number}"><h2 id="s{number}">'
                      f"{_text(section.title)}</h2>\n{shown}\n</section>")
-    style, script, drawing = _resource("page.css"), _resource("page.js"), library()
+    style = _resource("page.css") + dark_style()
+    script, drawing = _resource("page.js"), library()
     policy = (f"default-src 'none'; script-src {_checksum(drawing)} {_checksum(script)}; "
               f"style-src {_checksum(style)}; img-src data:; base-uri 'none'; form-action 'none'")
     # Nothing in a block of data may end it.
@@ -114,13 +115,13 @@ def _figure(figure: Figure, specs: dict[str, Any]) -> str:
     return (f'<figure id="{_text(figure.name)}"><h3>{_text(figure.title)}</h3>'
             f"<p class=\"look\">{_text(figure.look)}</p>"
             f'<div class="chart" data-chart="{_text(figure.name)}" data-ratio="{ratio:.4g}" '
-            f'role="img" aria-label="{_text(figure.title)}. {_text(figure.look)}"></div></figure>')
+            f'role="group" aria-label="{_text(figure.title)}"></div></figure>')
 
 
 def _table(table: TableBlock) -> str:
     # The first column is the head of its row, which has a style of its own.
     words = [""] + [' class="words"' * table.has_words(i) for i in range(1, len(table.columns))]
-    heads = [f'<th scope="col"{kind}>{_text(name)}</th>'
+    heads = [f'<th scope="col"{kind}>{_text(name)}</th>' if name else "<td></td>"
              for name, kind in zip(table.columns, words, strict=True)]
     if table.pictures:
         heads.insert(1, '<th scope="col" class="words">residuals</th>')

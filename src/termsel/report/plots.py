@@ -29,13 +29,15 @@ class ChartKind:
     name : str
     title : str
     look : str
-        What to look for, in one sentence.
+        What to look for.
     draw : callable
         Returns the chart of a view, without title and style.
     missing : callable
         Returns why a view has no such chart; "" where it has one.
     keeps_ratio : bool
         Whether height follows width, as that of a map.
+    more : callable
+        Returns what else is said of the chart of a view; "" where nothing is.
     """
 
     name: str
@@ -44,6 +46,11 @@ class ChartKind:
     draw: Callable[[View], Any]
     missing: Callable[[View], str] = lambda _: ""
     keeps_ratio: bool = False
+    more: Callable[[View], str] = lambda _: ""
+
+    def caption(self, view: View) -> str:
+        """Return what to look for in the chart of a view."""
+        return f"{self.look} {self.more(view)}".strip()
 
 
 def _worst(view: View) -> Any:
@@ -75,7 +82,7 @@ KINDS = {kind.name: kind for kind in (
     ChartKind(
         "worst", "The largest residuals",
         "The list should fall off smoothly. A step after the first few bars separates blunders "
-        "from noise.", _worst),
+        "from noise.", _worst, more=bars.broken),
     ChartKind(
         "baselines", "Compared with fits without a search",
         "This result should be left of the plain structures on independent points, by more than "
@@ -156,8 +163,8 @@ def figure(view: View | None, name: str, drawn: Any = None) -> Iterator[Figure]:
     """
     if view is not None and not missing(view, name):
         kind = KINDS[name]
-        yield Figure(name, kind.title, kind.look, kind.draw(view) if drawn is None else drawn,
-               kind.keeps_ratio)
+        yield Figure(name, kind.title, kind.caption(view),
+                     kind.draw(view) if drawn is None else drawn, kind.keeps_ratio)
 
 
 def chart(view: View, name: str) -> Any:
@@ -180,7 +187,7 @@ def chart(view: View, name: str) -> Any:
         there = ", ".join(one.name for one in KINDS.values() if not one.missing(view))
         raise TermselError(f"this result has no chart {name}: {why}",
                      hint=f"Charts that it has: {there}.")
-    return offline(styled(kind.draw(view), kind.title, kind.look))
+    return offline(styled(kind.draw(view), kind.title, kind.caption(view)))
 
 
 class Plots:

@@ -13,7 +13,15 @@ from termsel.errors import requires
 
 CONTROL, CHECK, INDEPENDENT = "#0072b2", "#e08a00", "#1b1f24"
 UNUSED, BLUNDER, LINE = "#9aa1ab", "#c8003c", "#0072b2"
-INK, FAINT, EDGE, GROUND = "#1b1f24", "#5b636e", "#c6cbd2", "#ffffff"
+INK, FAINT, EDGE, GRID, GROUND = "#1b1f24", "#5b636e", "#c6cbd2", "#eceef1", "#ffffff"
+
+METHODS = (CONTROL, CHECK, INDEPENDENT, "#009e73", BLUNDER, "#56b4e9", "#7b4ea3", "#8c6d31")
+"""Colours of what is compared in a study."""
+
+DARK = {INK: "#e4e8ee", FAINT: "#a9b1bc", EDGE: "#505864", GRID: "#2a3038", GROUND: "#14171b",
+        CONTROL: "#3f9fe0", BLUNDER: "#ff6f91", "#56b4e9": "#a9dcff", "#7b4ea3": "#b790e6",
+        "#8c6d31": "#c9a866"}
+"""What colours are on a dark page; the others are seen on both."""
 
 ROLE_COLOURS = {"control": CONTROL, "check": CHECK, "independent": INDEPENDENT,
                 "left out": UNUSED}
@@ -49,10 +57,28 @@ def styled(chart: Any, title: str = "", look: str = "") -> Any:
         subtitleColor=FAINT, subtitleFontSize=11.5, subtitlePadding=4,
     ).configure_axis(
         labelColor=INK, titleColor=FAINT, titleFontWeight="normal", titleFontSize=11.5,
-        labelFontSize=11, domainColor=EDGE, tickColor=EDGE, gridColor="#eceef1", labelLimit=150,
+        labelFontSize=11, domainColor=EDGE, tickColor=EDGE, gridColor=GRID, labelLimit=150,
+        labelSeparation=5,
     ).configure_legend(
         orient="top", direction="horizontal", title=None, labelFontSize=11.5, labelColor=INK,
-        symbolSize=70, offset=6, columnPadding=14, labelLimit=200)
+        titleColor=INK, symbolSize=70, offset=6, columnPadding=14, labelLimit=200,
+    ).configure_header(labelColor=INK, labelFontSize=12, labelFontWeight=600)
+
+
+def dark_style() -> str:
+    """Return the rules of a page that give charts the colours of a dark one on the screen."""
+    rules = "\n".join(f'  svg [{of}="{light}"] {{ {of}: {dark}; }}'
+                      for light, dark in DARK.items() for of in ("fill", "stroke"))
+    return f"@media screen and (prefers-color-scheme: dark) {{\n{rules}\n}}\n"
+
+
+def label(base: Any, text: Any, colour: str = INK, **channels: Any) -> Any:
+    """Return text at the right of a place, with a rim that keeps it apart from marks below."""
+    alt = require_altair()
+    style: dict[str, Any] = {"align": "left", "dx": 8, "fontSize": 10.5, "aria": False}
+    rim = {"color": GROUND, "stroke": GROUND, "strokeWidth": 4, "strokeJoin": "round"}
+    return alt.layer(*(base.mark_text(**style, **own).encode(text=text, **channels)
+                       for own in (rim, {"color": colour})))
 
 
 def _wrapped(text: str, width: int = 84) -> list[str]:

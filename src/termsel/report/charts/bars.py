@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from typing import Any
 
-from termsel.errors import cut
+import numpy as np
+
 from termsel.fits.accuracy import rmse_interval
 from termsel.report.compared import THIS, fits_of, label_of
 from termsel.report.theme import (
     BLUNDER,
     CONTROL,
     FAINT,
+    GROUND,
     INK,
     ROLE_COLOURS,
     ROLE_SHAPES,
@@ -27,30 +29,56 @@ WORST = 25
 """Features that the chart of the worst residuals shows."""
 ROW = 18
 """Height of a row [px of the screen]."""
+FLATTENED = 12.0
+"""Times the median bar; a longer one would flatten the others, and is broken."""
 
 
 def worst_bars(view: View) -> Any:
-    """Return the largest residuals as bars, the largest first."""
+    """Return the largest residuals as bars, the largest first; those beyond the axis are broken."""
     alt = require_altair()
-    rows = [{**row, "label": cut(row["id"], 24)} for row in view.worst[:WORST]]
+    end = axis_end(view)
+    rows = [{**row, "end": min(row["distance"], end), "broken": row["distance"] > end,
+             "label": ", ".join([f"{row['distance']:.3g} px"] * (row["distance"] > end)
+                                + ["blunder"] * row["blunder"])} for row in view.worst[:WORST]]
     picked = alt.selection_point(name="picked", fields=["id"], empty=False)
     base = alt.Chart(data(rows)).encode(
-        y=alt.Y("id:N", sort=[row["id"] for row in rows], title=None, axis=alt.Axis(
+        y=alt.Y("id:N", sort=[row["id"] for row in rows], title="feature", axis=alt.Axis(
             labelLimit=120, ticks=False, domain=False)))
     roles = {row["role"] for row in rows}
+    x = alt.X("end:Q", title="residual [px]", scale=alt.Scale(
+        domain=[0, end], nice=False) if np.isfinite(end) else alt.Undefined)
     bars = base.mark_bar(cursor="pointer", height={"band": 0.72}).encode(
-        x=alt.X("distance:Q", title="residual [px]"),
-        color=alt.Color("role:N", scale=legend_of(ROLE_COLOURS, roles)),
+        x=x, color=alt.Color("role:N", scale=legend_of(ROLE_COLOURS, roles)),
         stroke=alt.condition(picked, alt.value(INK), alt.value(None)),
         strokeWidth=alt.condition(picked, alt.value(2.5), alt.value(0)),
         tooltip=[alt.Tooltip("id:N"), alt.Tooltip("role:N"),
                  alt.Tooltip("distance:Q", title="residual [px]", format=".3g")],
     ).add_params(picked)
-    marks = base.transform_filter("datum.blunder").mark_text(
-        text="blunder", align="left", dx=5, fontSize=10.5, color=BLUNDER, fontWeight=600).encode(
-            x="distance:Q")
-    layers = [bars, marks] if any(row["blunder"] for row in rows) else [bars]
+    layers = [bars]
+    if any(row["broken"] for row in rows):
+        layers.append(base.transform_filter("datum.broken").mark_text(
+            text="//", fontSize=17, fontWeight="bold", color=GROUND, dx=-26, aria=False,
+        ).encode(x=x))
+    if any(row["label"] for row in rows):
+        layers.append(base.mark_text(
+            align="left", dx=5, fontSize=10.5, fontWeight=600, aria=False).encode(
+                x=x, text="label:N", color=alt.condition(
+                    "datum.blunder", alt.value(BLUNDER), alt.value(INK))))
     return alt.layer(*layers).properties(width=WIDTH, height=ROW * len(rows))
+
+
+def axis_end(view: View) -> float:
+    """Return where bars of the worst residuals are broken [px]; infinite where none need be."""
+    shown = [row["distance"] for row in view.worst[:WORST]]
+    high = FLATTENED * float(np.median(shown)) if shown else 0.0
+    within = max((one for one in shown if one <= high), default=0.0)
+    return 1.3 * within if shown and max(shown) > high > 0 else float("inf")
+
+
+def broken(view: View) -> str:
+    """Return what must be said of bars that are broken; "" where none is."""
+    return "Bars with a break are longer than the axis; their length is next to them." \
+        if np.isfinite(axis_end(view)) else ""
 
 
 def baseline_bars(view: View) -> Any:
@@ -63,7 +91,7 @@ def baseline_bars(view: View) -> Any:
     x = alt.X("rmse:Q", title=f"RMSE [px], with 90 % interval{kind}", scale=scale)
     colours = alt.Scale(domain=list(roles), range=list(roles.values()))
     base = alt.Chart(data(rows)).encode(
-        y=alt.Y("fit:N", sort=order, title=None, axis=alt.Axis(
+        y=alt.Y("fit:N", sort=order, title="fit", axis=alt.Axis(
             ticks=False, domain=False, grid=True, labelLimit=160, labelFontWeight=alt.condition(
                 f"datum.value == '{THIS}'", alt.value("bold"), alt.value("normal")))),
         yOffset=alt.YOffset("role:N", sort=list(roles)),
@@ -80,7 +108,7 @@ def baseline_bars(view: View) -> Any:
             rmse="datum.low"),
         base.mark_point(opacity=1, strokeWidth=1.8, cursor="pointer").encode(
             x=x, shape=shape, tooltip=tooltip, fill=alt.condition(
-                "datum.note == 'fitted'", alt.value("white"), alt.Fill("role:N", scale=colours)),
+                "datum.note == 'fitted'", alt.value(GROUND), alt.Fill("role:N", scale=colours)),
             size=alt.condition(chosen, alt.value(150), alt.value(62))).add_params(chosen),
     ).properties(width=WIDTH, height=1.55 * ROW * len(order))
 
@@ -100,7 +128,7 @@ def candidate_bars(view: View) -> Any:
     colour = alt.Color("state:N", scale=alt.Scale(domain=["chosen", "candidate"],
                                                   range=[CONTROL, UNUSED]))
     base = alt.Chart(data(rows)).encode(
-        y=alt.Y("fit:N", sort=order, title=None, axis=alt.Axis(
+        y=alt.Y("fit:N", sort=order, title="candidate", axis=alt.Axis(
             ticks=False, domain=False, grid=True, labelLimit=160)),
         x=alt.X("rmse:Q", title=f"leave-one-out RMSE [px]{kind}", scale=scale))
     return alt.layer(

@@ -6,14 +6,17 @@ from typing import Any
 
 import numpy as np
 
+from termsel.measurements.coordinates.crs import is_geographic, short
 from termsel.report.theme import (
     BLUNDER,
     EDGE,
+    GROUND,
     INK,
     ROLE_COLOURS,
     ROLE_SHAPES,
     WIDTH,
     data,
+    label,
     legend_of,
     require_altair,
 )
@@ -78,10 +81,10 @@ def ground_map(view: View) -> Any:
     wide, tall = max(right - left, 1e-9), max(top - bottom, 1e-9)
     margin = MARGIN * max(wide * view.flattening, tall)
     across = margin / view.flattening
-    crs = view.record.data.crs
-    x = alt.X("x:Q", title=f"x, {crs}", axis=alt.Axis(grid=False, tickCount=5),
+    of_x, of_y = _axes(view)
+    x = alt.X("x:Q", title=of_x, axis=alt.Axis(grid=False, tickCount=5),
               scale=alt.Scale(domain=[left - across, right + across], nice=False, zero=False))
-    y = alt.Y("y:Q", title="y", axis=alt.Axis(grid=False, tickCount=6),
+    y = alt.Y("y:Q", title=of_y, axis=alt.Axis(grid=False, tickCount=6),
               scale=alt.Scale(domain=[bottom - 2 * margin, top + margin], nice=False,
                               zero=False))
     scale = _exaggeration([float(np.hypot(row["dx"] * view.flattening, row["dy"]))
@@ -115,10 +118,10 @@ def sigma_map(view: View) -> Any:
             x=x, y=y, x2="sample2:Q", y2="line2:Q", color=colour,
             tooltip=[alt.Tooltip("sigma:Q", title="standard deviation [px]", format=".3g")]),
         alt.Chart(data(view.hull)).mark_line(
-            color=INK, strokeWidth=1.4, strokeDash=[5, 3]).encode(x=x, y=y, order="i:O"),
+            color="black", strokeWidth=1.4, strokeDash=[5, 3]).encode(x=x, y=y, order="i:O"),
         alt.Chart(data(view.control)).mark_point(
-            filled=True, size=26, color="white", stroke=INK, strokeWidth=0.9,
-                               opacity=1).encode(x=x, y=y)]
+            filled=True, size=26, color="white", stroke="black", strokeWidth=0.9,
+            opacity=1).encode(x=x, y=y)]  # the colours below are the same on dark pages
     return _map(layers, max(right - left, 1.0) / max(bottom - top, 1.0))
 
 
@@ -137,7 +140,7 @@ def _arrows(view: View, rows: list[Row], x: Any, y: Any, vector: tuple[str, str]
     across, along = vector
     at_x, at_y = (channel.shorthand.partition(":")[0] for channel in (x, y))
     drag = alt.param(name="exaggeration", value=scale, bind=alt.binding_range(
-        min=0, max=3 * scale, step=scale / 50, name="Length of arrows "))
+        min=0, max=3 * scale, step=scale / 50, name="Length of arrows [times true length] "))
     picked = alt.selection_point(name="picked", fields=["id"], empty=False)
     base = alt.Chart(data(rows))
     if member is not None:
@@ -159,17 +162,20 @@ def _arrows(view: View, rows: list[Row], x: Any, y: Any, vector: tuple[str, str]
             *[alt.Tooltip("metres:Q", title="on the ground [m]", format=".3g")] * metres]
     shape = alt.Shape("role:N", scale=legend_of(ROLE_SHAPES, _roles(view, rows)))
     layers = [
-        base.mark_rule(strokeWidth=1.5, clip=True).encode(x=x, y=y, x2="end_x:Q", y2="end_y:Q",
-                                                          color=colour),
-        base.mark_point(shape="wedge", filled=True, size=110, opacity=1, clip=True).encode(
+        base.mark_rule(strokeWidth=1.5, clip=True, aria=False).encode(
+            x=x, y=y, x2="end_x:Q", y2="end_y:Q", color=colour),
+        base.mark_point(shape="wedge", filled=True, size=110, opacity=1, clip=True,
+                        aria=False).encode(
             x=_of(x, "end_x"), y=_of(y, "end_y"), color=colour,
             angle=alt.Angle("turn:Q", scale=None)),
         base.transform_filter("datum.blunder").mark_point(
-            size=230, filled=False, stroke=BLUNDER, strokeWidth=1.8, opacity=1).encode(x=x, y=y),
+            size=230, filled=False, stroke=BLUNDER, strokeWidth=1.8, opacity=1,
+            aria=False).encode(x=x, y=y),
         base.transform_filter(picked).mark_point(
-            size=420, filled=False, stroke=INK, strokeWidth=2.6, opacity=1).encode(x=x, y=y),
+            size=420, filled=False, stroke=INK, strokeWidth=2.6, opacity=1,
+            aria=False).encode(x=x, y=y),
         base.transform_filter("datum.kind == 'point'").mark_point(
-            filled=True, size=44, opacity=1, stroke="white", strokeWidth=0.6, cursor="pointer",
+            filled=True, size=44, opacity=1, stroke=GROUND, strokeWidth=0.6, cursor="pointer",
         ).encode(x=x, y=y, color=colour, shape=shape, tooltip=tooltip),
     ]
     if view.lines:
@@ -188,9 +194,17 @@ def _bar(x0: float, y0: float, length: float, text: str, at_x: str, at_y: str, x
     base = alt.Chart(data([{at_x: x0, at_y: y0, "length": length, "text": text}])
                      ).transform_calculate(end=f"datum.{at_x} + exaggeration * datum.length")
     return alt.layer(
-        base.mark_rule(strokeWidth=2.4, color=INK).encode(x=x, y=y, x2="end:Q"),
-        base.mark_text(align="left", dx=7, fontSize=11, color=INK).encode(
-            x=_of(x, "end"), y=y, text="text:N"))
+        base.mark_rule(strokeWidth=2.4, color=INK, aria=False).encode(x=x, y=y, x2="end:Q"),
+        label(base, "text:N", x=_of(x, "end"), y=y))
+
+
+def _axes(view: View) -> tuple[str, str]:
+    """Return the names of the axes on the ground, with their unit as far as it is known."""
+    crs, unit = view.record.data.crs, view.units_per_metre
+    if is_geographic(crs):
+        return f"longitude [°], {short(crs)}", "latitude [°]"
+    of = " [unit not known]" if unit is None else " [m]" if unit == 1 else f" [{1 / unit:.4g} m]"
+    return f"x{of}, {short(crs)}", f"y{of}"
 
 
 def _of(channel: Any, field: str) -> Any:

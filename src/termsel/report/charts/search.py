@@ -13,6 +13,7 @@ from termsel.report.theme import (
     CONTROL,
     EDGE,
     FAINT,
+    GROUND,
     INDEPENDENT,
     INK,
     WIDTH,
@@ -26,6 +27,7 @@ MOST = 400
 """Generations that a chart shows: of a longer search, those evenly spaced."""
 AREAS = 4000
 """Most corners of the areas of empires."""
+_IN_PIXELS = ("check-rmse", "kfold", "press", "median", "huber")
 
 
 def front(view: View) -> Any:
@@ -45,7 +47,7 @@ def front(view: View) -> Any:
     return alt.layer(
         base.mark_line(strokeWidth=1.4, opacity=0.7).encode(color=colour),
         base.transform_filter("datum.recommended").mark_point(
-            size=260, stroke=CONTROL, strokeWidth=2, filled=False, opacity=1),
+            size=260, stroke=CONTROL, strokeWidth=2, filled=False, opacity=1, aria=False),
         base.mark_point(filled=True, size=75, opacity=1, cursor="pointer").encode(
             color=colour, shape=shape,
             stroke=alt.condition(member, alt.value(INK), alt.value(None)),
@@ -104,7 +106,7 @@ def convergence(view: View) -> Any:
         strokeWidth=2, interpolate="step-after").encode(
         x=x, color=colour, strokeDash=alt.StrokeDash("what:N", scale=alt.Scale(
             domain=["best", "median"], range=[[1, 0], [5, 3]])),
-        y=alt.Y("value:Q", title=f"{criterion}{kind}", scale=scale),
+        y=alt.Y("value:Q", title=f"{with_unit(criterion)}{kind}", scale=scale),
         tooltip=[alt.Tooltip("evaluations:Q", format=",d"), alt.Tooltip("what:N"),
                  alt.Tooltip("value:Q", title=criterion, format=".4g")])
     return alt.layer(area, drawn).resolve_scale(y="independent").properties(
@@ -119,9 +121,9 @@ def empires(view: View) -> Any:
     rows = [{"evaluations": one.evaluations, "empire": i + 1, "countries": countries,
              "left": sum(map(bool, one.empires))}
             for one in spaced(counted, most) for i, countries in enumerate(one.empires)]
-    return alt.Chart(data(rows)).mark_area(stroke="white", strokeWidth=1, opacity=1).encode(
+    return alt.Chart(data(rows)).mark_area(stroke=GROUND, strokeWidth=1, opacity=1).encode(
         x=alt.X("evaluations:Q", axis=alt.Axis(format=",d", tickCount=6)),
-        y=alt.Y("countries:Q", stack="zero", title="countries"),
+        y=alt.Y("countries:Q", stack="zero", title="countries in the population"),
         order="empire:O",
         color=alt.Color("empire:Q", scale=alt.Scale(scheme="viridis", reverse=True),
                         legend=alt.Legend(title="empire, by its strength at first", tickMinStep=1,
@@ -132,6 +134,11 @@ def empires(view: View) -> Any:
                  alt.Tooltip("left:Q", title="empires left"),
                  alt.Tooltip("evaluations:Q", format=",d")],
     ).properties(width=WIDTH, height=0.35 * WIDTH)
+
+
+def with_unit(criterion: str) -> str:
+    """Return the name of a criterion, with its unit where it has one."""
+    return criterion + " [px]" * (criterion in _IN_PIXELS)
 
 
 def spaced(history: Sequence[HistoryRow], most: int) -> list[HistoryRow]:

@@ -6,7 +6,17 @@ from collections import Counter
 from typing import Any
 
 from termsel.fits.diagnosis import SIGNIFICANT, least_t
-from termsel.report.theme import CHECK, CONTROL, FAINT, INK, UNUSED, WIDTH, data, require_altair
+from termsel.report.theme import (
+    CHECK,
+    CONTROL,
+    FAINT,
+    GROUND,
+    INK,
+    UNUSED,
+    WIDTH,
+    data,
+    require_altair,
+)
 from termsel.report.view import Row, View
 
 ROW = 15
@@ -20,12 +30,14 @@ def term_bars(view: View) -> Any:
     order = [row["term"] for row in rows]
     states = [{**row, "state": kinds[row["p"] > SIGNIFICANT]} for row in rows]
     base = alt.Chart(data(states)).encode(
-        y=alt.Y("term:N", sort=order, title=None,
+        y=alt.Y("term:N", sort=order, title="term",
                 axis=alt.Axis(ticks=False, domain=False, grid=True, labelLimit=170)))
     front = [alt.Tooltip("share:Q", title="share of the front", format=".0%")] \
         * bool(view.record.front)
     shape = alt.Shape("state:N", scale=alt.Scale(domain=kinds, range=["circle", "diamond"]))
-    x = alt.X("t:Q", title="|coefficient| / standard deviation, logarithmic",
+    title = ["|coefficient| / standard deviation, logarithmic",
+             *["At the right: share of the front's members"] * bool(front)]
+    x = alt.X("t:Q", title=title,
               scale=alt.Scale(type="log", nice=False, padding=14))
     layers = [
         alt.Chart(data([{"t": least_t(view.record.adjustment.redundancy)}])).mark_rule(
@@ -36,8 +48,8 @@ def term_bars(view: View) -> Any:
             tooltip=[alt.Tooltip("term:N"), alt.Tooltip("t:Q", format=".3g"),
                      alt.Tooltip("p:Q", title="chance if it were zero", format=".2g"), *front])]
     if front:
-        layers.append(base.mark_text(align="left", dx=8, fontSize=10, color=FAINT).encode(
-            x="t:Q", text=alt.Text("share:Q", format=".0%")))
+        layers.append(base.mark_text(align="left", dx=6, fontSize=10, color=FAINT).encode(
+            x=alt.value("width"), text=alt.Text("share:Q", format=".0%")))
     return alt.layer(*layers).properties(width=WIDTH, height=ROW * len(rows))
 
 
@@ -57,7 +69,7 @@ def frequency_bars(view: View) -> Any:
     rows = frequency_rows(view)
     kinds = ["in this result", "not in this result"]
     base = alt.Chart(data([{**row, "state": kinds[not row["used"]]} for row in rows])).encode(
-        y=alt.Y("term:N", sort=[row["term"] for row in rows], title=None,
+        y=alt.Y("term:N", sort=[row["term"] for row in rows], title="term",
                 axis=alt.Axis(ticks=False, domain=False, labelLimit=170)))
     stability = view.record.stability
     of = f"{stability.repeats} selections" if stability else \
@@ -107,7 +119,7 @@ def correlation_map(view: View) -> Any:
     side = min(max(13 * len(names), 200), WIDTH)
     labels = alt.Axis(labelFontSize=min(11, max(6, side / len(names) - 2)), ticks=False,
                       domain=False, grid=False, labelLimit=120)
-    return alt.Chart(data(rows)).mark_rect(stroke="white", strokeWidth=0.4).encode(
+    return alt.Chart(data(rows)).mark_rect(stroke=GROUND, strokeWidth=0.4).encode(
         x=alt.X("other:N", sort=names, title=None, axis=alt.Axis(
             **{**labels.to_dict(), "labelAngle": -90})),
         y=alt.Y("one:N", sort=names, title=None, axis=labels),

@@ -8,7 +8,17 @@ from typing import Any
 import numpy as np
 
 from termsel.report.blocks import Figure
-from termsel.report.theme import FAINT, INK, WIDTH, data, require_altair
+from termsel.report.charts.search import with_unit
+from termsel.report.theme import (
+    CONTROL,
+    FAINT,
+    INK,
+    METHODS,
+    WIDTH,
+    data,
+    require_altair,
+    spread_scale,
+)
 from termsel.studies.statistics.groups import Groups, group
 from termsel.studies.statistics.significance import (
     Comparison,
@@ -19,7 +29,6 @@ from termsel.studies.statistics.significance import (
 from termsel.studies.statistics.summaries import bands, ecdf, hit, length, optimum_of, targets_of
 from termsel.studies.study import Study
 
-_COLOURS = ("#0072b2", "#e08a00", "#1b1f24", "#009e73", "#c8003c", "#56b4e9", "#7b4ea3", "#8c6d31")
 _DASHES = ([1, 0], [6, 3], [2, 2])
 
 _MOST_PANELS = 12
@@ -101,11 +110,15 @@ def convergence(groups: Groups) -> Figure:
                      for budget, low, median, high in bands(traces, budgets.tolist())
                      if math.isfinite(high)]
     by_method = _by_method(groups.methods)
+    scale, kind = _best_scale(rows)
+    criteria = sorted({row["criterion"] for runs_of in groups.instances.values()
+                       for runs in runs_of.values() for row in runs.rows})
     base = alt.Chart(data(rows)).encode(color=by_method["color"], x=alt.X(
         "evaluations:Q", title="evaluations, logarithmic",
         scale=alt.Scale(type="log", nice=False)))
     band = base.mark_area(opacity=0.18, interpolate="step-after").encode(
-        y=alt.Y("low:Q", title="best objective", scale=alt.Scale(zero=False)), y2="high:Q")
+        y=alt.Y("low:Q", title=f"best {' or '.join(map(with_unit, criteria))}{kind}",
+                scale=scale), y2="high:Q")
     line = base.mark_line(strokeWidth=2, interpolate="step-after").encode(
         y="median:Q", strokeDash=by_method["strokeDash"])
     drawn = alt.layer(band, line).properties(width=WIDTH / 2, height=0.3 * WIDTH).facet(
@@ -113,6 +126,17 @@ def convergence(groups: Groups) -> Figure:
             x="independent", y="independent")
     return Figure("convergence", "Convergence", "Medians as lines, quartiles as bands. Lines that "
                   "still fall at their end were given too few evaluations.", drawn)
+
+
+def _best_scale(rows: list[dict[str, Any]]) -> tuple[Any, str]:
+    """Return the scale of the panels: logarithmic where the values of one differ by much."""
+    panels: dict[str, list[float]] = {}
+    for row in rows:
+        panels.setdefault(row["instance"], []).extend((row["low"], row["high"]))
+    widest = max(panels.values(), key=lambda one: max(one) / min(one) if min(one) > 0 else 0.0,
+                 default=[])
+    positive = all(min(one) > 0 for one in panels.values())
+    return spread_scale(widest if positive else [], zero=False)
 
 
 def profile(groups: Groups) -> Figure:
@@ -150,7 +174,7 @@ def critical_differences(comparison: Comparison) -> Figure:
         base.mark_point(filled=True, size=90, color=INK, opacity=1),
         base.mark_text(align="left", dx=9, color=INK, fontSize=11.5).encode(text="name:N")]
     if bars:
-        layers.append(alt.Chart(data(bars)).mark_rule(strokeWidth=5, color=_COLOURS[0]).encode(
+        layers.append(alt.Chart(data(bars)).mark_rule(strokeWidth=5, color=CONTROL).encode(
             x=axis, x2="to:Q", y=row))
     drawn = alt.layer(*layers).properties(width=WIDTH, height=24 * (len(points) + len(bars) + 1))
     return Figure("critical-difference", f"Mean ranks over {comparison.instances} instances",
@@ -171,11 +195,12 @@ def alike(ranks: list[float], difference: float) -> list[tuple[float, float]]:
 def _by_method(methods: tuple[str, ...]) -> dict[str, Any]:
     """Return colours and dashes of methods: with both, three times as many can be told apart."""
     alt = require_altair()
-    number = len(_COLOURS)
-    legend = alt.Legend(columns=4, symbolType="stroke", symbolOpacity=1)  # one for both
+    number = len(METHODS)
+    columns = alt.ExprRef("(containerSize()[0] || 560) < 480 ? 2 : 4")
+    legend = alt.Legend(columns=columns, symbolType="stroke", symbolOpacity=1)  # one for both
     return {
         "color": alt.Color("method:N", legend=legend, scale=alt.Scale(
-            domain=list(methods), range=[_COLOURS[i % number] for i in range(len(methods))])),
+            domain=list(methods), range=[METHODS[i % number] for i in range(len(methods))])),
         "strokeDash": alt.StrokeDash("method:N", legend=legend, scale=alt.Scale(
             domain=list(methods), range=[_DASHES[i // number % len(_DASHES)]
                                          for i in range(len(methods))]))}

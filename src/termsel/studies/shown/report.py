@@ -29,8 +29,9 @@ REPORT = "report.html"
 NAMES = ("study.csv", "study.parquet", "summary.md", "summary.tex", REPORT, "ioh", "figures")
 """Files and folders that `write_outputs` writes."""
 
-_SMALL = ("Arrows are the residuals of all features: blue of control, orange of check, black of "
-          "independent points. Red rings are probable blunders. Each drawing has its own scale.")
+_SMALL = ("Arrows are the residuals of all features: blue of control, orange of check, black "
+          "(white on a dark page) of independent points. Red rings are probable "
+          "blunders. Each drawing has its own scale.")
 
 
 def report(study: Study, charts: list[Figure] | None = None) -> str:

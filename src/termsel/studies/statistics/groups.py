@@ -43,7 +43,8 @@ def group(rows: Sequence[Row], records: Mapping[str, CellRecord],
     """Return the runs of a study by what they are compared on.
 
     By fitness, solvers are compared on the same problem, data, model and criterion. By an RMSE,
-    methods are compared: model, criterion and solver together.
+    methods are compared: model, criterion and solver together, without what no instance varies,
+    as the model where each problem has its own.
 
     By default the measure is the fitness where the methods differ in the solver alone.
     """
@@ -51,7 +52,7 @@ def group(rows: Sequence[Row], records: Mapping[str, CellRecord],
     measure = measure or _measure(rows)
     method: tuple[str, ...] = ("solver",) if measure == "fitness" else METHOD
     instance = (*INSTANCE, *(("model", "criterion") if measure == "fitness" else ()))
-    of_method, of_instance = _varying(rows, method), _varying(rows, instance)
+    of_method, of_instance = _varying(rows, method, INSTANCE), _varying(rows, instance)
     instances: dict[str, dict[str, Runs]] = {}
     for row in rows:
         name = ", ".join(_shown(row, label) for label in of_instance)
@@ -71,9 +72,14 @@ def _measure(rows: Sequence[Row]) -> str:
         else "independent"
 
 
-def _varying(rows: Sequence[Row], labels: Sequence[str]) -> list[str]:
-    """Return the labels that tell the rows apart; the first or last one where none does."""
-    found = [label for label in labels if len({row[label] for row in rows}) > 1]
+def _varying(rows: Sequence[Row], labels: Sequence[str], within: Sequence[str] = ()) -> list[str]:
+    """Return the labels that tell rows apart, of those rows that are alike in other labels.
+
+    The first or last one where none does.
+    """
+    alike = {tuple(row[label] for label in within) for row in rows}
+    found = [label for label in labels
+             if len({(*(row[name] for name in within), row[label]) for row in rows}) > len(alike)]
     return found or [labels[-1] if labels[-1] == "solver" else labels[0]]
 
 
