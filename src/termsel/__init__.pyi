@@ -26,6 +26,7 @@ from .formats.rpc_files import write_rpc as write_rpc
 from .io.export import export as export
 from .io.read import read as read
 from .io.rectify import rectify as rectify
+from .io.replacing import require_replaceable as require_replaceable
 from .io.result_folder import read_result as read_result
 from .measurements.control import Control as Control
 from .measurements.datasets import DatasetSpec as DatasetSpec

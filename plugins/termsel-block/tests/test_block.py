@@ -358,3 +358,13 @@ def test_a_block_in_plane_coordinates() -> None:
         for i in range(3))
     result = adjust(Block("local", images, ties))
     assert rmse(seen(2, known) - result.project(2, known)) < 0.05
+
+
+def test_what_is_read_is_not_replaced(example: Example) -> None:
+    folder, _ = example
+    before = (folder / "ties.csv").read_bytes()
+    done = CliRunner().invoke(cli, ["block", str(folder / "block.toml"), "--out", str(folder),
+                                    "--overwrite", "--quiet"])
+    assert done.exit_code == 2
+    assert "reads this file" in done.output
+    assert (folder / "ties.csv").read_bytes() == before

@@ -60,3 +60,25 @@ def test_bad_sizes_and_folders_are_refused(place: Any, says: Any, tmp_path: Path
     assert code == 2
     assert "cannot write this folder" in text
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(("command", "output"), [
+    (("match-points", "image.tif", "--reference", "ortho.tif"), "image.tif"),
+    (("match-points", "image.tif", "--reference", "ortho.tif"), "image.RPB"),
+    (("match-points", "image.tif", "--reference", "ortho.tif", "--dem", "dem.tif"), "dem.tif"),
+    (("match-lines", "image.tif", "--vectors", "roads.gpkg", "--dem", "dem.tif"), "roads.gpkg"),
+    (("auto-georeference", "image.tif", "--reference", "ortho.tif", "--dem", "dem.tif"),
+     "ortho.tif"),
+    (("auto-georeference", "image.tif", "--reference", "ortho.tif", "--dem", "dem.tif",
+      "--vectors", "roads.gpkg"), "roads.gpkg"),
+])
+def test_no_command_replaces_what_it_reads(place: Any, says: Any, command: tuple[str, ...],
+                                           output: str) -> None:
+    before = (place / output).read_bytes()
+    named = [str(place / word) if "." in word else word for word in command]
+    # However the name is spelt.
+    code, text = says(*named, "-o", place.folder / ".." / place.folder.name / output,
+                      "--overwrite")
+    assert code == 2
+    assert "reads this file" in text
+    assert (place / output).read_bytes() == before

@@ -11,15 +11,34 @@ from termsel.files.names import is_there
 from termsel.files.rasters import open_raster
 from termsel.io.result_folder import files_of_result
 
+_NEXT_TO = (".RPB", ".rpb", ".IMD", ".tfw", ".TFW", ".aux")
+_AFTER = ("_RPC.TXT", "_rpc.txt", "_RPC.XML", "_metadata.txt")
+_APPENDED = (".aux.xml", ".ovr", ".msk", ".points")
+"""What GDAL and QGIS read next to an image: with another suffix, name, or more of it."""
+
 
 def require_replaceable(files: Iterable[Path], *, reads: Iterable[object] = (),
                         overwrite: bool = False) -> None:
     """Refuse to replace a file that is read, and any other without permission.
 
-    Call it before long work, with every file that is written and everything that is read (paths of
-    files and of folders of results, values of options); what is not the name of a file does not
-    matter. However a name is spelt (relative, through links, in another case where the disk ignores
-    it), the file counts. So do the sources of a VRT.
+    For commands, before long work. However a name is spelt (relative, through links, in another
+    case where the disk ignores it), the file counts. So do the sources of a VRT, and the files with
+    RPCs, georeferences and pyramids next to an image.
+
+    Parameters
+    ----------
+    files : iterable of Path
+        All that would be written.
+    reads : iterable
+        All that is read: paths of files and of folders of results, values of options. What is not
+        the name of a file does not matter.
+    overwrite : bool
+        Whether other files may be replaced.
+
+    Raises
+    ------
+    TermselError
+        Naming the file.
     """
     there = [file for file in files if is_there(file)]
     if not there:
@@ -48,7 +67,11 @@ def _sources(reads: Iterable[object]) -> Iterator[Path]:
         yield path
         if path.is_dir():
             waiting += files_of_result(path)
-        elif _is_vrt(path):
+            continue
+        waiting += [near for end in _NEXT_TO if is_there(near := path.with_suffix(end))]
+        waiting += [near for end in _AFTER if is_there(near := path.with_name(path.stem + end))]
+        waiting += [near for end in _APPENDED if is_there(near := path.with_name(path.name + end))]
+        if _is_vrt(path):
             with open_raster(path) as raster:
                 waiting += [Path(file) for file in raster.files]
 

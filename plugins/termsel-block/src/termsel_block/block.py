@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 from termsel import FeatureSet, Rpc
@@ -76,10 +76,13 @@ class Block:
         Raster of heights.
     notes : tuple of str
         What the reader must know of how it was read.
+    files : tuple of Path
+        All that was read.
     """
 
     crs: str
     images: tuple[BlockImage, ...]
     ties: Ties
     dem: Path | None = None
-    notes: tuple[str, ...] = field(default=())
+    notes: tuple[str, ...] = ()
+    files: tuple[Path, ...] = ()

@@ -77,7 +77,10 @@ def read_block(path: Path | str) -> Block:
     images = tuple(_image(image, folder, crs, dem, path) for image in stated.image)
     files = [stated.ties] if isinstance(stated.ties, str) else stated.ties
     ties, notes = read_ties([folder / file for file in files], names)
-    return Block(crs, images, ties, dem, notes)
+    used = [*files, *([stated.dem] if stated.dem else []), *(
+        file for image in stated.image
+        for file in (image.points, image.lines, image.rpc, image.image) if file)]
+    return Block(crs, images, ties, dem, notes, tuple(folder / file for file in used))
 
 
 def _check_names(names: Sequence[str], path: Path) -> None:

@@ -47,7 +47,8 @@ def block(file: Path, folder: Path, overwrite: bool, as_json: bool, verbose: boo
     from termsel_block.summary import text_of
 
     read = read_block(file)
-    claim(folder, [image.name for image in read.images], overwrite=overwrite)
+    claim(folder, [image.name for image in read.images], overwrite=overwrite, reads=[
+        file, *read.files])
     with _bar("adjusting", quiet) as progress:
         result = adjust(read, progress=progress)
     with _bar("writing", quiet) as progress:

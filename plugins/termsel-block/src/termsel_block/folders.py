@@ -6,14 +6,14 @@ import csv
 import io
 import json
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import asdict, replace
 from pathlib import Path
 
 import msgspec
 import numpy as np
 
-from termsel import FeatureSet, Points, Result, TermselError, run
+from termsel import FeatureSet, Points, Result, TermselError, require_replaceable, run
 from termsel.files.atomic import write_text
 from termsel.io.result_folder import claim_folder, write_result
 from termsel_block.block import BlockImage
@@ -29,14 +29,18 @@ _MOST = 400
 """Ties of an image that its own result keeps as control: more tell nothing new of its model."""
 
 
-def claim(folder: Path, names: list[str], *, overwrite: bool) -> None:
+def claim(folder: Path, names: list[str], *, overwrite: bool, reads: Iterable[Path] = (),
+          ) -> None:
     """Refuse the folder of a block before any long computation.
 
     Raises
     ------
     TermselError
-        If there is a block or a file that is not one's in it, or it cannot be made.
+        If there is a block, a file that is not one's or one that is read in it, or it cannot be
+        made.
     """
+    require_replaceable([folder / name for name in (RECORD, SUMMARY, PAGE, TIES, SCHEMA_FILE)],
+                        reads=reads, overwrite=True)
     if (folder / RECORD).exists() and not overwrite:
         raise TermselError("there is a block in this folder already", file=folder,
                            hint="Choose another --out, or add --overwrite.")

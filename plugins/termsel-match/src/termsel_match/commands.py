@@ -13,7 +13,7 @@ from typing import Any
 
 import click
 
-from termsel import TermselError
+from termsel import TermselError, require_replaceable
 
 _FILE = click.Path(path_type=Path)
 NOT_GOOD_ENOUGH = 3
@@ -71,7 +71,7 @@ def match_points(image: Path, reference: Path, output: Path, overwrite: bool, qu
     from termsel import write_points_csv
     from termsel_match.points import match_points as match
 
-    refuse_existing(output, overwrite)
+    refuse_output(output, overwrite, image, reference, *options.values())
     show_log()
     with bar("match-points", quiet) as progress:
         candidates = match(image, reference, progress=progress, **options)
@@ -120,7 +120,7 @@ def match_lines(image: Path, vectors: Path, iterate: bool, folder: Path | None, 
     from termsel_match.lines import match_lines as match
     from termsel_match.rounds import iterate_lines
 
-    refuse_existing(output, overwrite)
+    refuse_output(output, overwrite, image, vectors, *options.values())
     if folder is not None and not iterate:
         raise TermselError("--out requires --iterate", hint="Add --iterate, or leave --out out.")
     refuse_folder(folder)
@@ -174,7 +174,7 @@ def auto_georeference(context: click.Context, /, image: Path, output: Path, fold
     """
     from termsel_match.chain import georeference
 
-    refuse_existing(output, options["overwrite"])
+    refuse_output(output, options["overwrite"], image, dem, *options.values())
     if dem is None:
         raise TermselError("auto-georeference requires heights", hint="Give --dem FILE.")
     refuse_folder(folder)
@@ -234,11 +234,9 @@ def next_run(start: str | None, image: Path, *, points: Path | None = None,
     return f"termsel run --problem {problem} --out result"
 
 
-def refuse_existing(output: Path, overwrite: bool) -> None:
-    """Refuse to replace a file without permission, before any long computation."""
-    if output.exists() and not overwrite:
-        raise TermselError("this file exists already", file=output,
-                           hint="Give --overwrite to replace it, or another --output.")
+def refuse_output(output: Path, overwrite: bool, *reads: object) -> None:
+    """Refuse to replace what is read, or a file without permission, before long work."""
+    require_replaceable([output], reads=reads, overwrite=overwrite)
     if not output.absolute().parent.is_dir():
         raise TermselError("the folder of this file does not exist", file=output,
                            hint="Make the folder, or give another --output.")
