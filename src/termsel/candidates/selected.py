@@ -64,7 +64,7 @@ class ForwardSelection(Estimator):
 
 def select_forward(columns: FloatArray, target: FloatArray,
                    forced: BoolArray) -> list[AxisTerms] | None:
-    """Select terms of each of a axes by itself, of columns (a, n, k) for a target (a, n).
+    """Select terms for each of the a axes by itself, from columns (a, n, k) for targets (a, n).
 
     Forced terms (k,) are always in. None if the points without one leave no redundancy of a third
     of the equations with the forced terms alone.

@@ -48,6 +48,14 @@ def n_features(selected: PopulationSelection) -> FloatArray:
     return np.asarray(selected.features.sum(axis=1), dtype=np.float64)
 
 
+def unit_deviations(design: FloatArray) -> FloatArray:
+    """Return columns less their means, of length 1; 0 where they are constant but for rounding."""
+    centred = design - design.mean(axis=0)
+    lengths = np.linalg.norm(centred, axis=0)
+    varies = lengths > 1e-12 * np.linalg.norm(design, axis=0)
+    return np.asarray(centred / np.where(varies, lengths, np.inf))
+
+
 def max_correlation(selected: PopulationSelection) -> FloatArray:
     """Return the largest absolute correlation between two columns in use.
 
@@ -58,11 +66,7 @@ def max_correlation(selected: PopulationSelection) -> FloatArray:
     """
     largest = np.zeros(len(selected.terms))
     for part in selected.parts:
-        design = part.equations.A
-        A = design - design.mean(axis=0)
-        lengths = np.linalg.norm(A, axis=0)
-        varies = lengths > 1e-12 * np.linalg.norm(design, axis=0)
-        A = A / np.where(varies, lengths, np.inf)
+        A = unit_deviations(part.equations.A)
         correlation = np.abs(A.T @ A)
         np.fill_diagonal(correlation, 0.0)
         terms = selected.terms[:, part.columns]

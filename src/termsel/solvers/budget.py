@@ -80,7 +80,7 @@ class Budget:
 
 
 class Patience:
-    """Whether a search has converged: so many generations, if limited, without a gain.
+    """Whether a search has converged: so many generations, if any are asked for, without a gain.
 
     A gain is an objective whose least value among feasible individuals falls by more than a
     tolerance, relative to it; as long as none is feasible, a smaller violation.

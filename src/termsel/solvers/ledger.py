@@ -42,8 +42,8 @@ class BudgetSpent(Exception):
 class Ledger(ProblemAround):
     """A problem that counts evaluations, looks up known ones, and remembers the best.
 
-    The limits are individuals that may be evaluated, and a time by `time.perf_counter` after which
-    nothing is. The solver is who asks for the evaluations.
+    At most so many individuals are evaluated, and none after a deadline by `time.perf_counter`. The
+    solver is who asks for the evaluations.
     """
 
     def __init__(self, problem: Problem, *, evaluations: int | None = None,

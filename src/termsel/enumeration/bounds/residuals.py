@@ -31,8 +31,8 @@ def branch_residuals(tree: Tree, limits: Limits, records: Records, counts: IntAr
     """Decide all subsets of the columns at depth 0 that hold those in use there.
 
     The room of the limits is that of depth 0, without an offset; records have bits and guard of all
-    columns; counts are as of `Place`, `single` is as for `columns.kernels.walk`. So few subsets are
-    enumerated at once. Return the number of subsets that no bound ruled out.
+    columns; counts are as of `Place`, `single` is as for `columns.kernels.walk`. Nodes of at most
+    `few` subsets are enumerated. Return the number of subsets that no bound ruled out.
     """
     most, best, depth = limits.size + limits.room, records.best, 0
     enumerated = 0

@@ -109,7 +109,8 @@ def prepared(setup: Setup) -> Task:
 
 
 def observe(setup: Setup, least: int = MIN_CONTROL) -> Observations:
-    """Return the features, at least so many as control, each in its role, in the CRS of the fit."""
+    """Return the features, each in its role, in the CRS of the fit; at least so many are control.
+    """
     recipe, criterion, of_data = setup.recipe, setup.criterion, setup.options["data"]
     observations = assign_roles(
         setup.features,

@@ -11,13 +11,13 @@ from termsel.errors import TermselError
 from termsel.measurements.features import BoolArray, FloatArray
 from termsel.options import Option
 from termsel.problems.base import Problem
+from termsel.problems.objectives import unit_deviations
 from termsel.problems.segments import Bits
 from termsel.solvers.genetic.ga import GeneticAlgorithm
 
 PRESETS = {"case-1": (1.19, 0.15), "case-2": (1.69, 0.0), "case-3": (1.0, 0.0)}
 """Scale and offset of the cases of Akhoundi Khezrabad et al. 2020, table 3."""
 
-_CONSTANT = 1e-12  # least relative variation of a column
 _ROUNDING = 1e-9
 
 
@@ -28,17 +28,14 @@ def correlation_sums(design: FloatArray) -> FloatArray:
     equation and a column of each gene. Sums are at least 1, the correlation of a column with
     itself.
     """
-    centred = design - design.mean(axis=0)
-    lengths = np.linalg.norm(centred, axis=0)
-    size = np.linalg.norm(design, axis=0)
-    varies = lengths > _CONSTANT * size  # else it is constant but for rounding
-    unit = centred[:, varies] / lengths[varies]
+    unit = unit_deviations(design)
+    varies = unit.any(axis=0)
     sums = np.ones(design.shape[1])
     if varies.any():
-        sums[varies] = np.abs(unit.T @ unit).sum(axis=0)
+        sums[varies] = np.abs(unit[:, varies].T @ unit[:, varies]).sum(axis=0)
         # The correlation of a constant is undefined; every model needs one, and it rivals none.
         sums[~varies] = sums[varies].min()
-    sums[size == 0] = sums.max()  # the term of a column of zeros cannot be determined
+    sums[~design.any(axis=0)] = sums.max()  # the term of a column of zeros cannot be determined
     return sums
 
 
