@@ -332,6 +332,13 @@ def test_ties_in_one_image_are_left_out(example: Example) -> None:
     assert "1 ties are in one image alone" in block.notes[0]
 
 
+def test_the_package_that_rpcs_require_is_asked_for_at_once(
+        example: Example, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("termsel_block.block_file.find_spec", lambda name: None)
+    with pytest.raises(TermselError, match=r"pip install \./plugins/termsel-rpc"):
+        read_block(example[0] / "block.toml")
+
+
 def test_a_folder_that_is_taken_is_refused(example: Example) -> None:
     folder, _ = example
     done = CliRunner().invoke(cli, ["block", str(folder / "block.toml"), "--out",

@@ -8,6 +8,7 @@ from collections import Counter
 from collections.abc import Sequence
 from contextlib import suppress
 from difflib import get_close_matches
+from importlib.util import find_spec
 from pathlib import Path
 
 import msgspec
@@ -112,6 +113,10 @@ def _image(stated: _Image, folder: Path, crs: str, dem: Path | None, path: Path)
     elif raster is not None:
         with suppress(TermselError):  # an image need not have one
             rpc, rpc_file = read_rpc(raster), raster
+    if rpc is not None and find_spec("termsel_rpc") is None:  # before minutes of adjustment
+        raise TermselError("an image with an RPC requires the package termsel-rpc, which is not "
+                           "installed", file=rpc_file,
+                           hint="In a clone of termsel: pip install ./plugins/termsel-rpc.")
     allowed = CORRECTIONS if rpc is not None else ("auto",)
     if stated.model not in allowed:
         raise TermselError(f"image {stated.name!r} has the model {stated.model!r}", file=path,
