@@ -183,3 +183,12 @@ def test_vectors_that_cannot_be_read_are_refused_before_the_matching(place: Any,
     with pytest.raises(TermselError, match="cannot read these vectors"):
         georeference(tmp_path / "none.tif", place / "ortho.tif", tmp_path / "map.tif",
                      dem=place / "dem.tif", vectors=place / "image.RPB")
+
+
+def test_the_package_that_rpcs_require_is_asked_for_before_the_matching(
+        place: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("termsel_match.chain.find_spec", {}.get)
+    with pytest.raises(TermselError, match=r"pip install \./plugins/termsel-rpc"):
+        georeference(place / "image.tif", place / "ortho.tif", tmp_path / "map.tif",
+                     dem=place / "dem.tif", folder=tmp_path / "out")
+    assert not any(tmp_path.iterdir())

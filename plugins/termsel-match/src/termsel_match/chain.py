@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -145,9 +146,13 @@ def georeference(
     """
     if vectors is not None:
         read_vectors(Path(vectors))  # what is wrong with them is said before the matching
+    model, options = model_for(start, Path(image))
+    if model == "rpc-drift" and find_spec("termsel_rpc") is None:
+        raise TermselError("an image with an RPC requires the package termsel-rpc, which is not "
+                           "installed", file=image,
+                           hint="In a clone of termsel: pip install ./plugins/termsel-rpc.")
     candidates = match_points(image, reference, dem=dem, start=start, progress=progress, **matching)
     features = FeatureSet(candidates.points, crs=candidates.crs, image_size=candidates.image_size)
-    model, options = model_for(start, Path(image))
     if folder is not None:
         Path(folder).mkdir(parents=True, exist_ok=True)
         write_points_csv(candidates.points, Path(folder) / CANDIDATES, candidates.crs)
