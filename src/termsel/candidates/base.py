@@ -157,9 +157,7 @@ class Candidate(ABC):
     def refit(self, fitted: Fit, control: Control) -> Fit:
         """Return the final fit: the structure of a fit that was chosen, fitted to more features.
 
-        Raises
-        ------
-        Undetermined
+        It raises what `fit_control` does.
         """
         return self.fit_control(control)
 

@@ -39,15 +39,8 @@ ROUND = 0.6
 def ce90(errors: FloatArray) -> FloatArray:
     """Return the circular error of nine in ten points: the 90 % quantile of the distances.
 
-    It is interpolated linearly between the distances; no distribution is assumed.
-
-    Parameters
-    ----------
-    errors : ndarray, shape (..., n, 2)
-
-    Returns
-    -------
-    ndarray, shape (...)
+    Of errors (..., n, 2) it has the shape (...). It is interpolated linearly between the distances;
+    no distribution is assumed.
     """
     return np.asarray(np.quantile(np.linalg.norm(errors, axis=-1), 0.9, axis=-1))
 

@@ -78,10 +78,6 @@ class RationalModel(SensorModel):
         ----------
         ground : ndarray, shape (n, 3)
             Scaled.
-
-        Returns
-        -------
-        Blocks
         """
 
     def column_names(self, block: str) -> tuple[str, ...] | None:

@@ -133,10 +133,6 @@ def from_pymoo(algorithm: Algorithm, *, name: str | None = None) -> type[Solver]
     name : str, optional
         Of the solver; by default that of the algorithm's class.
 
-    Returns
-    -------
-    type[Solver]
-
     Raises
     ------
     TermselError

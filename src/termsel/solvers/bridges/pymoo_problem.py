@@ -77,10 +77,6 @@ def to_pymoo(problem: Problem) -> PymooProblem:
     problem : Problem
         Such as that of a task that `termsel.prepare` returns.
 
-    Returns
-    -------
-    pymoo.core.problem.Problem
-
     Examples
     --------
     >>> import termsel
