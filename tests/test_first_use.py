@@ -120,12 +120,17 @@ def values(header: list[str]) -> list[list[Any]]:
                       zip(IDS, LON, LAT, HEIGHT, LINE, SAMPLE, strict=True))]
 
 
-def layer(path: Path, names: tuple[str, str], **more: Any) -> None:
+def frame_of(names: tuple[str, str], *, flat: bool = False) -> Any:
+    """Return a GeoDataFrame; if flat, heights are a column."""
     geopandas = pytest.importorskip("geopandas")
-    frame = geopandas.GeoDataFrame(
-        {"id": IDS, names[0]: LINE, names[1]: SAMPLE},
-        geometry=geopandas.points_from_xy(LON, LAT, HEIGHT), crs="EPSG:4979")
-    frame.to_file(path, **more)
+    heights = {"elev": HEIGHT} if flat else {}
+    return geopandas.GeoDataFrame(
+        {"id": IDS, names[0]: LINE, names[1]: SAMPLE, **heights},
+        geometry=geopandas.points_from_xy(LON, LAT, None if flat else HEIGHT), crs="EPSG:4979")
+
+
+def layer(path: Path, names: tuple[str, str], *, flat: bool = False, **more: Any) -> None:
+    frame_of(names, flat=flat).to_file(path, **more)
 
 
 def geojson(properties: Callable[[int], dict[str, Any]]) -> bytes:
@@ -137,6 +142,7 @@ def geojson(properties: Callable[[int], dict[str, Any]]) -> bytes:
 
 EN = "Name|Lon|Lat|Height|Row|Col"
 QUOTES = (dms("{d}°{m:02d}'{s:07.4f}\"{side}", "EW"), dms("{d}°{m:02d}'{s:07.4f}\"{side}", "NS"))
+HYPHENS = (dms("{side}{d}-{m:02d}-{s:07.4f}", "EW"), dms("{side}{d}-{m:02d}-{s:07.4f}", "NS"))
 COMMAS = tuple(lambda value, one=one: one(value).replace(".", ",") for one in QUOTES)
 SPACES = (dms("{d} {m:02d} {s:07.4f} {side}", "EW"), dms("{d} {m:02d} {s:07.4f} {side}", "NS"))
 LETTERS = (dms("{side}{d}d{m:02d}'{s:07.4f}\"", "EW"), dms("{side}{d}d{m:02d}'{s:07.4f}\"", "NS"))
@@ -157,6 +163,8 @@ TEXTS: dict[str, tuple[bytes, str]] = {
                                 "Sample (px)", delimiter=","), ""),
     "x and y of pixels": (table("Point|Easting [m]|Northing [m]|h|Y (px)|X (px)",
                                 order="ienzls"), "EPSG:32632"),
+    "pixels next to eastings": (table("GCP|X Pixel|Y Pixel|Easting|Northing|Elev",
+                                      order="islenz").replace(b";", b","), "EPSG:32632"),
     "units as endings": (table("pt_id|lon_deg|lat_deg|height_m|line_px|sample_px"), ""),
     "units in a row": (table(EN, units="[-]|[deg]|[deg]|[m]|[px]|[px]"), ""),
     "title": (table(EN, title="Ground control, survey of 2024\n\n"), ""),
@@ -204,6 +212,7 @@ TEXTS: dict[str, tuple[bytes, str]] = {
                                    height=german(2), pixels=german(2)), "rounded"),
     "spaces between them": (table(EN, degrees=SPACES), ""),
     "letters between them": (table(EN, degrees=LETTERS), ""),
+    "hyphens between them": (table(EN, degrees=HYPHENS), ""),
     "degrees and minutes": (table(EN, degrees=MINUTES), ""),
     "colons between them": (table(EN, degrees=SIGNED), ""),
     "no ids": (table("Lon|Lat|Height|Row|Col", order="xyzls"), ""),
@@ -237,6 +246,10 @@ BINARY: dict[str, Callable[[Path], Path]] = {
     "OpenDocument": lambda f: _made(f / "p.ods", lambda p: ods(p, values(EN.split("|")))),
     "GeoPackage": lambda f: _made(f / "p.gpkg", lambda p: layer(p, ("line", "sample"))),
     "GeoPackage of pixels": lambda f: _made(f / "p.gpkg", lambda p: layer(p, ("y_pix", "x_pix"))),
+    "GeoPackage with a column of heights": lambda f: _made(
+        f / "p.gpkg", lambda p: layer(p, ("line", "sample"), flat=True)),
+    "GeoJSON with a property of heights": lambda f: _made(
+        f / "p.geojson", lambda p: layer(p, ("line", "sample"), flat=True)),
     "Shapefile": lambda f: _made(f / "p.shp", lambda p: layer(p, ("row", "col"))),
     "FlatGeobuf": lambda f: _made(
         f / "p.fgb", lambda p: layer(p, ("Zeile", "Spalte"), SPATIAL_INDEX="NO")),
@@ -402,6 +415,7 @@ def test_tables_of_python_are_read() -> None:
     places = geopandas.GeoDataFrame(frame[["name", "row", "col"]], crs="EPSG:4979",
                                     geometry=geopandas.points_from_xy(LON, LAT, HEIGHT))
     agree(termsel.read(places))
+    agree(termsel.read(frame_of(("row", "col"), flat=True)))
     renamed = frame.rename(columns={"row": "v", "col": "u"})
     agree(termsel.read(renamed, crs="EPSG:4979", columns={"line": "v", "sample": "u"}))
 
@@ -539,7 +553,7 @@ def test_the_command_line_shows_a_command_that_runs(tmp_path: Path,
     with pytest.raises(SystemExit) as ended:
         cli.main(shlex.split(ready))
     assert not ended.value.code
-    assert f"{path}: rfm-terms" in capsys.readouterr().out.replace("\n", "")
+    assert capsys.readouterr().out.startswith(f"Read: {path.name}: {N} points; EPSG:4979")
 
 
 DEGREES = {"--crs": "EPSG:4979"}

@@ -56,10 +56,11 @@ def _records(frame: Any) -> tuple[list[dict[str, Any]], str]:
     if not shapes or any(shape is None or shape.geom_type != "Point" for shape in shapes):
         return records, ""
     name = frame.geometry.name
-    places = ({"x": shape.x, "y": shape.y, "z": shape.z if shape.has_z else None}
+    # A geometry without a height leaves that to a column of heights.
+    places = ({"x": shape.x, "y": shape.y, **({"z": shape.z} if shape.has_z else {})}
               for shape in shapes)
     return [{**{key: value for key, value in record.items() if key != name},
-             **{_GROUND[axis]: place[axis] for axis in "xyz"}}
+             **{_GROUND[axis]: value for axis, value in place.items()}}
             for record, place in zip(records, places, strict=True)], \
         "" if frame.crs is None else frame.crs.to_wkt()
 

@@ -84,7 +84,9 @@ def _table(path: Path, features: list[Feature], options: Mapping[str, Any]) -> T
             record |= dict(zip(_OF_SIGMA.values(), _sigma(feature), strict=True))
         if sum(map(len, feature.parts)) != 1:
             raise feature.error("it has several vertices, expected one point", "geometry")
-        record |= dict(zip(_GROUND.values(), feature.parts[0][0], strict=True))
+        # A geometry without a height leaves that to a column of heights.
+        record |= {name: value for name, value in zip(
+            _GROUND.values(), feature.parts[0][0], strict=True) if value == value}
         if has_id:
             record["id"] = feature.text("id") or f"P{feature.number}"
         records.append(record)

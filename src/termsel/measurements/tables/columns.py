@@ -81,13 +81,14 @@ def matches(header: Sequence[str], aliases: Aliases) -> dict[str, list[int]]:
     further = {meaning: frozenset(f"{name}{end}" for name in _FURTHER.get(base, ()))
                for meaning in aliases for base, end in [_parted(meaning)]
                if aliases[meaning] == (POINTS | LINES).get(meaning)}
+    every = frozenset().union(*own.values(), *further.values())
     forms = list(map(_forms, header))
     found: dict[str, list[int]] = {}
     for meaning, names in own.items():
         # Names in other languages count where no column has one of the plain names.
         for known in (names, further.get(meaning, frozenset())):
             found[meaning] = [i for i, (whole, bare) in enumerate(forms) if whole in known or (
-                bare in known and not any(whole in others for others in own.values()))]
+                bare in known and whole not in every)]
             if found[meaning]:
                 break
     if found.get("y") and not found.get("x"):  # n numbers points, unless e is next to it
