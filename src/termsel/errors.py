@@ -80,11 +80,11 @@ class TermselError(Exception):
 def printable(text: str, kept: str = "\n\t") -> str:
     """Return text as a terminal can show it, whatever a file or a name brought.
 
-    Control characters, which a terminal would obey, marks of direction, and halves of characters
-    are written as Python writes them, ``\\x1b``; those in `kept` stay.
+    What else would control the terminal is written as Python writes it, ``\\x1b``; `kept` stays.
     """
     if text.isprintable():
         return text
+    # Also marks of direction, and halves of characters.
     return "".join(one if one in kept or is_printable(one)
                    else one.encode("unicode_escape").decode("ascii") for one in text)
 

@@ -80,13 +80,12 @@ _PREFIX = ".termsel-"
 def private_folder(parent: Path | None = None) -> Iterator[Path]:
     """Yield a new folder that only this user can read, and remove it at the end.
 
-    Such folders of processes that were killed are removed first. The parent is by default the
-    system's folder for temporary files, with TermselError if that cannot be written; of another
-    parent the OSError is raised as it is.
+    The parent is by default the system's folder for temporary files.
     """
     try:
         folder = _made(Path(gettempdir()) if parent is None else parent)
     except OSError as error:
+        # Who names a parent says what could not be written there.
         if parent is not None:
             raise
         raise TermselError(
@@ -118,7 +117,7 @@ def new_folder(folder: Path) -> Iterator[Path]:
 
 
 def _made(parent: Path) -> Path:
-    _remove_left(parent)
+    _remove_left(parent)  # processes that were killed leave theirs behind
     folder = parent / f"{_PREFIX}{_here()}-{os.getpid()}-{secrets.token_hex(6)}"
     folder.mkdir(mode=0o700)
     return folder

@@ -240,10 +240,10 @@ def read_head(path: Path, expected: str) -> bytes:
 def read_once(path: Path) -> Iterator[Path]:
     """Yield a file for readers, which open it several times: the path, or a copy of a pipe.
 
-    Of a pipe that the shell has opened, such as ``<(...)`` or /dev/stdin, all is read. Other pipes
-    are left to readers, which refuse them: nobody may ever write to them. Raises TermselError if
-    the pipe cannot be read. Errors in the block that name the copy name the pipe.
+    Errors in the block that name the copy name the pipe.
     """
+    # Pipes that no shell has opened are left to readers, which refuse them: nobody may ever write
+    # to them.
     if not is_open_pipe(path):
         yield path
         return

@@ -24,15 +24,12 @@ _SINCE_0_1: dict[str, Any] = {
 
 
 def completed(content: dict[str, Any]) -> dict[str, Any]:
-    """Return the content of result.json with all keys of this version.
-
-    Up to 0.2 a record did not say how its coefficients were found. It follows from other keys:
-    from the candidate that auto chose, and from the objectives, which only least squares has.
-    Content of this version, or what is no record, is returned as it is.
-    """
+    """Return the content of result.json with all keys of this version; of no record as it is."""
     if "fit" in content:
         return content
     try:
+        # Up to 0.2 a record did not say how its coefficients were found. It follows from the
+        # candidate that auto chose, and from the objectives, which only least squares has.
         strategy = content["strategy"] and {"reason": "", **content["strategy"]}
         return {**_SINCE_0_1, "offered": _offered(content), **content,
                 "options": {"search": {}, **content["options"]}, "strategy": strategy,

@@ -190,14 +190,11 @@ def find_reader(path: Path, readers: Iterable[type[Reader]], format: str | None 
 
 
 def _recognising(path: Path, head: bytes, readers: Sequence[Reader]) -> Reader | None:
-    """Return the reader that recognises a file; built-in ones come first, in their order.
-
-    Every reader of a plugin is asked: one that fails, or recognises noise as well, is left out with
-    a warning, so that it takes no file of another. Where several recognise the file, the user
-    decides.
-    """
+    """Return the reader that recognises a file; built-in ones come first, in their order."""
     own = next((one for one in readers if is_own(type(one)) and one.sniff(path, head)), None)
     claims = []
+    # Every reader of a plugin is asked: one that fails, or recognises noise as well, takes no file
+    # of another.
     for reader in readers:
         if is_own(type(reader)):
             continue

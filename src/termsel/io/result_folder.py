@@ -70,14 +70,14 @@ def claim_folder(folder: Path, *, overwrite: bool = False) -> None:
 def write_result(result: Result, folder: Path) -> None:
     """Write result.json, residuals.csv, summary.txt and the features, all of them or none.
 
-    With points.csv and lines.csv the folder is self-contained: the files that the features came
-    from are not needed any more. Wherever this is interrupted, `read_result` finds the earlier
-    result or the new one: the new files are written into a folder of their own, one renaming
-    makes them valid, and then they are put in place one by one. The folder must exist.
+    With points.csv and lines.csv the folder is self-contained. It must exist.
     """
     files = {name: encoded(text) for name, text in _files(result).items()}
     _put_in_place(folder)  # an earlier result, if that was interrupted
     try:
+        # Wherever this is interrupted, `read_result` finds the earlier result or the new one: the
+        # new files are written into a folder of their own, one renaming makes them valid, and then
+        # they are put in place one by one.
         with private_folder(folder) as new:
             for name, content in files.items():
                 (new / name).write_bytes(content)

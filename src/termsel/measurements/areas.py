@@ -114,13 +114,13 @@ def centroids(areas: Sequence[Area]) -> Points:
 def centroid(ring: ArrayLike) -> FloatArray:
     """Return the centroid of the area that a ring of corners, (n, 2) or (n, 3), bounds.
 
-    Corners are in order, in either direction, without the first repeated. By the area in the plane
-    of the first two coordinates, from the triangles between the mean corner and each edge. The
-    third coordinate is the mean over that area; NaN if one is unknown.
+    Corners are in order, either way, without the first repeated; an unknown height gives NaN.
     """
     corners = np.asarray(ring, dtype=np.float64)
     # About the mean corner, so that large coordinates do not cancel.
     middle = corners.mean(axis=0)
+    # From the triangles between the mean corner and each edge, in the plane of the first two
+    # coordinates; the third is the mean over that area.
     edges = _edges(corners - middle)
     twice = _cross(edges[:, 0], edges[:, 1])
     return np.asarray(middle + twice @ edges.sum(axis=1) / (3 * twice.sum()))

@@ -38,12 +38,12 @@ def call(hook: str, slots: Iterable[Slot], taken: Taken, arguments: Arguments | 
          seconds: float | None = None) -> Answers:
     """Call a hook of all plugins that implement it, the slots, through pluggy.
 
-    ``tryfirst``, ``trylast`` and wrappers work as pluggy documents them. Without them the built-in
-    plugin is called first, and others follow by distribution and name. `taken` raises TypeError for
-    what a plugin may not return. What makes each argument comes by name, so that no plugin changes
-    what another one gets. Each plugin may take so many seconds, by default as long as an import.
+    `taken` raises TypeError for what a plugin may not return. Each plugin may take so many seconds,
+    by default as long as an import.
     """
     answers, givers, arguments = Answers(), _Givers(), arguments or {}
+    # ``tryfirst``, ``trylast`` and wrappers work as pluggy documents them. Without them the
+    # built-in plugin is called first, and others follow by distribution and name.
     manager = new_manager()
     # pluggy calls first what is registered last.
     for slot in reversed(list(slots)):
@@ -141,6 +141,7 @@ def _ended(running: Generator[None, Any, Any], inner: Any) -> list[list[Any]] | 
 
 
 def _called(implementation: pluggy.HookImpl, plugin: Plugin, arguments: Arguments) -> Any:
+    # Made for each plugin by itself, so that none changes what another one gets.
     return implementation.function(
         *(arguments[name](plugin) for name in implementation.argnames),
         **{name: arguments[name](plugin) for name in implementation.kwargnames

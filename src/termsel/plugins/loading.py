@@ -226,16 +226,14 @@ def new_manager() -> pluggy.PluginManager:
 
 
 def hooks_in_source(point: EntryPoint) -> Callable[[str], bool]:
-    """Return a function that tells whether a plugin may implement a hook, without importing it.
-
-    A hook can only be left out where the source of the module is there, names another hook, and
-    takes no names from elsewhere by ``*``.
-    """
+    """Return a function that tells whether a plugin may implement a hook, without importing it."""
     @cache
     def source() -> str:
         return "" if point.attr else _source(point.module)
 
     def may_have(hook: str) -> bool:
+        # A hook can only be left out where the source of the module is there, names another hook,
+        # and takes no names from elsewhere by ``*``.
         text = source()
         return hook in text or "import *" in text or not any(name in text for name in HOOKS)
 

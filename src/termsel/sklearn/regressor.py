@@ -97,6 +97,7 @@ class SensorModelRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):  # 
             raise ValueError(f"strategy is {self.strategy!r}; it is one of "
                              f"{', '.join(STRATEGIES)}")
         self._columns = None if np.ndim(y) == 1 else image.shape[1]
+        # One image coordinate stands for both, of which `predict` returns one.
         points = Points(tuple(f"{i}" for i in range(len(X))),
                         np.broadcast_to(image, (len(X), 2)), _ground(X))
         try:

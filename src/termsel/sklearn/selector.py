@@ -33,6 +33,7 @@ class ColumnProblem(Problem):
 
     def __init__(self, X: FloatArray, y: FloatArray, most: int) -> None:
         X, y = X - X.mean(axis=0), y - y.mean(axis=0)
+        # A constant is always in the fit: nothing is left of it once the mean is taken off.
         size = np.linalg.norm(X, axis=0)
         self._constant = size <= _SMALL * np.maximum(np.abs(X).max(initial=0.0), 1.0)
         X = X / np.where(self._constant, 1.0, size)
@@ -46,6 +47,8 @@ class ColumnProblem(Problem):
         """Return the criterion; columns that depend on others in use violate it."""
         k = len(self._gram)
         both = genes[:, :, None] & genes[:, None, :]
+        # Columns that are not in use are those of the unit matrix, so that all systems have one
+        # size.
         system = np.where(both, self._gram, np.eye(k))
         violation = (genes & self._constant).sum(axis=1).astype(np.float64)
         violation += np.linalg.eigvalsh(system)[:, 0] < _SMALL
@@ -55,6 +58,7 @@ class ColumnProblem(Problem):
         solved = np.linalg.solve(system[good], right[good])
         rss[good] = self._total - (solved * right[good]).sum(axis=(1, 2))
         size = genes.sum(axis=1)
+        # An exact fit has a residual of rounding alone, whose logarithm would choose by chance.
         floor = np.finfo(np.float64).eps * max(self._total, np.finfo(np.float64).tiny)
         value = (self._n * np.log(np.maximum(rss, floor) / self._n) + size * log(self._n)
                  + 2.0 * self._choices[size])

@@ -80,15 +80,12 @@ def exact_recovery(model: SensorModel) -> None:
 
 
 def recovery_from_lines(model: SensorModel) -> None:
-    """Fitted to lines it computed itself, it computes points correctly.
-
-    With a denominator for each axis, the equations of lines hold to first order and so does
-    this. Models other than a RationalModel get points and lines together, if they accept lines, as
-    lines alone may not suffice.
-    """
+    """Fitted to lines it computed itself, it computes points correctly."""
     if not any(len(features.lines) for features in accepted_scenes(model)):
         return
+    # With a denominator for each axis, the equations of lines hold to first order and so does this.
     separate = _has_separate_denominators(model)
+    # Of other models than a RationalModel, lines alone may not suffice.
     points = 0 if isinstance(model, RationalModel) else 1
     features, truth, ground = experiment(model, points, 1, shrink=0.1 if separate else 1.0)
     if not separate:

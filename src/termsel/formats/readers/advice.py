@@ -85,11 +85,7 @@ def _numbers(rows: Sequence[Sequence[str]]) -> dict[int, FloatArray]:
 
 def _guessed(rows: Sequence[Sequence[str]], width: int,
              found: Mapping[str, int]) -> dict[str, int]:
-    """Return what columns of numbers could be, by their order and by what depends on what.
-
-    Image and ground determine each other, a height is nearly free of both. Seen from above, an
-    image is no mirror image of the ground, which tells line from sample.
-    """
+    """Return what columns of numbers could be, by their order and by what depends on what."""
     rows = [row for row in rows[:_ROWS] if len(row) == width]
     values = {i: column for i, column in _numbers(rows).items() if i not in found.values()}
     guess: dict[str, int] = {}
@@ -108,12 +104,14 @@ def _guessed(rows: Sequence[Sequence[str]], width: int,
     free = list(values)
     if not known and len(free) in (4, 5):
         # Ground before image unless the numbers say otherwise: degrees are small, metres large.
+        # Image and ground determine each other, a height is nearly free of both.
         z_last = len(free) == 5 and _explained(values, free[2]) > _explained(values, free[4])
         ground_last = z_last or (len(free) == 4 and _is_ground(values, free[2:])
                                  and not _is_ground(values, free[:2]))
         image = free[:2] if ground_last else free[-2:]
         ground = free[2:] if ground_last else free[:-2]
         guess |= dict(zip("xyz", ground, strict=False))
+        # Seen from above, an image is no mirror image of the ground, which tells line from sample.
         turn = np.linalg.lstsq(
             np.column_stack([values[i] for i in ground[:2]] + [np.ones(len(rows))]),
             np.column_stack([values[i] for i in image]), rcond=None)[0][:2] \

@@ -126,21 +126,19 @@ def _joined(path: Path, features: list[Feature], crs: str, image_lines: str | No
 
 def _pieces(name: str, image: list[FloatArray], ground: list[FloatArray],
             ) -> Iterable[tuple[FloatArray, FloatArray]]:
-    """Yield image and ground of the pieces of one feature.
-
-    All ground vertices lie on a single image line, whatever their number: they are taken in
-    pairs, each vertex once; an odd last one is paired with the vertex before it. Several image
-    lines are those of the ground segments, in order.
-    """
+    """Yield image and ground of the pieces of one feature."""
     if any(len(part) < 2 for part in ground):
         raise TermselError(f"line {name!r} has zero length on the ground", ids=[name],
                            hint="A control line needs two different points.")
     if len(image) == 1:
+        # All vertices lie on a single image line, whatever their number. They are taken in pairs,
+        # each vertex once; an odd last one is paired with the vertex before it.
         for part in ground:
             for start in range(0, len(part), 2):
                 start = min(start, len(part) - 2)
                 yield image[0], part[start:start + 2]
         return
+    # Several image lines are those of the ground segments, in order.
     segments = [part[i:i + 2] for part in ground for i in range(len(part) - 1)]
     if len(segments) != len(image):
         raise TermselError(

@@ -137,12 +137,7 @@ class GeolocationVrt(GridWriter):
         return path, *([array for array in arrays if is_there(array)] or arrays[:1])
 
     def write(self, result: Result, path: Path) -> None:
-        """Write a VRT and, next to it, FILE_xy.tif with longitudes or eastings and so on.
-
-        A VRT that is replaced keeps its array until the new VRT is in place, so that an interrupt
-        leaves no VRT with the array of another: where FILE_xy.tif is in use, the new array is
-        FILE_xy_2.tif, and the next one FILE_xy.tif again.
-        """
+        """Write a VRT and, next to it, FILE_xy.tif with longitudes or eastings and so on."""
         rasterio = require_rasterio()
         picture = picture_for(result, self.options["image"])
         step = self.options["step"] or max(1, round(max(picture.size) / 500))
@@ -150,6 +145,9 @@ class GeolocationVrt(GridWriter):
         lines, samples = (np.arange(-step, size + 2 * step, step, dtype=np.float64)
                           for size in picture.size)
         ground, crs = for_warping(self.ground(result, lines, samples), result.fit.control.crs)
+        # A VRT that is replaced keeps its array until the new VRT is in place, so that an interrupt
+        # leaves no VRT with the array of another: where FILE_xy.tif is in use, the new array is
+        # FILE_xy_2.tif, and the next one FILE_xy.tif again.
         array, other = sorted(_arrays(path), key=lambda array: _named(array, path))
         replaced = _named(other, path)
         domain = {

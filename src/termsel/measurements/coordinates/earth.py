@@ -87,14 +87,14 @@ def _exchanged(doubt: str) -> tuple[str, ...]:
 def swapped(features: FeatureSet) -> str:
     """Return which axes look swapped, and why; "" if none do.
 
-    An image that lies outside the area of its CRS, and inside with x and y exchanged, has them
-    swapped. So has one that is a mirror image of the ground about a diagonal, or its line and
-    sample: exchanging them makes it the view from above. A mirror image about an axis is none:
-    maps may count lines upwards, and radar images show what lies to their right.
+    A mirror image about an axis is none: maps may count lines upwards, and radar images show what
+    lies to their right.
     """
+    # Outside the area of its CRS, and inside with x and y exchanged.
     if _misplaced(features):
         return (f"x and y look swapped: exchanged, they lie in the area of "
                 f"{short(features.crs)}, and not as they stand")
+    # A mirror image of the ground about a diagonal: exchanging makes it the view from above.
     turn = _turn(features)
     if turn is None or np.linalg.det(turn) >= 0 or not _is_diagonal(turn):
         return ""

@@ -15,21 +15,19 @@ IMAGES = "images"
 
 
 def folders_of(labels: Mapping[str, Mapping[str, Any]]) -> dict[str, str]:
-    """Return the names of the folders of all images, by the keys of their cells.
-
-    A folder is called by its data, by its split if that is not the first, and by its problem where
-    several have the same data. Cells that are not of the strategy auto have none. Raises
-    TermselError if two images would have the same folder, also where capitals do not count.
-    """
+    """Return the names of the folders of all images of auto, by the keys of their cells."""
     labels = {key: one for key, one in labels.items() if one["strategy"] == "auto"}
     problems = Counter((one["data"], one["split"]) for one in labels.values())
     names, owners = {}, dict[str, str]()
     for key, one in labels.items():
+        # By its data, by its split if that is not the first, and by its problem where several have
+        # the same data.
         name = file_word(str(one["data"]), "image")
         if one["split"]:
             name += f"-split-{one['split']}"
         if problems[one["data"], one["split"]] > 1:
             name += f"-{file_word(str(one['problem']), 'image')}"
+        # Capitals do not tell names apart on every disk.
         if name.casefold() in owners:
             raise TermselError(f"{owners[name.casefold()]} and {one['data']} would have the same "
                                f"folder {IMAGES}/{name}", hint="Rename one of them.")

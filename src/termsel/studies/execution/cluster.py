@@ -38,11 +38,8 @@ def on_cluster(cells: Sequence[Cell], features: Mapping[str, FeatureSet], stop: 
                address: str, plugins: Mapping[str, str]) -> Iterator[Outcome]:
     """Yield the outcomes of cells, run by the workers of a scheduler, as they end.
 
-    The features are tasks of their own with their checksum as the key: they travel once to each
-    worker that needs them, and come again from the scheduler where a worker with them is lost. When
-    the scheduler is started again, the cells it knew are given to it again. Every worker needs the
-    same versions of termsel and of the distributions `plugins`. Raises TermselError where one has
-    not, or the scheduler, such as "tcp://host:8786", does not answer or has no workers.
+    Every worker needs the same versions of termsel and of the distributions `plugins`. Raises
+    TermselError where one has not, or the scheduler, such as "tcp://host:8786", does not answer.
     """
     needed = {**versions(), **plugins}
     waiting, fruitless = deque(cells), 0
@@ -59,6 +56,7 @@ def on_cluster(cells: Sequence[Cell], features: Mapping[str, FeatureSet], stop: 
             log.warning("The scheduler %s was lost: %s", address, error)
         finally:
             client.close(timeout=5)
+        # A scheduler that is started again gets the cells that it knew again.
         waiting.extendleft(running.values())
         fruitless = fruitless + 1 if len(waiting) == before else 0
         if fruitless == _MOST_LOSSES:
@@ -129,6 +127,8 @@ def _submitted(client: Client, waiting: deque[Cell], running: dict[Future, Cell]
     """Yield outcomes until all are done or the scheduler is lost; then some are still running."""
     from distributed.scheduler import KilledWorker
 
+    # Tasks of their own with their checksum as the key: they travel once to each worker that needs
+    # them, and come again from the scheduler where a worker with them is lost.
     data = {key: client.submit(_held, one, key=f"termsel-features-{key}", pure=True)
             for key, one in features.items()}
     ended: Queue[Future] = Queue()

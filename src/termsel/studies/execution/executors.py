@@ -29,12 +29,7 @@ DIED = "the process that ran this cell ended: out of memory, killed, or a fault 
 
 @contextmanager
 def deferred(say: Callable[[], None]) -> Iterator[Stop]:
-    """Yield a function that tells whether Ctrl-C was pressed; only the second one interrupts.
-
-    Outside of the main thread, and where Ctrl-C is ignored, it never was.
-
-    `say` is called at the first Ctrl-C.
-    """
+    """Yield what tells whether Ctrl-C was pressed, and calls `say`; a second one interrupts."""
     pressed = False
 
     def note(_number: int, _frame: FrameType | None) -> None:
@@ -44,6 +39,7 @@ def deferred(say: Callable[[], None]) -> Iterator[Stop]:
         pressed = True
         say()
 
+    # Only the main thread gets signals, and what ignores Ctrl-C, as nohup does, goes on.
     if threading.current_thread() is not threading.main_thread() \
             or signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
         yield lambda: False

@@ -19,11 +19,9 @@ FORMAT = "0.3.5"
 
 
 def ioh_files(groups: Groups) -> Iterator[tuple[str, str]]:
-    """Yield names and texts of a study's files for IOHprofiler: a folder a method, two an instance.
-
-    Source: De Nobel, Ye, Vermetten, Wang, Doerr and Bäck 2024, IOHexperimenter, Evol. Comput.
-    32(3); a run begins with the row of its first evaluation.
-    """
+    """Yield names and texts of IOHprofiler's files: a folder a method, two files an instance."""
+    # De Nobel, Ye, Vermetten, Wang, Doerr and Bäck 2024, IOHexperimenter, Evol. Comput. 32(3); a
+    # run begins with the row of its first evaluation.
     folders = _folders(groups.methods)
     for number, (instance, by_method) in enumerate(groups.instances.items(), 1):
         word = file_word(instance, "all")

@@ -62,15 +62,16 @@ def non_dominated(points: FloatArray) -> FloatArray:
 
 
 def indicators(front: FloatArray, reference: FloatArray) -> tuple[float, float]:
-    """Return hypervolume and IGD+ of a front, scaled by a reference front.
+    """Return hypervolume and IGD+ of a front (n, objectives), scaled by a reference front.
 
-    Both have the shape (n, objectives); lower is better. The reference spans 0 to 1 in each
-    objective; the reference point of the hypervolume is `BEYOND`. Sources: Zitzler and Thiele 1998,
-    PPSN V; Ishibuchi, Masuda, Tanigaki and Nojima 2015, EMO, equation 18; as pymoo computes them.
+    Lower is better. The reference spans 0 to 1 in each objective; the reference point of the
+    hypervolume is `BEYOND`.
     """
     from pymoo.indicators.hv import HV
     from pymoo.indicators.igd_plus import IGDPlus
 
+    # As pymoo computes them: Zitzler and Thiele 1998, PPSN V; Ishibuchi, Masuda, Tanigaki and
+    # Nojima 2015, EMO, equation 18.
     low, span = reference.min(axis=0), np.ptp(reference, axis=0)
     span[span == 0] = 1.0
     scaled, target = (front - low) / span, (reference - low) / span

@@ -40,16 +40,12 @@ class Groups:
 
 def group(rows: Sequence[Row], records: Mapping[str, CellRecord],
           measure: str | None = None) -> Groups:
-    """Return the runs of a study by what they are compared on.
-
-    By fitness, solvers are compared on the same problem, data, model and criterion. By an RMSE,
-    methods are compared: model, criterion and solver together, without what no instance varies,
-    as the model where each problem has its own.
-
-    By default the measure is the fitness where the methods differ in the solver alone.
-    """
+    """Return the runs of a study by what they are compared on."""
     rows = [row for row in rows if row["state"] != WAITING]
     measure = measure or _measure(rows)
+    # By fitness, solvers are compared on the same problem, data, model and criterion. By an RMSE,
+    # methods are: model, criterion and solver together, without what no instance varies, as the
+    # model where each problem has its own.
     method: tuple[str, ...] = ("solver",) if measure == "fitness" else METHOD
     instance = (*INSTANCE, *(("model", "criterion") if measure == "fitness" else ()))
     of_method, of_instance = _varying(rows, method, INSTANCE), _varying(rows, instance)
@@ -67,6 +63,7 @@ def group(rows: Sequence[Row], records: Mapping[str, CellRecord],
 
 
 def _measure(rows: Sequence[Row]) -> str:
+    # Methods that differ in the solver alone minimise the same fitness.
     alike = len({(row["strategy"], row["model"], row["criterion"]) for row in rows}) <= 1
     return "fitness" if alike and all(row["strategy"] == "as-asked" for row in rows) \
         else "independent"

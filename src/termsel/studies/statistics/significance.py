@@ -59,14 +59,14 @@ def compare_methods(methods: Sequence[str], values: FloatArray) -> Comparison | 
     """Return Friedman's test, Wilcoxon's with Holm's correction, and the critical difference.
 
     Values have the shape (instances, methods); lower is better, infinite is a method without a
-    result. None for a single method, or fewer than `FEWEST` instances. Source: Demšar 2006, J.
-    Mach. Learn. Res. 7, sections 3.1.3 and 3.2.
+    result. None for a single method, or fewer than `FEWEST` instances.
     """
     from scipy.stats import friedmanchisquare, rankdata
 
     instances, number = values.shape
     if number < 2 or instances < FEWEST:
         return None
+    # Demšar 2006, J. Mach. Learn. Res. 7, sections 3.1.3 and 3.2.
     ranks = rankdata(values, axis=1).mean(axis=0)
     statistic = p = difference = None
     if number > 2:
@@ -87,14 +87,10 @@ def compare_methods(methods: Sequence[str], values: FloatArray) -> Comparison | 
 
 
 def signed_rank(one: FloatArray, other: FloatArray) -> tuple[float, bool]:
-    """Return the p-value of Wilcoxon's signed-rank test, two-sided, and whether the one is lower.
-
-    Differences of a method without a result count as larger than all others; two of them as none.
-
-    Both have the shape (n,).
-    """
+    """Return the two-sided p of Wilcoxon's test of values (n,), and whether the one is lower."""
     from scipy.stats import rankdata, wilcoxon
 
+    # Differences of a method without a result count as larger than all others; two of them as none.
     with np.errstate(invalid="ignore"):
         difference = np.where(one == other, 0.0, one - other)
     finite = np.abs(difference[np.isfinite(difference)])
@@ -125,11 +121,9 @@ def critical_difference(methods: int, instances: int, level: float = LEVEL) -> f
 
 
 def effect_size(one: Sequence[float], other: Sequence[float]) -> float:
-    """Return how probably a run of one method is lower than one of the other; ties count half.
-
-    Source: Vargha and Delaney 2000, J. Educ. Behav. Stat. 25(2), equation 2, for values of which
-    lower ones are better. 0.5 is no difference.
-    """
+    """Return how probably a run of one method is lower than one of the other; 0.5 if alike."""
+    # Ties count half: Vargha and Delaney 2000, J. Educ. Behav. Stat. 25(2), equation 2, for values
+    # of which lower ones are better.
     a, b = np.asarray(one)[:, None], np.asarray(other)[None]
     return float((a < b).mean() + (a == b).mean() / 2)
 
@@ -137,9 +131,9 @@ def effect_size(one: Sequence[float], other: Sequence[float]) -> float:
 def performance_profile(values: FloatArray, ratios: Sequence[float]) -> FloatArray:
     """Return on which share of instances each method is within a ratio of the best one.
 
-    Values, shape (instances, methods), are positive, lower is better; ratios are from 1 on. The
-    shape is (ratios, methods). Source: Dolan and Moré 2002, Math. Program. 91, section 2.
+    Values, shape (instances, methods), are positive; ratios are from 1 on; shape (ratios, methods).
     """
+    # Dolan and Moré 2002, Math. Program. 91, section 2.
     least = values.min(axis=1, keepdims=True)
     with np.errstate(invalid="ignore", divide="ignore"):
         relative = np.where(np.isfinite(values), values / least, np.inf)

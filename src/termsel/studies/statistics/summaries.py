@@ -101,10 +101,10 @@ def length(figures: Mapping[str, Any]) -> float:
 def expected_running_time(hits: Sequence[float], lengths: Sequence[float]) -> float:
     """Return how long it takes to reach a target, with restarts of runs that do not.
 
-    It is the time spent in all runs up to the target, `hits`, or to their end, `lengths`, per run
-    that reached it; infinite if none did. Source: Hansen, Auger, Finck and Ros 2009, Real-parameter
-    black-box optimization benchmarking: experimental setup, "expected running time".
+    `hits` and `lengths` are the times up to the target, or infinity, and up to the end of each run.
     """
+    # The time spent in all runs, per run that reached it: Hansen, Auger, Finck and Ros 2009,
+    # Real-parameter black-box optimization benchmarking: experimental setup.
     successes = sum(map(math.isfinite, hits))
     spent = sum(at if math.isfinite(at) else whole
                 for at, whole in zip(hits, lengths, strict=True))
@@ -119,12 +119,10 @@ def ecdf(hits: Sequence[float]) -> tuple[list[float], list[float]]:
 
 
 def targets_of(optimum: float | None, runs: Iterable[Runs], number: int = 21) -> list[float]:
-    """Return targets for an ECDF: above the optimum by 100 % to 0.01 %, evenly in the logarithm.
-
-    Where the optimum is not known, the best value of all runs stands for it. Source: Hansen, Auger,
-    Ros, Mersmann, Tušar and Brockhoff 2021, COCO, Optim. Methods Softw. 36(1), section 5, on
-    runtimes over many targets; these targets are termsel's own.
-    """
+    """Return targets for an ECDF: above the optimum by 100 % to 0.01 %, evenly in the logarithm."""
+    # Runtimes over many targets are of Hansen, Auger, Ros, Mersmann, Tušar and Brockhoff 2021,
+    # COCO, Optim. Methods Softw. 36(1), section 5; these targets are termsel's own. Where the
+    # optimum is not known, the best value of all runs stands for it.
     found = [value for one in runs for value in one.values if math.isfinite(value)]
     if optimum is None and not found:
         return []
