@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -163,6 +164,61 @@ def test_heights_that_rest_on_one_point_or_two(hills: tuple[int, ...]) -> None:
     assert result.predicted is not None
     assert result.predicted.rmse < 1.0
     assert {one.id for one in result.outliers if one.excluded} == set(names)
+
+
+def flat_coast(kind: str, n: int = 12) -> FeatureSet:
+    """Control at sea level with heights of some kind, and 40 independent points on land."""
+    features, rng = coast((), n + 40), np.random.default_rng(8)
+    ground, image = features.points.ground.copy(), features.points.image.copy()
+    dust = rng.standard_normal(n)
+    ground[:n, 2] = {"zeros": 0.0 * dust, "dust": -3e-5 + 1e-6 * dust, "waves": 0.02 * dust,
+                     "slope": 1e-2 * ground[:n, 0], "800 m": 800.0 + 0.0 * dust,
+                     "land": np.where(np.arange(n) < 2, 60.0, -3e-5 + 1e-8 * dust)}[kind]
+    ground[n:, 2] = rng.uniform(0, 300, 40)
+    image += ground[:, 2:] * [0.2, -0.1]
+    roles = ("control",) * n + ("independent",) * 40
+    return features.with_(points=Points(features.points.ids, image, ground, roles=roles))
+
+
+@pytest.mark.parametrize("kind", ["zeros", "dust", "waves", "slope", "800 m", "land"])
+def test_heights_that_tell_nothing_have_no_terms_and_their_effect_is_known(kind: str) -> None:
+    features = flat_coast(kind)
+    result = termsel.run("rfm-terms", features=features)
+    assert not result.fit.model.uses_height
+    land = features.points.take(np.arange(12, 52))
+    errors, sigma = result.fit.errors(land), result.fit.sigma(land.ground)
+    assert np.abs(errors).max() < 200.0
+    assert ((errors / sigma) ** 2).mean() < 3.0
+    assert any("not known: some" in note for note in result.notes)
+    assert not any("blunder" in note for note in result.notes if "Left out" in note)
+    figures = re.findall(r"\d[\d,]*", result.summary())
+    assert max(len(one.replace(",", "")) for one in figures) <= 6
+    assert {one.id for one in result.outliers if one.excluded} == (
+        {"P0", "P1"} if kind == "land" else set())
+
+
+@pytest.mark.parametrize("problem", ["rfm-terms", "owdis-points"])
+@pytest.mark.parametrize("kind", ["dust", "slope"])
+def test_a_search_from_flat_control_takes_no_term_with_heights(problem: str, kind: str) -> None:
+    features = flat_coast(kind, 24)
+    roles = np.array(features.points.roles)
+    roles[:24:3] = "check"
+    roles[30:34] = "check"  # check points with relief do not tell it either
+    features = features.with_(points=replace(features.points, roles=tuple(roles)))
+    result = termsel.run(problem, features=features, strategy="as-asked", generations=5)
+    assert not any("Z" in name for name in result.selection.terms)
+    land = features.points.take(np.arange(34, 64))
+    errors = result.fit.errors(land)
+    assert ((errors / result.fit.sigma(land.ground)) ** 2).mean() < 4.0
+    assert any("not known: some" in note for note in result.notes)
+
+
+def test_a_term_with_heights_that_is_asked_for_stays() -> None:
+    result = termsel.run("rfm-terms", features=flat_coast("waves", 24), strategy="as-asked",
+                         criterion="press", generations=5, options={"force_on": "line.num:Z"})
+    high = {name for name in result.selection.terms if "Z" in name}
+    assert "line.num:Z" in high
+    assert high <= {"line.num:Z", "sample.num:Z"}
 
 
 def test_a_hill_far_from_all_others_carries_the_heights() -> None:

@@ -9,7 +9,8 @@ in units of the noise: the coefficients of a Taylor series of a smooth function 
 to order by one rate, and by a further one with each power of Z, as the relief is shallow next to
 the scene. Affine terms are free. How large `size` is for line and for sample, and what `fall`
 and `relief` are for both, is not known: the least-squares solutions for all values on a wide
-grid are averaged with their posterior probabilities, and nothing is set. `own` is a factor for
+grid are averaged with their posterior probabilities, and nothing is set. An affine image, of
+which all sizes are 0, is one of them, with a probability of its own. `own` is a factor for
 each term, log-normal, drawn many times, so that single terms may stand out from the rule.
 Noise is taken to be the same in line and sample; its variance is integrated out.
 

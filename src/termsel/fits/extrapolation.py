@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import numpy as np
 
 from termsel.errors import counted
+from termsel.fits.uncertainty import sees_heights
+from termsel.measurements.control import Control, off_plane
 from termsel.measurements.coordinates.places import beyond, centres
 from termsel.measurements.features import BoolArray, FeatureSet, FloatArray, Points
+from termsel.measurements.scaling import Scaling
 
 FAR = 0.5
 """Distance from the hull of the control, by the hull's longer side, from which on a place counts
@@ -27,6 +30,18 @@ def outside(control: FloatArray, places: FloatArray) -> FloatArray:
         above = np.maximum(places[:, 2] - high, low - places[:, 2]) / (high - low)
         apart = np.maximum(apart, np.where(np.isnan(above), 0.0, above))
     return np.asarray(np.where(np.isnan(places[:, :2]).any(axis=1), np.nan, apart))
+
+
+def by_heights(used: FeatureSet, scaling: Scaling, project: Callable[[FloatArray], FloatArray],
+               ground: FloatArray) -> FloatArray:
+    """Return the variance of what a height does at places (m, 3) where nothing tells, (m, 1) [px].
+
+    0 where the control in use tells it, and where the model, which projects places, knows it.
+    """
+    effect = off_plane(Control(used, scaling, False), ground)[1]
+    if effect.any() and sees_heights(project, ground):
+        effect *= 0.0
+    return effect[:, None]**2 / 2  # the direction is not known
 
 
 def warnings_of(control: FeatureSet, used: BoolArray, check: Points) -> Iterator[str]:

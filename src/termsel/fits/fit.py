@@ -16,6 +16,7 @@ from termsel.adjustment.interpolation import Interpolation
 from termsel.adjustment.solve import Adjustment
 from termsel.display import Glance
 from termsel.errors import TermselError
+from termsel.fits.extrapolation import by_heights
 from termsel.fits.fittable import Fittable
 from termsel.fits.locate import Surface, locate
 from termsel.fits.residuals import Residuals, Rmse, control_residuals, rmse_of
@@ -245,8 +246,8 @@ class Fit(Glance):
         """Return the standard deviation of the error of `project`.
 
         Of the model alone, not of the control's ground coordinates. For control points it holds
-        what other models they leave open, between and beyond them: see `termsel.fits.uncertainty`.
-        For control lines and for few points, the model's form is taken for true.
+        what other models they leave open, and what they do not tell of heights: see
+        `termsel.fits.uncertainty`. For lines and few points the model's form is taken for true.
 
         Parameters
         ----------
@@ -259,8 +260,7 @@ class Fit(Glance):
         Returns
         -------
         ndarray, shape (n, 2)
-            Of line and sample [px]; NaN as for `project`, and where the control has no
-            redundancy.
+            Of line and sample [px]; NaN as for `project`, and without redundancy of the control.
 
         Raises
         ------
@@ -269,8 +269,9 @@ class Fit(Glance):
         """
         made, places = self.made or self, self._places(ground)
         found = made.estimator.spread(made, made.scaling.ground(places))
-        variance = found.variance + found.noise if measured else found.variance
-        return self._known(np.sqrt(variance) * self.scaling.image_scale, places)
+        variance = (found.variance + found.noise * measured) * self.scaling.image_scale**2
+        variance += by_heights(made.control.take(made.used), made.scaling, made.project, places)
+        return self._known(np.sqrt(variance), places)
 
     def _places(self, ground: ArrayLike) -> FloatArray:
         """Return ground points (n, 3); a plane model also takes them without heights."""

@@ -6,11 +6,13 @@ between and beyond them. The mean square error of any fit at a place is the vari
 posterior there, and the square of the distance of the fit from its mean. A model of a kind that
 the polynomial does not contain, and that predicts left-out control better, is judged by the
 propagation of the noise through its own adjustment, as is one of lines or of few points. A spline
-or a random field has a variance of its own.
+or a random field has a variance of its own. Where the control does not tell what a height does, the
+effect of views in general is added (`termsel.fits.extrapolation.by_heights`).
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -55,7 +57,8 @@ def spread_of(model: Fittable, control: FeatureSet, terms: BoolArray, adjustment
     own = None if len(control.lines) else model.interpolation(control)
     if own is not None:
         return Spread(*own.spread(ground))
-    believed = _Belief.of(model, control)
+    seen = sees_heights(lambda places: model.project(adjustment.coefficients, places), ground)
+    believed = _Belief.of(model, control, heights=seen)
     if believed is None:
         return _propagated(model, control, terms, adjustment, ground)[0] if least_squares else \
             _unknown(len(ground))
@@ -64,6 +67,12 @@ def spread_of(model: Fittable, control: FeatureSet, terms: BoolArray, adjustment
         if press < believed.press():
             return propagated
     return believed.spread(ground, image)
+
+
+def sees_heights(project: Callable[[FloatArray], FloatArray], ground: FloatArray) -> bool:
+    """Return whether heights of places (m, 3) make a difference to where they are projected."""
+    some = ground[:3]
+    return bool((project(some) != project(some + np.array([0.0, 0.0, 1.0]))).any())
 
 
 def believed_spread(model: Fittable, control: FeatureSet, ground: FloatArray,
@@ -106,12 +115,17 @@ class _Belief:
     variables: int
 
     @classmethod
-    def of(cls, model: Fittable, control: FeatureSet) -> _Belief | None:
-        """Return what is believed; None with lines, or if points determine no affine model."""
+    def of(cls, model: Fittable, control: FeatureSet,
+           heights: bool | None = None) -> _Belief | None:
+        """Return what is believed, by default with the heights that the model uses.
+
+        None with lines, or if points determine no affine model.
+        """
         if len(control.lines):
             return None
         degree = max(DEGREE, model.polynomial_degree or 0)
-        points, variables = control.points, 3 if model.uses_height else 2
+        heights = model.uses_height if heights is None else heights
+        points, variables = control.points, 3 if heights else 2
         found = polynomial_posterior(points.ground, points.image,
                                      graded_exponents(degree, variables),
                                      None if points.sigma is None else weights_of(points))

@@ -1,9 +1,11 @@
 """The features that models are fitted to, with their scaling and their relief.
 
-Heights serve where they are off a plane, and are so without any one or two of the features: a
-feature whose height alone is off the plane has the leverage 1, so that what its height does cannot
-be told from an error, and no other feature predicts it. Of two such features each has the other
-alone.
+Heights serve where the control tells what a metre of height does better than physics alone does:
+the view of a camera from the air or from space is inclined by some 27 degrees, so that a metre of
+height moves an image by about half as much as a metre on the ground. Heights are flat where all
+that they could do is less than what can be measured. They are so, too, where only one or two
+features are off a plane: such a feature has the leverage 1, so that what its height does cannot be
+told from an error, and no other feature predicts it. Of two such features each has the other alone.
 """
 
 from __future__ import annotations
@@ -13,15 +15,21 @@ from typing import Self
 
 import numpy as np
 
+from termsel.measurements.coordinates.metres import plan_of
 from termsel.measurements.features import BoolArray, FeatureSet, FloatArray, IntArray
-from termsel.measurements.scaling import Scaling, scaling_of
+from termsel.measurements.scaling import Scaling, in_fit_crs, scaling_of
 
 FLAT = 1e-8
 """Scaled distance from a plane up to which heights are taken to lie on it: rounding."""
 
-CARRIED = 0.01
-"""Share of the sum of squared distances from a plane. Features without which no more is left carry
-the relief."""
+PARALLAX = 0.5
+"""Standard deviation of what a metre of height does in an image, by a metre on the ground: the
+tangent of the angle of view. That of a satellite is seldom above 0.6, of a photo or of radar 1."""
+
+MEASURED = 0.5
+"""Standard deviation of a measurement in an image [px], or MEASURED_PART of its half-range."""
+
+MEASURED_PART = 1e-3
 
 ENOUGH = 8
 """Number of features from which on two of them may carry the relief. Without two of fewer, hardly
@@ -66,42 +74,86 @@ class Control:
 
 
 def heights_differ(control: Control) -> bool:
-    """Return whether all features have heights, and these do not lie on a plane."""
+    """Return whether all features have heights, and these tell what a height does."""
     if control.features.without_height():
         return False
     plane, z, _ = _vertices(control)
-    return bool(np.abs(_about_plane(plane, z)[0]).max() > FLAT)
+    return _tells(control, _about_plane(plane, z)[0])
 
 
 def carriers(control: Control, most: int = 2) -> tuple[str, ...]:
-    """Return the ids of one or two features without which all heights lie on a plane; or none.
+    """Return the ids of one or two features without which heights tell nothing; or none.
 
-    All ids where heights lie on a plane already. Heights are known. `most`, 1 or 2, is how many
-    are looked for; of fewer than `ENOUGH` one.
+    All ids where they tell nothing already. Heights are known. `most`, 1 or 2, is how many are
+    looked for; of fewer than `ENOUGH` one.
     """
     most = most if len(control) >= ENOUGH else 1
     plane, z, owner = _vertices(control)
     keep, chosen = np.ones(len(z), dtype=bool), list[int]()
     rest, free = _about_plane(plane, z)
-    if np.abs(rest).max() <= FLAT:
+    if not _tells(control, rest):
         return control.features.ids
-    total = float(rest @ rest)
     while len(chosen) < most:
         # What the sum of squares falls by without a vertex: its residual squared by 1 - leverage.
         gain = np.bincount(owner[keep], rest**2 / free, minlength=len(control))
         chosen.append(int(np.argmax(gain)))
         keep &= owner != chosen[-1]
         rest, free = _about_plane(plane[keep], z[keep])
-        if float(rest @ rest) <= CARRIED * total:
+        if not _tells(control, rest):
             return tuple(control.features.ids[i] for i in chosen)
     return ()
+
+
+def off_plane(control: Control, ground: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return how far places (m, 3) are off the plane of the control's heights, and what that does.
+
+    In units of height, and the standard deviation of what it does to the image [px], each (m,). 0
+    where a height is not known, where those of the control are not, and where they tell what a
+    height does. Carriers have no influence on the plane.
+    """
+    effect, none = _effect(control), np.zeros(len(ground))
+    carrying = () if control.features.without_height() else carriers(control)
+    if not carrying or not np.isfinite(effect):
+        return none, none
+    (plane, z, owner), scaled = _vertices(control), control.scaling.ground(ground)
+    keep = ~np.isin(np.array(control.features.ids)[owner], carrying) | (
+        len(carrying) == len(control))
+    fitted = _plane_at(scaled) @ np.linalg.lstsq(plane[keep], z[keep])[0]
+    off = np.where(np.isnan(ground[:, 2]), 0.0, np.abs(scaled[:, 2] - fitted))
+    return off * control.scaling.ground_scale[2], off * effect
+
+
+def _tells(control: Control, rest: FloatArray) -> bool:
+    """Return whether scaled heights off a plane tell what a height does."""
+    if not np.abs(rest).max(initial=0.0) > FLAT:
+        return False
+    noise = min(MEASURED, MEASURED_PART * control.scaling.image_scale)
+    return bool(np.linalg.norm(rest) * _effect(control) > noise)
+
+
+def _effect(control: Control) -> float:
+    """Return the standard deviation of what a scaled height of 1 does to the image [px].
+
+    Infinite for geocentric coordinates, whose Z is no height.
+    """
+    features = control.features
+    plan = plan_of(features.fit_crs or features.crs, in_fit_crs(
+        features.ground_vertices(), features.crs, features.fit_crs))
+    if plan is None:
+        return np.inf
+    across = np.sqrt(plan.var(axis=0).sum())
+    image = np.sqrt(features.image_vertices().var(axis=0).sum())
+    return float(PARALLAX * control.scaling.ground_scale[2] * image / across) if across else np.inf
 
 
 def _vertices(control: Control) -> tuple[FloatArray, FloatArray, IntArray]:
     """Return columns of a plane, scaled heights and the feature of each point and vertex."""
     scaled = control.scaling.ground(control.features.ground_vertices())
-    return (np.column_stack([np.ones(len(scaled)), scaled[:, :2]]), scaled[:, 2],
-            control.features.vertex_feature)
+    return _plane_at(scaled), scaled[:, 2], control.features.vertex_feature
+
+
+def _plane_at(scaled: FloatArray) -> FloatArray:
+    return np.column_stack([np.ones(len(scaled)), scaled[:, :2]])
 
 
 def _about_plane(plane: FloatArray, z: FloatArray) -> tuple[FloatArray, FloatArray]:

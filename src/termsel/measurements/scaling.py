@@ -9,8 +9,9 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from termsel.measurements.coordinates.crs import is_geographic, transformation
+from termsel.measurements.coordinates.crs import transformation
 from termsel.measurements.coordinates.longitudes import TURN, continuous
+from termsel.measurements.coordinates.metres import is_in_degrees, plan_of
 from termsel.measurements.features import FeatureSet, FloatArray, Lines, Points
 from termsel.measurements.tables.tabular import unchecked
 from termsel.record.record import ScalingNumbers
@@ -111,9 +112,6 @@ def _scaled(scaling: Scaling, features: FeatureSet) -> FeatureSet:
 
 _FAR = 1e6
 
-_geographic = lru_cache(is_geographic)  # asked at every fit, and pyproj takes its time
-
-
 def in_fit_crs(ground: FloatArray, crs: str, fit_crs: str) -> FloatArray:
     """Return ground coordinates (..., 3) in the CRS a model is fitted in, if any; NaN stays NaN."""
     if not (crs and fit_crs):
@@ -124,18 +122,27 @@ def in_fit_crs(ground: FloatArray, crs: str, fit_crs: str) -> FloatArray:
     return fitted.reshape(ground.shape)
 
 
+SHALLOW = 0.03
+"""Least scale of heights, in metres as those of X and Y are. Relief is shallow next to a scene, and
+heights that hardly differ must not become large numbers at other places."""
+
+
 def scaling_of(features: FeatureSet) -> Scaling:
     """Return the scaling that brings these control features to [-1, 1]."""
     own = (features.crs, features.fit_crs) if features.fit_crs else ("", "")
     ground, image = in_fit_crs(features.ground_vertices(), *own), features.image_vertices()
-    turns = _geographic(features.fit_crs or features.crs)
+    turns = is_in_degrees(features.fit_crs or features.crs)
     if turns:
         ground = np.column_stack([continuous(ground[:, 0]), ground[:, 1:]])
     known = np.where(np.isnan(ground), np.nanmin(ground[:, :2]), ground)
-    if np.isnan(ground[:, 2]).any():
+    blank = bool(np.isnan(ground[:, 2]).any())
+    if blank:
         known[:, 2] = 0.0
     low, high = known.min(axis=0), known.max(axis=0)
     half = (high - low) / 2
+    plan = None if blank else plan_of(features.fit_crs or features.crs, known)
+    if plan is not None:
+        half[2] = max(half[2], SHALLOW * np.ptp(plan, axis=0).max() / 2)
     middle, image_half = (image.max(axis=0) + image.min(axis=0)) / 2, np.ptp(image, axis=0) / 2
     scale = float(image_half.max())
     gx, gy, gz = ((low + high) / 2).tolist()

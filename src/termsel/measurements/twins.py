@@ -37,7 +37,7 @@ def twins(ground: FloatArray, typical: FloatArray | None = None) -> IntArray:
     # Half of the points span half of an even spread, wherever a few wild ones are.
     low, high = np.quantile(typical, [0.25, 0.75], axis=0)
     unit = NEAR * 2 * (high - low) * np.array([len(typical) ** -0.5] * 2 + [1.0])
-    rounding = np.finfo(float).eps * np.abs(typical).max(axis=0)
+    rounding = np.finfo(float).eps * np.abs(places).max(axis=0)
     pairs = KDTree(places / np.maximum(unit, np.maximum(rounding, np.finfo(float).tiny))
                    ).query_pairs(1.0, output_type="ndarray")
     edges = coo_array((np.ones(len(pairs)), pairs.T), shape=(n, n))

@@ -87,6 +87,11 @@ class Term:
         return 0 if isinstance(self.exponents, str) else sum(self.exponents)
 
     @property
+    def has_height(self) -> bool:
+        """False for a monomial without Z; a label may stand for anything."""
+        return isinstance(self.exponents, str) or self.exponents[2] > 0
+
+    @property
     def is_denominator(self) -> bool:
         """True for a term of a denominator."""
         return self.part == "denominator"

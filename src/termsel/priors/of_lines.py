@@ -18,15 +18,12 @@ from termsel.adjustment.equations import Equations
 from termsel.adjustment.monomials import Exponents
 from termsel.adjustment.solve import TOLERANCE
 from termsel.measurements.features import FloatArray, IntArray
-from termsel.priors.posterior import (
-    NEVER,
-    NO_NOISE,
-    SIZES,
-    TYPICAL,
-    scales_of,
-    shares,
-)
+from termsel.priors import posterior
+from termsel.priors.posterior import NEVER, NO_NOISE, TYPICAL, scales_of, shares
 from termsel.priors.shrinkage import TINY
+
+SIZES = posterior.SIZES[1:]
+"""Those of an image that is not affine: with lines none is."""
 
 RATIOS = 10.0 ** np.array([-1.0, 0.0, 1.0])
 """Sizes of line by those of sample."""

@@ -23,9 +23,12 @@ from termsel.priors.shrinkage import (
     shrinkage_of,
 )
 
-SIZES = 10.0 ** np.arange(-0.5, 5.5, 0.5)
-"""Standard deviations of quadratic coefficients by that of the noise. From where they cannot be
-told from 0 to where they are as good as free."""
+SIZES = np.append(0.0, 10.0 ** np.arange(-0.5, 5.5, 0.5))
+"""Standard deviations of quadratic coefficients by that of the noise: 0, which is the affine model,
+and from where they cannot be told from 0 to where they are as good as free."""
+
+AFFINE = 0.25
+"""Probability of an affine image before the points are looked at."""
 
 TYPICAL = 10.0
 """Size beyond which larger ones are ever less likely, in proportion: the tail of a half-Cauchy
@@ -72,11 +75,21 @@ def scales_of(exponents: FloatArray, draws: int | None = None) -> FloatArray:
     return np.concatenate([rule, (rule * own).reshape(-1, rule.shape[1])])
 
 
+def _believed() -> FloatArray:
+    """Return the logarithm of how likely each size is before the points are looked at.
+
+    That of 0 is half of that of an affine image, as line and sample are affine together.
+    """
+    logs, some = -0.5 * np.log1p((SIZES / TYPICAL) ** 2), SIZES > 0.0
+    logs[~some] = np.log(np.exp(logs[some]).sum()) + 0.5 * np.log(AFFINE / (1.0 - AFFINE))
+    return np.asarray(logs)
+
+
 def _odds(design: Design, targets: FloatArray) -> list[Odds]:
     """Return how likely the solutions of each axis are, for all scales and sizes."""
     along = design.basis.T @ targets
     evidence, squares = _mixed(design, along) or _decomposed(design, along)
-    evidence = (evidence - 0.5 * np.log1p((SIZES / TYPICAL) ** 2)).ravel()
+    evidence = (evidence + _believed()).ravel()
     beyond = (design.beyond(targets) ** 2).sum(axis=0)
     return [Odds(evidence, rest + square.ravel())
             for rest, square in zip(beyond, squares, strict=True)]
@@ -127,8 +140,11 @@ class GridCells:
     log: float  # evidence of all, as a logarithm, up to what the measurements alone say
 
 
-def _cells(odds: Sequence[Odds], freedom: int, noise: float) -> GridCells:
-    """Return what is on the grid of group, size of line and size of sample, and not NEVER."""
+def _cells(odds: Sequence[Odds], freedom: int, noise: float, *, affine: bool) -> GridCells:
+    """Return what is on the grid of group, size of line and size of sample, and not NEVER.
+
+    An image is affine in line and sample, or in none; `affine` is whether it may be.
+    """
     # Scales are those of both axes; sizes are each axis' own.
     line, sample = (np.arange(len(of_axis.square)).reshape(-1, len(SIZES)) for of_axis in odds)
     shape = (*line.shape, len(SIZES))
@@ -136,6 +152,10 @@ def _cells(odds: Sequence[Odds], freedom: int, noise: float) -> GridCells:
     second = np.broadcast_to(sample[:, None, :], shape).ravel()
     logarithm = (odds[0].evidence[first] + odds[1].evidence[second] - freedom / 2 * np.log(
         odds[0].square[first] + odds[1].square[second] + noise))
+    # Without quadratic terms all groups are one.
+    plain = logarithm[0] + np.log(len(line)) if affine and SIZES[0] == 0.0 else -np.inf
+    logarithm[((SIZES[first % len(SIZES)] == 0.0) | (SIZES[second % len(SIZES)] == 0.0))] = -np.inf
+    logarithm[0] = max(logarithm[0], plain)
     kept = logarithm > logarithm.max() - NEVER
     share, log = shares(logarithm[kept])
     return GridCells((first[kept], second[kept]), share, float(log))
@@ -217,14 +237,15 @@ class Posterior:
 
 
 def posterior(columns: FloatArray, image: FloatArray, order: IntArray, weights: FloatArray | None,
-              scales: FloatArray, in_use: int, few: int | None = None) -> Posterior | None:
+              scales: FloatArray, in_use: int, few: int | None = None, *,
+              affine: bool = False) -> Posterior | None:
     """Return all solutions for points; None if all but any one do not determine the affine terms.
 
     The columns (n, k) are monomials of the scaled ground positions, affine ones first, of some
     order (k,). The image is (n, 2); the equations are multiplied by the weights (n, 2), if any. The
     scales (g, j) are as `scales_of` gives them. The first `in_use` points are those whose weight
     matters. After the first few shrunken columns all have one scale in each group; by default none
-    have.
+    have. `affine` is whether the image may be affine, which a test for blunders must not rely on.
     """
     freedom = 2 * (in_use - int((order < 2).sum()))
     noise = 2 * in_use * (NO_NOISE * float(np.ptp(image, axis=0).max()) / 2) ** 2
@@ -239,8 +260,8 @@ def posterior(columns: FloatArray, image: FloatArray, order: IntArray, weights: 
     targets = image * weights
     line, sample = _odds(of_line, targets) if of_line is of_sample else (
         _odds(of_line, targets[:, :1]) + _odds(of_sample, targets[:, 1:]))
-    return Posterior((line, sample), _cells([line, sample], freedom, noise), freedom, noise,
-                     (of_line, of_sample), scales, targets, in_use)
+    return Posterior((line, sample), _cells([line, sample], freedom, noise, affine=affine), freedom,
+                     noise, (of_line, of_sample), scales, targets, in_use)
 
 
 def polynomial_posterior(ground: FloatArray, image: FloatArray, exponents: Exponents,
@@ -263,4 +284,4 @@ def _of_polynomial(ground: bytes, image: bytes, exponents: Exponents,
     places = np.frombuffer(image).reshape(-1, 2)
     return posterior(monomials(np.frombuffer(ground).reshape(-1, 3), exponents), places, order,
                      None if weights is None else np.frombuffer(weights).reshape(-1, 2),
-                     scales_of(powers[order > 1]), len(places))
+                     scales_of(powers[order > 1]), len(places), affine=True)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -38,6 +39,24 @@ TERM_OPTIONS = (
 def listed(value: str | None) -> list[str]:
     """Return the names in the value of an option, which are separated by commas."""
     return [name for name in (part.strip() for part in (value or "").split(",")) if name]
+
+
+def without_heights(names: tuple[str, ...], options: Mapping[str, Any]) -> dict[str, str]:
+    """Return options of a problem by which no term with Z is in use but those that are asked for.
+
+    They are for control that does not tell what a height does; `options` are those it has.
+    """
+    high = {name: term for name in names if (term := Term.parse(name)).has_height
+            and not isinstance(term.exponents, str)}
+    if "terms" in options:
+        return {"terms": options["terms"] or ",".join(name for name in names if name not in high)}
+    if "force_off" not in options:
+        return {}
+    asked = set(listed(options["force_on"]))
+    kept = {term.shared for name, term in high.items()
+            if asked & {name, str(term.shared), term.column}}
+    off = [str(term.shared) for term in high.values() if term.shared not in kept]
+    return {"force_off": ",".join(dict.fromkeys([*listed(options["force_off"]), *off]))}
 
 
 def forced(value: str | None, labels: tuple[str, ...], ids: tuple[str, ...]) -> list[str]:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 
-from termsel.measurements.coordinates.crs import is_geographic, metres_per_unit
+from termsel.measurements.coordinates.crs import is_geocentric, is_geographic, metres_per_unit
 from termsel.measurements.features import FloatArray
 
 SEMI_MAJOR, ECCENTRICITY = 6378137.0, 0.00669437999014
@@ -14,7 +16,7 @@ small distances differ by less than 0.02 %."""
 
 def in_metres(crs: str, places: FloatArray, offsets: FloatArray) -> FloatArray | None:
     """Return offsets (n, 2) to east and north of places in metres; None if the unit is unknown."""
-    if is_geographic(crs):
+    if _kind(crs)[0]:
         latitude = np.radians(places[:, 1])
         short = 1.0 - ECCENTRICITY * np.sin(latitude) ** 2
         across = SEMI_MAJOR / np.sqrt(short)
@@ -23,5 +25,32 @@ def in_metres(crs: str, places: FloatArray, offsets: FloatArray) -> FloatArray |
         x = (offsets[:, 0] + 180.0) % 360.0 - 180.0
         return np.column_stack([np.radians(x) * across * np.cos(latitude),
                                 np.radians(offsets[:, 1]) * along])
-    unit = metres_per_unit(crs)
+    unit = _kind(crs)[2]
     return None if unit is None else offsets * unit
+
+
+def is_in_degrees(crs: str) -> bool:
+    """Return whether x and y are longitude and latitude."""
+    return _kind(crs)[0]
+
+
+def plan_of(crs: str, ground: FloatArray) -> FloatArray | None:
+    """Return positions (n, 3) from their middle, to the east and to the north (n, 2), in metres.
+
+    In the units of x and y where nobody knows these. None for geocentric coordinates, in which a
+    scene may be seen from its side.
+    """
+    if crs and _kind(crs)[1]:
+        return None
+    plan = ground[:, :2] - ground[:, :2].mean(axis=0)
+    metres = in_metres(crs, ground, plan) if crs else None
+    return plan if metres is None else metres
+
+
+@lru_cache
+def _kind(crs: str) -> tuple[bool, bool, float | None]:
+    """Return whether a CRS is geographic, whether it is geocentric, and its unit in metres.
+
+    It is asked at every fit, and pyproj takes its time.
+    """
+    return is_geographic(crs), is_geocentric(crs), metres_per_unit(crs)

@@ -8,8 +8,9 @@ import numpy as np
 
 from termsel.candidates.base import Judged
 from termsel.candidates.blunders import MOST, find_blunders, judge_others
-from termsel.candidates.contradictions import Suspects
-from termsel.candidates.portfolio import Portfolio
+from termsel.candidates.contradictions import Division, Suspects
+from termsel.candidates.portfolio import EXACT, Portfolio
+from termsel.measurements.control import MEASURED, Control, off_plane
 from termsel.measurements.features import BoolArray, FeatureSet, Points, select
 from termsel.measurements.roles import Observations, leave_out
 from termsel.measurements.twins import with_twins
@@ -24,22 +25,47 @@ def without_blunders(observations: Observations, portfolio: Portfolio,
                      ) -> tuple[Observations, list[Outlier], list[str]]:
     """Return the observations without blunders, the outliers and what is to be said of them.
 
-    Control and check points and lines are judged; independent points take no part.
+    Control and check points and lines are judged; independent points take no part. Features whose
+    height alone is off a plane are no blunders, but what it does to them would spoil a plane model.
     """
+    observations, high, of_heights = _without_carriers(observations)
     both = observations.pool.features
     found = find_blunders(observations.pool, portfolio)
     if found is None:
-        return observations, [], []
-    role: dict[str, Role] = dict.fromkeys(observations.check.ids, "check")
-    outliers = [Outlier(both.ids[i], "point" if i < len(both.points) else "line",
-                        role.get(both.ids[i], "control"), float(found.errors[i]),
-                        bool(found.blunders[i]))
+        return observations, high, of_heights
+    outliers = [_outlier(both.ids[i], observations, float(found.errors[i]),
+                         excluded=bool(found.blunders[i]))
                 for i in _worst_first(found, found.blunders | found.undecided)]
     points = found.blunders[:len(both.points)]
     left = leave_out(observations, [
         *with_twins(observations.together.points, select(both.points.ids, points)),
         *select(both.lines.features, found.blunders[len(both.points):])])
-    return left, outliers, list(_notes(both, found))
+    return left, [*high, *outliers], [*of_heights, *_notes(both, found)]
+
+
+def _without_carriers(observations: Observations,
+                      ) -> tuple[Observations, list[Outlier], list[str]]:
+    """Return the observations without features that alone are off a plane, and what is said."""
+    both, names = observations.pool.features, observations.carriers
+    used = ~np.isin(both.ids, names)
+    if used.all() or used.sum() <= EXACT:
+        return observations, [], []
+    test = Division(observations.pool, used).test()
+    errors = {name: float(test.errors[i]) if test else float("nan")
+              for i, name in enumerate(both.ids) if not used[i]}
+    outliers = [_outlier(name, observations, error, excluded=True)
+                for name, error in errors.items()]
+    listed = ", ".join(f"{name} ({error:.3g} px)" if test else name
+                       for name, error in errors.items())
+    return leave_out(observations, [
+        *with_twins(observations.together.points, errors), *errors]), outliers, [
+            f"Left out for {'its height' if len(errors) == 1 else 'their heights'}: {listed}."]
+
+
+def _outlier(name: str, observations: Observations, error: float, *, excluded: bool) -> Outlier:
+    role: Role = "check" if name in observations.check.ids else "control"
+    line = name in observations.control.lines.features
+    return Outlier(name, "line" if line else "point", role, error, excluded)
 
 
 def judged_independent(points: Points, heights: bool,
@@ -49,6 +75,9 @@ def judged_independent(points: Points, heights: bool,
     They stay in every figure; the note gives the one without them. `chosen` is the choice for
     control and check without blunders.
     """
+    # Where nothing tells what a height does, it contradicts nothing.
+    points = points.take(off_plane(
+        Control.of(chosen.fit.control, heights), points.ground)[1] <= MEASURED)
     found = judge_others(chosen, heights, points)
     if found is None or not found.blunders.any():
         return [], []

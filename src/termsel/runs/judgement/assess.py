@@ -120,7 +120,7 @@ def assessed(task: Task, found: Search) -> Result:
                         task.features.noise, candidate=comparison.candidate,
                         blunders=len(comparison.blunders)),
         notes=(*notes_on_data(task.features, observations, task.model.uses_height,
-                              task.blank),
+                              task.blank, observations.control),
                *notes_on(observations, task.criterion, found, chosen),
                *_on_replaced(task.model, selection), *notes_on_sessions(plugins_of(task))),
         objectives=dict(zip(task.problem.objectives, objectives, strict=False)),

@@ -6,9 +6,10 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from termsel.measurements.coordinates.crs import is_geocentric
+from termsel.errors import counted
+from termsel.measurements.control import MEASURED, Control, carriers, off_plane
 from termsel.measurements.coordinates.longitudes import jumps
-from termsel.measurements.coordinates.metres import in_metres
+from termsel.measurements.coordinates.metres import plan_of
 from termsel.measurements.features import FeatureSet, FloatArray, Points
 from termsel.measurements.roles import Observations
 from termsel.measurements.twins import groups, twins
@@ -26,11 +27,11 @@ line."""
 
 
 def notes_on_data(read: FeatureSet, observations: Observations, heights: bool,
-                  blank: Sequence[str] = ()) -> Iterator[str]:
+                  blank: Sequence[str] = (), fitted: FeatureSet | None = None) -> Iterator[str]:
     """Yield what the reader of a result must know of the data, as read and each in its role.
 
     `heights` is whether heights would be used; `blank` are features that were left out as they have
-    no height.
+    no height; a model is fitted to `fitted`, by default control and check together.
     """
     if blank:
         yield note_on_blank(blank, read)
@@ -40,13 +41,10 @@ def notes_on_data(read: FeatureSet, observations: Observations, heights: bool,
     both, independent = observations.together, observations.independent
     yield from _on_twins(both.points, independent)
     yield from _on_one_line(both)
-    z = both.ground_vertices()[:, 2]
-    if not heights:
-        return
-    yield from _on_carriers(both, observations.carriers)
-    if len(z) > 1 and (z == z[0]).all():
-        yield (f"All heights are {z[0]:g}, so they were not used. If they are not known, leave "
-               "them blank or take them from a raster (--dem FILE).")
+    if heights and len(both) > 1 and not both.without_height():
+        yield from _on_carriers(both, observations.carriers)
+        yield from _on_flat(fitted or both, independent if fitted is None else
+                            observations.check.join(independent))
 
 
 def _on_one_line(both: FeatureSet) -> Iterator[str]:
@@ -62,12 +60,8 @@ def _on_one_line(both: FeatureSet) -> Iterator[str]:
 def _in_plan(both: FeatureSet) -> FloatArray:
     """Return where features are on the ground, with one unit along all axes."""
     ground = both.ground_vertices()
-    if both.crs and is_geocentric(both.crs):
-        # In x and y alone a scene may be seen from its side.
-        return ground[~np.isnan(ground[:, 2])]
-    plan = ground[:, :2] - ground[:, :2].mean(axis=0)
-    metres = in_metres(both.crs, ground, plan) if both.crs else None
-    return plan if metres is None else metres
+    plan = plan_of(both.crs, ground)
+    return ground[~np.isnan(ground[:, 2])] if plan is None else plan
 
 
 def _is_narrow(places: FloatArray) -> bool:
@@ -85,8 +79,30 @@ def _on_carriers(both: FeatureSet, carrying: tuple[str, ...]) -> Iterator[str]:
                "the model is plane.")
     elif carrying:
         yield (f"All heights but that of {' and that of '.join(carrying)} lie on a plane. What a "
-               "height does cannot be told from an error there, so the model is plane. If such a "
-               "point is left out as a blunder, its height may be the reason.")
+               "height does cannot be told from an error there, so the model is plane.")
+
+
+def _on_flat(fitted: FeatureSet, others: Points) -> Iterator[str]:
+    """Yield that heights tell nothing, and what they may do at other points."""
+    control, z = Control.of(fitted, False), fitted.ground_vertices()[:, 2]
+    if len(carriers(control)) < len(control):
+        pass
+    elif (z == z[0]).all():
+        yield (f"All heights are {z[0]:g}, so they were not used. If they are not known, leave "
+               "them blank or take them from a raster (--dem FILE).")
+    else:
+        yield (f"The heights of the {fitted.word} differ too little from a plane to tell what a "
+               "height does, so they were not used.")
+    off, effect = off_plane(control, others.ground)
+    far = effect > MEASURED
+    if far.any():
+        yield (f"{counted(int(far.sum()), 'other point')} {'is' if far.sum() == 1 else 'are'} up "
+               f"to {_rounded(off.max())} m above or below their plane. What this does in the "
+               f"image is not known: some {_rounded(effect.max())} px, as views usually are.")
+
+
+def _rounded(size: float) -> str:
+    return f"{size:.2g}" if size < 100 else f"{float(f'{size:.2g}'):,.0f}"
 
 
 def _on_twins(both: Points, independent: Points) -> Iterator[str]:

@@ -12,6 +12,7 @@ from termsel.criteria import Criterion
 from termsel.display import Glance
 from termsel.errors import TermselError
 from termsel.guard.faults import blamed
+from termsel.measurements.control import Control, carriers
 from termsel.measurements.datasets import DatasetSpec
 from termsel.measurements.features import FeatureSet
 from termsel.measurements.roles import Observations, check_as_control, parsed_shares
@@ -20,6 +21,7 @@ from termsel.measurements.scaling import Scaling, scaling_of
 from termsel.models.base import SensorModel, require_heights
 from termsel.plugins.registry import registry
 from termsel.problems.base import Inputs, Problem
+from termsel.problems.constraints import without_heights
 from termsel.problems.parameters import ParameterProblem
 from termsel.problems.recipes import Recipe
 from termsel.runs.task.enough import require_enough
@@ -142,11 +144,16 @@ def all_control(setup: Setup) -> bool:
 def scale(setup: Setup, observations: Observations) -> tuple[Scaling, Inputs]:
     """Return the scaling of the control, and what a problem is made of in scaled coordinates."""
     scaling = scaling_of(observations.control)
+    model = setup.model.prepared(scaling, setup.features.crs)
+    options = dict(setup.options["problem"])
+    # Check points with relief do not help control without.
+    if model.uses_height and (not observations.heights or carriers(
+            Control(observations.control, scaling, False))):
+        options |= without_heights(model.terms, options)
     return scaling, Inputs(
-        setup.model.prepared(scaling, setup.features.crs),
-        scaling.features(observations.control), scaling.points(observations.check),
-        scaling.image_scale, setup.criterion, dict(setup.options["problem"]),
-        objectives_of(setup.options["problem"].get("objectives"), setup.criterion))
+        model, scaling.features(observations.control), scaling.points(observations.check),
+        scaling.image_scale, setup.criterion, options,
+        objectives_of(options.get("objectives"), setup.criterion))
 
 
 def build(setup: Setup, observations: Observations, scaling: Scaling,
