@@ -254,8 +254,7 @@ class Fit(Glance):
         ground : array_like
             As for `project`.
         measured : bool
-            Whether to add the noise of a measurement at the place, with which measured minus
-            predicted is compared. The noise is taken to be that of the control.
+            Whether to add the noise of a measurement at the place, taken to be the control's.
 
         Returns
         -------

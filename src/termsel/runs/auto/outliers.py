@@ -9,7 +9,7 @@ import numpy as np
 from termsel.candidates.base import Judged
 from termsel.candidates.blunders import MOST, find_blunders, judge_others
 from termsel.candidates.contradictions import Division, Suspects
-from termsel.candidates.portfolio import EXACT, Portfolio
+from termsel.candidates.portfolio import Portfolio
 from termsel.measurements.control import MEASURED, Control, off_plane
 from termsel.measurements.features import BoolArray, FeatureSet, Points, select
 from termsel.measurements.roles import Observations, leave_out
@@ -46,20 +46,18 @@ def without_blunders(observations: Observations, portfolio: Portfolio,
 def _without_carriers(observations: Observations,
                       ) -> tuple[Observations, list[Outlier], list[str]]:
     """Return the observations without features that alone are off a plane, and what is said."""
-    both, names = observations.pool.features, observations.carriers
-    used = ~np.isin(both.ids, names)
-    if used.all() or used.sum() <= EXACT:
+    names = with_twins(observations.together.points, observations.carriers).union(
+        observations.carriers)
+    both = observations.pool.features
+    used = ~np.isin(both.ids, list(names))
+    test = None if used.all() else Division(observations.pool, used).test()
+    if test is None:
         return observations, [], []
-    test = Division(observations.pool, used).test()
-    errors = {name: float(test.errors[i]) if test else float("nan")
-              for i, name in enumerate(both.ids) if not used[i]}
-    outliers = [_outlier(name, observations, error, excluded=True)
-                for name, error in errors.items()]
-    listed = ", ".join(f"{name} ({error:.3g} px)" if test else name
-                       for name, error in errors.items())
-    return leave_out(observations, [
-        *with_twins(observations.together.points, errors), *errors]), outliers, [
-            f"Left out for {'its height' if len(errors) == 1 else 'their heights'}: {listed}."]
+    found = [_outlier(both.ids[i], observations, float(test.errors[i]), excluded=True)
+             for i in np.flatnonzero(~used)]
+    listed = ", ".join(f"{one.id} ({one.error:.3g} px)" for one in found)
+    return leave_out(observations, names), found, [
+        f"Left out for {'its height' if len(found) == 1 else 'their heights'}: {listed}."]
 
 
 def _outlier(name: str, observations: Observations, error: float, *, excluded: bool) -> Outlier:
