@@ -142,9 +142,9 @@ READ = {"points": 60, "lines": 0, "without_height": 0, "place": "47.4 N, 11.0 E"
         "Read: points.csv: 60 points (2 without a height); EPSG:4979 near 47.4 N, 11.0 E.",
         "Control: 24 points; 12 check points; 9 independent points. Left out: 2 without a "
         "height."]),
-    ({"points": 0, "lines": 40, "place": "", "left_out": {"by the role off": ["L1"]}}, [
+    ({"points": 0, "lines": 40, "place": "", "left_out": {"marked off": ["L1"]}}, [
         "Read: points.csv: 40 lines; EPSG:4979.",
-        "Control: 24 points; 12 check points; 9 independent points. Left out: 1 by the role off."]),
+        "Control: 24 points; 12 check points; 9 independent points. Left out: 1 marked off."]),
     ({"doubt": "x and y look swapped: they do"}, [
         "Next: x and y look swapped: check them before anything else."])])
 def test_what_was_read_comes_first(read: dict[str, Any], lines: list[str]) -> None:
@@ -176,7 +176,7 @@ def test_the_opening_stays_short_whatever_names_there_are() -> None:
     lines = opening(**many, data=data(
         source="/very/long/" + "name" * 70, crs="EPSG:25832+7837",
         read={**READ, "lines": 120, "without_height": 12,
-              "left_out": {"without a height": ["A"] * 12, "by the role off": ["B"]}}))
+              "left_out": {"without a height": ["A"] * 12, "marked off": ["B"]}}))
     assert len(lines) <= 8
     assert max(map(len, lines)) <= 88
     assert "Blunders: 9 found, 4 of them in use; see the list below." in lines

@@ -50,8 +50,7 @@ def run(verbose: bool, **given: Any) -> None:
     # A name that is not known is said before a long search.
     exported, page = asked.exported(), asked.page()
     features, options = asked.read()
-    title = asked.problem or running.problem_for(features, asked.dataset)
-    with search_bar(title, asked.quiet) as observe:
+    with search_bar(asked.problem or asked.solver or "auto", asked.quiet) as observe:
         result = running.run(
             asked.problem, strategy=asked.strategy, features=features, dataset=asked.dataset,
             source=asked.source, model=asked.model, solver=asked.solver,

@@ -130,7 +130,7 @@ def run(
         options=options)
     if problem is None:
         request = replace(request, problem=problem_for(features, dataset))
-    shown = notebook_observer(task.recipe.name if task else str(request.problem))
+    shown = notebook_observer(task.recipe.name if task else str(problem or "auto"))
     if shown is not None:
         observers = (*observers, shown)
     if task is None:

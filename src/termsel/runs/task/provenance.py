@@ -41,7 +41,7 @@ def _read(setup: Setup, observations: Observations) -> WhatWasRead:
                              *read.lines.features) if name not in stay]
     control, idle = observations.control, set(observations.off).difference(off)
     why = {"without a height": setup.blank,
-           "by the role off": [name for name in off if name not in setup.blank],
+           "marked off": [name for name in off if name not in setup.blank],
            "points, as lines are the control": [
                name for name in points.ids if name in idle and not len(control.points)],
            "lines, as points are the control": () if len(control.lines) else
