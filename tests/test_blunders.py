@@ -70,18 +70,21 @@ def test_blunders_do_not_spoil_the_accuracy_and_are_told() -> None:
         (ids[control], "control", "point", True), (ids[check], "check", "point", True),
         (ids[independent], "independent", "point", False)]
     assert [one.error for one in spoilt.outliers] == pytest.approx([30.0, 25.0, 40.0], abs=2.5)
+    assert {one.certainty for one in spoilt.outliers} == {"certain"}
     assert before.outliers == ()
-    left_out, contradicting = spoilt.notes
-    assert left_out.startswith(f"Left out as blunders: {ids[control]} (")
-    assert f"), {ids[check]} (" in left_out
-    assert contradicting.startswith(f"Independent points that contradict all others: "
-                                    f"{ids[independent]} (")
+    assert spoilt.notes == before.notes == ()
+    said, = (line for line in spoilt.summary().splitlines() if line.startswith("Blunders: "))
+    assert said.startswith(f"Blunders: {ids[control]} (")
+    assert said.count(" px") == 3
+    assert f"; {ids[independent]} (" in said
+    assert f"leave it out by --off {ids[independent]}." in " ".join(spoilt.summary().split())
     independent_rmse, plain = spoilt.rmse["independent"], before.rmse["independent"]
     assert independent_rmse is not None
     assert plain is not None
-    assert independent_rmse.total > 5 * plain.total  # it counts, and the note says what without
-    without = float(contradicting.rpartition(" is ")[2].removesuffix(" px."))
-    assert without == pytest.approx(plain.total, rel=0.1)
+    assert independent_rmse.total > 5 * plain.total  # it counts, and is told without
+    assert spoilt.accuracy_without is not None
+    assert before.accuracy_without is None
+    assert spoilt.accuracy_without.image.total == pytest.approx(plain.total, rel=0.1)
     assert spoilt.strategy is not None
     assert before.strategy is not None
     assert spoilt.strategy.predicted == pytest.approx(before.strategy.predicted, rel=0.1)
@@ -189,15 +192,6 @@ def test_roles_are_assigned_from_twelve_points_on_and_where_shares_are_given() -
         result = termsel.run("rfm-terms", features=features, options=options)
         assert result.data.counts.independent > 0
         assert not any("all points are control" in note for note in result.notes)
-
-
-def test_a_search_names_its_blunders_too() -> None:
-    result = termsel.run("owdis-lines", seed=1, generations=30)
-    doubts = result.diagnosis.doubts
-    assert doubts is not None
-    assert {one.id: one.error for one in result.outliers} == dict(doubts.wrong)
-    assert {one.id for one in result.outliers if not one.excluded} == set(doubts.in_use)
-    assert {one.kind for one in result.outliers} == {"line"}
 
 
 def test_no_others_are_not_judged() -> None:

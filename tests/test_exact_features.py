@@ -285,7 +285,7 @@ def test_what_cannot_be_asked_for_is_refused(options: dict, message: str) -> Non
 def test_too_many_features_are_refused() -> None:
     with pytest.raises(termsel.TermselError, match="selections of 150 features cannot be"):
         termsel.run("owdis-lines", solver="exact", features=termsel.simulate_scene(
-            "ikonos-hamedan", n_lines=150))
+            "ikonos-hamedan", n_lines=150), options={"blunders": "keep"})
 
 
 def test_the_command_line_proves_m_of_n(call: Callable[..., SimpleNamespace]) -> None:

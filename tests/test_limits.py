@@ -13,7 +13,7 @@ from termsel.adjustment.equations import Equations
 from termsel.adjustment.monomials import RPC00B, monomial_name
 from termsel.adjustment.solve import solve
 from termsel.errors import TermselError, unknown_name
-from termsel.fits.diagnosis import doubts, significance
+from termsel.fits.diagnosis import significance
 from termsel.fits.figures import in_role
 from termsel.fits.fit import Fit
 from termsel.fits.least_squares import LEAST_SQUARES
@@ -152,19 +152,6 @@ def test_a_fit_to_control_and_check_cannot_be_repeated_with_the_control_alone() 
         shown.leave_one_out_rmse()
     own = fitted(observations.control)
     assert in_role(own, observations) is own
-
-
-def test_blunders_in_use_and_features_to_spare() -> None:
-    given = points(30, noise=0.5)
-    image = given.image.copy()
-    image[[3, 5]] += 40.0
-    used = np.arange(30) < 27
-    used[5] = False
-    found = doubts(fitted(FeatureSet(replace(given, image=image)), used))
-    assert found is not None
-    assert {"P3", "P5"} == set(found.wrong)
-    assert found.in_use == ("P3",)
-    assert found.spare == ("P27", "P28", "P29")
 
 
 def test_significance_is_two_sided() -> None:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -22,11 +21,11 @@ from termsel.measurements.scaling import scaling_of
 from termsel.models.base import SensorModel
 from termsel.models.polynomial import Affine, Polynomial2D
 from termsel.models.rational import RationalFunctions
-from termsel.runs.auto import outliers
 from termsel.runs.auto import strategy as auto
 from termsel.runs.judgement.judge import notes_on
 from termsel.runs.search import steps
 from termsel.runs.search.recommend import recommended
+from termsel.runs.task import verdict
 from termsel.solvers.search import Search
 
 GRID = np.array([(x, y, 0.3 * (x - y) ** 2) for x in range(5) for y in range(5)], dtype=float)
@@ -334,42 +333,20 @@ def test_check_points_beyond_half_the_relief_of_the_control(
     assert list(warnings_of(FeatureSet(at(flat)), ALL, check)) == []
 
 
-def suspected(n: int, blunders: Iterable[int] = (), undecided: Iterable[int] = (),
-              scale: float = 1.0, probable: Iterable[int] = ()) -> list[str]:
-    """Notes on points of which some are suspected; the errors are 10 px and more."""
+def limits(n: int, scale: float = 1.0) -> list[str]:
     points = at(np.random.default_rng(0).uniform(0, 10, (n, 3)))
-    at_blunders, at_probable, at_undecided = (np.isin(np.arange(n), list(which))
-                                              for which in (blunders, probable, undecided))
-    found = Suspects(at_blunders, at_probable, at_undecided, 10.0 + np.arange(n),
-                     scale * (1.0 + np.arange(n)))
-    return list(outliers._notes(FeatureSet(points), found))
+    none = np.zeros(n, dtype=bool)
+    found = Suspects(none, none, none, 10.0 + np.arange(n), scale * (1.0 + np.arange(n)))
+    return list(verdict._limits(FeatureSet(points), found))
 
 
-LEFT_OUT = ("Left out as blunders: {}. In brackets: how far the other points predict them from "
-            "where they were measured.")
-PROBABLE = ("Left out as probable blunders: {}. They are more likely wrong than right, but not for "
-            "certain. Look at them in the image.")
-UNDECIDED = ("Perhaps blunders, still in use: {}. The other points are too few or too far to tell.")
-
-
-@pytest.mark.parametrize(("found", "notes"), [
-    (suspected(17), []),
-    (suspected(16), ["With 16 points an error must exceed 8.5 px to be found for certain at "
-                     "half of them, and 16 px at {15}."]),
-    (suspected(16, scale=100.0), [
-        "With 16 points no blunder can be found for certain: any may be one."]),
-    (suspected(17, [2]), [LEFT_OUT.format("{2} (12 px)")]),
-    (suspected(17, [2, 5]), [LEFT_OUT.format("{5} (15 px), {2} (12 px)")]),
-    (suspected(17, [], [3]), [UNDECIDED.format("{3} (13 px)")]),
-    (suspected(17, [2, 4], [], 1.0, [4]), [LEFT_OUT.format("{2} (12 px)"),
-                                           PROBABLE.format("{4} (14 px)")]),
-    (suspected(17, [4], [], 1.0, [4]), [PROBABLE.format("{4} (14 px)")
-                                        + LEFT_OUT.partition(".")[2]]),
-    (suspected(17, [2], [3]), [LEFT_OUT.format("{2} (12 px)"), UNDECIDED.format("{3} (13 px)")])])
-def test_suspected_points_are_told(found: list[str], notes: list[str]) -> None:
-    ids = at(np.random.default_rng(0).uniform(0, 10, (17, 3))).ids
-    assert found == [re.sub(r"\{(\d+)\}", lambda index: ids[int(index[1])], note)
-                     for note in notes]
+def test_few_points_are_told_what_cannot_be_found() -> None:
+    assert limits(17) == []
+    last = at(np.random.default_rng(0).uniform(0, 10, (16, 3))).ids[15]
+    assert limits(16) == ["With 16 points an error must exceed 8.5 px to be found for certain at "
+                          f"half of them, and 16 px at {last}."]
+    assert limits(16, scale=100.0) == [
+        "With 16 points no blunder can be found for certain: any may be one."]
 
 
 def of_auto(model: SensorModel, errors: FloatArray | None, *, flat: bool = False) -> list[str]:

@@ -13,11 +13,8 @@ from scipy import stats
 
 import termsel
 from termsel.adjustment.equations import line_normals
-from termsel.fits.diagnosis import correlations, doubts, orientation_spread, significance
-from termsel.fits.least_squares import fit
+from termsel.fits.diagnosis import correlations, orientation_spread, significance
 from termsel.measurements.features import Lines
-from termsel.measurements.scaling import scaling_of
-from termsel.models.polynomial import Polynomial3D
 from termsel.models.rpc import Rpc
 from termsel.runs.search import steps
 from termsel.runs.search.steps import search_in_steps
@@ -31,40 +28,13 @@ def run(problem: str = "owdis-lines", **options: object) -> termsel.Result:
 
 
 def test_blunders_are_told_from_lines_not_needed() -> None:
-    result = termsel.run("owdis-lines", options={"population": 100})
-    found = doubts(result.fit)
-    assert found is not None
-    errors = np.linalg.norm(result.fit.line_errors(), axis=2).max(axis=1)
-    for name, error in zip(result.fit.control.ids, errors, strict=True):
-        assert (name in found.wrong) == (error > 3 * found.sigma)
-        assert (name in found.spare) == (error <= 3 * found.sigma
-                                         and name not in result.selection.features)
+    result = run(population=100)
     # Eight lines of the scene are matched wrongly, by several pixels.
-    assert {"L005", "L006", "L027", "L049", "L050", "L086", "L098", "L099"} <= set(found.wrong)
-    assert 0.5 * 0.7 < found.sigma < 2.0 * 0.7
-    assert result.to_dict()["doubts"]["wrong"] == dict(found.wrong)
-
-
-def test_features_are_doubted_by_their_own_deviation() -> None:
-    """Every third point is ten times less exact, and says so; one more is wrong."""
-    scene = termsel.simulate_scene("ikonos-hamedan", n_points=150, n_lines=0, noise=0.3)
-    control = scene.points.take(np.array(scene.points.roles) == "control")
-    n, rng = len(control), np.random.default_rng(1)
-    sigma = np.where(np.arange(n) % 3 == 0, 3.0, 0.3)[:, None] * [1, 1]
-    image = control.image + rng.normal(0, 1, (n, 2)) * np.where(sigma > 1, sigma, 0)
-    image[1] += 6.0
-    points = termsel.Points(control.ids, image, control.ground, sigma)
-    features = termsel.FeatureSet(points, crs=scene.crs)
-    used = (np.arange(n) % 3 != 0) & (np.arange(n) != 1)
-    found = doubts(fit(Polynomial3D(), features, scaling_of(features), used=used))
-    assert found is not None
-    assert list(found.wrong) == [control.ids[1]]
-    assert 0.2 < found.sigma < 0.5
-    assert len(found.spare) == n - used.sum() - 1
-
-
-def test_nothing_is_doubted_where_all_is_in_use() -> None:
-    assert doubts(termsel.run("poly-terms", generations=1, options=QUICK).fit) is None
+    wrong = {"L005", "L006", "L027", "L049", "L050", "L086", "L098", "L099"}
+    assert {one.id for one in result.outliers} == wrong
+    spare = set(result.fit.control.ids) - set(result.selection.features) - wrong
+    assert f"Left out though they fit: {len(spare)}; they were not needed." in result.summary()
+    assert all(one["certainty"] == "certain" for one in result.to_dict()["outliers"])
 
 
 def test_forced_features_and_given_terms() -> None:
@@ -275,10 +245,9 @@ def test_blunders_of_real_geometry_are_found(data_folder: Path, scene: str,
     error = np.abs(np.einsum("ia,iva->iv", normal, image) - rho[:, None]).max(axis=1)
     displaced = {name for name, one in zip(features.lines.ids, error, strict=True) if one > 3}
     result = termsel.run("owdis-lines-terms", features=features)
-    found = doubts(result.fit)
-    assert found is not None
-    assert len(displaced & set(found.wrong)) >= 0.9 * len(displaced) > 10
-    assert len(set(found.wrong) - displaced) <= 3
+    found = {one.id for one in result.outliers}
+    assert len(displaced & found) >= 0.9 * len(displaced) > 10
+    assert len(found - displaced) <= 3
     assert result.rmse["independent"].total < 1.1 * {"ventoux_lines": 1.33,
                                                      "ikonos_lines": 0.96}[scene]
 

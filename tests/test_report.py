@@ -257,7 +257,8 @@ def test_one_blunder_does_not_flatten_all_bars(errors: list[float], broken: set[
     from termsel.report.charts import bars
 
     view: Any = SimpleNamespace(worst=[
-        {"id": f"F{i}", "role": "control", "distance": error, "blunder": i == 0 and error > 9}
+        {"id": f"F{i}", "role": "control", "distance": error,
+         "blunder": "certain" * (i == 0 and error > 9)}
         for i, error in enumerate(errors)])
     shown = max(rows_of(bars.worst_bars(view)).values(), key=len, default=[])
     assert {row["id"] for row in shown if row.get("broken")} == broken

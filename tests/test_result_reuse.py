@@ -128,7 +128,7 @@ def test_residuals_are_a_table_for_pandas_and_features_for_geopandas() -> None:
     result = example_results()[0]
     table = pandas.DataFrame(result.residuals)
     assert list(table.columns) == ["id", "kind", "role", "used", "line", "sample", "x", "y", "z",
-                                   "distance"]
+                                   "distance", "blunder"]
     assert len(table) == 60
     independent = table[table.role == "independent"]
     assert np.sqrt((independent.distance**2).mean()) == pytest.approx(

@@ -80,6 +80,8 @@ def but_independent(result: termsel.Result) -> dict:
     # The final fit is made after all figures, and takes independent points on purpose.
     for varying in ("judgement", "seconds", "accuracy", "final", "exported"):
         record.pop(varying)
+    record.pop("accuracy_without", None)
+    record["outliers"] = [one for one in record["outliers"] if one["role"] != "independent"]
     record["data"].pop("sha256")
     record["notes"] = [note for note in record["notes"] if "independent RMSE" not in note
                        and "independent points contradict" not in note]

@@ -14,6 +14,12 @@ from termsel.report.answers import document
 from termsel.report.text import text_of
 
 
+def outlier(name: str, error: float, excluded: bool, certainty: str = "certain",
+            role: str = "control") -> dict[str, Any]:
+    return {"id": name, "kind": "point", "role": role, "error": error, "certainty": certainty,
+            "excluded": excluded}
+
+
 def rmse(total: float | None, n: int = 10) -> dict[str, Any]:
     return {"line": total, "sample": total, "total": total, "n": 0 if total is None else n}
 
@@ -57,7 +63,7 @@ def record(**changed: Any) -> dict[str, Any]:
         "polish": None, "adjustment": {
             "equations": 48, "terms": 2, "redundancy": 46, "rank": 2, "condition": None,
             "sigma0": None, "orientation_spread": None}, "objectives": {"press": 1.0},
-        "significance": {}, "correlations": [], "doubts": None, "outliers": [],
+        "significance": {}, "correlations": [], "outliers": [],
         "versions": {"termsel": "9.9"}}
     return {**plain, **changed}
 
@@ -118,7 +124,7 @@ def test_the_page_of_an_ordinary_search() -> None:
         "the search minimised press; independent = the accuracy",
         "",
         "Which points or lines are bad?",
-        "No feature is a probable blunder.",
+        "No feature is a blunder, as far as the others tell.",
         "",
         "What was selected, and why?",
         "Selected: all 2 control features, all 2 terms; redundancy 46",
@@ -170,9 +176,7 @@ def test_the_answer_comes_first(changed: dict[str, Any], line: str) -> None:
 
 
 def test_the_opening_stays_short_whatever_names_there_are() -> None:
-    many = {"outliers": [
-        {"id": f"{i}" * 200, "kind": "point", "role": "control", "error": 1e6 / (i + 1),
-         "excluded": i % 2 == 0} for i in range(9)]}
+    many = {"outliers": [outlier(f"{i}" * 200, 1e6 / (i + 1), i % 2 == 0) for i in range(9)]}
     lines = opening(**many, data=data(
         source="/very/long/" + "name" * 70, crs="EPSG:25832+7837",
         read={**READ, "lines": 120, "without_height": 12,
@@ -393,40 +397,57 @@ def test_a_long_front_is_counted(size: int) -> None:
     assert len(lines) == (2 if size > 40 else 42)
 
 
-def blunders(*named: tuple[str, float, bool], sigma: float | None = 0.5,
-             spare: tuple[str, ...] = ()) -> dict[str, Any]:
-    found = [{"id": name, "kind": "point", "role": "control", "error": error, "excluded": excluded}
-             for name, error, excluded in named]
-    return {"outliers": found, "doubts": None if sigma is None else {
-        "sigma": sigma, "wrong": {}, "in_use": [], "spare": list(spare)}}
+IMAGE = {"n": 9, "line": 3.0, "sample": 4.0, "total": 5.0, "maximum": 9.0, "ce90": 8.0}
+ACCURACY = {"image": IMAGE, "ground": None, **{
+    name: {"value": None, "reason": "too few"} for name in ("nssda", "asprs")}}
 
 
-@pytest.mark.parametrize(("changed", "line", "lines"), [
-    (blunders(), "none found.", []),
-    (blunders(("P1", 4.0, True), ("P2", 9.0, True)), "P2 (9 px), P1 (4 px) left out.", [
-        "2 probable blunders (beyond 3 sigma, 1.5 px): point P2, 9 px, left out; point P1, 4 px,",
-        "left out."]),
-    (blunders(("P2", 9.0, True), sigma=None), "P2 (9 px) left out.", [
-        "1 probable blunder: point P2, 9 px, left out."]),
-    (blunders(("P1", 4.0, False), ("P2", 9.0, True)),
-     "P2 (9 px) left out; P1 (4 px) in use: leave it out by --off P1.", [
-        "2 probable blunders (beyond 3 sigma, 1.5 px): point P2, 9 px, left out; point P1, 4 px,",
-        "in use.", "Leave out those in use by --off P1 and run again."]),
-    (blunders(("P1", 4.0, False), ("P2", 9.0, False)),
-     "P2 (9 px), P1 (4 px) in use: leave them out by --off P2,P1.", [
-        "2 probable blunders (beyond 3 sigma, 1.5 px): point P2, 9 px, in use; point P1, 4 px, in",
-        "use.", "Leave out those in use by --off P2,P1 and run again."]),
-    (blunders(*((f"P{i}", 9.0 - i, True) for i in range(5)), sigma=None),
-     "P0 (9 px), P1 (8 px), P2 (7 px) and 2 more left out.", [
-        "5 probable blunders: point P0, 9 px, left out; point P1, 8 px, left out; point P2, 7 px,",
-        "left out; point P3, 6 px, left out; point P4, 5 px, left out."]),
-    (blunders(spare=("P3", "P4")), "none found.", [
-        "Left out though they fit: 2; they were not needed."])])
-def test_probable_blunders(changed: dict[str, Any], line: str, lines: list[str]) -> None:
-    assert f"Blunders: {line}" in opening(**changed)
-    assert added(**changed) == lines
-    # A short summary has a list where the opening has not all.
-    assert (lines[0] in text(False, **changed) if lines else False) == ("more" in line)
+@pytest.mark.parametrize(("outliers", "line"), [
+    ([], "none found."),
+    ([outlier("P2", 9.0, True), outlier("P1", 4.0, True)], "P2 (9 px), P1 (4 px) left out."),
+    ([outlier("P2", 9.0, True), outlier("P1", 4.0, False)],
+     "P2 (9 px) left out; P1 (4 px) in use: leave it out by --off P1."),
+    ([outlier("P1", 4.0, False, "probable", "check"), outlier("P 2", 9.0, False)],
+     "P 2 (9 px), P1 (4 px, probable) in use: leave them out by --off 'P1,P 2'."),
+    ([outlier("P3", 3.0, False, "possible")], "P3 (3 px, possible) in use."),
+    ([outlier(f"P{i}", 9.0 - i, True) for i in range(5)],
+     "P0 (9 px), P1 (8 px), P2 (7 px) and 2 more left out."),
+    ([outlier("P7", 80.0, False, role="independent")],
+     "P7 (80 px) contradicts all others: leave it out by --off P7.")])
+def test_the_opening_tells_the_verdict(outliers: list[dict[str, Any]], line: str) -> None:
+    assert f"Blunders: {line}" in opening(outliers=outliers)
+    # A short summary has the table where the opening has not all.
+    assert ("Features that contradict" in text(False, outliers=outliers)) == ("more" in line)
+    assert ("Features that contradict" in text(outliers=outliers)) == bool(outliers)
+
+
+def test_the_accuracy_is_told_with_and_without_an_independent_blunder() -> None:
+    less = {**ACCURACY, "image": {**IMAGE, "n": 8, "total": 0.5}}
+    told = {"accuracy": ACCURACY, "accuracy_without": less,
+            "outliers": [outlier("P7", 80.0, False, role="independent")]}
+    assert "Accuracy: 5 px (RMSE of 9 independent points); 0.5 px without P7." in opening(**told)
+    found = " ".join(page(**told))
+    assert ("RMSE 5 px on 9 independent points (90 % interval 3.95 to 6.92 px). Without P7: RMSE "
+            "0.5 px on 8 independent points (90 % interval") in found
+    assert "8 independent points, without P7" in found
+
+
+def test_certain_and_probable_blunders_are_told_apart() -> None:
+    found = page(outliers=[outlier("P2", 9.0, True),
+                           outlier("P1", 4.0, False, "probable", "check"),
+                           outlier("P3", 3.0, False, "possible")])
+    at = found.index("feature   kind     role  error [px]           verdict       use")
+    assert [line.split() for line in found[at + 1:at + 4]] == [
+        ["P2", "point", "control", "9", "blunder", "left", "out"],
+        ["P1", "point", "check", "4", "probable", "blunder", "in", "use"],
+        ["P3", "point", "control", "3", "possible", "blunder", "in", "use"]]
+    assert any(line.startswith("A probable blunder is more likely wrong than") for line in found)
+    assert any(line.startswith("A possible blunder lies where the others are") for line in found)
+
+
+def test_features_that_were_not_needed_are_counted() -> None:
+    assert added(data=data(roles={**record()["data"]["roles"], "control": ["A", "B", "C", "D"]})) \
+        == ["Left out though they fit: 2; they were not needed."]
 
 
 @pytest.mark.parametrize(("p", "lines"), [

@@ -124,7 +124,7 @@ def _errors(fitted: Fit, features: FeatureSet) -> FloatArray:
 
 
 def judge_others(chosen: Judged, heights: bool, others: Points) -> Suspects | None:
-    """Return which of other points, that took no part, contradict all control.
+    """Return which of other points, that took no part, contradict all others, control or not.
 
     The choice is that for control without blunders, with heights or not. None as for
     `find_blunders`, or without other points.
@@ -133,14 +133,18 @@ def judge_others(chosen: Judged, heights: bool, others: Points) -> Suspects | No
     if not len(others):
         return None
     every = Control.of(control.with_(points=control.points.join(others)), heights)
-    used = np.ones(len(every), dtype=bool)
-    used[count:count + len(others)] = False
-    test = Division(every, used).test()
-    if test is None:
+    there = np.zeros(len(every), dtype=bool)
+    there[count:count + len(others)] = True
+    whole = Division(every, ~np.zeros_like(there)).shrunken_test()
+    if whole is None:
         return None
-    far = test.far(len(others)) & ~_predicted_by(chosen, every.features)
-    decided = test.decided()
-    return test.suspects(far & decided, np.zeros_like(far), far & ~decided, ~used)
+    # Where control is scarce, the others tell more than it does. They begin with those it predicts.
+    used = ~there | _predicted_by(chosen, every.features)
+    test = Division(every, used).shrunken_test()
+    used, test = _core(every, whole) if test is None else (used, test)
+    used, test = _settled(every, *_forward(every, used, test, whole))
+    blunders, decided = there & ~used, test.decided()
+    return test.suspects(blunders & decided, np.zeros_like(there), blunders & ~decided, there)
 
 
 def _core(control: Control, whole: Test) -> tuple[BoolArray, Test]:
@@ -186,15 +190,6 @@ def _weightless(control: Control) -> BoolArray | None:
     weightless = np.zeros(len(control), dtype=bool)
     weightless[equations.feature[weights == 0]] = True
     return weightless
-
-
-def suspicious(control: Control) -> bool:
-    """Return whether a search for blunders may find any: it takes longer than this look.
-
-    It finds none where each feature has some weight under a robust quadratic polynomial.
-    """
-    weightless = _weightless(control)
-    return weightless is None or bool(weightless.any())
 
 
 def _forward(control: Control, used: BoolArray, test: Test,

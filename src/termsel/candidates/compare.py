@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from termsel.candidates.base import Candidate
-from termsel.candidates.blunders import find_blunders, suspicious
 from termsel.candidates.portfolio import Choice, Portfolio, choose
 from termsel.candidates.structures import ROBUST
 from termsel.fits.figures import BOTH, Baseline, baseline, finite_or_none
 from termsel.fits.fit import Fit
 from termsel.measurements.control import Control
-from termsel.measurements.features import select
 from termsel.measurements.roles import Observations
 from termsel.models.rational import RationalFunctions
 
@@ -25,17 +24,26 @@ WITHOUT_BLUNDERS = "without-blunders"
 class Yardsticks:
     """What a selection is compared with."""
 
-    baselines: tuple[Baseline, ...]  # each fitted to control and check together
+    # Name, fit and RMSE by leave-one-out [px] of each, fitted to control and check together; where
+    # these do not determine it the number of its terms for the fit.
+    fits: tuple[tuple[str, Fit | int, float | None], ...]
     # Name of the one that `choose` takes for control and check, without a look at the independent
     # points; empty if none is determined.
     reference: str
     choice: Choice | None  # that choice
-    blunders: tuple[str, ...] = ()  # ids of features that it does without
+    blunders: int = 0  # features that it does without
 
     @property
     def candidate(self) -> Candidate | None:
         """The candidate that is chosen."""
         return self.choice.chosen.candidate if self.choice else None
+
+    def baselines(self, observations: Observations) -> tuple[Baseline, ...]:
+        """Return the figures of all fits for some observations."""
+        return tuple(
+            Baseline(name, fitted, BOTH, False, dict.fromkeys(("control", "check", "independent")))
+            if isinstance(fitted, int) else baseline(name, fitted, predicted, observations)
+            for name, fitted, predicted in self.fits)
 
 
 def compare(observations: Observations, choice: Choice | None = None,
@@ -57,7 +65,7 @@ def compare(observations: Observations, choice: Choice | None = None,
     fits: dict[str, tuple[Fit, float | None]] = {}
     if choice:
         fits = {one.name: (one.fit, finite_or_none(one.predicted)) for one in choice.judged}
-    baselines = []
+    rows: list[tuple[str, Fit | int, float | None]] = []
     for one in portfolio.candidates:
         if one in ROBUST:
             continue
@@ -68,34 +76,30 @@ def compare(observations: Observations, choice: Choice | None = None,
                                        or fitted.adjustment.redundancy > 0):
                 fits[one.name] = fitted, None
         if one.name in fits:
-            baselines.append(baseline(one.name, *fits[one.name], observations))
+            rows.append((one.name, *fits[one.name]))
         elif np.isfinite(size := portfolio.ask(one, "size", both.heights) or np.inf) \
                 and not one.for_few:
-            baselines.append(Baseline(one.name, int(size), BOTH, False, dict.fromkeys(
-                ("control", "check", "independent"))))
-    return Yardsticks(tuple(baselines), choice.chosen.name if choice else "", choice)
+            rows.append((one.name, int(size), None))
+    return Yardsticks(tuple(rows), choice.chosen.name if choice else "", choice)
 
 
-def compare_robustly(observations: Observations) -> Yardsticks:
+def compare_robustly(observations: Observations, blunders: Collection[str]) -> Yardsticks:
     """Return the built-in candidates, as `compare` does, and fits that blunders do not spoil.
 
-    These are M-estimators, and the candidate that is chosen once blunders are left out. Where there
-    are blunders, it is the reference.
+    These are M-estimators, and the candidate that is chosen without the blunders. Where there are
+    some, it is the reference.
     """
     both, portfolio = observations.pool, Portfolio()
     yardsticks = compare(observations, portfolio=portfolio)
-    fits = ((one, portfolio.ask(one, "fit_control", both)) for one in ROBUST
+    fits = ((one.name, portfolio.ask(one, "fit_control", both)) for one in ROBUST
             if one.model(both.heights))
-    yardsticks = replace(yardsticks, baselines=(*yardsticks.baselines, *(
-        baseline(one.name, fitted, None, observations) for one, fitted in fits
-        if fitted is not None and fitted.adjustment.redundancy >= 1)))
-    suspects = find_blunders(both, portfolio) if suspicious(both) else None
-    if suspects is None or not suspects.blunders.any():
-        return yardsticks
-    choice = choose(both.take(~suspects.blunders), portfolio)
+    rows = (*yardsticks.fits, *(
+        (name, fitted, None) for name, fitted in fits
+        if fitted is not None and fitted.adjustment.redundancy >= 1))
+    out = np.isin(both.features.ids, list(blunders))
+    choice = choose(both.take(~out), portfolio) if out.any() else None
     if choice is None:
-        return yardsticks
+        return replace(yardsticks, fits=rows)
     chosen = choice.chosen
-    return Yardsticks((*yardsticks.baselines, baseline(
-        WITHOUT_BLUNDERS, chosen.fit, chosen.predicted, observations)), WITHOUT_BLUNDERS, choice,
-        select(both.features.ids, suspects.blunders))
+    return Yardsticks((*rows, (WITHOUT_BLUNDERS, chosen.fit, chosen.predicted)),
+                      WITHOUT_BLUNDERS, choice, int(out.sum()))

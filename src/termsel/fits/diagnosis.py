@@ -1,4 +1,4 @@
-"""What a fit says about its terms and about the features it was offered."""
+"""What a fit says about its terms and its lines."""
 
 from __future__ import annotations
 
@@ -9,13 +9,9 @@ import numpy as np
 from scipy.special import stdtr, stdtrit
 
 from termsel.adjustment.equations import line_normals
-from termsel.adjustment.lines import relative_deviations
 from termsel.fits.fit import Fit
 from termsel.measurements.features import FloatArray, Lines, select
-from termsel.record.figures import Doubts, Significance
-
-BEYOND = 3.0
-"""Standard deviations beyond which a measurement is called a probable blunder."""
+from termsel.record.figures import Significance
 
 NORMAL_MEDIAN = 0.6745
 """Median absolute value of a standard normal variable."""
@@ -28,34 +24,6 @@ SIGNIFICANT = 0.05
 
 PARALLEL = 0.05
 """Orientation spread from which on lines fix both image axes; that of lines within 13 degrees."""
-
-
-def doubts(fit: Fit) -> Doubts | None:
-    """Return which features are probable blunders, and which merely were not needed.
-
-    The error of a point is the larger of those in line and sample, that of a line the largest
-    distance of a projected vertex from the image line. Yavari et al. 2018 remark that OWDIS leaves
-    blunders out; to tell them from superfluous ones is termsel's own. None where all features are
-    in use.
-    """
-    if fit.used.all():
-        return None
-    points, lines = fit.control.points, fit.control.lines
-    rows = np.abs(fit.errors(points))
-    if len(lines):
-        rows = np.concatenate([rows, np.linalg.norm(fit.line_errors(), axis=2)])
-    feature = fit.control.feature
-    errors, relative = np.zeros((2, len(fit.control)))
-    np.maximum.at(errors, feature, rows.max(axis=1))
-    rows /= relative_deviations(fit.control)
-    np.maximum.at(relative, feature, rows.max(axis=1))
-    left = fit.adjustment.redundancy / fit.adjustment.n_equations
-    enlarged = rows / np.sqrt(np.where(fit.used[feature], max(left, 0.1), 1.0))[:, None]
-    sigma = float(np.median(enlarged)) / NORMAL_MEDIAN
-    beyond = relative > BEYOND * sigma
-    ids = fit.control.ids
-    return Doubts(sigma, {ids[i]: float(errors[i]) for i in np.flatnonzero(beyond)},
-                  select(ids, beyond & fit.used), select(ids, ~beyond & ~fit.used))
 
 
 def significance(fit: Fit) -> dict[str, Significance]:
@@ -92,7 +60,7 @@ def correlations(fit: Fit) -> Iterator[tuple[str, str, float]]:
 
 @dataclass(frozen=True, eq=False)
 class Diagnosis:
-    """What a fit says about its terms and about the features it was offered.
+    """What a fit says about its terms and its lines.
 
     Significance is by the name of each term in use, correlations are pairs of terms as
     `correlations` yields them, and the orientation spread is of the lines in use; None without
@@ -101,14 +69,13 @@ class Diagnosis:
 
     significance: Mapping[str, Significance]
     correlations: tuple[tuple[str, str, float], ...]
-    doubts: Doubts | None
     orientation_spread: float | None
 
 
 def diagnose(fit: Fit) -> Diagnosis:
     """Return the diagnosis of a fit."""
     lines = fit.control.take(fit.used).lines
-    return Diagnosis(significance(fit), tuple(correlations(fit)), doubts(fit),
+    return Diagnosis(significance(fit), tuple(correlations(fit)),
                      orientation_spread(lines) if len(lines) else None)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,7 +11,7 @@ from termsel.fits.fit import GIVEN, Fit
 from termsel.fits.residuals import Residuals, Rmse, control_residuals, point_residuals
 from termsel.measurements.roles import Observations
 from termsel.record.base import Role
-from termsel.record.figures import BaselineRow, RmseByRole, RoleRmse
+from termsel.record.figures import BaselineRow, Outlier, RmseByRole, RoleRmse
 
 ROLES = ("control", "check", "independent")
 
@@ -109,17 +109,23 @@ def figures(fitted: Fit, observations: Observations) -> dict[str, Rmse | None]:
     return found
 
 
-def residuals_of(chosen: Fit, observations: Observations, *,
+def residuals_of(chosen: Fit, observations: Observations, outliers: Iterable[Outlier] = (), *,
                  check_used: bool = False,
                  independent_used: Collection[str] = ()) -> Residuals:
     """Return the residuals of all features that have a role, of a fit to the control.
 
-    Whether check points, and the ids of which independent points, took part in the adjustment too.
+    Outliers are told, and those that lost their role are among them. Whether check points, and the
+    ids of which independent points, took part in the adjustment too.
     """
     check, independent = observations.check, observations.independent
-    return Residuals((
+    certainty = {one.id: one.certainty for one in outliers}
+    points = observations.features.points
+    off = points.take([name in certainty and role == "off"
+                       for name, role in zip(points.ids, points.roles, strict=True)])
+    return Residuals(replace(r, blunder=certainty[r.id]) if r.id in certainty else r for r in (
         *control_residuals(observations.control, chosen.used,
                            chosen.errors(observations.control.points), chosen.line_errors()),
         *point_residuals(check, chosen.errors(check), "check", [check_used] * len(check)),
         *point_residuals(independent, chosen.errors(independent), "independent",
-                         [name in independent_used for name in independent.ids])))
+                         [name in independent_used for name in independent.ids]),
+        *point_residuals(off, chosen.errors(off), "off", [False] * len(off))))

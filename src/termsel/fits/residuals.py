@@ -20,7 +20,7 @@ class Residual:
     Its kind is "point", or "vertex 1" and "vertex 2" of a line and of its further pieces from 3 on.
     Line and sample are measured minus computed [px], for a vertex from its projection to the image
     line; the distance is the length of that vector. Ground coordinates have NaN for a height that
-    is not known.
+    is not known. The blunder is "certain", "probable" or "possible" where the feature is one.
     """
 
     id: str
@@ -33,6 +33,7 @@ class Residual:
     y: float
     z: float
     distance: float = field(init=False)
+    blunder: str = ""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "distance", float(np.hypot(self.line, self.sample)))

@@ -18,7 +18,7 @@ from termsel.record.record import FitRecord, Record
 from termsel.results.same_fit import least_squares_of
 
 _SINCE_0_1: dict[str, Any] = {
-    "outliers": [], "predicted": None, "accuracy": None, "final": None, "exported": "selection",
+    "predicted": None, "accuracy": None, "final": None, "exported": "selection",
     "history": [], "budget": {}, "plugins": {}}
 """Keys that version 0.1 did not have, with what says nothing."""
 
@@ -30,9 +30,12 @@ def completed(content: dict[str, Any]) -> dict[str, Any]:
     try:
         # Up to 0.2 a record did not say how its coefficients were found. It follows from the
         # candidate that auto chose, and from the objectives, which only least squares has.
+        content = {key: value for key, value in content.items() if key != "doubts"}
+        outliers = [{"certainty": "probable", **one} for one in content.get("outliers", ())]
         strategy = content["strategy"] and {"reason": "", **content["strategy"]}
         return {**_SINCE_0_1, "offered": _offered(content), **content,
                 "options": {"search": {}, **content["options"]}, "strategy": strategy,
+                "outliers": outliers,
                 "fit": {"options": {}, "effective": None, "held_out": None, **_how(content)}}
     except (AttributeError, LookupError, TypeError, ValueError):  # decoding says what is damaged
         return content

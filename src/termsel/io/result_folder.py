@@ -27,7 +27,8 @@ RESIDUALS, SUMMARY = "residuals.csv", "summary.txt"
 _PENDING = ".termsel-pending"
 """Folder in that of a result, complete or not there: files that are newer than those next to it."""
 
-RESIDUAL_COLUMNS = ("id", "kind", "role", "used", "residual_line", "residual_sample", "distance")
+RESIDUAL_COLUMNS = ("id", "kind", "role", "used", "residual_line", "residual_sample", "distance",
+                    "blunder")
 
 
 def files_of_result(folder: Path) -> list[Path]:
@@ -205,5 +206,5 @@ def residuals_csv(result: Result) -> str:
     table.writerow(RESIDUAL_COLUMNS)
     for r in result.residuals:
         table.writerow([guarded(r.id), r.kind, r.role, "yes" if r.used else "no", f"{r.line:.6g}",
-                        f"{r.sample:.6g}", f"{r.distance:.6g}"])
+                        f"{r.sample:.6g}", f"{r.distance:.6g}", r.blunder])
     return text.getvalue()

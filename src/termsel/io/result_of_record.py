@@ -65,8 +65,9 @@ def result_from(record: Record, features: FeatureSet) -> Result:
         fit=fitted, diagnosis=Diagnosis(
             record.significance, tuple((*pair.terms, pair.correlation)
                                        for pair in record.correlations),
-            record.doubts, record.adjustment.orientation_spread),
-        residuals=residuals_of(fitted, observations, check_used=record.strategy is not None),
+            record.adjustment.orientation_spread),
+        residuals=residuals_of(fitted, observations, record.outliers,
+                               check_used=record.strategy is not None),
         features=features, final=_final(record, model, observations))
 
 

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Annotated, Literal
 
 from msgspec import Meta, field
 
-from termsel.record.base import Count, Name, Names, Positive, RecordPart, Role, Roles, Share, Size
+from termsel.record.base import Count, Name, Positive, RecordPart, Role, Roles, Share, Size
 
 LEVEL = 0.9
 """Probability of an interval."""
@@ -64,8 +63,8 @@ class BaselineRow(RecordPart, frozen=True):
     """RMSE by role [px]."""
 
 
-class Outlier(RecordPart, frozen=True):
-    """A feature that the others contradict."""
+class Outlier(RecordPart, frozen=True, omit_defaults=False):
+    """A feature that all others contradict."""
 
     id: str
     """Id of the feature."""
@@ -75,7 +74,10 @@ class Outlier(RecordPart, frozen=True):
     """Its role before it was left out."""
     error: Size
     """Its error [px]: of a point the larger in line and sample, of a line the largest distance of
-    a vertex."""
+    a vertex, as the others predict it."""
+    certainty: Literal["certain", "probable", "possible"]
+    """Whether it is a blunder: certainly; more likely than not; or the others are too few or too
+    far to tell."""
     excluded: bool
     """Whether the fit does without it."""
 
@@ -167,21 +169,6 @@ class Correlation(RecordPart, frozen=True):
     """The two terms."""
     correlation: Annotated[float, Meta(ge=-1, le=1)]
     """Their correlation."""
-
-
-class Doubts(RecordPart, frozen=True):
-    """Control features against a selection that was made among them."""
-
-    sigma: Size
-    """Standard deviation of a measured coordinate [px], from the median error of all control
-    features on offer, so that few blunders do not change it. With weights it is that of a feature
-    with the median weight."""
-    wrong: Mapping[str, Size]
-    """Probable blunders: features whose error is beyond 3 sigma, each with that error [px]."""
-    in_use: Names
-    """Those of them that the selection uses."""
-    spare: Names
-    """Features that fit and were not selected."""
 
 
 class AdjustmentFigures(RecordPart, frozen=True):

@@ -25,7 +25,6 @@ from termsel.record.figures import (
     AdjustmentFigures,
     BaselineRow,
     Correlation,
-    Doubts,
     Outlier,
     Predicted,
     RmseByRole,
@@ -269,11 +268,13 @@ class Record(RecordPart, frozen=True, kw_only=True):
     notes: tuple[str, ...]
     """Further sentences of the report."""
     outliers: tuple[Outlier, ...]
-    """Every probable blunder, used or not."""
+    """The verdict on blunders: every feature that contradicts all others, used or not."""
     predicted: Predicted | None
     """RMSE that the strategy auto predicts, or null."""
     accuracy: Accuracy | None
     """Accuracy on the independent points, or null."""
+    accuracy_without: Accuracy | None = None
+    """Accuracy without the independent points among the outliers; absent where there are none."""
     final: FinalFit | None
     """The chosen structure fitted to all points, independent ones included, or null. The figures of
     the record are those of the fit without them."""
@@ -323,9 +324,6 @@ class Record(RecordPart, frozen=True, kw_only=True):
     """Test of each coefficient against zero, by term."""
     correlations: tuple[Correlation, ...]
     """Pairs of coefficients that correlate by 0.95 or more."""
-    doubts: Doubts | None
-    """Probable blunders and features that were not needed, where features were selected; else
-    null."""
     scaling: ScalingNumbers
     """Offsets and scales between coordinates and scaled coordinates."""
     versions: Mapping[str, str]

@@ -12,10 +12,9 @@ from collections.abc import Iterator
 from termsel.candidates.portfolio import EXACT
 from termsel.errors import counted
 from termsel.fits.accuracy import rmse_interval
-from termsel.fits.diagnosis import BEYOND
 from termsel.fits.figures import LEAVE_ONE_OUT
 from termsel.record.base import plain
-from termsel.record.figures import InImage, OnGround, Predicted, RoleRmse
+from termsel.record.figures import Accuracy, InImage, OnGround, Predicted, RoleRmse
 from termsel.record.record import Record
 from termsel.report.blocks import (
     Block,
@@ -29,10 +28,11 @@ from termsel.report.blocks import (
 )
 from termsel.report.charts import bars, maps
 from termsel.report.compared import fits_of
-from termsel.report.opening import are_all_named, off_option, opening, rounded
+from termsel.report.opening import are_all_named, opening, rounded
 from termsel.report.plots import figure, missing
 from termsel.report.selected import selected
 from termsel.report.tables import sigma_table
+from termsel.report.verdict import contradicting, verdict_table
 from termsel.report.view import View
 
 
@@ -72,19 +72,9 @@ def _accuracy(record: Record) -> Iterator[Block]:
     yield Statement(statement(record))
     accuracy, predicted = record.accuracy, record.predicted
     if accuracy:
-        image, ground = accuracy.image, accuracy.ground
-        rows = [("in the image", *_distances(image, "px", image.line, image.sample))]
-        if ground:
-            rows.append(("on the ground", *_distances(ground, "m", ground.x, ground.y)))
-        count = counted(image.n, "independent point")
-        yield TableBlock(f"{count}, which took no part in any choice",
-                         ("", "RMSE", "line or x", "sample or y", "maximum", "CE90"), rows)
-        for standard, title, meaning in (
-                (accuracy.nssda, "NSSDA", "horizontal accuracy at 95 % confidence"),
-                (accuracy.asprs, "ASPRS 2024", "RMSE without the error of the survey itself")):
-            yield (f"{title}: {standard.value:.3g} m, {meaning}."
-                   if standard.value is not None else
-                   Detail(f"{title}: no figure ({standard.reason})."))
+        yield from _figures(accuracy, ", which took no part in any choice")
+        if record.accuracy_without:
+            yield from _figures(record.accuracy_without, f", without {contradicting(record)}")
         if predicted:
             yield _prediction(predicted)
     if (strategy := record.strategy) and strategy.predicted is not None:
@@ -103,17 +93,35 @@ def statement(record: Record) -> str:
     """Return the accuracy as a statement that can be pasted."""
     accuracy, predicted = record.accuracy, record.predicted
     if accuracy:
-        image, ground = accuracy.image, accuracy.ground
-        low, high = rmse_interval(image.total, image.n) if image.total \
-            else (0.0, 0.0)
-        metres = f", {rounded(ground.total)} m on the ground" if ground else ""
-        return (f"RMSE {rounded(image.total)} px{metres} on "
-                f"{counted(image.n, 'independent point')} (90 % interval {rounded(low)} to "
-                f"{rounded(high)} px).")
+        less = record.accuracy_without
+        return _rmse_on(accuracy) + (
+            f" Without {contradicting(record)}: {_rmse_on(less)}" if less else "")
     if predicted:
         return f"{_prediction(predicted)} There are no independent points."
     return ("The accuracy is not known: there are no independent points. Give some points the role "
             "independent.")
+
+
+def _rmse_on(accuracy: Accuracy) -> str:
+    image, ground = accuracy.image, accuracy.ground
+    low, high = rmse_interval(image.total, image.n) if image.total else (0.0, 0.0)
+    metres = f", {rounded(ground.total)} m on the ground" if ground else ""
+    return (f"RMSE {rounded(image.total)} px{metres} on {counted(image.n, 'independent point')} "
+            f"(90 % interval {rounded(low)} to {rounded(high)} px).")
+
+
+def _figures(accuracy: Accuracy, of: str) -> Iterator[Block]:
+    image, ground = accuracy.image, accuracy.ground
+    rows = [("in the image", *_distances(image, "px", image.line, image.sample))]
+    if ground:
+        rows.append(("on the ground", *_distances(ground, "m", ground.x, ground.y)))
+    yield TableBlock(f"{counted(image.n, 'independent point')}{of}",
+                     ("", "RMSE", "line or x", "sample or y", "maximum", "CE90"), rows)
+    for standard, title, meaning in (
+            (accuracy.nssda, "NSSDA", "horizontal accuracy at 95 % confidence"),
+            (accuracy.asprs, "ASPRS 2024", "RMSE without the error of the survey itself")):
+        yield (f"{title}: {standard.value:.3g} m, {meaning}." if standard.value is not None else
+               Detail(f"{title}: no figure ({standard.reason})."))
 
 
 def _prediction(predicted: Predicted) -> str:
@@ -182,7 +190,8 @@ def _figure(rmse: RoleRmse) -> str:
 
 
 def _bad(record: Record, view: View | None, picture: str) -> Iterator[Block]:
-    yield from _blunders(record) if not are_all_named(record) else map(Detail, _blunders(record))
+    yield from map(Detail, verdict_table(record)) if are_all_named(record) \
+        else verdict_table(record)
     if view is None:
         return
     yield from figure(view, "worst", bars.worst_bars(view))
@@ -195,25 +204,8 @@ def _bad(record: Record, view: View | None, picture: str) -> Iterator[Block]:
         "feature", "kind", "role", "residual [px]", "on the ground [m]", "blunder"), [
             (row["id"], row["kind"], row["role"], f"{row['distance']:.3g}",
              f"{on_ground[row['id']]:.3g}" if row["id"] in on_ground else "-",
-             "probable" if row["blunder"] else "") for row in view.worst],
+             row["blunder"]) for row in view.worst],
         choice="picked", keys=[row["id"] for row in view.worst], folded=True)
-
-
-def _blunders(record: Record) -> Iterator[str]:
-    """Yield all blunders, and what was left out though it is none."""
-    outliers, doubts = sorted(record.outliers, key=lambda one: -one.error), record.doubts
-    if outliers:
-        beyond = f" (beyond {BEYOND:g} sigma, {BEYOND * doubts.sigma:.2g} px)" if doubts else ""
-        named = "; ".join(f"{one.kind} {one.id}, {one.error:.3g} px, "
-                          + ("left out" if one.excluded else "in use")
-                          for one in outliers)
-        yield f"{counted(len(outliers), 'probable blunder')}{beyond}: {named}."
-        if used := [one for one in outliers if not one.excluded]:
-            yield f"Leave out those in use by {off_option(used)} and run again."
-    else:
-        yield "No feature is a probable blunder."
-    if doubts and doubts.spare:
-        yield f"Left out though they fit: {len(doubts.spare)}; they were not needed."
 
 
 def _weak(view: View | None) -> Iterator[Block]:

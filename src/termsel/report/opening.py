@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-import shlex
 from collections.abc import Iterator, Sequence
 from pathlib import PurePath
 
 from termsel.candidates.structures import named
 from termsel.errors import counted, cut
 from termsel.measurements.coordinates.crs import LOCAL, short
-from termsel.record.figures import Outlier
+from termsel.record.figures import Accuracy, Outlier
 from termsel.record.record import Record, WhatWasRead
 from termsel.report.blocks import Note
 from termsel.report.compared import label_of
+from termsel.report.verdict import contradicting, off_option
 
 _SOURCE = 32
 """Characters of the names of files."""
@@ -112,13 +112,19 @@ def accuracy_of(record: Record) -> str:
     """Return the accuracy in one sentence."""
     accuracy, predicted = record.accuracy, record.predicted
     if accuracy:
-        metres = f", {rounded(accuracy.ground.total)} m on the ground" if accuracy.ground else ""
-        return (f"{rounded(accuracy.image.total)} px{metres} (RMSE of "
-                f"{counted(accuracy.image.n, 'independent point')}).")
+        less = record.accuracy_without
+        without = f"; {_sizes(less)} without {cut(contradicting(record), _LONGEST)}" if less else ""
+        return (f"{_sizes(accuracy)} (RMSE of "
+                f"{counted(accuracy.image.n, 'independent point')}){without}.")
     if predicted:
         return (f"{rounded(predicted.rmse)} px predicted ({rounded(predicted.low)} to "
                 f"{rounded(predicted.high)} px); no independent point confirms it.")
     return "not known, as there are no independent points."
+
+
+def _sizes(accuracy: Accuracy) -> str:
+    ground = f", {rounded(accuracy.ground.total)} m on the ground" if accuracy.ground else ""
+    return f"{rounded(accuracy.image.total)} px{ground}"
 
 
 def rounded(value: float) -> str:
@@ -128,36 +134,43 @@ def rounded(value: float) -> str:
 
 def blunders_of(record: Record, brief: bool) -> str:
     """Return the worst blunders, with the option that leaves out those in use."""
-    worst = sorted(record.outliers, key=lambda one: -one.error)
-    if not worst:
+    out, used, independent = groups = _grouped(record)
+    off = off_option(record)
+    if not any(groups):
         return "none found."
-    out, used = ([one for one in worst if one.excluded is state] for state in (True, False))
     if brief:
-        return f"{len(worst)} found, {len(used)} of them in use; see the list below."
-    off = off_option(used)
-    said = [f"{_listed(out)} left out"] * bool(out) + [
-        f"{_listed(used)} in use: leave {'it' if len(used) == 1 else 'them'} out by "
-        + (off if len(off) <= _LONGEST else "the option --off below")] * bool(used)
-    return f"{'; '.join(said)}."
+        return (f"{sum(map(len, groups))} found, {len(used) + len(independent)} of them in use; "
+                "see the list below.")
+    said = "; ".join([
+        *[f"{_listed(out)} left out"] * bool(out), *[f"{_listed(used)} in use"] * bool(used),
+        *[f"{_listed(independent)} contradict{'s' * (len(independent) == 1)} all others"]
+        * bool(independent)])
+    if not off:
+        return f"{said}."
+    return (f"{said}: leave {'them' if ',' in off else 'it'} out by "
+            f"{off if len(off) <= _LONGEST else 'the option --off below'}.")
 
 
-def off_option(used: Sequence[Outlier]) -> str:
-    """Return the option that leaves out blunders that are in use."""
-    return f"--off {shlex.quote(','.join(one.id for one in used))}"
+def _grouped(record: Record) -> tuple[list[Outlier], list[Outlier], list[Outlier]]:
+    """Return blunders left out, those in use, and those among the independent points."""
+    worst = sorted(record.outliers, key=lambda one: -one.error)
+    mine = [one for one in worst if one.role != "independent"]
+    return ([one for one in mine if one.excluded], [one for one in mine if not one.excluded],
+            [one for one in worst if one.role == "independent"])
 
 
 def are_all_named(record: Record) -> bool:
     """Return whether the opening names all blunders, with the option that leaves them out."""
-    out, used = ([one for one in record.outliers if one.excluded is state]
-                 for state in (True, False))
-    return max(len(out), len(used)) <= _NAMED and len(off_option(used)) <= _LONGEST \
+    return max(map(len, _grouped(record))) <= _NAMED and len(off_option(record)) <= _LONGEST \
         and _lines(list(_notes(record, brief=False))) <= _MOST
 
 
 def _listed(some: Sequence[Outlier]) -> str:
     more = f" and {len(some) - _NAMED} more" if len(some) > _NAMED else ""
-    return ", ".join(f"{cut(one.id, _SOURCE)} ({rounded(one.error)} px)"
-                     for one in some[:_NAMED]) + more
+    return ", ".join(
+        f"{cut(one.id, _SOURCE)} ({rounded(one.error)} px"
+        f"{'' if one.certainty == 'certain' else f', {one.certainty}'})"
+        for one in some[:_NAMED]) + more
 
 
 def _next(record: Record) -> str:

@@ -14,7 +14,8 @@ Row = dict[str, Any]
 class View(Protocol):
     """A result as it is shown.
 
-    A row of a residual has "id", "kind" ("point" or "line"), "role", "blunder" and "distance" [px].
+    A row of a residual has "id", "kind" ("point" or "line"), "role", "blunder" (its certainty, or
+    "") and "distance" [px].
     """
 
     @property

@@ -22,7 +22,7 @@ from termsel.fits.diagnosis import Diagnosis
 from termsel.fits.figures import Baseline, Rmses, in_role, residuals_of, rmse_record
 from termsel.fits.fit import Fit
 from termsel.fits.locate import Surface
-from termsel.fits.residuals import Residuals, point_residuals
+from termsel.fits.residuals import Residuals
 from termsel.measurements.features import FeatureSet, FloatArray
 from termsel.measurements.roles import by_roles
 from termsel.problems.base import Selection
@@ -62,9 +62,9 @@ if TYPE_CHECKING:
 
 CARRIED = (
     "problem", "model", "solver", "criterion", "seed", "data", "feasible", "judgement", "notes",
-    "outliers", "predicted", "accuracy", "objectives", "front", "certificate", "strategy",
-    "evaluations", "lookups", "generations", "seconds", "history", "budget", "stability", "by_size",
-    "interrupted", "polish", "versions")
+    "outliers", "predicted", "accuracy", "accuracy_without", "objectives", "front", "certificate",
+    "strategy", "evaluations", "lookups", "generations", "seconds", "history", "budget",
+    "stability", "by_size", "interrupted", "polish", "versions")
 """What a result and its record hold alike."""
 
 _SHORTENED = "All tables, terms and proofs: --verbose, in Python summary(verbose=True)."
@@ -106,7 +106,7 @@ class Result(Glance):
     residuals : Residuals
         Of all features, as a table.
     diagnosis : Diagnosis
-        What the fit says about its terms and about the features it was offered.
+        What the fit says about its terms and its lines.
     features : FeatureSet
         What was measured; each point has the role it played.
     versions : mapping
@@ -122,11 +122,13 @@ class Result(Glance):
         From `exact`, at any time: the best selection of every number of terms or features, with
         what is proven of those as large.
     outliers : tuple of Outlier
-        Every probable blunder, used or not.
+        The verdict on blunders: every feature that contradicts all others, used or not.
     predicted : Predicted, optional
         RMSE that a choice by the strategy "auto" predicts, with its interval.
     accuracy : Accuracy, optional
         Of the independent points, in px and on the ground, and by standards.
+    accuracy_without : Accuracy, optional
+        The same without the independent points among the outliers, where there are some.
     final : Fit, optional
         Of a choice by the strategy "auto": the same structure fitted to all points, independent
         ones included. It is exported, and `project`, `sigma`, `locate` and `to_rpc` use it. All
@@ -173,6 +175,7 @@ class Result(Glance):
     outliers: tuple[Outlier, ...] = ()
     predicted: Predicted | None = None
     accuracy: Accuracy | None = None
+    accuracy_without: Accuracy | None = None
     plugins: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
     final: Fit | None = None
     history: tuple[HistoryRow, ...] = ()
@@ -216,7 +219,7 @@ class Result(Glance):
             significance=self.diagnosis.significance,
             correlations=tuple(Correlation((one, other), value)
                                for one, other, value in self.diagnosis.correlations),
-            doubts=self.diagnosis.doubts, scaling=self.fit.scaling.numbers(),
+            scaling=self.fit.scaling.numbers(),
             plugins=convert(plain(self.plugins), dict[str, PluginRecord]))
 
     def fit_of(self, member: Member) -> Fit:
@@ -265,7 +268,7 @@ class Result(Glance):
         # Of independent points, the outliers stay out of the final fit; twins of others are in it.
         taken = set(observations.independent.ids) - {one.id for one in self.outliers}
         return replace(self, fit=self.final, final=None, residuals=residuals_of(
-            in_role(self.final, observations), observations, check_used=True,
+            in_role(self.final, observations), observations, self.outliers, check_used=True,
             independent_used=taken))
 
     @property
@@ -325,13 +328,8 @@ class Result(Glance):
     @cached_property
     def view(self) -> Shown:
         """What charts and pages read of the result."""
-        points = self.features.points
-        names = {one.id for one in self.outliers} - {r.id for r in self.residuals}
-        out = points.take([name in names for name in points.ids])  # blunders that have no role
-        return Shown(self.record, self.fit, self.features, Residuals((
-            *self.residuals,
-            *point_residuals(out, self.fit.errors(out), "left out", [False] * len(out)))),
-            lambda: [self.fit_of(member) for member in self.front])
+        return Shown(self.record, self.fit, self.features, self.residuals,
+                     lambda: [self.fit_of(member) for member in self.front])
 
     @property
     def plot(self) -> Plots:

@@ -28,10 +28,7 @@ SMOOTH = 8
 
 @dataclass(frozen=True, eq=False)
 class Shown:
-    """A result as it is shown; see `termsel.report.view.View`.
-
-    The residuals include those of blunders that have no role, as they were left out.
-    """
+    """A result as it is shown; see `termsel.report.view.View`."""
 
     record: Record
     fit: Fit
@@ -85,8 +82,9 @@ class Shown:
         """Control lines as measured in the image."""
         lines = self.features.lines
         chosen = set(self.record.selection.features)
+        blunders = {one.id for one in self.record.outliers}
         return [{"id": name, "role": "control" if name in chosen else "left out",
-                 "blunder": name in self._blunders, "line": _short(l1), "sample": _short(s1),
+                 "blunder": name in blunders, "line": _short(l1), "sample": _short(s1),
                  "line2": _short(l2), "sample2": _short(s2)}
                 for name, ((l1, s1), (l2, s2)) in zip(lines.ids, lines.image.tolist(),
                                                       strict=True)]
@@ -184,12 +182,6 @@ class Shown:
         return not_by_command(self.record)
 
     @cached_property
-    def _blunders(self) -> frozenset[str]:
-        doubts = self.record.doubts
-        return frozenset(one.id for one in self.record.outliers) \
-            | frozenset(doubts.wrong if doubts else ())
-
-    @cached_property
     def _ground(self) -> FloatArray:
         """Ground positions of the residuals, shape (n, 3)."""
         return np.array([(r.x, r.y, r.z) for r in self.residuals]).reshape(-1, 3)
@@ -214,9 +206,9 @@ class Shown:
         return [residuals_of(fitted, roles) for fitted in self.fits_of_front()]
 
     def _named(self, r: Residual) -> Row:
-        fitted_to = r.used or r.role != "control"
+        left_out = r.role in ("control", "off") and not r.used
         return {"id": r.id, "kind": "point" if r.kind == "point" else "line",
-                "role": r.role if fitted_to else "left out", "blunder": r.id in self._blunders,
+                "role": "left out" if left_out else r.role, "blunder": r.blunder,
                 "distance": _short(r.distance, 4)}
 
 

@@ -12,6 +12,7 @@ from typing import Any
 from msgspec import convert
 
 from termsel.adjustment import kernels, leave_out
+from termsel.candidates.portfolio import Portfolio
 from termsel.criteria import Criterion
 from termsel.errors import TermselError
 from termsel.io.read import features_of
@@ -30,6 +31,7 @@ from termsel.runs.search.blunders_out import search_without_blunders
 from termsel.runs.task.blank_heights import to_leave_out
 from termsel.runs.task.request import Request, loaded
 from termsel.runs.task.task import Task, observe, prepared
+from termsel.runs.task.verdict import judge_features
 from termsel.solvers.base import Solver
 from termsel.solvers.search import Observer
 from termsel.threads import one_blas_thread
@@ -144,13 +146,14 @@ def run(
     if not limited:
         limits |= {"generations": task.recipe.generations, "patience": task.recipe.patience}
     _begin(out, overwrite, SEARCH_COMPILES if kernels.needs_compilation() else 0)
-    found = search_without_blunders(task, seed=seed, **limits, observers=observers)
+    verdict = judge_features(task.observations, Portfolio())
+    task, found = search_without_blunders(task, verdict, seed=seed, **limits, observers=observers)
     # As plain numbers, for the record.
     budget = convert({
         name: float(limit) if name == "seconds" else int(limit)
         for name, limit in limits.items() if limit is not None and math.isfinite(limit)},
         SearchLimits)
-    return _finished(replace(assessed(task, found), budget=budget), out)
+    return _finished(replace(assessed(task, found, verdict), budget=budget), out)
 
 
 def problem_for(features: FeatureSet | None, dataset: str | DatasetSpec | None = None) -> str:

@@ -16,7 +16,7 @@ TABLE = "layer_styles"
 OPTIONS = {"FID": "id"}
 """Of the layer in GDAL: the name of its key."""
 
-_ROLE = """CASE WHEN "role" = 'control' AND NOT "used" THEN 'left out' ELSE "role" END"""
+_ROLE = """CASE WHEN "role" IN ('control', 'off') AND NOT "used" THEN 'left out' ELSE "role" END"""
 _SHAPES = {"circle": "circle", "square": "square", "triangle-up": "triangle",
            "cross": "cross_fill"}
 """Names of QGIS for those of the charts."""

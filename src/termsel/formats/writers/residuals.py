@@ -53,7 +53,7 @@ class ResidualsGeopackage(Writer):
         residuals = result.residuals
         columns: dict[str, Any] = {
             name: np.array([getattr(r, name) for r in residuals]) for name in (
-                "id", "kind", "role", "used", "line", "sample", "distance")}
+                "id", "kind", "role", "used", "line", "sample", "distance", "blunder")}
         ground = residuals.ground
         ends, exaggeration = self._ends(result, ground)
         layers = {

@@ -23,6 +23,7 @@ from termsel.report.theme import (
     require_altair,
     spread_scale,
 )
+from termsel.report.verdict import CERTAINTY
 from termsel.report.view import Row, View
 
 WORST = 25
@@ -39,7 +40,8 @@ def worst_bars(view: View) -> Any:
     end = axis_end(view)
     rows = [{**row, "end": min(row["distance"], end), "broken": row["distance"] > end,
              "label": ", ".join([f"{row['distance']:.3g} px"] * (row["distance"] > end)
-                                + ["blunder"] * row["blunder"])} for row in view.worst[:WORST]]
+                                + [CERTAINTY[one] for one in [row["blunder"]] if one])}
+            for row in view.worst[:WORST]]
     picked = alt.selection_point(name="picked", fields=["id"], empty=False)
     base = alt.Chart(data(rows)).encode(
         y=alt.Y("id:N", sort=[row["id"] for row in rows], title="feature", axis=alt.Axis(

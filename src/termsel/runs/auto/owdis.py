@@ -23,7 +23,8 @@ from termsel.errors import TermselError
 from termsel.measurements.control import Control
 from termsel.measurements.coordinates.places import spatial_order
 from termsel.measurements.features import FloatArray, Points
-from termsel.runs.search.blunders_out import search_without_blunders
+from termsel.runs.search.recommend import recommended
+from termsel.runs.search.steps import search_in_steps
 from termsel.runs.task.task import prepare
 
 
@@ -73,8 +74,9 @@ def _selected(control: Control, seed: int) -> Control | None:
                        model="poly3d" if control.heights else "poly2d", source="control and check")
     except TermselError:  # too few lines, or all parallel
         return None
-    search = search_without_blunders(task, seed=seed, generations=task.recipe.generations,
-                                     patience=task.recipe.patience)
+    # The verdict on blunders has been made.
+    search = recommended(task, search_in_steps(
+        task, seed=seed, generations=task.recipe.generations, patience=task.recipe.patience))
     if search.interrupted:
         raise KeyboardInterrupt
     if search.violation:

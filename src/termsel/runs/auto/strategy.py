@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Collection, Iterable, Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -16,19 +15,18 @@ from termsel.errors import TermselError, counted
 from termsel.fits.accuracy import accuracy_of, predicted_by
 from termsel.fits.diagnosis import diagnose
 from termsel.fits.extrapolation import warnings_of
-from termsel.fits.figures import figures, finite_or_none, in_role, residuals_of
+from termsel.fits.figures import Baseline, figures, finite_or_none, in_role, residuals_of
 from termsel.fits.fit import Fit
 from termsel.interrupts import answered
 from termsel.measurements.control import Control
 from termsel.measurements.features import FloatArray, Points, no_points, select
-from termsel.measurements.roles import ASSIGNABLE, Observations, with_lines
+from termsel.measurements.roles import ASSIGNABLE, Observations, leave_out, with_lines
 from termsel.measurements.twins import merged
 from termsel.models.base import SensorModel
 from termsel.problems.base import Evaluation, Selection
 from termsel.problems.recipes import Recipe
 from termsel.record.search import CandidateRow, Strategy
 from termsel.results.result import Result
-from termsel.runs.auto.outliers import judged_independent, without_blunders
 from termsel.runs.auto.owdis import with_selected_lines
 from termsel.runs.judgement.judge import judge_choice
 from termsel.runs.task.data_notes import notes_on_data
@@ -36,6 +34,7 @@ from termsel.runs.task.given import all_candidates
 from termsel.runs.task.provenance import data_of, plugins_of, versions
 from termsel.runs.task.request import Setup
 from termsel.runs.task.task import FEW, all_control
+from termsel.runs.task.verdict import judge_features, judge_independent
 from termsel.solvers.base import Generation
 from termsel.solvers.ledger import Progress
 from termsel.solvers.search import Observer
@@ -123,7 +122,9 @@ def choose_for(setup: Setup, observations: Observations, seed: int,
                    folds_of(observations.pool.features))
     watch.tell("blunders")
     of_data = tuple(notes_on_data(setup.features, observations, heights=True, blank=setup.blank))
-    clean, outliers, notes = without_blunders(observations, portfolio)
+    verdict = judge_features(observations, portfolio)
+    out = verdict.blunders | verdict.high
+    clean = leave_out(observations, out) if out else observations
     control, both = clean.pool, clean.pool.features
     choice, errors, interrupted = None, None, False
     try:
@@ -153,12 +154,16 @@ def choose_for(setup: Setup, observations: Observations, seed: int,
     fitted = in_role(chosen.fit, observations)
     model = fitted.model
     rmse = figures(fitted, observations)
-    contradicting, more = judged_independent(observations.independent, control.heights, chosen)
+    contradicting, agreeing = judge_independent(clean, choice)
+    outliers = (*verdict.without({*clean.together.ids}), *contradicting.outliers)
     final = _final_fit(chosen, observations.features.points, control.heights, portfolio,
-                       [one.id for one in contradicting])
-    # The chosen one is the selection, and is not shown twice unless it is plain.
-    baselines = tuple(b for b in comparison.baselines
-                      if b.name != chosen.name or chosen.candidate.is_plain)
+                       contradicting.blunders)
+
+    def others(seen: Observations) -> tuple[Baseline, ...]:
+        # The chosen one is the selection, and is not shown twice unless it is plain.
+        return tuple(b for b in comparison.baselines(seen)
+                     if b.name != chosen.name or chosen.candidate.is_plain)
+
     folds = folds_of(both)
     said = INTERRUPTED.format(min(watch.count, watch.candidates), watch.candidates) \
         if interrupted else ""
@@ -169,20 +174,21 @@ def choose_for(setup: Setup, observations: Observations, seed: int,
         data=data_of(setup, observations),
         selection=Selection(select(model.terms, fitted.terms),
                             select(observations.control.ids, fitted.used)),
-        feasible=True, rmse=rmse, baselines=baselines,
-        judgement=judge_choice(chosen.candidate, predicted, rmse, baselines,
-                               setup.features.noise),
+        feasible=True, rmse=rmse, baselines=others(clean),
+        judgement=judge_choice(chosen.candidate, predicted, figures(fitted, agreeing),
+                               others(agreeing), setup.features.noise),
         notes=(*_few(setup), *of_data,
                *_notes(setup.model, clean, errors, said, plane=not model.uses_height),
-               *notes, *_lines(fitted), *more, *portfolio.notes),
-        outliers=(*outliers, *contradicting), predicted=expected,
+               *verdict.notes, *_lines(fitted), *contradicting.notes, *portfolio.notes),
+        outliers=outliers, predicted=expected,
         accuracy=accuracy_of(fitted, observations.independent), final=final,
+        accuracy_without=accuracy_of(fitted, agreeing.independent)
+        if contradicting.outliers else None,
         objectives={"press": chosen.predicted} if np.isfinite(chosen.predicted) else {},
         evaluations=watch.count or len(choice.judged), lookups=0, generations=0,
         seconds=time.perf_counter() - start, interrupted=interrupted, polish=None, fit=fitted,
-        residuals=residuals_of(fitted, observations, check_used=True),
-        # Blunders are those that were left out, by a test of their own.
-        diagnosis=replace(diagnose(fitted), doubts=None),
+        residuals=residuals_of(fitted, observations, outliers, check_used=True),
+        diagnosis=diagnose(fitted),
         features=observations.features, versions=versions(),
         plugins=plugins_of(setup, model=type(model), candidate=chosen.candidate),
         strategy=Strategy("auto", chosen.name, choice.reason, predicted, folds,

@@ -11,20 +11,28 @@ from msgspec import convert
 from msgspec.structs import asdict
 
 from termsel.candidates.compare import compare_robustly
+from termsel.candidates.portfolio import Portfolio
 from termsel.candidates.ridge import RidgeByOrder
 from termsel.errors import TermselError, unknown_name
 from termsel.fits.accuracy import accuracy_of
 from termsel.fits.diagnosis import diagnose
-from termsel.fits.figures import baseline, figures, residuals_of, rmse_record
+from termsel.fits.figures import (
+    Baseline,
+    Rmses,
+    baseline,
+    figures,
+    residuals_of,
+    rmse_record,
+)
 from termsel.fits.fit import Fit
 from termsel.fits.least_squares import fit
 from termsel.guard.faults import HINT, wrong
 from termsel.measurements.features import BoolArray
+from termsel.measurements.roles import Observations
 from termsel.models.base import SensorModel
 from termsel.problems.base import Selection
 from termsel.problems.segments import Genes
 from termsel.record.base import plain
-from termsel.record.figures import Doubts, Outlier
 from termsel.record.search import Certificate, Member, SizeRow
 from termsel.results.result import Result
 from termsel.results.same_fit import has_pole, least_squares_of
@@ -32,6 +40,7 @@ from termsel.runs.judgement.judge import judge, name_conventional, notes_on
 from termsel.runs.task.data_notes import notes_on_data
 from termsel.runs.task.provenance import data_of, notes_on_sessions, plugins_of, versions
 from termsel.runs.task.task import Task
+from termsel.runs.task.verdict import Verdict, judge_features, judge_independent
 from termsel.solvers.base import GIVEN
 from termsel.solvers.proofs.exact import gap
 from termsel.solvers.proofs.proof import SizeProof
@@ -86,10 +95,11 @@ def assess(task: Task, genes: Genes) -> Result:
                             if part != "solver"})
 
 
-def assessed(task: Task, found: Search) -> Result:
+def assessed(task: Task, found: Search, verdict: Verdict | None = None) -> Result:
     """Return the figures of what a search found.
 
-    This is where independent points are looked at, for the first and only time.
+    This is where independent points are looked at, for the first and only time. `verdict` is that
+    of `judge_features` before the search.
     """
     observations = task.observations
     selection = task.problem.decode(found.genes)
@@ -98,14 +108,22 @@ def assessed(task: Task, found: Search) -> Result:
     feasible = is_feasible(task, found, chosen)
     # The objectives of least squares are not those of other coefficients.
     objectives = found.objectives.tolist() if judged else []
-    rmse, diagnosis = figures(chosen, observations), diagnose(chosen)
+    verdict = verdict or judge_features(observations, Portfolio())
     everything = fit(task.model, observations.control, task.scaling)
-    comparison = compare_robustly(observations)
+    comparison = compare_robustly(observations, verdict.blunders | verdict.high)
+    contradicting, agreeing = judge_independent(observations, comparison.choice)
+    outliers = (*verdict.without({*selection.features, *observations.check.ids}),
+                *contradicting.outliers)
+
+    def compared(seen: Observations) -> tuple[Rmses, tuple[Baseline, ...]]:
+        return figures(chosen, seen), (baseline("all-terms", everything, None, seen, ("control",)),
+                                       *comparison.baselines(seen))
+
+    rmse, baselines = compared(observations)
+    judged_by = compared(agreeing) if contradicting.outliers else (rmse, baselines)
     sizes = _sizes(task, found)
     members = {genes.tobytes(): _member(task, genes)
                for genes in (*found.front, *(one.genes for one in sizes))}
-    baselines = (baseline("all-terms", everything, None, observations, ("control",)),
-                 *comparison.baselines)
     return Result(
         problem=task.recipe.name, model=task.model.name, solver=task.solver.name,
         criterion=task.criterion.name, seed=found.seed,
@@ -116,21 +134,23 @@ def assessed(task: Task, found: Search) -> Result:
         feasible=feasible, rmse=rmse,
         baselines=baselines,
         judgement=judge(name_conventional(task.problem.genome, observations),
-                        task.criterion.name, rmse, baselines, comparison.reference, feasible,
+                        task.criterion.name, *judged_by, comparison.reference, feasible,
                         task.features.noise, candidate=comparison.candidate,
-                        blunders=len(comparison.blunders)),
+                        blunders=comparison.blunders),
         notes=(*notes_on_data(task.features, observations, task.model.uses_height,
                               task.blank, observations.control),
-               *notes_on(observations, task.criterion, found, chosen),
+               *verdict.notes, *contradicting.notes,
+               *notes_on(agreeing, task.criterion, found, chosen),
                *_on_replaced(task.model, selection), *notes_on_sessions(plugins_of(task))),
         objectives=dict(zip(task.problem.objectives, objectives, strict=False)),
         evaluations=found.evaluations, lookups=found.lookups, generations=found.generations,
         seconds=found.seconds, interrupted=found.interrupted,
         polish=found.polish, history=found.history, fit=chosen,
-        residuals=residuals_of(chosen, observations),
-        diagnosis=diagnosis,
-        outliers=tuple(_outliers(chosen, diagnosis.doubts)),
+        residuals=residuals_of(chosen, observations, outliers),
+        diagnosis=diagnose(chosen), outliers=outliers,
         accuracy=accuracy_of(chosen, observations.independent),
+        accuracy_without=accuracy_of(chosen, agreeing.independent)
+        if contradicting.outliers else None,
         features=observations.features, versions=versions(),
         plugins=plugins_of(task),
         front=tuple(members[genes.tobytes()] for genes in found.front),
@@ -147,15 +167,6 @@ def _on_replaced(model: SensorModel, selection: Selection) -> Iterable[str]:
         if asked not in (option.default, selection.parameters.get(name, asked)):
             yield (f"Option {name} of the model was {asked}; the problem chose "
                    f"{selection.parameters[name]} in its place.")
-
-
-def _outliers(chosen: Fit, found: Doubts | None) -> Iterable[Outlier]:
-    """Yield the features that the diagnosis takes for blunders."""
-    if found is None:
-        return
-    for name, error in found.wrong.items():
-        yield Outlier(name, "point" if name in chosen.control.points.ids else "line", "control",
-                      error, name not in found.in_use)
 
 
 def is_feasible(task: Task, found: Search, chosen: Fit) -> bool:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -12,10 +12,9 @@ from termsel.criteria import Criterion
 from termsel.errors import counted
 from termsel.fits.diagnosis import PARALLEL, orientation_spread
 from termsel.fits.extrapolation import warnings_of
-from termsel.fits.figures import Baseline
+from termsel.fits.figures import Baseline, Rmses
 from termsel.fits.fit import Fit
 from termsel.fits.least_squares import fit
-from termsel.fits.residuals import Rmse
 from termsel.measurements.roles import Observations
 from termsel.plugins.registry import registry
 from termsel.problems.genome import Genome
@@ -27,7 +26,7 @@ ALIKE = 1.05
 an RMSE is itself uncertain by more."""
 
 
-def judge(conventional: str, criterion: str, rmse: Mapping[str, Rmse | None],
+def judge(conventional: str, criterion: str, rmse: Rmses,
           baselines: tuple[Baseline, ...], reference: str, feasible: bool,
           noise: float | None, *, candidate: Candidate | None = None, blunders: int = 0) -> str:
     """Return one or two sentences that compare the selection with what needs no search.
@@ -36,7 +35,8 @@ def judge(conventional: str, criterion: str, rmse: Mapping[str, Rmse | None],
     baseline. `reference` names the one that the rule of auto chooses for control and check, if any;
     `candidate` is what it is, by default that of its name, and `blunders` how many features it
     leaves out as such. The criterion is what the search minimised, the RMSE are those of the
-    selection by role, and the noise is the standard deviation of the measurements [px], where it is
+    selection by role, like the baselines' without independent points that contradict all others,
+    and the noise is the standard deviation of the measurements [px], where it is
     known.
     """
     if not feasible:
@@ -73,7 +73,7 @@ def judge(conventional: str, criterion: str, rmse: Mapping[str, Rmse | None],
     return " ".join(sentences)
 
 
-def judge_choice(chosen: Candidate, predicted: float | None, rmse: Mapping[str, Rmse | None],
+def judge_choice(chosen: Candidate, predicted: float | None, rmse: Rmses,
                  baselines: tuple[Baseline, ...], noise: float | None) -> str:
     """Return some sentences on what the choice of a strategy is worth.
 

@@ -1,8 +1,6 @@
-"""Features that a selection uses and its own model contradicts: left out, and the search repeated.
+"""A search without the features that the verdict on blunders names.
 
-OWDIS leaves out most blunders by its fitness. One that lies where it hardly moves the check points
-may stay. That a search is repeated without what its result names is termsel's own. A fit without
-them, of features selected with them, is worse.
+A wrong control feature spoils the fits, and a wrong check point what every selection is judged by.
 """
 
 from __future__ import annotations
@@ -12,77 +10,79 @@ from typing import Any
 
 import numpy as np
 
-from termsel.errors import counted
-from termsel.fits.diagnosis import doubts
-from termsel.measurements.features import BoolArray
+from termsel.candidates.portfolio import Portfolio
+from termsel.errors import TermselError
+from termsel.measurements.features import select
+from termsel.measurements.roles import leave_out
 from termsel.problems.segments import Bits, Subset
 from termsel.problems.selection import SelectionProblem
-from termsel.runs.judgement.assess import fit_of
 from termsel.runs.search.recommend import recommended
 from termsel.runs.search.steps import search_in_steps
-from termsel.runs.task.task import Task
+from termsel.runs.task.enough import require_enough
+from termsel.runs.task.task import MIN_CONTROL, Task, build, scale
+from termsel.runs.task.verdict import Verdict, judge_features
 from termsel.solvers.search import Search
 
 FEATURES = "features"
 
 
-def search_without_blunders(task: Task, **how: Any) -> Search:
-    """Search a task's problem, and again without the probable blunders that its result uses.
+def search_without_blunders(task: Task, verdict: Verdict | None = None,
+                            **how: Any) -> tuple[Task, Search]:
+    """Search a task's problem, without blunders where its option "blunders" says so.
 
-    The search is repeated until the selection uses no feature that its own model names as a
-    probable blunder (see `termsel.fits.diagnosis.doubts`). Features that the user forces on stay.
-    Each search has the whole budget of generations and evaluations; they share that of time. `how`
-    are arguments of `termsel.search`.
+    They can neither be selected, unless the user forces them on, nor judge. Where no selection
+    without them satisfies all conditions, the search is made with them. `verdict` is that of
+    `judge_features`; `how` are arguments of `termsel.search`.
 
-    The last search is returned, its recommended member selected; evaluations, generations and
-    seconds are those of all.
+    The task that was searched is returned, and the search with its recommended member selected.
     """
+    less: Task | None = task
+    if task.options["problem"].get("blunders") == "leave-out":
+        verdict = verdict or judge_features(task.observations, Portfolio())
+        less = _without(task, verdict.blunders)
+    if less is not None:
+        found = recommended(less, search_in_steps(less, **how))
+        if less is task:
+            return task, found
+        # A second search would have no time.
+        if not found.violation or found.interrupted or how.get("seconds") is not None:
+            return less, replace(found, notes=(*found.notes, (
+                "The search did without blunders; --set blunders=keep searches with them.")))
     found = recommended(task, search_in_steps(task, **how))
-    problem = task.problem
-    if not isinstance(problem, SelectionProblem) \
-            or task.options["problem"].get("blunders") != "leave-out":
-        return found
-    names = problem.inputs.control.ids  # a problem may select among some of the control
-    where = problem.genome.label_slices()[FEATURES]
-    forced = problem.genome.on[where]
-    out = np.zeros(len(names), dtype=bool)
-    while not (found.violation or found.interrupted):
-        named = doubts(fit_of(task, problem.decode(found.genes)))
-        if named is None or not _among(names, named.in_use)[~forced].any():
-            break
-        in_use = f"Probable blunders are in use: {', '.join(named.in_use)}. "
-        if (seconds := how.get("seconds")) is not None and found.seconds >= seconds:
-            return replace(found, notes=(*found.notes, in_use + "There was no time to search "
-                                         "without them; raise --seconds."))
-        more = out | (_among(names, named.wrong) & ~forced)
-        again = _without(task, problem, more, where, **{
-            **how, "seconds": None if seconds is None else seconds - found.seconds})
-        if again is None or again.violation:
-            return replace(found, notes=(*found.notes, in_use + "Without them no selection "
-                                         "satisfies all conditions."))
-        out = more
-        found = again.after(found)
-    if out.any():
-        left = ", ".join(name for name, gone in zip(names, out, strict=True) if gone)
-        found = replace(found, notes=(*found.notes, (
-            f"The search was repeated without {counted(int(out.sum()), 'feature')} that its result "
-            f"named as probable blunders: {left}. Each search had the whole budget, "
-            f"{found.evaluations:,} evaluations in all. --set blunders=keep prevents this.")))
-    return found
+    return task, replace(found, notes=(*found.notes, (
+        "Blunders are in use: without them no selection satisfies all conditions.")))
 
 
-def _among(names: tuple[str, ...], wanted: Any) -> BoolArray:
-    return np.array([name in wanted for name in names], dtype=bool)
+def _without(task: Task, blunders: frozenset[str]) -> Task | None:
+    """Return the task without blunders; None if too few features are left.
 
-
-def _without(task: Task, problem: SelectionProblem, out: BoolArray, where: slice,
-             **how: Any) -> Search | None:
-    """Return a search without some features; None if too few are left to select."""
+    Points lose their role. Lines, which have none, can no longer be selected.
+    """
+    problem, observations = task.problem, task.observations
+    if not isinstance(problem, SelectionProblem):
+        return task
+    # A problem may select among some of the control.
+    names, where = problem.inputs.control.ids, problem.genome.label_slices()[FEATURES]
+    forced = select(names, problem.genome.on[where] | problem.genome.off[where])
+    out = blunders.difference(forced)
+    points = out.intersection(observations.together.points.ids)
+    if points:
+        left = leave_out(observations, points)
+        try:
+            require_enough(left, task.recipe, task.criterion, MIN_CONTROL)
+            task = build(task, left, *scale(task, left))
+        except TermselError:
+            return None
+        problem = task.problem
+        assert isinstance(problem, SelectionProblem)
+        names, where = problem.inputs.control.ids, problem.genome.label_slices()[FEATURES]
+    gone = np.isin(names, list(out - points))
+    if not gone.any():
+        return task
     segment = problem.genome.segments[-1]
     assert isinstance(segment, Bits | Subset)  # the features
-    if (~out & ~problem.genome.off[where]).sum() < segment.minimum:
+    if (~gone & ~problem.genome.off[where]).sum() < segment.minimum:
         return None
     which = np.zeros(len(problem.genome.labels), dtype=bool)
-    which[where] = out
-    less = replace(task, problem=problem.frozen(np.zeros_like(which), which))
-    return recommended(less, search_in_steps(less, **how))
+    which[where] = gone
+    return replace(task, problem=problem.frozen(np.zeros_like(which), which))

@@ -158,7 +158,10 @@ def scale(setup: Setup, observations: Observations) -> tuple[Scaling, Inputs]:
 
 def build(setup: Setup, observations: Observations, scaling: Scaling,
           inputs: Inputs) -> Task:
-    """Return the task: the recipe's problem, for a solver that can handle it."""
+    """Return the task: the recipe's problem, for a solver that can handle it.
+
+    The setup may be that of another task.
+    """
     with blamed(setup.recipe.build, "build"):
         problem = setup.recipe.build(inputs)
     require_type(setup.recipe.build, "build", problem, Problem)
@@ -169,8 +172,8 @@ def build(setup: Setup, observations: Observations, scaling: Scaling,
             entry.object for entry in registry().entries("solvers")])
     data = {**setup.options["data"], "check_as": _check_as(setup, observations)}
     return Task(**{**vars(setup), "model": inputs.model, "options": {
-        **setup.options, "problem": inputs.options, "data": data}},
-        problem=problem, observations=observations, scaling=scaling)
+        **setup.options, "problem": inputs.options, "data": data},
+        "problem": problem, "observations": observations, "scaling": scaling})
 
 
 def _refuse_searched(setup: Setup, problem: ParameterProblem) -> None:

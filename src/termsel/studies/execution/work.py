@@ -139,7 +139,7 @@ class _Trace:
         if self._timeout is not None and time.perf_counter() - self._start > self._timeout:
             raise _OutOfTime(f"out of time: more than {self._timeout:g} s")
         if progress.evaluations < self._last:
-            # The search begins again, without blunders: what was found before does not count.
+            # The search begins again, as of a second step: what was found before does not count.
             self._before += self._last
             self.points.clear()
         self._last = progress.evaluations
@@ -159,7 +159,7 @@ def _as_asked(cell: Cell, features: FeatureSet, trace: _Trace) -> tuple[
     names = {word: cell.things.get(word, call[word])
              for word in ("problem", "model", "criterion", "solver") if call[word] is not None}
     task = prepare(**names, features=features, source=cell.data.source, options=call["options"])
-    found = search_without_blunders(
+    task, found = search_without_blunders(
         task, seed=call["seed"], observers=[trace],
         **{name: call.get(name) for name in ("generations", "evaluations", "seconds",
                                                "patience")})

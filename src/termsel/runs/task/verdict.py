@@ -1,0 +1,136 @@
+"""The verdict on blunders, one for every run: which features contradict all others.
+
+Control and check features are judged before a run, which may do without blunders; independent
+points once all is chosen, as they take no part in any choice.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from msgspec.structs import replace as changed
+
+from termsel.candidates.blunders import MOST, find_blunders, judge_others
+from termsel.candidates.contradictions import Division, Suspects
+from termsel.candidates.portfolio import Choice, Portfolio
+from termsel.measurements.control import MEASURED, Control, off_plane
+from termsel.measurements.features import FeatureSet, select
+from termsel.measurements.roles import Observations, leave_out
+from termsel.measurements.twins import with_twins
+from termsel.record.base import Role
+from termsel.record.figures import Outlier
+
+FEW = 17
+"""Number of features below which a note says what errors cannot be found."""
+
+
+@dataclass(frozen=True, eq=False)
+class Verdict:
+    """Features that contradict all others, the worst first, and what the test could not find.
+
+    `blunders` are the ids of those that are certainly or probably wrong, with their twins; `high`
+    of those whose height alone is off a plane, which are no blunders but would spoil a plane model.
+    """
+
+    outliers: tuple[Outlier, ...] = ()
+    blunders: frozenset[str] = frozenset()
+    high: frozenset[str] = frozenset()
+    notes: tuple[str, ...] = ()
+
+    def without(self, in_use: Collection[str]) -> tuple[Outlier, ...]:
+        """Return the outliers, as excluded those that are not in use."""
+        return tuple(changed(one, excluded=one.id not in in_use) for one in self.outliers)
+
+
+def judge_features(observations: Observations, portfolio: Portfolio) -> Verdict:
+    """Return the verdict on control and check features; independent points take no part."""
+    roles: dict[str, Role] = dict.fromkeys(observations.together.ids, "control")
+    roles.update(dict.fromkeys(observations.check.ids, "check"))
+    points, carriers = observations.together.points, observations.carriers
+    high = with_twins(points, carriers).union(carriers)
+    # Where no plane is determined without them, they are judged like others.
+    held = _held_against_others(observations, roles, high)
+    if held:
+        observations = leave_out(observations, high)
+    of_heights = [f"Left out for {'its height' if len(held) == 1 else 'their heights'}: "
+                  + ", ".join(f"{one.id} ({one.error:.3g} px)" for one in held) + "."
+                  ] * bool(held)
+    both, pool = observations.pool.features, observations.pool
+    found = find_blunders(pool, portfolio)
+    if found is None:
+        return Verdict(held, frozenset(), high if held else frozenset(), tuple(of_heights))
+    wrong = select(both.ids, found.blunders)
+    return Verdict((*held, *_outliers(both, roles, found)), with_twins(points, wrong).union(wrong),
+                   high if held else frozenset(), (*of_heights, *_limits(both, found)))
+
+
+def _held_against_others(observations: Observations, roles: dict[str, Role],
+                         high: frozenset[str]) -> tuple[Outlier, ...]:
+    """Return features whose height alone is off a plane, as the others predict them."""
+    both = observations.pool.features
+    which = np.isin(both.ids, list(high))
+    test = Division(observations.pool, ~which).test() if which.any() else None
+    if test is None:
+        return ()
+    nothing = np.zeros_like(which)
+    return _outliers(both, roles, Suspects(nothing, nothing, which, test.errors, test.errors))
+
+
+def judge_independent(observations: Observations,
+                      choice: Choice | None) -> tuple[Verdict, Observations]:
+    """Return the verdict on independent points, and the observations without its blunders.
+
+    They stay in all figures, next to which those without them are given. `choice` is that of
+    control and check without blunders.
+    """
+    points, found = observations.independent, None
+    if choice is not None:
+        # Where nothing tells what a height does, it contradicts nothing.
+        control = Control.of(choice.chosen.fit.control, observations.heights)
+        points = points.take(off_plane(control, points.ground)[1] <= MEASURED)
+        found = judge_others(choice.chosen, observations.heights, points)
+    if found is None or not found.blunders.any():
+        return Verdict(), observations
+    if found.blunders.mean() > MOST:
+        return Verdict(notes=(
+            f"{int(found.blunders.sum())} of {len(points)} independent points contradict control "
+            "and check. Either they were measured differently, or the model does not hold at "
+            "their places.",)), observations
+    wrong = frozenset(select(points.ids, found.blunders))
+    decided = replace(found, undecided=np.zeros_like(found.undecided))
+    outliers = _outliers(FeatureSet(points), dict.fromkeys(points.ids, "independent"), decided)
+    rest = observations.independent
+    return Verdict(outliers, wrong), replace(
+        observations, independent=rest.take([name not in wrong for name in rest.ids]))
+
+
+def _outliers(features: FeatureSet, roles: dict[str, Role],
+              found: Suspects) -> tuple[Outlier, ...]:
+    """Return what is found of features, the worst first; nothing is excluded."""
+    lines = frozenset(features.lines.features)
+    which = found.blunders | found.undecided
+    return tuple(
+        Outlier(name, "line" if name in lines else "point", roles[name], float(found.errors[i]),
+                "possible" if found.undecided[i] else
+                "probable" if found.probable[i] else "certain", False)
+        for i in np.argsort(-found.errors, kind="stable").tolist() if which[i]
+        for name in (features.ids[i],))
+
+
+def _limits(both: FeatureSet, found: Suspects) -> Iterator[str]:
+    """Yield which errors cannot be found, where features are few."""
+    if len(both) >= FEW:
+        return
+    worst, half = int(np.argmax(found.limits)), float(np.median(found.limits))
+    if half > np.ptp(both.image_vertices(), axis=0).max():
+        yield (f"With {len(both)} {both.word} no blunder can be found for certain: any may be "
+               "one.")
+        return
+    yield (f"With {len(both)} {both.word} an error must exceed {_size(half)} px to be found for "
+           f"certain at half of them, and {_size(found.limits[worst])} px at {both.ids[worst]}.")
+
+
+def _size(error: float) -> str:
+    return f"{error:.2g}" if error < 100 else f"{error:,.0f}"
