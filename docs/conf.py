@@ -67,7 +67,7 @@ def fill(app: Sphinx, name: str, source: list[str]) -> None:
 
 
 def run_gallery(app: Sphinx) -> None:
-    """Run the cases of the gallery: their pictures, and their pages by name."""
+    """Run the cases of the gallery, and keep their pages by name."""
     from gallery import made
 
     app.cases = {f"how-to/gallery/{name}": text for name, text in made().items()}

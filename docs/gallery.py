@@ -1,7 +1,10 @@
 """Run the cases of the gallery: their pictures, and the output that their pages show.
 
+    python docs/gallery.py      draws the pictures of all pages again
+
 Each page of `how-to/gallery` is a case. What it has the reader run is run here, in one process
-and in a folder of its own, and whatever is drawn there goes to the pages as their pictures.
+and in a folder of its own. The pictures of the pages are files next to them, so that they are seen
+without a build; a build runs the cases too, and leaves the pictures as they are.
 Output shown is replaced by what was printed. A line ``<!-- true: EXPRESSION -->`` states in Python
 what the page says: there the name of a folder is the content of its result.json, or its study, and
 `KNOWN` has what looks further. A page that is not true any more fails the build.
@@ -30,7 +33,11 @@ from termsel.io.plan import plan
 from termsel.studies.study import Study
 
 PAGES = Path(__file__).parent / "how-to" / "gallery"
-PICTURES = PAGES / "made"
+PICTURES = PAGES / "pictures"
+_PICTURE = re.compile(r"^```{image} pictures/(\S+)$", re.MULTILINE)
+_PLACES = re.compile(r' (?:transform|d|[xy]2?|width|height)="[^"]*"')
+_DECIMALS = re.compile(r"(\.\d)\d+")
+_UNSEEN = re.compile(r' (?:aria-[a-z]+|role|class)="[^"]*"| opacity="1"')
 _TRUE = re.compile(r"^<!-- true: (.+) -->$", re.MULTILINE)
 
 
@@ -56,23 +63,24 @@ class Untrue(Exception):
     """What a page says and what its case gave differ."""
 
 
-def made(pages: Path = PAGES, pictures: Path = PICTURES) -> dict[str, str]:
+def made(pages: Path = PAGES, pictures: Path | None = None) -> dict[str, str]:
     """Run all cases, and return their pages with the output that was printed.
 
     Parameters
     ----------
     pages : Path
         Folder of the pages.
-    pictures : Path
-        Folder for what is drawn; what is there goes first.
+    pictures : Path, optional
+        Folder for the pictures that pages show; what is there goes first.
 
     Raises
     ------
     Untrue
         If a page says what is not so.
     """
-    shutil.rmtree(pictures, ignore_errors=True)
-    pictures.mkdir(parents=True)
+    if pictures is not None:
+        shutil.rmtree(pictures, ignore_errors=True)
+        pictures.mkdir(parents=True)
     found = {}
     for page in sorted(pages.glob("*.md")):
         if page.stem == "index":
@@ -80,9 +88,21 @@ def made(pages: Path = PAGES, pictures: Path = PICTURES) -> dict[str, str]:
         with tempfile.TemporaryDirectory() as name:
             folder = Path(name)
             found[page.stem] = _case(page, folder)
-            for picture in folder.glob("**/*.svg"):
-                shutil.copy(picture, pictures / "-".join(picture.relative_to(folder).parts))
+            drawn = {"-".join(path.relative_to(folder).parts): path
+                     for path in folder.glob("**/*.svg")}
+            for picture in _PICTURE.findall(found[page.stem]):
+                if picture not in drawn:
+                    raise Untrue(f"{page.name} shows {picture}, which it does not draw")
+                if pictures is not None:
+                    (pictures / picture).write_text(_small(drawn[picture].read_text("utf-8")),
+                                                    encoding="utf-8")
     return found
+
+
+def _small(svg: str) -> str:
+    """Return a picture without what cannot be seen in one with an alternative text."""
+    places = _PLACES.sub(lambda found: _DECIMALS.sub(r"\1", found[0]), svg)
+    return _UNSEEN.sub("", places)
 
 
 def _case(page: Path, folder: Path) -> str:
@@ -124,3 +144,7 @@ def _run(step: Step, folder: Path) -> str:
         if result.exception is not None and not isinstance(result.exception, SystemExit):
             raise result.exception
         return result.output
+
+
+if __name__ == "__main__":
+    made(pictures=PICTURES)

@@ -1,4 +1,8 @@
-"""Pages in a real browser: drawn, silent, offline, linked, and safe whatever ids they show."""
+"""Pages in a real browser: drawn, silent, offline, linked, and safe whatever ids they show.
+
+They are looked at on light and dark screens, narrow and wide ones, and by axe-core, which finds
+what keeps people from using a page.
+"""
 
 from __future__ import annotations
 
@@ -8,9 +12,12 @@ import os
 import shutil
 import time
 from collections.abc import Callable, Iterator
+from functools import cache
+from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 import termsel
@@ -27,6 +34,18 @@ HOSTILE = ("</script><img src=x onerror=document.title='run'>", "{{7*7}} ${docum
 SWITCHES = ("--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",
             "--disable-background-networking", "--disable-component-update", "--disable-sync",
             "--force-device-scale-factor=1", "--hide-scrollbars")
+LABELS = (Path(__file__).parent / "labels.js").read_text(encoding="utf-8")
+THINNED = """
+document.querySelectorAll('details').forEach(one => one.open = true);
+document.querySelectorAll('g.role-mark, g.role-axis-label, tbody').forEach(
+    one => [...one.children].slice(3).forEach(child => child.remove()));"""
+"""Leaves three of many marks and rows that are alike, as axe-core looks at each for long."""
+AXE = """
+const [rules, done] = arguments;
+axe.run(document, {resultTypes: ['violations'], selectors: false, preload: false,
+                   ...rules && {runOnly: rules}})
+    .then(found => done(found.violations.filter(one => ['serious', 'critical'].includes(one.impact))
+        .map(one => `${one.id}: ${one.nodes[0].html} ${one.nodes[0].failureSummary}`)));"""
 
 
 @pytest.fixture(scope="module")
@@ -55,8 +74,7 @@ def opened(browser: Any) -> Callable[[Path, int], Any]:
     def open_page(page: Path, width: int = 1400) -> Any:
         for log in ("browser", "performance"):
             browser.get_log(log)
-        browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", {
-            "width": width, "height": 900, "deviceScaleFactor": 1, "mobile": False})
+        show(browser, "light", width)
         browser.get(page.as_uri())
         wait(lambda: browser.execute_script("return document.documentElement.dataset.drawn"))
         asked = [message["params"]["request"]["url"] for message in (
@@ -67,6 +85,45 @@ def opened(browser: Any) -> Callable[[Path, int], Any]:
         return browser
 
     return open_page
+
+
+def show(browser: Any, theme: str, width: int) -> None:
+    """Give the screen a theme and a width."""
+    browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {
+        "features": [{"name": "prefers-color-scheme", "value": theme}]})
+    browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", {
+        "width": width, "height": 900, "deviceScaleFactor": 1, "mobile": False})
+
+
+def fits(browser: Any) -> None:
+    """Wait until nothing is wider than the screen."""
+    wait(lambda: browser.execute_script(
+        "return document.documentElement.scrollWidth <= window.innerWidth && "
+        "[...document.querySelectorAll('.chart svg')].every("
+        "svg => svg.getBoundingClientRect().right <= window.innerWidth)"))
+
+
+def labelled(browser: Any, width: int) -> None:
+    """Wait until all labels of charts are legible on a screen of a width, light or dark."""
+    for theme in ("dark", "light"):
+        show(browser, theme, width)
+        ground = browser.execute_script("return getComputedStyle(document.body).backgroundColor")
+        assert (ground == "rgb(255, 255, 255)") == (theme == "light")
+        fits(browser)
+        end = time.monotonic() + 20  # charts follow the width of the screen
+        while (wrong := browser.execute_script(LABELS)) and time.monotonic() < end:
+            time.sleep(0.05)
+        assert wrong == []
+
+
+def accessible(browser: Any) -> None:
+    """Refuse a serious finding of axe-core, on light and dark screens; the page is used up."""
+    needed("axe_core_python")
+    browser.execute_script(THINNED)
+    browser.execute_script(files("axe_core_python").joinpath("axe.min.js").read_text("utf-8"))
+    assert browser.execute_async_script(AXE, None) == []
+    show(browser, "dark", 400)
+    assert browser.execute_async_script(AXE, ["color-contrast"]) == []
 
 
 def silent(browser: Any) -> None:
@@ -90,27 +147,32 @@ def rings(browser: Any, chart: str) -> int:
 
 
 @pytest.fixture(scope="module")
-def pages(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
-    """Return a page of each kind of result."""
+def page(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
+    """Return a function that makes the page of a kind of result, once."""
     folder = tmp_path_factory.mktemp("pages")
-    results = {
-        "front": termsel.run("rfm-terms", solver="nsga2", evaluations=2000),
-        "lines": termsel.run("owdis-lines", solver="ica", evaluations=2000),
-        "auto": termsel.run("poly-terms"),
-        "hostile": termsel.run("poly-terms", features=hostile())}
-    for name, result in results.items():
-        result.report(folder / f"{name}.html")
-    return {name: folder / f"{name}.html" for name in results}
+    results: dict[str, Callable[[], termsel.Result]] = {
+        "front": lambda: termsel.run("rfm-terms", solver="nsga2", evaluations=2000),
+        "lines": lambda: termsel.run("owdis-lines", solver="ica", evaluations=2000),
+        "auto": lambda: termsel.run("poly-terms"),
+        "hostile": lambda: termsel.run("poly-terms", features=hostile())}
+
+    @cache
+    def made(kind: str) -> Path:
+        results[kind]().report(folder / f"{kind}.html")
+        return folder / f"{kind}.html"
+
+    return made
 
 
 def hostile() -> termsel.FeatureSet:
-    """Return points with ids that a page could take for something else."""
+    """Return points without heights, with ids that a page could take for something else."""
     features = termsel.simulate_scene("ikonos-hamedan", n_lines=0)
     points = features.points
-    image = points.image.copy()
+    image, ground = points.image.copy(), points.ground.copy()
+    ground[:, 2] = np.nan
     image[:len(HOSTILE)] += 30.0  # so that they are among the worst, which the charts name
     return features.with_(points=termsel.Points(
-        (*HOSTILE, *points.ids[len(HOSTILE):]), image, points.ground, points.sigma, points.roles))
+        (*HOSTILE, *points.ids[len(HOSTILE):]), image, ground, points.sigma, points.roles))
 
 
 def test_the_page_of_a_study_is_drawn_offline_and_in_silence(
@@ -128,39 +190,39 @@ def test_the_page_of_a_study_is_drawn_offline_and_in_silence(
         assert browser.find_element("css selector", "h1").text == study.spec.title
         assert browser.title == " ".join(title.split())
         assert not browser.find_elements("css selector", "img, iframe, object")
-        assert browser.execute_script(
-            "return document.documentElement.scrollWidth <= window.innerWidth")
+        labelled(browser, width)
         said = browser.find_element("id", "convergence").text
         assert HOSTILE[0] in said
         for name in ("ecdf-evaluations", "ecdf-cpu-seconds", "convergence"):
             assert browser.find_elements("css selector",
                                          f"#{name} svg .mark-line.role-mark path"), name
+    accessible(browser)
 
 
-@pytest.mark.parametrize("width", [400, 1400])
 @pytest.mark.parametrize("kind", ["front", "lines", "auto", "hostile"])
-def test_a_page_is_drawn_offline_and_in_silence(
-        opened: Callable[[Path, int], Any], pages: dict[str, Path], kind: str, width: int) -> None:
-    browser = opened(pages[kind], width)
+def test_a_page_is_drawn_offline_in_silence_and_for_all(
+        opened: Callable[[Path, int], Any], page: Callable[[str], Path], kind: str) -> None:
+    browser = opened(page(kind), 400)
     charts = browser.find_elements("css selector", ".chart")
     assert int(browser.execute_script("return document.documentElement.dataset.drawn")) \
         == len(charts) >= 5
-    for chart in charts:
-        marks = chart.find_elements(
-            "css selector", "svg .mark-symbol.role-mark path, svg .mark-rect.role-mark path")
-        curves = chart.find_elements("css selector", "svg .mark-line.role-mark path")
-        areas = chart.find_elements("css selector", "svg .mark-area.role-mark path")
-        assert len(marks) > 3 or len(curves) == 2 or len(areas) > 3, \
-            chart.get_attribute("data-chart")
-    wait(lambda: browser.execute_script(
-        "return document.documentElement.scrollWidth <= window.innerWidth && "
-        "[...document.querySelectorAll('.chart svg')].every("
-        "svg => svg.getBoundingClientRect().right <= window.innerWidth)"))
+    for width in (400, 1280):
+        labelled(browser, width)
+        for chart in charts:
+            marks = chart.find_elements(
+                "css selector", "svg .mark-symbol.role-mark path, svg .mark-rect.role-mark path")
+            curves = chart.find_elements("css selector", "svg .mark-line.role-mark path")
+            areas = chart.find_elements("css selector", "svg .mark-area.role-mark path")
+            assert len(marks) > 3 or len(curves) == 2 or len(areas) > 3, \
+                chart.get_attribute("data-chart")
+    silent(browser)
+    if kind != "hostile":
+        accessible(browser)
 
 
 def test_hostile_ids_appear_as_text_and_run_nothing(
-        opened: Callable[..., Any], pages: dict[str, Path]) -> None:
-    browser = opened(pages["hostile"])
+        opened: Callable[..., Any], page: Callable[[str], Path]) -> None:
+    browser = opened(page("hostile"))
     title = browser.title
     browser.execute_script("document.querySelectorAll('details').forEach(d => d.open = true)")
     shown = [button.text for button in browser.find_elements(
@@ -210,8 +272,8 @@ def test_charts_of_a_notebook_are_live_without_a_connection(
 
 
 def test_a_tooltip_shows_a_hostile_id_as_text(
-        opened: Callable[..., Any], pages: dict[str, Path]) -> None:
-    browser = opened(pages["hostile"])
+        opened: Callable[..., Any], page: Callable[[str], Path]) -> None:
+    browser = opened(page("hostile"))
     from selenium.webdriver import ActionChains
 
     bar = browser.find_element("css selector", "#worst .mark-rect path[aria-label*='onerror']")
@@ -224,8 +286,8 @@ def test_a_tooltip_shows_a_hostile_id_as_text(
 
 
 def test_a_point_chosen_in_one_chart_is_seen_in_the_others(
-        opened: Callable[..., Any], pages: dict[str, Path]) -> None:
-    browser = opened(pages["lines"])
+        opened: Callable[..., Any], page: Callable[[str], Path]) -> None:
+    browser = opened(page("lines"))
     assert rings(browser, "residuals") == rings(browser, "ground") == 0
     bar = browser.find_element("css selector", "#worst .mark-rect path")
     browser.execute_script("arguments[0].scrollIntoView({block: 'center'})", bar)
@@ -242,8 +304,8 @@ def test_a_point_chosen_in_one_chart_is_seen_in_the_others(
 
 
 def test_a_point_on_the_map_can_be_chosen(
-        opened: Callable[..., Any], pages: dict[str, Path]) -> None:
-    browser = opened(pages["auto"])
+        opened: Callable[..., Any], page: Callable[[str], Path]) -> None:
+    browser = opened(page("auto"))
     symbol = browser.find_elements(
         "css selector", "#residuals path[aria-label*='residual'][aria-label*='independent']")[0]
     browser.execute_script("arguments[0].scrollIntoView({block: 'center'})", symbol)
@@ -254,8 +316,8 @@ def test_a_point_on_the_map_can_be_chosen(
 
 
 def test_a_baseline_is_chosen_in_chart_and_table(
-        opened: Callable[..., Any], pages: dict[str, Path]) -> None:
-    browser = opened(pages["auto"])
+        opened: Callable[..., Any], page: Callable[[str], Path]) -> None:
+    browser = opened(page("auto"))
     large = "return [...document.querySelectorAll('#baselines .mark-symbol path')]" \
             ".filter(p => p.getBBox().width > 11 && p.getBBox().height > 9).length"
     before = browser.execute_script(large)
@@ -284,13 +346,13 @@ def test_the_page_of_many_images_is_drawn_offline_and_in_silence(
         assert len(browser.find_elements("css selector", "td.picture svg path")) >= 4
         assert HOSTILE[0] in browser.find_element("css selector", "tbody th").text
         assert not browser.find_elements("css selector", "img, iframe, object")
-        assert browser.execute_script(
-            "return document.documentElement.scrollWidth <= window.innerWidth")
+        fits(browser)
+    accessible(browser)
 
 
 def test_a_member_of_the_front_shows_its_residuals_and_terms(
-        opened: Callable[..., Any], pages: dict[str, Path]) -> None:
-    browser = opened(pages["front"])
+        opened: Callable[..., Any], page: Callable[[str], Path]) -> None:
+    browser = opened(page("front"))
     rows = browser.find_elements("css selector", "table[data-choice=member] tbody tr")
     assert [row for row in rows if "chosen" in row.get_attribute("class")]  # the recommended one
     arrows = "return [...document.querySelectorAll('#members .mark-rule line')]" \
@@ -311,8 +373,8 @@ def test_a_member_of_the_front_shows_its_residuals_and_terms(
 
 
 def test_arrows_lengthen_with_the_slider(
-        opened: Callable[..., Any], pages: dict[str, Path]) -> None:
-    browser = opened(pages["auto"])
+        opened: Callable[..., Any], page: Callable[[str], Path]) -> None:
+    browser = opened(page("auto"))
     length = "return [...document.querySelectorAll('#residuals .mark-rule line')]" \
              ".reduce((sum, l) => sum + Math.abs(l.x2.baseVal.value), 0)"
     before = browser.execute_script(length)

@@ -114,7 +114,7 @@ def sigma_map(view: View) -> Any:
                                          gradientLength=220, titleFontWeight="normal",
                                          titleFontSize=11.5))
     layers = [
-        alt.Chart(data(cells)).mark_rect(strokeWidth=0, clip=True).encode(
+        alt.Chart(data(cells)).mark_rect(strokeWidth=0, clip=True, aria=False).encode(
             x=x, y=y, x2="sample2:Q", y2="line2:Q", color=colour,
             tooltip=[alt.Tooltip("sigma:Q", title="standard deviation [px]", format=".3g")]),
         alt.Chart(data(view.hull)).mark_line(
