@@ -88,8 +88,10 @@ def say_measured(name: str) -> None:
 
 
 def say_nearest(name: str, fitted: Fit, xy: FloatArray, image: FloatArray,
-                labels: Mapping[str, str], where: str) -> None:
+                labels: Mapping[str, str], where: str) -> str | None:
     """Log which transformation through measured GCPs (n, 2) is nearest to the model, and how near.
+
+    Returns its key, or None where there is none.
 
     `labels` are what the program calls the transformations that it offers, as `QGIS` and
     `GDALWARP`, the simplest first; `where` is the rest of the sentence, with ``{}`` for the label.
@@ -102,7 +104,7 @@ def say_nearest(name: str, fitted: Fit, xy: FloatArray, image: FloatArray,
         log.warning("Warning: %s: no thin plate spline goes through these GCPs, as some are above "
                     "each other.", name)
     if not made or not len(ground):
-        return
+        return None
     places = {key: transformation(ground) for key, transformation in made.items()}
     worst = {key: float(np.nan_to_num(np.hypot(*(place - exact).T), nan=np.inf).max())
              for key, place in places.items()}
@@ -111,6 +113,7 @@ def say_nearest(name: str, fitted: Fit, xy: FloatArray, image: FloatArray,
     ignored = ", and ignores heights" * fitted.model.uses_height
     say_deviation(name, fitted, ground, places[nearest],
                   f", {where.format(labels[nearest])}{ignored}")
+    return nearest
 
 
 def _by_gcps(key: str, xy: FloatArray, image: FloatArray, crs: str) -> Transformation | None:

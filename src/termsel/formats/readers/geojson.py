@@ -62,7 +62,9 @@ class Feature:
 def sniff_geojson(head: bytes, geometry: str) -> bool:
     """Return True if the text begins as a collection with a geometry that fits the pattern."""
     text = head.decode("utf-8-sig", errors="replace")
+    # An annotation of the IIIF has a collection inside: it is another format.
     return (text.lstrip()[:1] == "{" and '"FeatureCollection"' in text
+            and re.search(r'"type"\s*:\s*"Annotation', text) is None
             and re.search(rf'"type"\s*:\s*"{geometry}"', text) is not None)
 
 

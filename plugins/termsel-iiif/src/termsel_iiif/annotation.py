@@ -1,0 +1,216 @@
+"""The parts of an annotation, as versions 0 and 1 of the extension and Allmaps have them."""
+
+from __future__ import annotations
+
+import json
+import re
+from typing import Annotated, Any, Literal
+from urllib.parse import urlsplit
+from xml.etree import ElementTree
+
+import msgspec
+
+NAME = "georeference-annotation"
+SOURCE, MASK, TRANSFORMATION = "iiif_source", "iiif_mask", "iiif_transformation"
+"""Attributes in which the first point of a map keeps what is not of a point."""
+
+_NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
+_POINT = re.compile(rf"\s*({_NUMBER})[\s,]+({_NUMBER})\s*,?")
+
+Pair = Annotated[list[float], msgspec.Meta(min_length=2)]
+Service = Literal["ImageService1", "ImageService2", "ImageService3", "Canvas"]
+
+
+class _Properties(msgspec.Struct):
+    """Where a point is in the image: `resourceCoords` of version 1, `pixelCoords` of version 0."""
+
+    resourceCoords: Pair | None = None
+    pixelCoords: Pair | None = None
+
+
+class _Geometry(msgspec.Struct):
+    """Longitude and latitude."""
+
+    coordinates: Pair
+    type: Literal["Point"] = "Point"
+
+
+class Feature(msgspec.Struct):
+    """One control point."""
+
+    type: Literal["Feature"]
+    properties: _Properties
+    geometry: _Geometry
+    id: Any = None
+
+    @property
+    def image(self) -> list[float]:
+        """Column and row from the upper left corner of the image."""
+        found = self.properties.resourceCoords or self.properties.pixelCoords
+        if found is None:
+            raise ValueError("Object missing required field `resourceCoords`")
+        return found
+
+
+class _Body(msgspec.Struct):
+    """The control points of a map."""
+
+    type: Literal["FeatureCollection"]
+    features: list[Feature]
+    transformation: Any = None
+
+
+class _Source(msgspec.Struct):
+    """An image in version 1."""
+
+    type: Service
+    id: str | None = None
+    at_id: str | None = msgspec.field(default=None, name="@id")
+    height: Annotated[int, msgspec.Meta(gt=0)] | None = None
+    width: Annotated[int, msgspec.Meta(gt=0)] | None = None
+
+
+class _OneService(msgspec.Struct):
+    """The service of an image in version 0."""
+
+    id: str = msgspec.field(name="@id")
+    type: Service
+
+
+class _Selector(msgspec.Struct):
+    """The part of the image that is the map."""
+
+    type: Literal["SvgSelector"]
+    value: str
+
+
+class _Target(msgspec.Struct):
+    """The image of a map."""
+
+    source: str | _Source
+    selector: _Selector
+    service: Annotated[list[_OneService], msgspec.Meta(min_length=1, max_length=1)] | None = None
+
+
+class Annotation(msgspec.Struct):
+    """One map."""
+
+    type: Literal["Annotation"]
+    target: _Target
+    body: _Body
+    id: str | None = None
+
+
+class Map(msgspec.Struct):
+    """What of an annotation is used: image, control points, mask and transformation.
+
+    `features` are column, row, longitude and latitude of each point.
+    """
+
+    id: str | None
+    resource: dict[str, Any]
+    mask: str
+    transformation: Any
+    features: list[tuple[float, float, float, float]]
+
+
+def maps_of(text: bytes) -> list[Map]:
+    """Return the maps of an annotation or of a page of them.
+
+    Raises
+    ------
+    ValueError
+        Saying what is wrong, and where as a path in the JSON.
+    """
+    whole = msgspec.json.decode(text)
+    if not isinstance(whole, dict):
+        raise ValueError("Expected an object - at `$`")  # noqa: TRY004
+    if whole.get("type") == "AnnotationPage":
+        items = whole.get("items")
+        if not isinstance(items, list):
+            raise ValueError("Expected an array of annotations - at `$.items`")
+        return [_map(item, f"$.items[{i}]") for i, item in enumerate(items)]
+    return [_map(whole, "$")]
+
+
+def _map(item: Any, path: str) -> Map:
+    """Return one map, or refuse it with its place in the file."""
+    try:
+        given = msgspec.convert(item, Annotation)
+    except msgspec.ValidationError as error:
+        raise ValueError(str(error).replace("`$", f"`{path}")) from error
+    points = []
+    for i, feature in enumerate(given.body.features):
+        try:
+            column, row = feature.image[:2]
+        except ValueError as error:
+            raise ValueError(f"{error} - at `{path}.body.features[{i}].properties`") from error
+        points.append((column, row, *feature.geometry.coordinates[:2]))
+    size = _size_and_mask(given.target.selector.value, path)
+    transformation = given.body.transformation
+    return Map(given.id, _resource(given.target, size, path), given.target.selector.value,
+               transformation if isinstance(transformation, dict) else None, points)
+
+
+def _resource(target: _Target, size: tuple[int, int] | None, path: str) -> dict[str, Any]:
+    """Return id, type, width and height of the image."""
+    source = target.source
+    if isinstance(source, _Source):
+        name = source.id or source.at_id
+        if not name:
+            raise ValueError(f"Object missing required field `id` - at `{path}.target.source`")
+        _require_url(name, f"{path}.target.source.id")
+        width, height = source.width, source.height
+        if width is None or height is None:
+            width, height = size or (None, None)
+        return {"id": name, "type": source.type, "width": width, "height": height}
+    _require_url(source, f"{path}.target.source")
+    if target.service is None:
+        raise ValueError(f"Object missing required field `service` - at `{path}.target`")
+    service = target.service[0]
+    _require_url(service.id, f"{path}.target.service[0].@id")
+    width, height = size or (None, None)
+    return {"id": service.id, "type": service.type, "width": width, "height": height}
+
+
+def _require_url(text: str, path: str) -> None:
+    """Refuse what is no address."""
+    parts = urlsplit(text)
+    if not parts.scheme or not (parts.netloc or parts.path):
+        raise ValueError(f"Invalid url {text!r} - at `{path}`")
+
+
+def _size_and_mask(value: str, path: str) -> tuple[int, int] | None:
+    """Return width and height that an SVG selector states, whose polygon must be one."""
+    where = f" - at `{path}.target.selector.value`"
+    if "<!" in value:  # declarations can make a text of any length
+        raise ValueError(f"SVG with declarations{where}")
+    try:
+        svg = ElementTree.fromstring(value)
+    except ElementTree.ParseError as error:
+        raise ValueError(f"Invalid SVG: {error}{where}") from error
+    polygon = next((part for part in svg.iter() if part.tag.rpartition("}")[2] == "polygon"), None)
+    if polygon is None or len(corners(polygon.get("points", ""))) < 3:
+        raise ValueError(f"Invalid SVG, expected a polygon of three corners or more{where}")
+    try:
+        return int(float(svg.get("width", ""))), int(float(svg.get("height", "")))
+    except ValueError:
+        return None
+
+
+def corners(points: str) -> list[tuple[float, float]]:
+    """Return the corners of the attribute `points` of a polygon; none if it is not one."""
+    found, at = [], 0
+    while at < len(points.rstrip()):
+        match = _POINT.match(points, at)
+        if match is None:
+            return []
+        found.append((float(match[1]), float(match[2])))
+        at = match.end()
+    return found
+
+
+def kept(one: Map) -> dict[str, str]:
+    """Return what of a map is no point, as texts of attributes."""
+    return {SOURCE: json.dumps({"annotation": one.id, **one.resource}), MASK: one.mask,
+            TRANSFORMATION: json.dumps(one.transformation) if one.transformation else ""}

@@ -1,0 +1,83 @@
+"""Read georeference annotations as control points."""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+from typing import ClassVar
+
+import numpy as np
+
+from termsel import FeatureSet, Option, Points, Reader, TermselError
+from termsel.formats.base import read_text
+from termsel_iiif.annotation import NAME, Map, kept, maps_of
+
+log = logging.getLogger("termsel.iiif")
+
+CENTRE = 0.5
+"""Columns and rows of the IIIF count from the corner of a pixel, termsel's from its centre."""
+
+_MAP = Option("map", "", "Which map of a page: its number, from 1, or its id.")
+
+
+class AnnotationReader(Reader):
+    """Georeference annotations of the IIIF, versions 0 and 1, alone or in a page.
+
+    Points are in WGS84 without heights. Image, mask and transformation are attributes of the first
+    point, which the writer `georeference-annotation` takes back.
+    """
+
+    name = NAME
+    summary = "georeference annotation of a IIIF image, as of Allmaps; --set map=2 of a page"
+    declared_options: ClassVar[tuple[Option, ...]] = (_MAP,)
+
+    def sniff(self, path: Path, head: bytes) -> bool:
+        """Return True for an annotation with a body of features, or a page of annotations."""
+        text = head.lstrip()
+        if not text.startswith(b"{"):
+            return False
+        return b'"AnnotationPage"' in head or (
+            b'"Annotation"' in head and b'"target"' in head and b'"body"' in head)
+
+    def read(self, path: Path) -> FeatureSet:
+        """Return the points of a map."""
+        text = read_text(path)
+        try:
+            maps = maps_of(text.encode())
+        except (ValueError, RecursionError) as error:
+            raise TermselError(f"this is not a georeference annotation: {error}", file=path,
+                               hint="Correct it, or export it again.") from error
+        chosen = self._chosen(maps, path)
+        if not chosen.features:
+            raise TermselError("this map has no control points", file=path,
+                               hint="Add some, for example in Allmaps Editor.")
+        table = np.array(chosen.features)
+        n = len(table)
+        image = table[:, 1::-1] - CENTRE
+        ground = np.column_stack([table[:, 2:], np.full(n, np.nan)])
+        attributes = {name: np.array([text] + [""] * (n - 1), dtype=object)
+                      for name, text in kept(chosen).items()}
+        points = Points(tuple(f"P{i}" for i in range(1, n + 1)), image, ground,
+                        attributes=attributes)
+        width, height = chosen.resource["width"], chosen.resource["height"]
+        size = (height, width) if width and height else None
+        return FeatureSet(points, crs="EPSG:4326", image_size=size)
+
+    def _chosen(self, maps: list[Map], path: Path) -> Map:
+        """Return the map that the option names, or the only one."""
+        asked = str(self.options["map"])
+        known = ", ".join(f"{i}" + (f" ({one.id})" if one.id else "")
+                          for i, one in enumerate(maps[:8], 1))
+        if not maps:
+            raise TermselError("this page has no maps", file=path, hint="Add a map to it.")
+        if not asked:
+            if len(maps) > 1:
+                raise TermselError(f"this page has {len(maps)} maps", file=path,
+                                   hint=f"Choose one with --set map=N: {known}.")
+            return maps[0]
+        if asked.isdigit() and 1 <= int(asked) <= len(maps):
+            return maps[int(asked) - 1]
+        for one in maps:
+            if one.id == asked:
+                return one
+        raise TermselError(f"this page has no map {asked!r}", file=path, hint=f"Its maps: {known}.")

@@ -1,0 +1,222 @@
+"""Georeference annotations: read, refused with their place, written, and read again."""
+
+from __future__ import annotations
+
+import json
+import os
+from copy import deepcopy
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("termsel_iiif", reason="termsel-iiif is not installed: "
+                    "pip install -e plugins/termsel-iiif")
+
+import termsel
+from termsel import FeatureSet, Points, Result, TermselError, export, read
+from termsel.testing import check, checks
+from termsel_iiif.annotation import MASK, SOURCE, TRANSFORMATION, corners, maps_of
+from termsel_iiif.reader import AnnotationReader
+from termsel_iiif.writer import TRANSFORMATIONS, AnnotationWriter
+
+MASK_OF_4 = '<svg width="3000" height="2000"><polygon points="5,5 5,1990 2990,1990 2990,5" /></svg>'
+
+
+def annotation(n: int = 30, seed: int = 0, **transformation: Any) -> dict[str, Any]:
+    """Return an annotation of version 1: a turned map with a little noise."""
+    rng = np.random.default_rng(seed)
+    image = rng.uniform(50, 1950, (n, 2)).round(3)
+    lon = 2.2 + 1e-5 * image[:, 0] + 1e-6 * image[:, 1] + rng.normal(0, 5e-6, n)
+    lat = 48.9 + 1e-6 * image[:, 0] - 7e-6 * image[:, 1] + rng.normal(0, 5e-6, n)
+    return {
+        "type": "Annotation", "id": "https://example.org/maps/1", "motivation": "georeferencing",
+        "target": {"type": "SpecificResource", "source": {
+            "id": "https://example.org/iiif/1", "type": "ImageService2", "width": 3000,
+            "height": 2000}, "selector": {"type": "SvgSelector", "value": MASK_OF_4}},
+        "body": {"type": "FeatureCollection", "transformation": transformation or {
+            "type": "polynomial", "options": {"order": 1}}, "features": [{
+                "type": "Feature", "properties": {"resourceCoords": list(place)},
+                "geometry": {"type": "Point", "coordinates": [x, y]}}
+                for place, x, y in zip(image.tolist(), lon.tolist(), lat.tolist(), strict=True)]}}
+
+
+def version_0() -> dict[str, Any]:
+    """Return an annotation of version 0."""
+    old = annotation(3)
+    old["target"] = {
+        "type": "Image", "source": "https://example.org/iiif/1/full/full/0/default.jpg",
+        "service": [{"@id": "https://example.org/iiif/1", "type": "ImageService2"}],
+        "selector": old["target"]["selector"]}
+    for feature in old["body"]["features"]:
+        feature["properties"] = {"pixelCoords": feature["properties"]["resourceCoords"]}
+    return old
+
+
+def write(folder: Path, content: Any, name: str = "map.json") -> Path:
+    path = folder / name
+    path.write_text(json.dumps(content), encoding="utf-8")
+    return path
+
+
+TWO = annotation(2)
+TWO["body"]["features"][0]["properties"]["resourceCoords"] = [10, 20]
+TWO["body"]["features"][0]["geometry"]["coordinates"] = [2.0, 48.0]
+TWO["body"]["features"][1]["properties"]["resourceCoords"] = [30.5, 40]
+TWO["body"]["features"][1]["geometry"]["coordinates"] = [2.1, 48.1]
+EXPECTED = FeatureSet(Points(
+    ("P1", "P2"), np.array([[19.5, 9.5], [39.5, 30.0]]),
+    np.array([[2.0, 48.0, np.nan], [2.1, 48.1, np.nan]]), attributes={name: np.array(cells, dtype=object) for name, cells in {
+        SOURCE: [json.dumps({"annotation": "https://example.org/maps/1",
+                             "id": "https://example.org/iiif/1", "type": "ImageService2",
+                             "width": 3000, "height": 2000}), ""],
+        MASK: [MASK_OF_4, ""],
+        TRANSFORMATION: [json.dumps({"type": "polynomial", "options": {"order": 1}}), ""]}.items()}),
+    crs="EPSG:4326", image_size=(2000, 3000))
+
+
+@pytest.mark.parametrize("check", checks(
+    AnnotationReader, content=json.dumps(TWO).encode(), expected=EXPECTED, filename="map.json"),
+    ids=lambda check: check.name)
+def test_the_reader_conforms(check: Any) -> None:
+    check.run()
+
+
+def test_the_writer_conforms() -> None:
+    check(AnnotationWriter(image_id="https://example.org/iiif/1"), filename="map.json")
+
+
+def test_version_0_says_the_same(tmp_path: Path) -> None:
+    old = read(write(tmp_path, version_0(), "old.json"))
+    new = read(write(tmp_path, annotation(3), "new.json"))
+    np.testing.assert_array_equal(old.points.image, new.points.image)
+    np.testing.assert_array_equal(old.points.ground, new.points.ground)
+    assert old.image_size == new.image_size == (2000, 3000)
+
+
+def test_a_page_asks_for_the_map(tmp_path: Path) -> None:
+    second = annotation(5, seed=1)
+    second["id"] = "https://example.org/maps/2"
+    page = write(tmp_path, {"type": "AnnotationPage", "items": [annotation(4), second]})
+    with pytest.raises(TermselError, match=r"has 2 maps.*1 \(https://example.org/maps/1\), 2"):
+        read(page)
+    assert len(read(page, map="2").points) == 5
+    assert len(read(page, map="https://example.org/maps/1").points) == 4
+    with pytest.raises(TermselError, match="no map '3'"):
+        read(page, map="3")
+    with pytest.raises(TermselError, match="no maps"):
+        read(write(tmp_path, {"type": "AnnotationPage", "items": []}, "none.json"))
+
+
+@pytest.mark.parametrize(("path", "value", "where"), [
+    (("target",), None, "$.target"),
+    (("body",), None, "$.body"),
+    (("target", "selector"), "text", "$.target.selector"),
+    (("target", "selector", "value"), "text", "$.target.selector.value"),
+    (("target", "selector", "value"), MASK_OF_4.replace("5,1990 2990,1990 2990,5", ""),
+     "$.target.selector.value"),
+    (("target", "selector", "value"), "<!DOCTYPE a>" + MASK_OF_4, "$.target.selector.value"),
+    (("target", "source", "id"), "invalid", "$.target.source.id"),
+    (("target", "source", "type"), "Picture", "$.target.source.type"),
+    (("body", "features", 0, "type"), "Point", "$.body.features[0].type"),
+    (("body", "features", 1, "geometry", "coordinates"), 7,
+     "$.body.features[1].geometry.coordinates"),
+    (("body", "features", 1, "properties"), {}, "$.body.features[1].properties"),
+    (("body", "features", 1, "properties", "resourceCoords"), [1],
+     "$.body.features[1].properties.resourceCoords")])
+def test_what_is_invalid_is_refused_with_its_place(
+        tmp_path: Path, path: tuple[Any, ...], value: Any, where: str) -> None:
+    wrong = deepcopy(annotation(3))
+    part = wrong
+    for step in path[:-1]:
+        part = part[step]
+    part[path[-1]] = value
+    with pytest.raises(TermselError) as raised:
+        read(write(tmp_path, wrong), format="georeference-annotation")
+    assert f"`{where}`" in str(raised.value)
+    with pytest.raises(TermselError, match=r"items\[1\]"):
+        read(write(tmp_path, {"type": "AnnotationPage", "items": [annotation(2), wrong]}))
+
+
+def fitted(path: Path, model: str = "affine", **options: Any) -> Result:
+    features = read(path)
+    roles = ("control",) * len(features.points)
+    features = replace(features, points=replace(features.points, roles=roles))
+    return termsel.run("poly-terms", features=features, model=model, solver="all-terms",
+                       criterion="press", options=options)
+
+
+def test_written_points_are_those_that_were_read(tmp_path: Path) -> None:
+    there = write(tmp_path, annotation())
+    back = tmp_path / "back.json"
+    export(fitted(there, "poly2d", degree=1), "georeference-annotation", back)
+    before, after = (json.loads(path.read_text()) for path in (there, back))
+    assert after["target"]["source"] == before["target"]["source"]
+    assert after["target"]["selector"] == before["target"]["selector"]
+    assert after["id"] == before["id"]
+
+    def rows(one: dict[str, Any]) -> list[list[float]]:
+        return sorted(feature["properties"]["resourceCoords"] + feature["geometry"]["coordinates"]
+                      for feature in one["body"]["features"])
+
+    np.testing.assert_allclose(rows(after), rows(before), atol=1e-9)
+    np.testing.assert_array_equal(np.sort(read(back).points.image, axis=0),
+                                  np.sort(read(there).points.image, axis=0))
+
+
+@pytest.mark.parametrize(("degree", "key"), [(1, "order 1"), (2, "order 2"), (3, "order 3")])
+def test_the_nearest_transformation_is_stated(
+        tmp_path: Path, degree: int, key: str, caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level("INFO", logger="termsel")
+    back = tmp_path / "back.json"
+    export(fitted(write(tmp_path, annotation()), "poly2d", degree=degree),
+           "georeference-annotation", back)
+    stated = json.loads(back.read_text())["body"]["transformation"]
+    assert stated == TRANSFORMATIONS[key][1]
+    assert f"by a viewer with {TRANSFORMATIONS[key][0]}" in caplog.text
+
+
+def test_an_image_without_an_address_is_asked_for(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    image = rng.uniform(0, 1000, (12, 2))
+    features = FeatureSet(Points(tuple(f"P{i}" for i in range(12)), image, np.column_stack(
+        [500000 + image[:, 1], 4000000 - image[:, 0], np.full(12, np.nan)])), crs="EPSG:32639")
+    result = termsel.run("poly-terms", features=features, model="poly2d", solver="all-terms",
+                         criterion="press", options={"degree": 1})
+    with pytest.raises(TermselError, match="image_id"):
+        export(result, "georeference-annotation", tmp_path / "no.json")
+    assert not (tmp_path / "no.json").exists()
+    export(result, "georeference-annotation", tmp_path / "map.json",
+           image_id="https://example.org/iiif/9")
+    again = read(tmp_path / "map.json")
+    assert len(again.points) == 12
+    assert 50 < again.points.ground[0, 0] < 52
+
+
+def test_corners_are_numbers_in_pairs() -> None:
+    assert corners("1,2 3.5,-4e1  5 6") == [(1, 2), (3.5, -40), (5, 6)]
+    assert corners("1,2 x,4") == []
+
+
+def test_those_of_allmaps_are_read_or_refused_as_there() -> None:
+    here = Path(__file__).resolve().parents[3]
+    folder = Path(os.environ.get("TERMSEL_DATA", here.parent / "shared" / "data"),
+                  "allmaps-annotations")
+    if not folder.is_dir():
+        pytest.skip("real data are not here; set TERMSEL_DATA to their folder")
+    for file in sorted((folder / "input").glob("*.json")):
+        expected = folder / "output" / f"{file.stem}.map.json"
+        if not expected.exists():
+            with pytest.raises(ValueError, match=r"\$"):
+                maps_of(file.read_bytes())
+            continue
+        for one, known in zip(maps_of(file.read_bytes()), json.loads(expected.read_text()),
+                              strict=True):
+            assert [list(point) for point in one.features] == [
+                gcp["resource"] + gcp["geo"] for gcp in known["gcps"]], file.name
+            assert one.resource["id"] == known["resource"]["id"]
+            assert (one.resource["width"], one.resource["height"]) == (
+                known["resource"].get("width"), known["resource"].get("height"))
+            assert one.transformation == known.get("transformation")
