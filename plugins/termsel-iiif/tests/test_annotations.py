@@ -66,14 +66,14 @@ TWO["body"]["features"][0]["properties"]["resourceCoords"] = [10, 20]
 TWO["body"]["features"][0]["geometry"]["coordinates"] = [2.0, 48.0]
 TWO["body"]["features"][1]["properties"]["resourceCoords"] = [30.5, 40]
 TWO["body"]["features"][1]["geometry"]["coordinates"] = [2.1, 48.1]
+KEPT = {SOURCE: json.dumps({
+    "annotation": "https://example.org/maps/1", "id": "https://example.org/iiif/1",
+    "type": "ImageService2", "width": 3000, "height": 2000}), MASK: MASK_OF_4,
+    TRANSFORMATION: json.dumps({"type": "polynomial", "options": {"order": 1}})}
 EXPECTED = FeatureSet(Points(
     ("P1", "P2"), np.array([[19.5, 9.5], [39.5, 30.0]]),
-    np.array([[2.0, 48.0, np.nan], [2.1, 48.1, np.nan]]), attributes={name: np.array(cells, dtype=object) for name, cells in {
-        SOURCE: [json.dumps({"annotation": "https://example.org/maps/1",
-                             "id": "https://example.org/iiif/1", "type": "ImageService2",
-                             "width": 3000, "height": 2000}), ""],
-        MASK: [MASK_OF_4, ""],
-        TRANSFORMATION: [json.dumps({"type": "polynomial", "options": {"order": 1}}), ""]}.items()}),
+    np.array([[2.0, 48.0, np.nan], [2.1, 48.1, np.nan]]),
+    attributes={name: np.array([text, ""], dtype=object) for name, text in KEPT.items()}),
     crs="EPSG:4326", image_size=(2000, 3000))
 
 

@@ -145,7 +145,8 @@ def _map(item: Any, path: str) -> Map:
             column, row = feature.image[:2]
         except ValueError as error:
             raise ValueError(f"{error} - at `{path}.body.features[{i}].properties`") from error
-        points.append((column, row, *feature.geometry.coordinates[:2]))
+        lon, lat = feature.geometry.coordinates[:2]
+        points.append((column, row, lon, lat))
     size = _size_and_mask(given.target.selector.value, path)
     transformation = given.body.transformation
     return Map(given.id, _resource(given.target, size, path), given.target.selector.value,
