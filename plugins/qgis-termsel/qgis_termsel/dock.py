@@ -18,7 +18,7 @@ from qgis.PyQt.QtWidgets import (
     QWidget,
 )
 
-from .layers import blunder_style, residual_style, vector_style
+from .layers import blunder_style
 
 CHECKED = getattr(Qt, "CheckState", Qt).Checked
 UNCHECKED = getattr(Qt, "CheckState", Qt).Unchecked
@@ -79,10 +79,10 @@ class ResultDock(QDockWidget):
         self._enable()
         file = self.folder / "result_residuals.gpkg"
         if file.exists() and self.iface is not None:
-            for layer, style in (("residuals", residual_style), ("vectors", vector_style),
-                                 ("blunders", blunder_style)):
+            for layer in ("residuals", "vectors", "blunders"):
                 shown = QgsVectorLayer(f"{file}|layername={layer}", layer, "ogr")
-                style(shown)
+                if layer == "blunders":
+                    blunder_style(shown)
                 QgsProject.instance().addMapLayer(shown)
 
     def _fill(self, rows):

@@ -3,19 +3,15 @@
 import csv
 
 from qgis.core import (
-    QgsArrowSymbolLayer,
     QgsCoordinateReferenceSystem,
     QgsCoordinateTransformContext,
     QgsFeature,
-    QgsFillSymbol,
     QgsGeometry,
-    QgsLineSymbol,
     QgsMarkerSymbol,
     QgsPointXY,
     QgsProcessingException,
     QgsProcessingLayerPostProcessorInterface,
     QgsProcessingUtils,
-    QgsRuleBasedRenderer,
     QgsSingleSymbolRenderer,
     QgsVectorFileWriter,
     QgsVectorLayer,
@@ -100,30 +96,17 @@ def crs_text(crs):
 _kept = []  # post-processors, which QGIS does not keep
 
 
-class Styled(QgsProcessingLayerPostProcessorInterface):
-    """Gives an output its look, once it is a layer."""
+class BlundersInRed(QgsProcessingLayerPostProcessorInterface):
+    """Gives the layer of blunders its look; the others have theirs in the file."""
 
-    def __init__(self, style):
+    def __init__(self):
         super().__init__()
-        self.style = style
         _kept.append(self)
 
     def postProcessLayer(self, layer, context, feedback):
         """Take the look."""
-        self.style(layer)
+        blunder_style(layer)
         layer.triggerRepaint()
-
-
-def residual_style(layer):
-    """Show points by their role."""
-    root = QgsRuleBasedRenderer.Rule(None)
-    for title, rule, colour in (("independent", "\"role\" = 'independent'", "#2f7d4f"),
-                                ("check", "\"role\" = 'check'", "#c98a1b"),
-                                ("control", "ELSE", "#2b5d8a")):
-        symbol = QgsMarkerSymbol.createSimple({"color": colour, "size": "2.4",
-                                               "outline_color": "white"})
-        root.appendChild(QgsRuleBasedRenderer.Rule(symbol, filterExp=rule, label=title))
-    layer.setRenderer(QgsRuleBasedRenderer(root))
 
 
 def blunder_style(layer):
@@ -156,17 +139,3 @@ def add_blunders(folder, record, target):
     options.actionOnExistingFile = QgsVectorFileWriter.CreateOrOverwriteLayer
     QgsVectorFileWriter.writeAsVectorFormatV3(layer, str(target), QgsCoordinateTransformContext(),
                                               options)
-
-
-def vector_style(layer):
-    """Show residual vectors as arrows."""
-    arrow = QgsArrowSymbolLayer()
-    arrow.setArrowWidth(0.4)
-    arrow.setArrowStartWidth(0.4)
-    arrow.setHeadLength(1.6)
-    arrow.setHeadThickness(1.2)
-    arrow.setIsCurved(False)
-    arrow.setSubSymbol(QgsFillSymbol.createSimple({"color": "#8a2b6b", "outline_style": "no"}))
-    symbol = QgsLineSymbol()
-    symbol.changeSymbolLayer(0, arrow)
-    layer.setRenderer(QgsSingleSymbolRenderer(symbol))

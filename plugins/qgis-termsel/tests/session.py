@@ -34,7 +34,7 @@ import processing  # noqa: E402
 from processing.core.Processing import Processing  # noqa: E402
 from qgis_termsel import child  # noqa: E402
 from qgis_termsel.dock import CHECKED, ResultDock  # noqa: E402
-from qgis_termsel.layers import blunder_style, residual_style, vector_style  # noqa: E402
+from qgis_termsel.layers import blunder_style  # noqa: E402
 from qgis_termsel.provider import TermselProvider  # noqa: E402
 
 Processing.initialize()
@@ -142,12 +142,11 @@ told["dock"]["none"] = dock.accuracy.text()
 
 told["wrong"] = run("georeference", FILE=str(folder / "wrong.csv"), OUTPUT=str(folder / "wrong"))
 layers = []
-for name, style in (("blunders", blunder_style), ("residuals", residual_style),
-                    ("vectors", vector_style)):
+for name in ("blunders", "residuals", "vectors"):
     shown = QgsVectorLayer(f"{folder / 'wrong' / 'result_residuals.gpkg'}|layername={name}", name,
                            "ogr")
-    style(shown)
     layers.append(shown)
+blunder_style(layers[0])
 settings = QgsMapSettings()
 settings.setLayers(layers)
 settings.setOutputSize(QSize(700, 500))

@@ -22,15 +22,7 @@ from qgis.core import (
 )
 
 from ..child import run
-from ..layers import (
-    Styled,
-    add_blunders,
-    blunder_style,
-    crs_text,
-    points_csv,
-    residual_style,
-    vector_style,
-)
+from ..layers import BlundersInRed, add_blunders, crs_text, points_csv
 from .base import Algorithm, in_place, layer_file, scratch
 
 _RESIDUALS = "result_residuals.gpkg"
@@ -130,16 +122,16 @@ class Georeference(Algorithm):
         page.write_text("<!doctype html><meta charset='utf-8'><pre>" + html.escape(summary)
                         + "</pre>", encoding="utf-8")
         add_blunders(target, record, target / _RESIDUALS)
-        layers = {"RESIDUALS": ("residuals", "Residuals", residual_style),
-                  "VECTORS": ("vectors", "Residual vectors", vector_style),
-                  "WRONG": ("blunders", "Blunders", blunder_style)}
+        layers = {"RESIDUALS": ("residuals", "Residuals"),
+                  "VECTORS": ("vectors", "Residual vectors"), "WRONG": ("blunders", "Blunders")}
         outputs = {"OUTPUT": str(target), "SUMMARY": str(page),
                    "RMSE": ((record.get("rmse") or {}).get("independent") or {}).get("total"),
                    "BLUNDERS": ",".join(one["id"] for one in record.get("outliers", []))}
-        for name, (layer, title, style) in layers.items():
+        for name, (layer, title) in layers.items():
             outputs[name] = f"{target / _RESIDUALS}|layername={layer}"
             details = QgsProcessingContext.LayerDetails(title, context.project(), name)
-            details.setPostProcessor(Styled(style))
+            if name == "WRONG":
+                details.setPostProcessor(BlundersInRed())
             context.addLayerToLoadOnCompletion(outputs[name], details)
         return outputs
 
