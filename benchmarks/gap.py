@@ -68,7 +68,7 @@ def proven(folder: Path, criterion: str) -> termsel.Result:
 
 def certified(proof: termsel.Result) -> Mapping[str, Any]:
     """Return the certificate of an optimum."""
-    if proof.certificate is None or not proof.certificate["optimal"]:
+    if proof.certificate is None or not proof.certificate.optimal:
         raise SystemExit("exact has not proven the optimum")
     return proof.certificate
 
@@ -103,9 +103,9 @@ def page(proof: termsel.Result, residuals: termsel.Result,
     yield FRONT
     yield "| terms | check RMSE [px] | independent RMSE [px] |\n|---:|---:|---:|"
     for member in proof.front:
-        rmse = member["rmse"]
-        yield (f"| {member['objectives']['n_terms']} | {rmse['check']['total']:.4f} | "
-               f"{rmse['independent']['total']:.3f} |")
+        rmse = member.rmse
+        yield (f"| {member.objectives['n_terms']} | {rmse.check.total:.4f} | "
+               f"{rmse.independent.total:.3f} |")
     yield "\n## What searches reach\n"
     yield TABLES
     for study in studies:
@@ -233,7 +233,7 @@ def other_scenes() -> Iterator[str]:
     for seed in SCENES:
         features = simulate_scene("ikonos-hamedan", seed=seed)
         best = termsel.run("rfm-terms", features=features, solver="exact", options={"order": 2})
-        if best.certificate is None or not best.certificate["optimal"]:
+        if best.certificate is None or not best.certificate.optimal:
             raise SystemExit(f"exact has not proven the optimum of scene {seed}")
         search = termsel.run("rfm-terms", features=features, solver="ga", options={"order": 2})
         auto = termsel.run("rfm-terms", features=features, strategy="auto")
@@ -260,8 +260,8 @@ def figure(proof: termsel.Result, study: termsel.Study) -> Any:
     """Return the chart of check and independent RMSE over the number of terms."""
     alt = require_altair()
     kinds = ("check RMSE of the best selection", "its independent RMSE")
-    rows = [{"terms": member["objectives"]["n_terms"], "rmse": member["rmse"][role]["total"],
-             "what": kind} for member in proof.front if member["objectives"]["n_terms"] >= 8
+    rows = [{"terms": member.objectives["n_terms"], "rmse": getattr(member.rmse, role).total,
+             "what": kind} for member in proof.front if member.objectives["n_terms"] >= 8
             for role, kind in zip(("check", "independent"), kinds, strict=True)]
     runs = [{"terms": one["n_terms"], "rmse": one[key], "what": kind}
             for one in runs_of([study]) if one["solver"] == "ga"

@@ -185,9 +185,9 @@ def measure(job: tuple[str, int]) -> Outcome:
         ratio(robust["huber"]), ratio(robust["tukey"]), ratio(owdis.rmse["independent"]),
         ratio(kept.rmse["independent"]), len(out & wrong) / len(wrong),
         len(out & right) / len(right), sum(not one.excluded for one in owdis.outliers),
-        ratio(auto.rmse["independent"]) * told[best] / auto.strategy["predicted"],
+        ratio(auto.rmse["independent"]) * told[best] / auto.strategy.predicted,
         bool(set(auto.selection.features) & right),
-        auto.strategy["reason"].endswith("so these lines are used."))
+        auto.strategy.reason.endswith("so these lines are used."))
 
 
 def outcomes(wanted: list[str], draws: int, processes: int) -> Iterator[tuple[str, list[Outcome]]]:

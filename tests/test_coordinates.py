@@ -128,7 +128,7 @@ def test_affine_in_geodetic_coordinates_given_in_them(scene: FeatureSet) -> None
     given = termsel.simulate_scene("ikonos-hamedan", n_points=90)
     plain, asked = run(given), run(given, "geodetic")
     assert asked.features.fit_crs == ""
-    assert asked.data["fit_crs"] == "EPSG:4979"
+    assert asked.data.fit_crs == "EPSG:4979"
     np.testing.assert_array_equal(plain.fit.adjustment.coefficients,
                                   asked.fit.adjustment.coefficients)
 

@@ -53,7 +53,7 @@ def test_a_paper_just_runs(name: str) -> None:
 
 def test_a_paper_ends_by_its_stopping_rule() -> None:
     result = termsel.run("zakaryaie-2015", options={"degree": 4, "population": 40})
-    best = [one["best"] for one in result.history]
+    best = [one.best for one in result.history]
     assert result.generations == len(best) - 1
     assert best[-1] == best[-51]
     assert best[-52] > best[-51]

@@ -95,7 +95,7 @@ def test_parameters_reach_record_report_and_exports(distorted: Path, tmp_path: P
 def test_a_front_has_the_parameters_of_each_member() -> None:
     result = termsel.run("distortion", solver="nsga2", generations=4,
                          options={"population": 20, "polish": False})
-    assert all(set(one["selection"]["parameters"]) == {"centre_line", "centre_sample"}
+    assert all(set(one.selection.parameters) == {"centre_line", "centre_sample"}
                for one in result.front)
 
 

@@ -41,10 +41,10 @@ def test_a_front_has_neither_dominated_members_nor_duplicates(solver: str) -> No
 @pytest.mark.slow
 def test_nsga2_lies_on_the_exact_front_of_the_21_term_problem() -> None:
     exact = termsel.run("poly-terms", solver="exact", options={"degree": 5})
-    best = {m["objectives"]["n_terms"]: m["objectives"]["check-rmse"] for m in exact.front}
+    best = {m.objectives["n_terms"]: m.objectives["check-rmse"] for m in exact.front}
     result = termsel.run("poly-terms", solver="nsga2", evaluations=80_000,
                          options={"degree": 5, "polish": True})
-    on = [m["objectives"]["check-rmse"] == pytest.approx(best.get(m["objectives"]["n_terms"], 0))
+    on = [m.objectives["check-rmse"] == pytest.approx(best.get(m.objectives["n_terms"], 0))
           for m in result.front]
     assert np.mean(on) >= 0.9
 

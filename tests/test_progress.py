@@ -56,7 +56,7 @@ def test_observers_of_auto_see_every_candidate_of_every_fold(
     assert len(set(shares)) == result.evaluations == seen[-1].evaluations
     assert {one.what for one in seen} == {
         "blunders", "candidates", *(f"fold {i + 1} of {folds}" for i in range(folds))}
-    assert seen[-1].best == min(one["predicted"] for one in result.strategy.candidates)
+    assert seen[-1].best == min(one.predicted for one in result.strategy.candidates)
 
 
 def test_an_interrupted_choice_is_that_among_the_candidates_so_far(tmp_path: Path) -> None:

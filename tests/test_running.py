@@ -133,7 +133,7 @@ def test_independent_points_change_nothing_but_their_own_rmse(path: str) -> None
     features = scene_of(path)
     first = termsel.run(problem, features=features, **given)
     points = features.points
-    independent = np.isin(points.ids, first.data["roles"]["independent"])
+    independent = np.isin(points.ids, first.data.roles.independent)
     image, ground = points.image.copy(), points.ground.copy()
     image[independent] += [400.0, -70.0]
     if "blank" not in path and "again" not in path:  # their roles depend on places

@@ -101,7 +101,7 @@ def test_ctrl_c_finishes_the_cells_under_way_and_says_how_to_go_on(
     assert "Traceback" not in said
     records = read_journal(tmp_path / "out").records
     assert 2 <= len(records) < 40
-    assert {record["state"] for record in records.values()} == {"done"}
+    assert {record.state for record in records.values()} == {"done"}
 
 
 def test_a_torn_line_is_cut_off_and_told(study: Path, call: Call, tmp_path: Path) -> None:
