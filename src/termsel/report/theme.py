@@ -12,7 +12,7 @@ from typing import Any
 from termsel.errors import requires
 
 CONTROL, CHECK, INDEPENDENT = "#0072b2", "#e08a00", "#1b1f24"
-UNUSED, BLUNDER, LINE = "#9aa1ab", "#c8003c", "#0072b2"
+UNUSED, BLUNDER = "#9aa1ab", "#c8003c"
 INK, FAINT, EDGE, GRID, GROUND = "#1b1f24", "#5b636e", "#c6cbd2", "#eceef1", "#ffffff"
 
 METHODS = (CONTROL, CHECK, INDEPENDENT, "#009e73", BLUNDER, "#56b4e9", "#7b4ea3", "#8c6d31")
@@ -61,7 +61,8 @@ def styled(chart: Any, title: str = "", look: str = "") -> Any:
         labelSeparation=5,
     ).configure_legend(
         orient="top", direction="horizontal", title=None, labelFontSize=11.5, labelColor=INK,
-        titleColor=INK, symbolSize=70, offset=6, columnPadding=14, labelLimit=200,
+        titleColor=INK, titleFontSize=11.5, titleFontWeight="normal", symbolSize=70,
+        offset=6, columnPadding=14, labelLimit=200,
     ).configure_header(labelColor=INK, labelFontSize=12, labelFontWeight=600)
 
 
@@ -70,15 +71,6 @@ def dark_style() -> str:
     rules = "\n".join(f'  svg [{of}="{light}"] {{ {of}: {dark}; }}'
                       for light, dark in DARK.items() for of in ("fill", "stroke"))
     return f"@media screen and (prefers-color-scheme: dark) {{\n{rules}\n}}\n"
-
-
-def label(base: Any, text: Any, colour: str = INK, **channels: Any) -> Any:
-    """Return text at the right of a place, with a rim that keeps it apart from marks below."""
-    alt = require_altair()
-    style: dict[str, Any] = {"align": "left", "dx": 8, "fontSize": 10.5, "aria": False}
-    rim = {"color": GROUND, "stroke": GROUND, "strokeWidth": 4, "strokeJoin": "round"}
-    return alt.layer(*(base.mark_text(**style, **own).encode(text=text, **channels)
-                       for own in (rim, {"color": colour})))
 
 
 def _wrapped(text: str, width: int = 84) -> list[str]:

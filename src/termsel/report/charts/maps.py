@@ -16,7 +16,6 @@ from termsel.report.theme import (
     ROLE_SHAPES,
     WIDTH,
     data,
-    label,
     legend_of,
     require_altair,
 )
@@ -110,9 +109,7 @@ def sigma_map(view: View) -> Any:
     y = alt.Y("line:Q", title="line [px]", axis=axis,
               scale=alt.Scale(domain=[bottom, top], nice=False, zero=False))
     colour = alt.Color("sigma:Q", scale=alt.Scale(scheme="viridis", reverse=True),
-                       legend=alt.Legend(title="standard deviation [px]", orient="top",
-                                         gradientLength=220, titleFontWeight="normal",
-                                         titleFontSize=11.5))
+                       legend=alt.Legend(title="standard deviation [px]", gradientLength=220))
     layers = [
         alt.Chart(data(cells)).mark_rect(strokeWidth=0, clip=True, aria=False).encode(
             x=x, y=y, x2="sample2:Q", y2="line2:Q", color=colour,
@@ -195,7 +192,10 @@ def _bar(x0: float, y0: float, length: float, text: str, at_x: str, at_y: str, x
                      ).transform_calculate(end=f"datum.{at_x} + exaggeration * datum.length")
     return alt.layer(
         base.mark_rule(strokeWidth=2.4, color=INK, aria=False).encode(x=x, y=y, x2="end:Q"),
-        label(base, "text:N", x=_of(x, "end"), y=y))
+        # The rim keeps the text apart from arrows below it.
+        *(base.mark_text(align="left", dx=8, fontSize=11, aria=False, **look).encode(
+            x=_of(x, "end"), y=y, text="text:N")
+          for look in ({"color": GROUND, "stroke": GROUND, "strokeWidth": 4}, {"color": INK})))
 
 
 def _axes(view: View) -> tuple[str, str]:

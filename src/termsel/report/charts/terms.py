@@ -125,8 +125,7 @@ def correlation_map(view: View) -> Any:
         y=alt.Y("one:N", sort=names, title=None, axis=labels),
         color=alt.Color("correlation:Q", scale=alt.Scale(scheme="purpleorange", domain=[-1, 1],
                                                          domainMid=0),
-                        legend=alt.Legend(gradientLength=180, title="correlation",
-                                          titleFontWeight="normal", titleColor=INK)),
+                        legend=alt.Legend(gradientLength=180, title="correlation")),
         tooltip=[alt.Tooltip("one:N", title="term"), alt.Tooltip("other:N", title="and term"),
                  alt.Tooltip("correlation:Q", format=".3f")],
     ).properties(width=side, height=side)

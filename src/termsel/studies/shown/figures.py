@@ -96,7 +96,7 @@ def _shares(rows: list[dict[str, Any]], methods: tuple[str, ...], x: str, of_x: 
 def convergence(groups: Groups) -> Figure:
     """Return the best value by evaluations, median and quartiles, a panel an instance."""
     alt = require_altair()
-    rows = []
+    rows: list[dict[str, Any]] = []
     for instance in list(groups.instances)[:_MOST_PANELS]:
         runs_of = groups.instances[instance]
         most = max(length(record.figures) for runs in runs_of.values()
@@ -110,7 +110,7 @@ def convergence(groups: Groups) -> Figure:
                      for budget, low, median, high in bands(traces, budgets.tolist())
                      if math.isfinite(high)]
     by_method = _by_method(groups.methods)
-    scale, kind = _best_scale(rows)
+    scale, kind = spread_scale([row[end] for row in rows for end in ("low", "high")], zero=False)
     criteria = sorted({row["criterion"] for runs_of in groups.instances.values()
                        for runs in runs_of.values() for row in runs.rows})
     base = alt.Chart(data(rows)).encode(color=by_method["color"], x=alt.X(
@@ -126,17 +126,6 @@ def convergence(groups: Groups) -> Figure:
             x="independent", y="independent")
     return Figure("convergence", "Convergence", "Medians as lines, quartiles as bands. Lines that "
                   "still fall at their end were given too few evaluations.", drawn)
-
-
-def _best_scale(rows: list[dict[str, Any]]) -> tuple[Any, str]:
-    """Return the scale of the panels: logarithmic where the values of one differ by much."""
-    panels: dict[str, list[float]] = {}
-    for row in rows:
-        panels.setdefault(row["instance"], []).extend((row["low"], row["high"]))
-    widest = max(panels.values(), key=lambda one: max(one) / min(one) if min(one) > 0 else 0.0,
-                 default=[])
-    positive = all(min(one) > 0 for one in panels.values())
-    return spread_scale(widest if positive else [], zero=False)
 
 
 def profile(groups: Groups) -> Figure:
