@@ -189,7 +189,7 @@ def test_a_long_search_is_thinned_and_keeps_its_ends() -> None:
     shown = spaced(history, 400)
     assert len(shown) == 400
     assert (shown[0], shown[-1]) == (history[0], history[-1])
-    gaps = np.diff([one.evaluations for one in shown])
+    gaps = np.diff([one["evaluations"] for one in shown])
     assert gaps.max() - gaps.min() <= 1
     assert spaced(history[:400], 400) == history[:400]
 
