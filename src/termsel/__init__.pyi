@@ -1,10 +1,12 @@
 # The public API: each name, and the module that it is imported from when it is first used.
+from .adjustment import Adjustment as Adjustment
 from .adjustment import Equations as Equations
 from .adjustment import image_equations as image_equations
 from .adjustment import line_normals as line_normals
 from .adjustment import row_weights as row_weights
 from .candidates.base import Candidate as Candidate
 from .candidates.base import Judged as Judged
+from .candidates.base import Suspects as Suspects
 from .candidates.structures import Structure as Structure
 from .criteria import Criterion as Criterion
 from .criteria import Fits as Fits
@@ -16,6 +18,7 @@ from .fits.fit import Estimator as Estimator
 from .fits.fit import Fit as Fit
 from .fits.fit import HeldOut as HeldOut
 from .fits.fit import Undetermined as Undetermined
+from .fits.uncertainty import Spread as Spread
 from .formats.base import Reader as Reader
 from .formats.base import Writer as Writer
 from .formats.heights import open_dem as open_dem

@@ -15,13 +15,38 @@ from termsel.fits.fit import Estimator, Fit, Undetermined
 from termsel.fits.least_squares import LEAST_SQUARES, solutions_without_each
 from termsel.fits.of_features import control_of
 from termsel.measurements.control import Control
-from termsel.measurements.features import FeatureSet, FloatArray, no_points
+from termsel.measurements.features import BoolArray, FeatureSet, FloatArray, no_points
 from termsel.models.base import SensorModel
 from termsel.models.poles import guard_points, pole_violation
 from termsel.threads import one_blas_thread
 
 WIDER = 1.5
 """A denominator must be positive in a box this much wider than that of the points."""
+
+
+@dataclass(frozen=True, eq=False)
+class Suspects:
+    """Features against the predictions of the others, points before lines.
+
+    Parameters
+    ----------
+    blunders : ndarray of bool, shape (n,)
+    probable : ndarray of bool, shape (n,)
+        Those blunders that the features in use do not show for certain.
+    undecided : ndarray of bool, shape (n,)
+        Those with such an error that the others do not determine the model at their place.
+    errors : ndarray, shape (n,)
+        Largest error in line or sample, or of a vertex off its line, as the features in use predict
+        it [px].
+    limits : ndarray, shape (n,)
+        Error that would be named at each feature [px].
+    """
+
+    blunders: BoolArray
+    probable: BoolArray
+    undecided: BoolArray
+    errors: FloatArray
+    limits: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,6 +113,9 @@ class Candidate(ABC):
         Whether it is for features that are too few for any candidate with a prior.
     only_shown : bool
         Whether it is shown for comparison and never chosen.
+    from_one : bool
+        Whether one feature is enough, as the candidate knows what features do not determine. Then
+        two or three are not taken for a model that they determine exactly.
     """
 
     kind: ClassVar[str] = "candidate"
@@ -103,6 +131,7 @@ class Candidate(ABC):
     needs: tuple[str, ...] = ()
     for_few: bool = False
     only_shown: bool = False
+    from_one: bool = False
 
     @property
     def label(self) -> str:
@@ -164,6 +193,13 @@ class Candidate(ABC):
     def describe(self, fitted: Fit) -> str:
         """Return one sentence on why the features call for it; "" if leave-one-out tells all."""
         return ""
+
+    def suspects(self, control: Control) -> Suspects | None:
+        """Return which features contradict what the candidate knows of the image.
+
+        None, the default, leaves them to the test by shrunken polynomials.
+        """
+        return None
 
     def model(self, heights: bool) -> SensorModel | None:
         """Return the model for features with heights, or without; None where it depends."""

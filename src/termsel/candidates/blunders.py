@@ -28,12 +28,11 @@ from __future__ import annotations
 import numpy as np
 from scipy.special import chdtr, gammaincinv
 
-from termsel.candidates.base import Judged
+from termsel.candidates.base import Judged, Suspects
 from termsel.candidates.contradictions import (
     LEVEL,
     STRAIN,
     Division,
-    Suspects,
     Test,
     polynomial_of,
 )

@@ -15,6 +15,7 @@ from scipy.special import fdtri
 from termsel.adjustment.equations import weights_of
 from termsel.adjustment.lines import row_weights
 from termsel.adjustment.monomials import monomials
+from termsel.candidates.base import Suspects
 from termsel.candidates.local import LIKELY
 from termsel.candidates.portfolio import BETTER, gain_of
 from termsel.measurements.control import Control
@@ -44,20 +45,6 @@ LOOK = 2.0
 
 UNUSED = 1e-3
 """Weight at which a point has no influence and is predicted all the same."""
-
-
-@dataclass(frozen=True, eq=False)
-class Suspects:
-    """Features against the predictions of the others, points before lines."""
-
-    blunders: BoolArray  # (n,)
-    probable: BoolArray  # (n,): those blunders that the features in use do not show for certain
-    # (n,): those with such an error that the others do not determine the model at their place.
-    undecided: BoolArray
-    # (n,): largest error in line or sample, or of a vertex off its line, as the features in use
-    # predict it [px].
-    errors: FloatArray
-    limits: FloatArray  # (n,): error that would be named at each feature [px]
 
 
 @dataclass(frozen=True, eq=False)

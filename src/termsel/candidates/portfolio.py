@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from termsel.candidates.base import Candidate, Judged
+from termsel.candidates.base import Candidate, Judged, Suspects
 from termsel.candidates.structures import CANDIDATES, named
 from termsel.errors import TermselError
 from termsel.fits.fit import Fit, Undetermined
@@ -66,6 +66,15 @@ class Portfolio:
         return sorted((one for one in sizes if one.name not in self._faults),
                       key=lambda one: sizes[one])
 
+    def suspects(self, control: Control) -> Suspects | None:
+        """Return which features contradict what some candidate knows; None if none tells."""
+        return next((found for one in self.offered(control) if (
+            found := self.ask(one, "suspects", control)) is not None), None)
+
+    def least(self, control: Control) -> int:
+        """Return the fewest features to choose by."""
+        return 1 if any(one.from_one for one in self.offered(control)) else EXACT + 1
+
     def judged(self, candidate: Candidate, control: Control) -> Judged | None:
         """Return a candidate fitted and judged; None if it is not determined, or fails."""
         found: Judged | None = self.ask(candidate, "judge", control)
@@ -105,7 +114,7 @@ class Portfolio:
 
 
 _RETURNED = {"declines": str, "describe": str, "fit_control": Fit, "judge": Judged,
-             "model": SensorModel, "refit": Fit, "size": numbers.Real}
+             "model": SensorModel, "refit": Fit, "size": numbers.Real, "suspects": Suspects}
 """Types of what methods return, if it is not None."""
 
 Watch = Callable[[Judged | None], None]
@@ -182,14 +191,16 @@ def best_of(candidates: Iterable[Judged], portfolio: Portfolio | None = None) ->
         if base.name in one.candidate.contains:
             base, said = one, []
         elif one.name not in base.candidate.contains:
-            said.append(f"{_compared(one, base)}; it must be better by more than {BETTER:g}.")
-            base = one if _gain(one, base) > BETTER else base
+            # Leave-one-out says little of places beyond the points, where what is known holds, too.
+            asked = CLEARLY if base.candidate.from_one > one.candidate.from_one else BETTER
+            said.append(f"{_compared(one, base)}; it must be better by more than {asked:g}.")
+            base = one if _gain(one, base) > asked else base
     others = [one for one in judged
               if not (one.candidate.has_prior or _contained(one.candidate, priors))]
     rivals = [base, *(one for one in others if _gain(one, base) > CLEARLY)]
     chosen = min(rivals, key=lambda one: one.predicted)
-    said += [reason for one in dict.fromkeys((base, chosen))
-             if (reason := portfolio.ask(one.candidate, "describe", one.fit))]
+    said[:0] = [reason for one in dict.fromkeys((chosen, base))
+                if (reason := portfolio.ask(one.candidate, "describe", one.fit))]
     return Choice(chosen, judged, _reason(chosen, base, said, others, judged))
 
 
@@ -228,7 +239,7 @@ def _reason(chosen: Judged, base: Judged, said: Sequence[str], others: Sequence[
                    if nearest is not chosen and _gain(nearest, base) > CLEARLY else "")
         said.append(f"{_compared(nearest, base)}; it must be better by more than "
                     f"{CLEARLY:g}{smaller}.")
-    if said:
+    if any("standard error" in one for one in said):
         said.append("Standard errors are those of logarithms of squared leave-one-out errors.")
     least = min(judged, key=lambda one: one.predicted).candidate
     whole = next((one.candidate for one in judged if one.candidate.has_prior

@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 
 from termsel.adjustment.lines import row_weights
-from termsel.candidates.portfolio import EXACT, Portfolio, Watch, choose, choose_features
+from termsel.candidates.portfolio import Portfolio, Watch, choose, choose_features
 from termsel.measurements.control import Control, carriers
 from termsel.measurements.coordinates.places import ground_centres, spatial_order
 from termsel.measurements.features import FeatureSet, FloatArray
@@ -36,6 +36,7 @@ def repeated(control: Control, portfolio: Portfolio | None = None,
     order, folds = spatial_order(ground_centres(features)), folds_of(features)
     count, owner = len(features.points), features.feature
     errors = np.empty((len(owner), 2))
+    least = portfolio.least(control)
     whole = cache(lambda: choose(control, portfolio, whole=False))
     for fold in range(folds):
         out = np.zeros(len(control), dtype=bool)
@@ -43,7 +44,7 @@ def repeated(control: Control, portfolio: Portfolio | None = None,
         rest, held = control.take(~out), features.take(out)
         # Relief that rests on one feature of the others tells nothing of those held out.
         flat = replace(rest, heights=rest.heights and not carriers(rest, most=1))
-        choice = None if len(rest) <= EXACT else choose_features(
+        choice = None if len(rest) < least else choose_features(
             flat, portfolio, watch, whole=False)
         fitted = choice.chosen.fit if choice else None
         if not choice or not any(one.candidate.has_prior for one in choice.judged):

@@ -31,6 +31,7 @@ def run(verbose: bool, **given: Any) -> None:
       termsel run --points gcp.csv --crs EPSG:4979 --out result
       termsel run --points gcp.txt --crs EPSG:4979 --columns id=1,x=2,y=3,z=4,sample=5,line=6
       termsel run --points gcp.csv --crs EPSG:4979 --off P07,P12 --role P03=independent
+      termsel run --points gcp.csv --rpc vendor.RPB --out result
       termsel run --problem owdis-lines
       termsel run --problem poly-terms --points gcp.csv --crs local --set degree=5
       termsel run --problem rfm-terms --points image.points --dem heights.tif

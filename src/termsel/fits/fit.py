@@ -21,6 +21,7 @@ from termsel.fits.fittable import Fittable
 from termsel.fits.locate import Surface, locate
 from termsel.fits.residuals import Residuals, Rmse, control_residuals, rmse_of
 from termsel.fits.uncertainty import Spread, spread_of
+from termsel.measurements.extent import image_extent, reach
 from termsel.measurements.features import BoolArray, FeatureSet, FloatArray, Lines, Points
 from termsel.measurements.scaling import Scaling, scaling_of
 from termsel.record.base import Settings
@@ -291,6 +292,7 @@ class Fit(Glance):
     def locate(self, image: ArrayLike, heights: ArrayLike | Surface) -> FloatArray:
         """Return the ground points seen at image points (see `termsel.fits.locate.locate`)."""
         centre, scale = self.ground_box()
+        scale = np.maximum(scale, reach(self.control, self.model.options))
         return locate(self.project, image, heights, centre=centre, scale=scale)
 
     def ground_box(self) -> tuple[FloatArray, FloatArray]:
@@ -300,13 +302,8 @@ class Fit(Glance):
         return np.array(box.ground_offset), np.array(box.ground_scale)
 
     def image_box(self) -> tuple[tuple[float, float], tuple[float, float]]:
-        """Return first and last line and sample [px]: of the image, or of the control."""
-        if self.control.image_size is not None:
-            lines, samples = self.control.image_size
-            return (0.0, 0.0), (lines - 1.0, samples - 1.0)
-        image = self.control.image_vertices()
-        (top, left), (bottom, right) = image.min(axis=0).tolist(), image.max(axis=0).tolist()
-        return (top, left), (bottom, right)
+        """Return first and last line and sample [px]: of the image, its RPC or the control."""
+        return image_extent(self.control, self.model.options)
 
     def errors(self, points: Points) -> FloatArray:
         """Return measured minus computed line and sample [px], shape (n, 2)."""

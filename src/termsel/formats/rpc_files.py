@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -11,6 +12,7 @@ from termsel.errors import TermselError
 from termsel.files.atomic import write_text
 from termsel.files.rasters import open_raster
 from termsel.formats.base import is_utf16, located, read_head, read_text
+from termsel.measurements.features import FeatureSet
 from termsel.models.rpc import N_COEFFICIENTS, Rpc
 
 RPB_NAMES = {
@@ -50,9 +52,22 @@ def read_rpc(path: Path | str) -> Rpc:
     path = Path(path)
     head = read_head(path, f"Expected {KNOWN}.")
     try:
-        return _read(path, head)
+        return replace(_read(path, head), source=path.name)
     except TermselError as error:
         raise (error if error.file is not None else located(error, path)) from error
+
+
+def with_rpc(features: FeatureSet, rpc: Rpc | Path | str) -> FeatureSet:
+    """Return features with the RPC of their image, and with the size of an image that has it."""
+    if isinstance(rpc, Rpc):
+        return replace(features, rpc=rpc)
+    path, size = Path(rpc), features.image_size
+    found = read_rpc(path)
+    head = read_head(path, "")
+    if size is None and b"\0" in head and not is_utf16(head):
+        with open_raster(path) as raster:
+            size = (raster.height, raster.width)
+    return replace(features, rpc=found, image_size=size)
 
 
 def _read(path: Path, head: bytes) -> Rpc:
@@ -116,14 +131,14 @@ def from_items(items: Mapping[str, str]) -> Rpc:
             return found
         return tuple(one(f"{name}_{i + 1}") for i in range(N_COEFFICIENTS))
 
-    bias, random = (one(name) if items.get(name) else None for name in ERROR_NAMES)
+    bias, random = (None if not items.get(name) or (error := one(name)) < 0 else error
+                    for name in ERROR_NAMES)
     return Rpc(
         (one("LINE_OFF"), one("SAMP_OFF")), (one("LINE_SCALE"), one("SAMP_SCALE")),
         (one("LONG_OFF"), one("LAT_OFF"), one("HEIGHT_OFF")),
         (one("LONG_SCALE"), one("LAT_SCALE"), one("HEIGHT_SCALE")),
         twenty("LINE_NUM_COEFF"), twenty("LINE_DEN_COEFF"), twenty("SAMP_NUM_COEFF"),
-        twenty("SAMP_DEN_COEFF"), *(None if error is None or error < 0 else error
-                                    for error in (bias, random)))
+        twenty("SAMP_DEN_COEFF"), bias, random)
 
 
 def _number(text: str, name: str, line: int | None = None) -> float:

@@ -16,12 +16,14 @@ from termsel.files.atomic import private_folder
 from termsel.files.names import is_there
 from termsel.formats.base import Reader, is_utf16, located, read_head, read_once, utf16_error
 from termsel.formats.readers.advice import unknown_table
+from termsel.formats.rpc_files import with_rpc
 from termsel.guard.faults import PluginFault, is_own, name_of
 from termsel.measurements.coordinates.crs import normalise
 from termsel.measurements.coordinates.earth import say_turned, unknown_crs
 from termsel.measurements.coordinates.plausible import check_ground
 from termsel.measurements.features import FeatureSet, no_lines, no_points
 from termsel.measurements.tables.columns import LINES, OPTIONAL, POINTS, columns_text
+from termsel.models.rpc import Rpc
 from termsel.plugins.registry import built_in, registry
 
 log = logging.getLogger(__name__)
@@ -45,6 +47,7 @@ def read(
     format: str | Sequence[str] = (),
     dem: Path | str | None = None,
     columns: str | Mapping[str, Any] | None = None,
+    rpc: Rpc | Path | str | None = None,
     **options: Any,
 ) -> FeatureSet:
     """Return the control features in files of points, lines and areas.
@@ -65,6 +68,8 @@ def read(
         `termsel.formats.heights.with_heights`.
     columns : str or mapping, optional
         Which column of a table is which, by name or number: "line=Zeile,sample=4".
+    rpc : Rpc or path-like, optional
+        The vendor's RPC of the image: a file that `read_rpc` reads, or the image itself.
     **options
         Options of the readers, such as `raster` of "qgis-points".
 
@@ -85,7 +90,7 @@ def read(
         if lines is not None or areas is not None or format:
             raise TermselError("a table in Python is read alone",
                                hint="Read files by themselves and join them with FeatureSet.with_.")
-        return _with_dem(_read_frame(points, crs, of_readers), dem)
+        return _with_known(_read_frame(points, crs, of_readers), dem, rpc)
     with ExitStack() as stack:
         image_lines = of_readers.get("image_lines")
         once = {Path(path): stack.enter_context(read_once(Path(path)))
@@ -97,7 +102,7 @@ def read(
             *paths[:2], areas=paths[2], crs=crs,
             readers=readers_of([path for path in paths if path is not None], formats),
             formats=formats, options=of_readers)
-    return _with_dem(features, dem)
+    return _with_known(features, dem, rpc)
 
 
 def features_of(given: Any, crs: str | None = None,
@@ -117,7 +122,11 @@ def features_of(given: Any, crs: str | None = None,
             readers=readers_of([path], ()))
 
 
-def _with_dem(features: FeatureSet, dem: Path | str | None) -> FeatureSet:
+def _with_known(features: FeatureSet, dem: Path | str | None,
+                rpc: Rpc | Path | str | None) -> FeatureSet:
+    """Return features with the heights of a DEM, and with an RPC."""
+    if rpc is not None:
+        features = with_rpc(features, rpc)
     if dem is None:
         return features
     from termsel.formats.heights import with_heights
@@ -177,8 +186,8 @@ def find_reader(path: Path, readers: Iterable[type[Reader]], format: str | None 
         return found
     if any(name in head for name in (b"LINE_NUM_COEFF", b"lineNumCoef", b"Global_RFM")):
         raise TermselError("this file holds an RPC and no control features", file=path,
-                           hint="--problem rpc-gcps --set rpc=FILE refines it by points. "
-                                + registry().missing("rpc-gcps"))
+                           hint="Give control with --points and the RPC with --rpc; auto then "
+                                "corrects it. " + registry().missing("rpc-gcps"))
     if is_utf16(head) and _recognising(
             path, head.decode("utf-16", errors="ignore").encode(), known) is not None:
         raise utf16_error(path)

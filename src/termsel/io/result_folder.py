@@ -18,6 +18,7 @@ from termsel.io.result_of_record import AGAIN, record_from, result_from
 from termsel.measurements.coordinates.crs import normalise
 from termsel.measurements.features import FeatureSet, no_lines, no_points
 from termsel.measurements.roles import by_roles
+from termsel.models.rpc import Rpc
 from termsel.record.record import Record
 from termsel.results.checksums import of_attributes, of_features, of_record
 from termsel.results.result import Result
@@ -180,7 +181,8 @@ def _read_features(folder: Path, record: Record) -> FeatureSet:
     points = PointsCsv().read(at_points).points if (
         counts.control or counts.check or counts.independent or counts.off) else no_points()
     features = FeatureSet(points, lines, data.crs, data.image_size, data.noise, data.heights or "",
-                          record.scaling.fit_crs)
+                          record.scaling.fit_crs,
+                          None if data.rpc is None else Rpc.from_numbers(data.rpc))
     observations = by_roles(features)
     roles = {"control": observations.control.ids, "check": observations.check.ids,
              "independent": observations.independent.ids, "off": observations.off}

@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +22,7 @@ from termsel.measurements.tables.attributes import (
 )
 from termsel.measurements.tables.tabular import Tabular
 from termsel.measurements.values import check_places, check_segments
+from termsel.record.record import RpcNumbers
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -177,6 +179,36 @@ class Lines(Tabular):
         return np.asarray(total / count.reshape(-1, *[1] * (values.ndim - 1)))
 
 
+class KnownGeometry(Protocol):
+    """What is known of an image next to its features: `termsel.Rpc`, which stands above them."""
+
+    @property
+    def source(self) -> str:
+        """Name of its file, or ""."""
+
+    @property
+    def image_offset(self) -> tuple[float, float]:
+        """Middle of its image, line and sample [px]."""
+
+    @property
+    def image_scale(self) -> tuple[float, float]:
+        """Half the size of its image [px]."""
+
+    @property
+    def ground_offset(self) -> tuple[float, float, float]:
+        """Middle of its area in WGS84."""
+
+    @property
+    def ground_scale(self) -> tuple[float, float, float]:
+        """Half the size of its area."""
+
+    def project(self, ground: FloatArray) -> FloatArray:
+        """Return where places in WGS84 are seen [px], shape (n, 2)."""
+
+    def numbers(self) -> RpcNumbers:
+        """Return the numbers that the record of a run holds."""
+
+
 _POINTS = Points((), np.empty((0, 2)), np.empty((0, 3)))
 _LINES = Lines((), np.empty((0, 2, 2)), np.empty((0, 2, 3)))
 
@@ -211,6 +243,8 @@ class FeatureSet(Glance):
         Source and vertical datum of the heights, if a raster gave them.
     fit_crs : str, optional
         CRS of the fit, if it differs from `crs`.
+    rpc : Rpc, optional
+        The vendor's RPC of the image.
 
     Raises
     ------
@@ -225,6 +259,7 @@ class FeatureSet(Glance):
     noise: float | None = None
     heights: str = ""
     fit_crs: str = ""
+    rpc: KnownGeometry | None = None
 
     def __post_init__(self) -> None:
         both = set(self.points.ids) & set(self.lines.ids)
@@ -248,7 +283,8 @@ class FeatureSet(Glance):
                 f"{counted(len(self.lines.features), 'line')}"), {
             "CRS": self.crs,
             "image": "size not known" if size is None else f"{size[0]} lines, {size[1]} samples",
-            "roles of points": ", ".join(f"{n} {role}" for role, n in roles.items()) or "-"}
+            "roles of points": ", ".join(f"{n} {role}" for role, n in roles.items()) or "-",
+            **({"RPC": self.rpc.source or "given"} if self.rpc is not None else {})}
 
     @property
     def word(self) -> str:

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, field
+from typing import Self
 
 import numpy as np
+from msgspec import structs
 from numpy.typing import ArrayLike
 
 from termsel.adjustment.monomials import RPC00B, monomials
 from termsel.errors import TermselError
 from termsel.fits.locate import Surface, locate
 from termsel.measurements.features import FloatArray
+from termsel.record.record import RpcNumbers
 
 Coefficients = tuple[float, ...]
 
@@ -38,6 +41,8 @@ class Rpc:
         In RPC00B order.
     error_bias, error_random : float, optional
         Root mean square of bias and of random error [m], if the vendor states them.
+    source : str
+        Name of its file, for messages.
 
     Raises
     ------
@@ -61,6 +66,7 @@ class Rpc:
     sample_denominator: Coefficients
     error_bias: float | None = None
     error_random: float | None = None
+    source: str = field(default="", compare=False)
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
@@ -80,6 +86,15 @@ class Rpc:
             _require_finite(getattr(self, name), name)
             if name.endswith("scale") and not all(getattr(self, name)):
                 raise TermselError(f"a scale of the RPC is 0: {getattr(self, name)}")
+
+    def numbers(self) -> RpcNumbers:
+        """Return the RPC as the record of a run holds it."""
+        return RpcNumbers(**asdict(self))
+
+    @classmethod
+    def from_numbers(cls, numbers: RpcNumbers) -> Self:
+        """Return the RPC that `numbers` returned these for."""
+        return cls(**structs.asdict(numbers))
 
     def project(self, ground: ArrayLike) -> FloatArray:
         """Return where ground points are seen.

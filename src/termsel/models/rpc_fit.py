@@ -36,10 +36,10 @@ _GRID, _LEVELS = 21, 7  # places along either side of the image, and heights
 class RpcFit:
     """An RPC and its distance from the model it replaces.
 
-    `how` is "exact" if it was taken over as it is; else the terms it was refitted with: "the
-    selected", "all 78" or "all 40 polynomial". Greatest and root mean square distance from the
-    fitted model [px] are over the image and the heights of the control, between the places the RPC
-    was fitted to.
+    `how` is "exact" if it was taken over as it is, "its own" if the model knows it; else the terms
+    it was refitted with: "the selected", "all 78" or "all 40 polynomial". Greatest
+    and root mean square distance from the fitted model [px] are over the image and the heights of
+    the control, between the places the RPC was fitted to.
     """
 
     rpc: Rpc
@@ -73,15 +73,18 @@ def rpc_of(fitted: Fit) -> RpcFit:
     """
     convert = to_wgs84(fitted.control.crs)
     model = fitted.model
-    rpc = (model.as_rpc(fitted.adjustment.coefficients) if isinstance(model, SensorModel)
-           else None)
+    rpc = own = (model.as_rpc(fitted.adjustment.coefficients)
+                 if isinstance(model, SensorModel) else None)
     if rpc is None and normalise(fitted.control.fit_crs or fitted.control.crs) in WGS84:
         rpc = taken_over(fitted)
     if rpc is not None:
         places, seen = _seen(fitted)
+        if own is not None and not len(places):
+            places = fitted.control.ground_vertices()
+            seen = fitted.project(places)
         worst, rms = _loss(rpc, convert(places), seen)
-        if worst <= EXACT:
-            return RpcFit(rpc, "exact", worst, rms)
+        if worst <= (EXACT if own is None else GOOD):
+            return RpcFit(rpc, "exact" if worst <= EXACT else "its own", worst, rms)
     image, ground = _grid(fitted, convert, _GRID, _LEVELS)
     between, ground_between = _grid(fitted, convert, _GRID - 1, _LEVELS - 1)
     candidates = []

@@ -110,6 +110,33 @@ class WhatWasRead(RecordPart, frozen=True):
     """Ids of what takes no part, by the reason; without blunders, which are `outliers`."""
 
 
+class RpcNumbers(RecordPart, frozen=True):
+    """The vendor's RPC of the image."""
+
+    image_offset: tuple[float, float]
+    """Of line and sample [px]."""
+    image_scale: tuple[float, float]
+    """Of line and sample [px]."""
+    ground_offset: tuple[float, float, float]
+    """Of longitude, latitude [deg] and ellipsoidal height [m]."""
+    ground_scale: tuple[float, float, float]
+    """Of longitude, latitude [deg] and ellipsoidal height [m]."""
+    line_numerator: tuple[float, ...]
+    """In RPC00B order, as the other three."""
+    line_denominator: tuple[float, ...]
+    """Of the line."""
+    sample_numerator: tuple[float, ...]
+    """Of the sample."""
+    sample_denominator: tuple[float, ...]
+    """Of the sample."""
+    error_bias: float | None = None
+    """Root mean square of the bias [m], if the vendor states it."""
+    error_random: float | None = None
+    """Root mean square of the random error [m], if the vendor states it."""
+    source: str = ""
+    """Name of its file."""
+
+
 class DataRecord(RecordPart, frozen=True):
     """What the result was made from."""
 
@@ -133,6 +160,8 @@ class DataRecord(RecordPart, frozen=True):
     """Ids of features by role."""
     read: WhatWasRead | None = None
     """What was read; absent before 0.3."""
+    rpc: RpcNumbers | None = None
+    """The vendor's RPC of the image, if one is given."""
 
 
 class Offered(RecordPart, frozen=True):

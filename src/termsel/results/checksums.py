@@ -7,6 +7,7 @@ import json
 from collections.abc import Mapping
 from typing import Any
 
+import msgspec
 import numpy as np
 
 from termsel.measurements.features import FeatureSet
@@ -17,8 +18,10 @@ SEALS = "checksums"
 
 
 def of_features(features: FeatureSet) -> str:
-    """Return a checksum of ids, coordinates, roles, standard deviations and CRS."""
+    """Return a checksum of ids, coordinates, roles, standard deviations, CRS and RPC."""
     digest = hashlib.sha256(features.crs.encode())
+    if features.rpc is not None:
+        digest.update(msgspec.json.encode(features.rpc.numbers()))
     digest.update("\n".join(features.points.roles).encode())
     for sigma in (features.points.sigma, features.lines.sigma):
         if sigma is not None:

@@ -15,11 +15,13 @@ from termsel.adjustment import kernels, leave_out
 from termsel.candidates.portfolio import Portfolio
 from termsel.criteria import Criterion
 from termsel.errors import TermselError
+from termsel.formats.rpc_files import with_rpc
 from termsel.io.read import features_of
 from termsel.io.result_folder import claim_folder, write_result
 from termsel.measurements.datasets import DatasetSpec
 from termsel.measurements.features import FeatureSet
 from termsel.models.base import SensorModel
+from termsel.models.rpc import Rpc
 from termsel.plugins.registry import registry
 from termsel.problems.recipes import Recipe
 from termsel.record.search import SearchLimits
@@ -49,6 +51,7 @@ def run(
     features: Any = None,
     crs: str | None = None,
     columns: str | Mapping[str, Any] | None = None,
+    rpc: Rpc | Path | str | None = None,
     dataset: str | DatasetSpec | None = None,
     source: str | None = None,
     model: str | type[SensorModel] | SensorModel | None = None,
@@ -76,6 +79,9 @@ def run(
         `termsel.read`.
     crs, columns : optional
         As for `termsel.read`, where features are read.
+    rpc : Rpc or path-like, optional
+        The vendor's RPC of the image the features are of: the strategy "auto" corrects it, by one
+        point or more.
     dataset, source, model, solver, criterion, options
         As for `prepare`; not for a task.
     strategy : {"auto", "as-asked"}, optional
@@ -119,8 +125,9 @@ def run(
     if features is not None:
         source = source or (str(features) if isinstance(features, str | Path) else None)
         features = features_of(features, crs, columns)
-    elif crs is not None or columns is not None:
-        raise TermselError("crs and columns are for features that are read",
+        features = features if rpc is None else with_rpc(features, rpc)
+    elif crs is not None or columns is not None or rpc is not None:
+        raise TermselError("crs, columns and rpc are for features that are given",
                            hint="Give features, such as the name of a file.")
     limits = {"generations": generations, "evaluations": evaluations, "seconds": seconds,
               "patience": patience}
@@ -140,6 +147,9 @@ def run(
                   [*request.method(), *["a budget"] * limited], unnamed=problem is None):
             return _chosen(request, seed, observers, out, overwrite)
         task = prepared(request.setup())
+        if task.features.rpc is not None and "rpc" not in task.model.options:
+            log.warning("Warning: the model %s makes no use of the RPC. Leave model, solver and "
+                        "criterion out to have it corrected.", task.model.name)
     elif request.named():
         raise TermselError(f"a prepared task takes no {', '.join(sorted(request.named()))}",
                            hint="Give them to termsel.prepare.")
@@ -180,7 +190,7 @@ def _chosen(request: Request, seed: int, observers: Iterable[Observer], out: Pat
     if setup.recipe.search_first and setup.features.without_height():
         # The model of the search is not asked for, so that it asks for no heights.
         setup = replace(setup, model=registry().get("models", "poly2d")())
-    observations = observe(setup, LEAST)
+    observations = observe(setup, LEAST if setup.features.rpc is None else 1)
     # Whether a search of lines follows, which compiles more, is not known yet.
     compiles = len(observations.together) > LEAST and leave_out.needs_compilation()
     _begin(out, overwrite, AUTO_COMPILES if compiles else 0)

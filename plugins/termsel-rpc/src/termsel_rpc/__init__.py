@@ -12,6 +12,7 @@ from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
 from termsel import DatasetSpec, hookimpl
+from termsel_rpc.correction import CANDIDATES as CORRECTIONS
 from termsel_rpc.image_space import RpcAffine, RpcDrift, RpcShift
 from termsel_rpc.konugurthi import RECIPE as KONUGURTHI
 from termsel_rpc.konugurthi import E50PerArea
@@ -20,7 +21,7 @@ from termsel_rpc.rigorous import PushbroomRefine
 from termsel_rpc.simulated import CANDIDATES, MATCHES, candidates, matches
 
 if TYPE_CHECKING:
-    from termsel import Criterion, Recipe, SensorModel
+    from termsel import Candidate, Criterion, Recipe, SensorModel
 
 __all__ = ["Ce90", "E50PerArea", "PushbroomRefine", "RpcAffine", "RpcDrift", "RpcShift",
            "candidates", "matches"]
@@ -42,6 +43,12 @@ def termsel_criteria() -> Iterable[type[Criterion]]:
 def termsel_problems() -> Iterable[Recipe]:
     """Return the selection of m of n control points, and a paper's set-up of it."""
     return [RECIPE, KONUGURTHI]
+
+
+@hookimpl
+def termsel_candidates() -> Iterable[Candidate]:
+    """Return the corrections of an RPC that features have."""
+    return CORRECTIONS
 
 
 @hookimpl

@@ -20,6 +20,10 @@ RPC = Option("rpc", "", "Required: the RPC to refine, as a file in any form that
 
 _AXES = ("line", "sample")
 
+_ACROSS, _MARGIN, _LOST = 12, 0.1, 0.01
+"""Places along each edge of an RPC's area where another one is fitted, the share of the image
+beyond its edges, and the largest difference [px]."""
+
 
 class RpcShift(Refinement):
     """Vendor's RPC, shifted in the image: 2 terms.
@@ -62,7 +66,7 @@ class RpcShift(Refinement):
         elif named:
             self._rpc, self._file = read_rpc(named), Path(named).name
             # A result must be readable without the vendor's file.
-            self.options["rpc"] = json.dumps({"file": self._file, **asdict(self._rpc)})
+            self.options["rpc"] = json.dumps(asdict(self._rpc))
 
     @property
     def rpc(self) -> Rpc:
@@ -115,10 +119,10 @@ class RpcShift(Refinement):
         return np.asarray(image + np.einsum("nak,...k->...na", columns, coefficients))
 
     def as_rpc(self, coefficients: FloatArray) -> Rpc | None:
-        """Return the refined RPC, or None if it is not exactly an RPC.
+        """Return the refined RPC, or None if none comes near it.
 
-        Offsets and scales absorb a shift and the effect of an axis on itself. The effect of the
-        other axis can be absorbed only if both have the same denominator.
+        Offsets and scales absorb a shift and the effect of an axis on itself. The numerators absorb
+        that of the other axis: exactly if both have the same denominator, else nearly.
         """
         assert self.scaling is not None
         values = dict(zip(self.terms, coefficients.tolist(), strict=True))
@@ -133,10 +137,50 @@ class RpcShift(Refinement):
         if not (linear * (1 - np.eye(2))).any():
             return replace(refined, image_scale=tuple(np.diag(scale)))
         if rpc.line_denominator != rpc.sample_denominator:
-            return None
+            return _absorbed(rpc, linear, refined)
         above = np.array([rpc.line_numerator, rpc.sample_numerator])
         line, sample = scale / np.array(rpc.image_scale)[:, None] @ above
         return replace(refined, line_numerator=tuple(line), sample_numerator=tuple(sample))
+
+
+def _absorbed(rpc: Rpc, linear: FloatArray, shifted: Rpc) -> Rpc | None:
+    """Return an RPC with the denominators of another one, as near as can be to a linear function of
+    its positions; None if that is not near enough anywhere in its image.
+
+    `shifted` has the offset of the function.
+    """
+    half = np.array(rpc.image_scale)
+
+    def places(across: int) -> tuple[FloatArray, FloatArray]:
+        steps = np.linspace(-1.0, 1.0, across)
+        unit = np.stack([axis.ravel() for axis in np.meshgrid(steps, steps, steps)], axis=1)
+        away = unit[:, :2] * half * (1.0 + _MARGIN)
+        ground = rpc.locate(away + rpc.image_offset,
+                            unit[:, 2] * rpc.ground_scale[2] + rpc.ground_offset[2])
+        known = np.isfinite(ground).all(axis=1)
+        return ground[known], away[known] @ linear.T
+
+    ground, wanted = places(_ACROSS)
+    columns = _monomials(rpc, ground)
+    if len(ground) < 4 * len(columns.T):
+        return None
+    numerators = []
+    for axis, below in enumerate((rpc.line_denominator, rpc.sample_denominator)):
+        weights = half[axis] / (columns @ below)
+        numerators.append(tuple(np.linalg.lstsq(
+            columns * weights[:, None], wanted[:, axis], rcond=None)[0]))
+    found = replace(shifted, line_numerator=numerators[0], sample_numerator=numerators[1])
+    between, there = places(_ACROSS - 1)
+    lost = np.abs(found.project(between) - shifted.image_offset - there)
+    return found if lost.size and lost.max() <= _LOST else None
+
+
+def _monomials(rpc: Rpc, ground: FloatArray) -> FloatArray:
+    """Return the 20 columns of an RPC's numerators, shape (n, 20)."""
+    one = tuple(np.eye(1, 20)[0])
+    columns = [replace(rpc, image_offset=(0.0, 0.0), image_scale=(1.0, 1.0), line_denominator=one,
+                       line_numerator=tuple(row)).project(ground)[:, 0] for row in np.eye(20)]
+    return np.stack(columns, axis=1)
 
 
 def _name(axis: str, column: str) -> str:
@@ -148,9 +192,9 @@ def _from_record(text: str) -> tuple[Rpc, str]:
     try:
         values: dict[str, Any] = {name: tuple(value) if isinstance(value, list) else value
                                   for name, value in json.loads(text).items()}
-        file = str(values.pop("file"))
-        return Rpc(**values), file
-    except (AttributeError, KeyError, RecursionError, TypeError, ValueError) as error:
+        file = str(values.pop("file", values.get("source", "")))  # 0.2 wrote "file"
+        return Rpc(**{**values, "source": file}), file or "that is given"
+    except (AttributeError, RecursionError, TypeError, ValueError) as error:
         raise TermselError(f"option 'rpc' is not the RPC of a result: {error}",
                            hint="Give the file of an RPC with --set rpc=FILE.") from error
 

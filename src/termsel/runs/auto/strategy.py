@@ -9,7 +9,7 @@ import numpy as np
 
 from termsel.candidates.base import Judged, has_pole
 from termsel.candidates.compare import compare
-from termsel.candidates.portfolio import EXACT, Portfolio, best_of, choose_features, exact
+from termsel.candidates.portfolio import CLEARLY, Portfolio, best_of, choose_features, exact
 from termsel.candidates.repetition import folds_of, repeated
 from termsel.errors import TermselError, counted
 from termsel.fits.accuracy import accuracy_of, predicted_by
@@ -23,6 +23,7 @@ from termsel.measurements.features import FloatArray, Points, no_points, select
 from termsel.measurements.roles import ASSIGNABLE, Observations, leave_out, with_lines
 from termsel.measurements.twins import merged
 from termsel.models.base import SensorModel
+from termsel.plugins.registry import registry
 from termsel.problems.base import Evaluation, Selection
 from termsel.problems.recipes import Recipe
 from termsel.record.search import CandidateRow, Strategy
@@ -66,7 +67,8 @@ def wanted(strategy: str | None, recipe: Recipe, method: Sequence[str] = (), *,
     if not recipe.portfolio:
         raise TermselError(f"the strategy auto is not for the problem {recipe.name}",
                            hint="It chooses among models of points and lines: rfm-terms, "
-                                "poly-terms, owdis-lines.")
+                                "poly-terms, owdis-lines. To have a vendor's RPC corrected, leave "
+                                "--problem out and add --rpc FILE.")
     if method:
         raise TermselError(
             f"the strategy auto chooses the method itself, and {method[0]} is asked for",
@@ -121,19 +123,25 @@ def choose_for(setup: Setup, observations: Observations, seed: int,
     watch = _Watch(observers, len(portfolio.offered(observations.pool)),
                    folds_of(observations.pool.features))
     watch.tell("blunders")
-    of_data = tuple(notes_on_data(setup.features, observations, heights=True, blank=setup.blank))
+    known = portfolio.least(observations.pool) == 1
+    of_data = tuple(notes_on_data(setup.features, observations, heights=not known,
+                                  blank=setup.blank))
     verdict = judge_features(observations, portfolio)
     out = verdict.blunders | verdict.high
     clean = leave_out(observations, out) if out else observations
     control, both = clean.pool, clean.pool.features
     choice, errors, interrupted = None, None, False
+    enough = len(both) >= portfolio.least(control)
     try:
-        choice = exact(control) if len(both) <= EXACT else choose_features(
-            control, portfolio, watch.candidate)
+        if len(both) < LEAST and not enough:
+            raise TermselError(" ".join(["one point is not enough for a model.",
+                                         *_on_rpc(control, portfolio)]),
+                               hint="Measure more.")
+        choice = choose_features(control, portfolio, watch.candidate) if enough else exact(control)
         if choice and len(both.lines):
             watch.tell("OWDIS")
             choice, errors = with_selected_lines(control, choice, portfolio, seed)
-        if choice and errors is None and len(both) > EXACT:
+        if choice and errors is None and enough and len(both) > 1:
             errors = repeated(control, portfolio, watch.candidate)
     except KeyboardInterrupt:
         choice, errors, interrupted = choice or best_of(watch.judged, portfolio), None, True
@@ -177,8 +185,9 @@ def choose_for(setup: Setup, observations: Observations, seed: int,
         feasible=True, rmse=rmse, baselines=others(clean),
         judgement=judge_choice(chosen.candidate, predicted, figures(fitted, agreeing),
                                others(agreeing), setup.features.noise),
-        notes=(*_few(setup), *of_data,
-               *_notes(setup.model, clean, errors, said, plane=not model.uses_height),
+        notes=(*_on_rpc(control, portfolio, chosen), *_few(setup), *of_data,
+               *_notes(setup.model, clean, errors, said, plane=not model.uses_height,
+                       determined=not enough, known=chosen.candidate.from_one),
                *verdict.notes, *_lines(fitted), *contradicting.notes, *portfolio.notes),
         outliers=outliers, predicted=expected,
         accuracy=accuracy_of(fitted, observations.independent), final=final,
@@ -223,6 +232,23 @@ def _lines(fitted: Fit) -> list[str]:
     return [f"None of the {counted(lines, 'line')} is used: the points alone predict better."]
 
 
+def _on_rpc(control: Control, portfolio: Portfolio, chosen: Judged | None = None) -> list[str]:
+    """Return how an RPC that is given is corrected, or why it is not used."""
+    able = [one for one in portfolio.candidates if one.from_one]
+    if control.features.rpc is None:
+        return []
+    if chosen is not None and chosen.candidate.from_one:
+        return [portfolio.ask(chosen.candidate, "describe", chosen.fit) or ""]
+    if chosen is not None and portfolio.least(control) == 1:
+        reason = (f"{chosen.candidate.title} predicts the {control.features.word} better by more "
+                  f"than {CLEARLY:g} standard errors")
+    elif able:
+        reason = portfolio.ask(able[0], "declines", control)
+    else:
+        reason = f"no installed package corrects an RPC. {registry().missing('rpc-gcps')}"
+    return [f"The RPC is not used: {reason}."]
+
+
 def _few(setup: Setup) -> list[str]:
     if not all_control(setup):
         return []
@@ -231,17 +257,19 @@ def _few(setup: Setup) -> list[str]:
 
 
 def _notes(model: SensorModel, observations: Observations, errors: FloatArray | None,
-           interrupted: str = "", *, plane: bool = False) -> list[str]:
+           interrupted: str = "", *, plane: bool, determined: bool, known: bool) -> list[str]:
     both = observations.together
-    notes = [*warnings_of(both, np.ones(len(both), dtype=bool), no_points())]
+    notes = [] if known else [*warnings_of(both, np.ones(len(both), dtype=bool), no_points())]
     if interrupted:
         notes.append(interrupted)
-    elif len(both) <= EXACT:
+    elif determined:
         notes.append(f"{len(both)} {both.word} determine the model exactly, so nothing tells its "
                      "accuracy." + " They do not tell either whether the image is mirrored."
                      * (len(both) == 2))
     elif errors is None:
-        notes.append(f"The {both.word} are too few to repeat the choice without some of them, so "
+        notes.append("One point cannot be predicted by others, so no accuracy is predicted."
+                     if len(both) == 1 else
+                     f"The {both.word} are too few to repeat the choice without some of them, so "
                      "it predicts no accuracy.")
     if not plane and observations.heights and not model.uses_height:
         notes.append(f"Heights are known and were used. --model {model.name} keeps to a plane "

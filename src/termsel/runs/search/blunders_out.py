@@ -69,7 +69,7 @@ def _without(task: Task, blunders: frozenset[str]) -> Task | None:
     if points:
         left = leave_out(observations, points)
         try:
-            require_enough(left, task.recipe, task.criterion, MIN_CONTROL)
+            require_enough(left, task.recipe, task.criterion, task.model, MIN_CONTROL)
             task = build(task, left, *scale(task, left))
         except TermselError:
             return None

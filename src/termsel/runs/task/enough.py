@@ -8,6 +8,7 @@ from termsel.criteria import Criterion
 from termsel.errors import TermselError, counted
 from termsel.fits.diagnosis import orientation_spread
 from termsel.measurements.roles import Observations
+from termsel.models.base import SensorModel
 from termsel.problems.recipes import Recipe
 
 MIN_CHECK = 2
@@ -16,8 +17,12 @@ ALL_PARALLEL = 1e-4
 """Orientation spread below which control lines are taken for parallel: within half a degree."""
 
 
+CORRECTED = (" Or leave the rest out: termsel run --points FILE --rpc FILE corrects a vendor's RPC "
+             "by one point or more.")
+
+
 def require_enough(observations: Observations, recipe: Recipe, criterion: Criterion,
-                   least: int) -> None:
+                   model: SensorModel, least: int) -> None:
     """Refuse data for a problem: too few features, all in one place, or lines in one direction.
 
     `least` is the fewest control features.
@@ -28,7 +33,8 @@ def require_enough(observations: Observations, recipe: Recipe, criterion: Criter
             f"Of your {counted(_count(observations), 'feature')} {len(control)} "
             f"{'is' if len(control) == 1 else 'are'} control; "
             f"{recipe.name} needs at least {least}",
-            hint="Measure more, or give more of them the role control.")
+            hint="Measure more, or give more of them the role control."
+                 + CORRECTED * ("rpc" in model.options))
     if criterion.needs_check and len(check) < MIN_CHECK:
         raise TermselError(
             f"Of your {counted(_count(observations), 'feature')} "
@@ -36,6 +42,8 @@ def require_enough(observations: Observations, recipe: Recipe, criterion: Criter
             + f"; the criterion {criterion.name} needs at least {MIN_CHECK}",
             hint="Give more points the role check; they judge the fitness of a selection. The "
                  "criterion press needs none (--criterion press).")
+    if least == 1:
+        return  # what is known of the image makes up for what they do not determine
     if not np.ptp(control.image_vertices(), axis=0).any():
         raise TermselError("all control features have the same place in the image",
                            hint="Check that the columns line and sample hold image coordinates.")

@@ -30,7 +30,8 @@ def data_of(setup: Setup, observations: Observations) -> DataRecord:
         Counts(len(control.points), len(observations.check), len(observations.independent),
                len(control.lines.features), len(observations.off)),
         IdsByRole(control.ids, observations.off, observations.check.ids,
-                  observations.independent.ids), _read(setup, observations))
+                  observations.independent.ids), _read(setup, observations),
+        None if setup.features.rpc is None else setup.features.rpc.numbers())
 
 
 def _read(setup: Setup, observations: Observations) -> WhatWasRead:

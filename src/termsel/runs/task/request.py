@@ -6,6 +6,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
 from typing import Any
 
+from msgspec import json
+
 from termsel.criteria import Criterion
 from termsel.errors import TermselError, printable
 from termsel.guard.arrays import of_type
@@ -88,6 +90,12 @@ class Request:
         return [*(word for word in ("model", "solver", "criterion") if getattr(self, word)),
                 *(f"the option {key}" for key in self.options or () if key not in of_data)]
 
+    def _known(self, model: type[SensorModel] | SensorModel) -> dict[str, str]:
+        """Return the option of a model that refines an RPC, where the features have one."""
+        rpc = None if self.features is None else self.features.rpc
+        takes = any(option.name == "rpc" for option in model.declared_options)
+        return {"rpc": json.encode(rpc.numbers()).decode()} if rpc is not None and takes else {}
+
     def setup(self) -> Setup:
         """Return what is asked for, with every name resolved and every option checked, or refused.
         """
@@ -110,7 +118,9 @@ class Request:
             one.name for one in the_model.declared_options
             if the_model.options[one.name] != one.default)
         if self.model in (None, recipe.model):
-            chosen["model"] = {**recipe.model_options, **chosen["model"]}
+            chosen["model"] = {**recipe.model_options, **self._known(the_model), **chosen["model"]}
+        elif isinstance(the_model, type):
+            chosen["model"] = {**self._known(the_model), **chosen["model"]}
         # As the recipe has a solver, or else, where it is named, as its paper does.
         for word, is_named in (("solver", self.solver is not None), ("then", True)):
             if isinstance(part := parts.get(word), type) and issubclass(part, Solver):

@@ -125,7 +125,7 @@ def observe(setup: Setup, least: int = MIN_CONTROL) -> Observations:
     together = observations.together
     require_heights(setup.model, together.with_(
         points=together.points.join(observations.independent)))
-    require_enough(observations, recipe, criterion, least)
+    require_enough(observations, recipe, criterion, setup.model, least)
     if of_data["fit_crs"] is not None:
         observations = with_fit_crs(of_data["fit_crs"], observations, setup.model)
     return observations

@@ -12,8 +12,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from msgspec.structs import replace as changed
 
+from termsel.candidates.base import Suspects
 from termsel.candidates.blunders import MOST, find_blunders, judge_others
-from termsel.candidates.contradictions import Division, Suspects
+from termsel.candidates.contradictions import Division
 from termsel.candidates.portfolio import Choice, Portfolio
 from termsel.measurements.control import MEASURED, Control, off_plane
 from termsel.measurements.features import FeatureSet, select
@@ -49,6 +50,8 @@ def judge_features(observations: Observations, portfolio: Portfolio) -> Verdict:
     roles: dict[str, Role] = dict.fromkeys(observations.together.ids, "control")
     roles.update(dict.fromkeys(observations.check.ids, "check"))
     points, carriers = observations.together.points, observations.carriers
+    if portfolio.least(observations.pool) == 1:
+        carriers = ()  # what is known of the image says what heights do
     high = with_twins(points, carriers).union(carriers)
     # Where no plane is determined without them, they are judged like others.
     held = _held_against_others(observations, roles, high)
@@ -58,7 +61,7 @@ def judge_features(observations: Observations, portfolio: Portfolio) -> Verdict:
                   + ", ".join(f"{one.id} ({one.error:.3g} px)" for one in held) + "."
                   ] * bool(held)
     both, pool = observations.pool.features, observations.pool
-    found = find_blunders(pool, portfolio)
+    found = portfolio.suspects(pool) or find_blunders(pool, portfolio)
     if found is None:
         return Verdict(held, frozenset(), high if held else frozenset(), tuple(of_heights))
     wrong = select(both.ids, found.blunders)
@@ -87,9 +90,10 @@ def judge_independent(observations: Observations,
     """
     points, found = observations.independent, None
     if choice is not None:
-        # Where nothing tells what a height does, it contradicts nothing.
-        control = Control.of(choice.chosen.fit.control, observations.heights)
-        points = points.take(off_plane(control, points.ground)[1] <= MEASURED)
+        if not choice.chosen.candidate.from_one:
+            # Where nothing tells what a height does, it contradicts nothing.
+            control = Control.of(choice.chosen.fit.control, observations.heights)
+            points = points.take(off_plane(control, points.ground)[1] <= MEASURED)
         found = judge_others(choice.chosen, observations.heights, points)
     if found is None or not found.blunders.any():
         return Verdict(), observations

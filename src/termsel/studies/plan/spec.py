@@ -20,7 +20,7 @@ from termsel.studies.plan.places import Places, places_of
 PARTS = ("problems", "models", "solvers", "criteria")
 KEYS = ("title", *PARTS, "strategies", "data", "seeds", "splits", "budget", "options", "exports",
         "measure")
-FILES = ("points", "lines", "areas")
+FILES = ("points", "lines", "areas", "rpc")
 READING = ("crs", "format", "dem", "columns")
 DATA_KEYS = ("dataset", *FILES, *READING, "options")
 BUDGETS = {"evaluations": int, "generations": int, "patience": int, "seconds": float,
@@ -45,7 +45,7 @@ class Source:
     """Where data of a study come from: a data set, files, or feature sets from Python by label."""
 
     dataset: str | None = None
-    # patterns of names by kind: points, lines, areas
+    # patterns of names by kind: points, lines, areas, rpc
     files: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     reading: Mapping[str, Any] = field(default_factory=dict)  # arguments of `termsel.read`
     features: Mapping[str, Any] = field(default_factory=dict)

@@ -1,0 +1,192 @@
+"""What points say of the error of a vendor's RPC: all corrections on a grid, and their weights.
+
+The prior: with (l, s) the RPC position of a ground point, from -1 to 1 over the RPC's image, the
+correction of each axis is b0 + b1 l + b2 s. Coefficients are normal with the mean 0 and
+
+    kind          b0       b1             b2
+    as delivered  0        0              0
+    shift         size     0              0
+    drift         size     share size     0
+    affine        size     share size     share size
+
+as standard deviations [px]. A shift is as likely as all else, as it is what vendors' errors mostly
+are. Neither size nor share are known, nor the noise of a measurement: all on a grid are averaged
+with their posterior probabilities. Sizes are equally likely on a logarithmic scale, from half a
+pixel to a thousand. A share is at most 1: attitude drifts by no more over a
+scene than it is off. Noise is half a pixel or what the file says, within a factor of 2.
+
+Every solution on the grid is linear in the measurements, so that errors of features that are left
+out are in closed form those of the whole procedure repeated without them.
+
+References
+----------
+Grodecki, Dial 2003, PE&RS 69(1), for the correction with a prior on its coefficients; Hoeting et
+al. 1999, Statistical Science 14(4), for averaging. The prior's form is termsel's own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from termsel_rpc.refinement import FloatArray
+
+KINDS = ("as delivered", "shift", "drift", "affine")
+
+PRIOR = (0.25, 0.5, 0.125, 0.125)
+"""How likely each kind is before anything is measured."""
+
+USUAL = 0.5
+"""Usual standard deviation of a measurement [px]."""
+
+SIZES = 2.0 ** np.arange(-1.0, 11.0)
+"""Standard deviations of a shift [px]."""
+
+SHARES = 10.0 ** np.arange(-2.0, 0.1, 0.5)
+"""Standard deviations of the effect of a drift at the edge of the image, by that of the shift."""
+
+NOISES = 10.0 ** np.arange(-1.5, 2.1, 0.25)
+"""Standard deviations of a measurement, by the usual one."""
+
+SPREAD = np.log(2.0)
+"""Standard deviation of the natural logarithm of the noise before anything is measured."""
+
+NEVER = 50.0
+"""Solutions less likely than the likeliest by this, in natural logarithms, are left out."""
+
+
+@dataclass(frozen=True, eq=False)
+class Grid:
+    """Solutions before anything is measured: standard deviations of coefficients, and of noise."""
+
+    kind: FloatArray  # (c,): number in KINDS
+    scales: FloatArray  # (c, 6): of line, then of sample [px]
+    noise: FloatArray  # (c,) [px]
+    log: FloatArray  # (c,): logarithm of the prior probability
+
+
+def grid(kinds: Iterable[int], usual: float = USUAL) -> Grid:
+    """Return the solutions of some kinds, for a usual noise [px]."""
+    parts = []
+    of_noise = -0.5 * (np.log(NOISES) / SPREAD) ** 2
+    of_noise -= np.logaddexp.reduce(of_noise)
+    for kind in kinds:
+        sizes, shares = SIZES if kind else np.zeros(1), SHARES if kind > 1 else np.zeros(1)
+        size, share, noise = (axis.ravel() for axis in np.meshgrid(
+            sizes, shares, np.arange(len(NOISES)), indexing="ij"))
+        drift = size * share
+        axis = np.stack([size, drift, drift * (kind > 2)], axis=1)
+        parts.append((np.full(len(size), float(kind)), np.tile(axis, 2),
+                      NOISES[noise] * usual,
+                      of_noise[noise] + np.log(PRIOR[kind] / len(sizes) / len(shares))))
+    return Grid(*(np.concatenate(one) for one in zip(*parts, strict=True)))
+
+
+@dataclass(frozen=True, eq=False)
+class Belief:
+    """All solutions for some features, with their probabilities.
+
+    Parameters
+    ----------
+    rows : ndarray, shape (m, 6)
+        Effect of each coefficient on each measurement.
+    right : ndarray, shape (m,)
+        Measured minus what the RPC says [px].
+    feature : ndarray of int, shape (m,)
+        The feature each row belongs to, counted from 0.
+    """
+
+    rows: FloatArray
+    right: FloatArray
+    feature: NDArray[np.intp]
+    grid: Grid
+
+    @cached_property
+    def _cells(self) -> tuple[Grid, FloatArray, FloatArray, float]:
+        """Solutions that matter: the grid, probabilities, and covariances (c, 6, 6) by the noise's
+        variance; and the logarithm of the evidence of all."""
+        of = self.grid
+        by_noise = of.scales / of.noise[:, None]
+        gram = by_noise[:, :, None] * (self.rows.T @ self.rows) * by_noise[:, None, :]
+        whole = gram + np.eye(gram.shape[1])
+        along = by_noise * (self.rows.T @ self.right)
+        solved = np.linalg.solve(whole, along[..., None])[..., 0]
+        square = (self.right @ self.right - np.einsum("ck,ck->c", along, solved)) / of.noise**2
+        log = of.log - 0.5 * (np.linalg.slogdet(whole)[1] + square) \
+            - len(self.right) * np.log(of.noise)
+        kept = log > log.max() - NEVER
+        some = Grid(*(value[kept] for value in vars(of).values()))
+        scaled = by_noise[kept]
+        covariance = scaled[:, :, None] * np.linalg.inv(whole[kept]) * scaled[:, None, :]
+        total = np.logaddexp.reduce(log[kept])
+        return some, np.exp(log[kept] - total), covariance, total
+
+    @property
+    def log(self) -> float:
+        """Logarithm of the evidence of all solutions."""
+        return float(self._cells[3] - 0.5 * len(self.right) * np.log(2 * np.pi))
+
+    @cached_property
+    def kinds(self) -> FloatArray:
+        """Probability of each kind, shape (4,)."""
+        of, share, _, _ = self._cells
+        return np.bincount(of.kind.astype(int), share, len(KINDS)).astype(np.float64)
+
+    @cached_property
+    def _solutions(self) -> FloatArray:
+        """Coefficients of each solution, shape (c, 6)."""
+        return self._cells[2] @ (self.rows.T @ self.right)
+
+    @cached_property
+    def coefficients(self) -> FloatArray:
+        """Coefficients, averaged [px], shape (6,)."""
+        return np.asarray(self._cells[1] @ self._solutions)
+
+    @cached_property
+    def covariance(self) -> FloatArray:
+        """Covariance of the coefficients [px^2], shape (6, 6), doubts between solutions included.
+        """
+        of, share, covariance, _ = self._cells
+        away = self._solutions - self.coefficients
+        within = np.einsum("c,cjk->jk", share * of.noise**2, covariance)
+        return np.asarray(within + (share[:, None] * away).T @ away)
+
+    @cached_property
+    def noise(self) -> float:
+        """Mean variance of a measurement [px^2]."""
+        of, share, _, _ = self._cells
+        return float(share @ of.noise**2)
+
+    def variance(self, rows: FloatArray) -> FloatArray:
+        """Return the variance of further measurements [px^2], shape (m,), noise included."""
+        return np.asarray(np.einsum("mj,jk,mk->m", rows, self.covariance, rows) + self.noise)
+
+    @cached_property
+    def effective(self) -> float:
+        """Effective parameters: the trace of the matrix that turns measurements into fitted values.
+        """
+        return float(np.einsum("c,cjk,jk->", self._cells[1], self._cells[2],
+                               self.rows.T @ self.rows))
+
+    @cached_property
+    def without_each(self) -> tuple[FloatArray, FloatArray]:
+        """Errors of the rows under the procedure without their feature [px], shape (m,), and the
+        logarithm of the probability density of each feature, given the others, shape (n,)."""
+        of, share, covariance, _ = self._cells
+        errors, density = np.empty(len(self.right)), np.empty(int(self.feature.max()) + 1)
+        left = self.right - self._solutions @ self.rows.T
+        for one in range(len(density)):
+            mine = np.flatnonzero(self.feature == one)
+            keep = np.eye(len(mine)) - self.rows[mine] @ covariance @ self.rows[mine].T
+            away = np.linalg.solve(keep, left[:, mine, None])[..., 0]
+            square = np.einsum("cm,cm->c", left[:, mine], away) / of.noise**2
+            log = 0.5 * (np.linalg.slogdet(keep)[1] - square) \
+                - len(mine) * (np.log(of.noise) + 0.5 * np.log(2 * np.pi))
+            others = np.log(share) - log
+            density[one] = -np.logaddexp.reduce(others)
+            errors[mine] = np.exp(others + density[one]) @ away
+        return errors, density

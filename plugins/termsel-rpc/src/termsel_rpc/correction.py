@@ -1,0 +1,284 @@
+"""A vendor's RPC, corrected by one point or more, as candidates of the strategy auto."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass
+from functools import lru_cache
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+
+from termsel import (
+    Adjustment,
+    Candidate,
+    Control,
+    Estimator,
+    FeatureSet,
+    Fit,
+    HeldOut,
+    Rpc,
+    Scaling,
+    SensorModel,
+    Spread,
+    Suspects,
+    TermselError,
+    Undetermined,
+    line_normals,
+    row_weights,
+)
+from termsel_rpc.belief import KINDS, USUAL, Belief, grid
+from termsel_rpc.image_space import RpcAffine
+from termsel_rpc.refinement import FloatArray
+
+BoolArray = np.ndarray[tuple[int], np.dtype[np.bool_]]
+
+FEW = 17
+"""Number of features from which on blunders are left to the test by shrunken polynomials."""
+
+MOST = 1 / 3
+"""Largest share of blunders."""
+
+SURE = 0.99
+"""Probability of a blunder beyond which a feature is left out as one for certain."""
+
+LIKELY = 0.75
+"""Probability beyond which it is left out as a probable one: odds of three to one."""
+
+NEAREST = 1.0
+"""Least error of a blunder [px]."""
+
+LOOKED_AT = 3
+"""Likeliest blunders, with each of which pairs are made."""
+
+
+@dataclass(frozen=True)
+class Correction(Estimator):
+    """The average of all corrections of an RPC, of some kinds, that the features leave possible.
+
+    Parameters
+    ----------
+    kinds : tuple of int
+        Numbers in `KINDS`.
+    """
+
+    name = "rpc-correction"
+    kinds: tuple[int, ...] = tuple(range(len(KINDS)))
+
+    @property
+    def options(self) -> dict[str, Any]:
+        """Nothing: the candidate knows the kinds."""
+        return {}
+
+    def fit(self, model: Any, control: FeatureSet, scaling: Scaling, terms: BoolArray,
+            used: BoolArray) -> Fit:
+        """Fit the correction (see `Estimator.fit`) with all its terms, by features in use."""
+        ready, mine = model.prepared(scaling, control.crs), control.take(used)
+        believed, unit = belief(ready, mine, scaling, self.kinds)
+        coefficients = to_terms(ready, scaling) @ believed.coefficients
+        equations = ready.equations(scaling.features(control))
+        residuals = equations.b - equations.A @ coefficients
+        held_out = HeldOut.of(
+            _vectors(believed.without_each[0] / unit, scaling.features(mine)), mine)
+        unknown = np.full(len(coefficients), np.nan)
+        effective = round(believed.effective)
+        return Fit(ready, scaling, control, np.ones(len(coefficients), dtype=bool), used,
+                   Adjustment(coefficients, residuals, unknown, effective, len(believed.right),
+                              effective, float("nan"),
+                              float(np.sqrt(believed.noise)) / scaling.image_scale),
+                   self, believed.effective, held_out)
+
+    def spread(self, fitted: Fit, ground: FloatArray) -> Spread:
+        """Return the mean square errors at scaled places (see `Estimator.spread`)."""
+        model, scale = fitted.model, fitted.scaling.image_scale
+        assert isinstance(model, RpcAffine)
+        believed, _ = belief(model, fitted.control.take(fitted.used), fitted.scaling, self.kinds)
+        values, vectors = np.linalg.eigh(believed.covariance)
+        root = to_terms(model, fitted.scaling) @ vectors * np.sqrt(np.maximum(values, 0.0))
+        factors = model.known(ground)[1] @ root
+        return Spread((factors**2).sum(axis=2), np.full(2, believed.noise / scale**2), factors)
+
+
+def to_terms(model: RpcAffine, scaling: Scaling) -> FloatArray:
+    """Return the matrix from coefficients of `Belief` [px] to terms of the model, shape (6, 6)."""
+    rpc = model.rpc
+    half = np.abs(rpc.image_scale)
+    middle = (np.array(scaling.image_offset) - rpc.image_offset) / half
+    of_axis = np.array([[1 / scaling.image_scale, *middle / scaling.image_scale],
+                        [0.0, 1 / half[0], 0.0], [0.0, 0.0, 1 / half[1]]])
+    return np.kron(np.eye(2), of_axis)
+
+
+def belief(model: RpcAffine, features: FeatureSet, scaling: Scaling,
+           kinds: tuple[int, ...]) -> tuple[Belief, FloatArray]:
+    """Return what features say of the errors of a prepared model's RPC, and weights of the rows."""
+    scaled = scaling.features(features)
+    equations, sigma = model.equations(scaled), features.points.sigma
+    rows = equations.A @ to_terms(model, scaling) * scaling.image_scale
+    usual = USUAL if sigma is None else float(np.median(sigma))
+    return Belief(rows, equations.b * scaling.image_scale, equations.feature,
+                  grid(kinds, usual)), row_weights(scaled)
+
+
+def _vectors(errors: FloatArray, scaled: FeatureSet) -> FloatArray:
+    """Return errors of rows [px] as vectors of points, then of vertices of lines, shape (m, 2)."""
+    count = 2 * len(scaled.points)
+    normals = np.repeat(line_normals(scaled.lines)[0], 2, axis=0)
+    return np.concatenate([errors[:count].reshape(-1, 2), errors[count:, None] * normals])
+
+
+@lru_cache(maxsize=8)
+def _model(rpc: Rpc) -> RpcAffine:
+    return RpcAffine(rpc=json.dumps(asdict(rpc)))
+
+
+@dataclass(frozen=True, eq=False)
+class CorrectedRpc(Candidate):
+    """The RPC that features have, corrected as far as they tell: as delivered, by a shift, ..."""
+
+    def declines(self, control: Control) -> str | None:
+        """Return why the RPC is not one of this image, or the features cannot correct it."""
+        rpc = control.features.rpc
+        if not isinstance(rpc, Rpc):
+            return "no RPC is given"
+        missing = control.features.without_height()
+        if missing:
+            return (f"it needs ellipsoidal heights, and {missing[0]} has none (--dem FILE takes "
+                    "them from a raster)")
+        try:
+            model = _model(rpc).prepared(control.scaling, control.features.crs)
+        except TermselError as error:
+            return error.what
+        features = control.features
+        away = np.linalg.norm(
+            rpc.project(model.geographic(control.scaling.ground(features.ground_vertices())))
+            - features.image_vertices(), axis=1)
+        half = float(np.linalg.norm(rpc.image_scale))
+        if not np.median(away) < half:
+            return (f"{model.source} sees the control {np.median(away):,.0f} px from where it was "
+                    f"measured, more than half of its image ({half:,.0f} px). It is of another "
+                    "image, or line and sample are swapped")
+        return None
+
+    def fit_control(self, control: Control) -> Fit:
+        """Fit the correction, whatever the features determine."""
+        rpc = control.features.rpc
+        if not isinstance(rpc, Rpc):
+            raise Undetermined("no RPC is given", hint="Give it with --rpc FILE.")
+        model = _model(rpc)
+        return self.estimator.fit(
+            model, control.features, control.scaling, np.ones(len(model.terms), dtype=bool),
+            np.ones(len(control), dtype=bool))
+
+    def size(self, heights: bool) -> float:
+        """Return 0: what is known comes before what is fitted."""
+        return 0.0
+
+    def model(self, heights: bool) -> SensorModel | None:
+        """Return None: the model depends on the RPC."""
+        return None
+
+    def describe(self, fitted: Fit) -> str:
+        """Return how likely each kind is, and how well the corners are known."""
+        assert isinstance(fitted.model, RpcAffine)
+        believed, _ = belief(fitted.model, fitted.control.take(fitted.used), fitted.scaling,
+                             tuple(range(len(KINDS))))
+        rpc = fitted.model.rpc
+        chances = [f"{name} {share:.2f}" for name, share in zip(KINDS, believed.kinds, strict=True)]
+        most = int(np.argmax(believed.kinds))
+        shift = believed.coefficients[[0, 3]]
+        corners = np.array([[1.0, line, sample] for line in (-1, 1) for sample in (-1, 1)])
+        rows = np.einsum("ab,nc->nabc", np.eye(2), corners).reshape(8, 6)
+        sigma = np.sqrt((believed.variance(rows).sum() - 8 * believed.noise) / 4)
+        return (f"The vendor's RPC{f' {rpc.source}' if rpc.source else ''} is corrected by "
+                f"{shift[0]:+.2f} px in line and {shift[1]:+.2f} px in sample, in the middle of "
+                f"its image. The points call for {_WORDS[most]} (probabilities: "
+                f"{', '.join(chances)}). At the corners the correction is known to {sigma:.2g} "
+                "px.")
+
+    def suspects(self, control: Control) -> Suspects | None:
+        """Return blunders among few features, by what all others and the RPC predict."""
+        return None if len(control) >= FEW else _suspects(control, _model_of(control))
+
+
+_WORDS = ("no correction", "a shift", "a drift along the lines", "an affine correction")
+
+
+def _model_of(control: Control) -> RpcAffine:
+    rpc = control.features.rpc
+    assert isinstance(rpc, Rpc)
+    return _model(rpc).prepared(control.scaling, control.features.crs)
+
+
+def _suspects(control: Control, model: RpcAffine) -> Suspects | None:
+    """Return the blunders, by hypotheses: none, each feature, pairs with one of the likeliest.
+
+    A blunder lies anywhere, as likely within 2 to 4 px of its place as within 20 to 40. Beforehand
+    one feature of all is believed to be one.
+    """
+    n, most = len(control), int(MOST * len(control))
+    if not most:
+        return None
+    whole, _ = belief(model, control.features, control.scaling, tuple(range(len(KINDS))))
+    reach = np.log(np.linalg.norm(model.rpc.image_scale) / NEAREST)
+    logs: dict[tuple[int, ...], float] = {(): whole.log}
+
+    def without(out: tuple[int, ...]) -> Belief:
+        kept = ~np.isin(whole.feature, out)
+        number = np.cumsum(~np.isin(np.arange(n), out)) - 1
+        return Belief(whole.rows[kept], whole.right[kept], number[whole.feature[kept]], whole.grid)
+
+    def away(one: int, others: Belief) -> float:
+        mine = whole.feature == one
+        return float(np.abs(whole.right[mine] - whole.rows[mine] @ others.coefficients).max())
+
+    def tried(*out: int) -> None:
+        others = without(out)
+        logs[out] = others.log - sum(
+            np.log((n - 1) * 2 * np.pi * reach) + 2 * np.log(max(away(one, others), NEAREST))
+            for one in out)
+
+    for one in range(n):
+        tried(one)
+    likeliest = sorted(range(n), key=lambda one: -logs[one,])[:LOOKED_AT]
+    for pair in combinations(range(n), 2) if most > 1 else ():
+        if set(pair) & set(likeliest):
+            tried(*pair)
+    best = max(logs, key=lambda out: logs[out])
+    total = np.logaddexp.reduce(list(logs.values()))
+    chance = np.array([np.exp(np.logaddexp.reduce(
+        [log for out, log in logs.items() if one in out]) - total) for one in range(n)])
+    others = without(best)
+    errors = np.array([away(one, others) for one in range(n)])
+    sigma = np.sqrt(np.array([others.variance(whole.rows[whole.feature == one]).max()
+                              for one in range(n)]))
+    blunders = chance > LIKELY
+    return Suspects(blunders, blunders & (chance <= SURE), (chance > 0.5) & ~blunders, errors,
+                    _limits(sigma, n, float(reach)))
+
+
+def _limits(sigma: FloatArray, n: int, reach: float) -> FloatArray:
+    """Return the errors [px] that would be left out for certain, of predictions with a sigma."""
+    errors = 4 * sigma
+    for _ in range(20):  # converges as errors enter by their logarithms
+        errors = sigma * np.sqrt(2 * (np.log(SURE / (1 - SURE) * (n - 1) * reach)
+                                      + 2 * np.log(np.maximum(errors, NEAREST) / sigma)))
+    return np.asarray(errors)
+
+
+_ALL = Correction()
+
+CANDIDATES = (
+    CorrectedRpc("rpc", "the vendor's RPC, corrected", short="corrected RPC", estimator=_ALL,
+                 has_prior=True, from_one=True, family="corrections of the RPC",
+                 contains=("rpc-as-delivered", "rpc-shifted", "rpc-drifted", "rpc-by-affine")),
+    CorrectedRpc("rpc-as-delivered", "the vendor's RPC as delivered", short="RPC as delivered",
+                 estimator=Correction((0,)), is_plain=True),
+    CorrectedRpc("rpc-shifted", "the vendor's RPC, shifted", short="RPC, shift",
+                 estimator=Correction((1,)), is_plain=True),
+    CorrectedRpc("rpc-drifted", "the vendor's RPC with a drift along the lines",
+                 short="RPC, drift", estimator=Correction((2,)), is_plain=True),
+    CorrectedRpc("rpc-by-affine", "the vendor's RPC with an affine correction",
+                 short="RPC, affine", estimator=Correction((3,)), is_plain=True))
+"""Corrections of the RPC that features have."""

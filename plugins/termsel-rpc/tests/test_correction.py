@@ -1,0 +1,255 @@
+"""A vendor's RPC and one point or more: the candidates of the strategy auto."""
+
+from __future__ import annotations
+
+import json
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+pytest.importorskip("termsel_rpc", reason="termsel-rpc is not installed: "
+                    "pip install -e plugins/termsel-rpc")
+
+from click.testing import CliRunner
+
+import termsel
+from termsel import FeatureSet, Points, Result, Rpc, read_rpc
+from termsel.cli.main import cli
+from termsel.formats.rpc_files import rpb_text, rpc_items, rpc_txt_text
+from termsel.testing import checks
+from termsel_rpc.belief import KINDS, Belief, grid
+from termsel_rpc.correction import CANDIDATES
+from termsel_rpc.simulated import RPC_FILE
+
+pytestmark = pytest.mark.filterwarnings("ignore:Dataset has no geotransform")
+
+FloatArray = NDArray[np.float64]
+
+BIAS = np.array([[12.0, -7.0], [2.0, 3.0], [-1.0, 1.5]])
+"""Of 1, line and sample, at the edge of the image [px]."""
+
+
+@pytest.fixture(scope="module")
+def data_folder() -> Path:
+    """Real data that are not part of the project; tests that need them are skipped without."""
+    here = Path(__file__).resolve()
+    folder = Path(os.environ.get("TERMSEL_DATA", here.parents[4] / "shared" / "data"))
+    if not folder.is_dir():
+        pytest.skip("real data are not here; set TERMSEL_DATA to their folder")
+    return folder
+
+
+def scene(n: int, width: int = 1, *, rpc: Rpc | None = None, seed: int = 0, noise: float = 0.3,
+          role: str = "") -> FeatureSet:
+    """Return points of an image whose RPC has an error of so many of the columns of BIAS."""
+    rpc = rpc or read_rpc(RPC_FILE)
+    rng = np.random.default_rng(seed)
+    share = rng.uniform(-0.8, 0.8, (n, 3))
+    ground = rpc.locate(share[:, :2] * rpc.image_scale + rpc.image_offset,
+                        share[:, 2] * rpc.ground_scale[2] + rpc.ground_offset[2])
+    image = wrong(rpc, ground, width) + rng.normal(0, noise, (n, 2))
+    return FeatureSet(Points(tuple(f"{role}{i}" for i in range(n)), image, ground,
+                             roles=(role,) * n), crs="EPSG:4979", rpc=rpc)
+
+
+def wrong(rpc: Rpc, ground: FloatArray, width: int) -> FloatArray:
+    """Return where places are, which the RPC sees elsewhere."""
+    seen = rpc.project(ground)
+    unit = (seen - rpc.image_offset) / rpc.image_scale
+    columns = np.column_stack([np.ones(len(unit)), unit])
+    return np.asarray(seen + columns[:, :width] @ BIAS[:width])
+
+
+def off(result: Result, features: FeatureSet, width: int) -> float:
+    """Return by how much places all over the image are missed, root mean square [px]."""
+    others = scene(200, seed=1, rpc=features.rpc)  # type: ignore[arg-type]
+    true = wrong(features.rpc, others.points.ground, width)  # type: ignore[arg-type]
+    away = result.fit.project(others.points.ground) - true
+    return float(np.sqrt((away**2).sum(axis=1).mean()))
+
+
+@pytest.mark.parametrize("candidate", CANDIDATES, ids=lambda one: one.name)
+def test_every_candidate_keeps_the_rules(candidate: termsel.Candidate) -> None:
+    for check in checks(candidate, features=[scene(6, 3), scene(2), scene(30, 2)]):
+        check.run()
+
+
+def test_errors_without_each_are_those_of_the_rest() -> None:
+    rng = np.random.default_rng(0)
+    rows, right = rng.normal(size=(10, 6)), rng.normal(size=10)
+    feature = np.repeat(np.arange(5), 2)
+    whole = Belief(rows, right, feature, grid(range(len(KINDS))))
+    errors, density = whole.without_each
+    rest = Belief(rows[2:], right[2:], feature[2:] - 1, whole.grid)
+    np.testing.assert_allclose(errors[:2], right[:2] - rows[:2] @ rest.coefficients, atol=1e-6)
+    assert density[0] == pytest.approx(whole.log - rest.log, abs=1e-6)
+
+
+@pytest.mark.parametrize(("n", "width", "allowed"), [
+    (1, 1, 3.0), (2, 1, 1.0), (4, 1, 0.6), (6, 2, 0.8), (12, 3, 0.6)])
+def test_the_error_of_an_rpc_is_found(n: int, width: int, allowed: float) -> None:
+    features = scene(n, width)
+    result = termsel.run(features=features)
+    assert result.strategy.chosen == "rpc"  # type: ignore[union-attr]
+    assert off(result, features, width) < allowed
+
+
+def test_a_good_rpc_stays_as_it_is() -> None:
+    features = scene(2, 0)
+    result = termsel.run(features=features)
+    assert off(result, features, 0) < 0.3
+    assert "call for no correction" in result.strategy.reason  # type: ignore[union-attr]
+
+
+def test_what_is_not_known_at_the_corners_is_said_and_true() -> None:
+    """One point says nothing of a drift; four do."""
+    corner = read_rpc(RPC_FILE).ground_offset + 0.8 * np.array(read_rpc(RPC_FILE).ground_scale)
+    one, four = (termsel.run(features=scene(n)).fit.sigma(corner[None]).max() for n in (1, 4))
+    assert one > 3.0
+    assert four < 1.5
+
+
+def test_a_result_keeps_the_rpc(tmp_path: Path) -> None:
+    features = scene(3)
+    result = termsel.run(features=features, out=tmp_path / "r")
+    again = termsel.read_result(tmp_path / "r")
+    assert again.features.rpc == features.rpc
+    np.testing.assert_allclose(again.fit.sigma(features.points.ground),
+                               result.fit.sigma(features.points.ground))
+    assert again.summary() == result.summary()
+    changed = (tmp_path / "r" / "result.json").read_text().replace('"image_scale"', '"image_size"')
+    (tmp_path / "r" / "result.json").write_text(changed)
+    with pytest.raises(termsel.TermselError, match=r"damaged|changed"):
+        termsel.read_result(tmp_path / "r")
+
+
+@pytest.mark.parametrize("vendor", ["rpc_IKONOS.txt", "rpc_WV3.xml", "rpc_PLANET_L1B.txt"])
+@pytest.mark.parametrize("n", [1, 8])
+def test_an_exported_rpc_has_the_correction_through_gdal(
+        n: int, vendor: str, data_folder: Path, tmp_path: Path) -> None:
+    rasterio = pytest.importorskip("rasterio")
+    from rasterio.transform import RPCTransformer
+
+    features = scene(n, 3, rpc=read_rpc(data_folder / "rpc" / "original" / vendor))
+    result = termsel.run(features=features)
+    with rasterio.open(tmp_path / "scene.tif", "w", driver="GTiff", width=1, height=1, count=1,
+                       dtype="uint8"):
+        pass
+    termsel.export(result, "rpb", tmp_path / "scene.RPB")
+    others = scene(100, seed=2, rpc=features.rpc).points.ground  # type: ignore[arg-type]
+    with rasterio.open(tmp_path / "scene.tif") as raster, \
+            RPCTransformer(raster.rpcs) as transformer:
+        rows, columns = transformer.rowcol(*others.T, op=np.asarray)
+    away = np.column_stack([rows, columns]) - 0.5 - result.fit.project(others)
+    assert np.abs(away).max() < 0.05
+
+
+def test_one_blunder_among_five_is_named() -> None:
+    for seed in range(5):
+        features = scene(5, 2, seed=seed)
+        points = features.points
+        image = points.image.copy()
+        image[seed] += [15.0, -20.0]
+        result = termsel.run(features=features.with_(points=replace(points, image=image)))
+        assert [one.id for one in result.outliers] == [str(seed)]
+        assert result.outliers[0].excluded
+
+
+def test_an_rpc_of_another_place_is_named_and_not_used(data_folder: Path) -> None:
+    other = read_rpc(data_folder / "rpc" / "original" / "rpc_WV3.xml")
+    result = termsel.run(features=replace(scene(5), rpc=other))
+    assert not result.strategy.chosen.startswith("rpc")  # type: ignore[union-attr]
+    assert any("The RPC is not used: the RPC rpc_WV3.xml covers longitude" in note
+               for note in result.notes)
+    with pytest.raises(termsel.TermselError, match=r"one point is not enough.*covers"):
+        termsel.run(features=replace(scene(1), rpc=other))
+
+
+def test_an_rpc_of_another_image_of_the_place_is_named() -> None:
+    rpc = read_rpc(RPC_FILE)
+    far = replace(rpc, image_offset=(rpc.image_offset[0] + 9000.0, rpc.image_offset[1]))
+    result = termsel.run(features=replace(scene(5), rpc=far))
+    assert any("more than half of its image" in note for note in result.notes)
+
+
+@pytest.mark.parametrize(("change", "said"), [
+    ({"crs": "local"}, "without a CRS"), ({"height": np.nan}, "needs ellipsoidal heights")])
+def test_points_that_cannot_correct_it_are_named(change: dict[str, object], said: str) -> None:
+    features = scene(5)
+    if "crs" in change:
+        features = replace(features, crs="local")
+    else:
+        ground = features.points.ground.copy()
+        ground[:, 2] = np.nan
+        features = features.with_(points=replace(features.points, ground=ground))
+    result = termsel.run(features=features)
+    assert any("The RPC is not used" in note and said in note for note in result.notes)
+
+
+def test_clearly_better_points_are_preferred_to_an_rpc() -> None:
+    """Of an image that was resampled after its RPC was made."""
+    features = scene(40, 1)
+    points = features.points
+    bent = points.image + 60 * ((points.image[:, :1] - 3500) / 3500) ** 2
+    result = termsel.run(features=features.with_(points=replace(points, image=bent)))
+    assert result.strategy.chosen != "rpc"  # type: ignore[union-attr]
+    assert "corrected RPC" in result.strategy.reason  # type: ignore[union-attr]
+
+
+def command(*words: object) -> tuple[int, str]:
+    found = CliRunner().invoke(cli, [*map(str, words)])
+    return found.exit_code, found.output
+
+
+def test_an_rpc_in_any_form_gives_the_same(tmp_path: Path) -> None:
+    rasterio = pytest.importorskip("rasterio")
+    features, rpc = scene(1), read_rpc(RPC_FILE)
+    termsel.write_points_csv(features.points, tmp_path / "p.csv", crs="EPSG:4979")
+    (tmp_path / "a.RPB").write_text(rpb_text(rpc))
+    (tmp_path / "a_RPC.TXT").write_text(rpc_txt_text(rpc))
+    shape = {"driver": "GTiff", "width": 50, "height": 40, "count": 1, "dtype": "uint8"}
+    with rasterio.open(tmp_path / "tags.tif", "w", **shape) as raster:
+        raster.rpcs = rasterio.rpc.RPC.from_gdal(rpc_items(rpc))
+    with rasterio.open(tmp_path / "a.tif", "w", **shape):
+        pass
+    found = []
+    for name, file in (("--rpc", "a.RPB"), ("--rpc", "a_RPC.TXT"), ("--image", "tags.tif"),
+                       ("--image", "a.tif")):
+        code, text = command("run", "--points", tmp_path / "p.csv", name, tmp_path / file,
+                             "--quiet", "--json")
+        assert code == 0, text
+        found.append(list(json.loads(text)["coefficients"].values()))
+    np.testing.assert_allclose(found, [found[0]] * 4, rtol=1e-6)
+
+
+@pytest.mark.parametrize(("words", "said"), [
+    (["--problem", "rpc-gcps"], "corrects a vendor's RPC by one point or more"),
+    (["--model", "rpc-shift"], "corrects a vendor's RPC by one point or more"),
+    (["--problem", "rpc-gcps", "--strategy", "auto"], "add --rpc FILE")])
+def test_what_needs_more_points_says_which_command_does(
+        words: list[str], said: str, tmp_path: Path) -> None:
+    termsel.write_points_csv(scene(4).points, tmp_path / "p.csv", crs="EPSG:4979")
+    code, text = command("run", "--points", tmp_path / "p.csv", "--rpc", RPC_FILE, *words)
+    assert code == 2
+    assert said in text
+
+
+def test_models_that_refine_an_rpc_take_that_of_the_features() -> None:
+    features = scene(40)
+    result = termsel.run(features=features, model="rpc-shift", generations=2)
+    assert result.rmse["control"].total < 1.0  # type: ignore[union-attr]
+
+
+def test_a_study_has_a_column_of_rpcs(tmp_path: Path) -> None:
+    for name, seed in (("a", 0), ("b", 1)):
+        termsel.write_points_csv(scene(3, seed=seed).points, tmp_path / f"{name}.csv",
+                                 crs="EPSG:4979")
+        (tmp_path / f"{name}.RPB").write_text(rpb_text(read_rpc(RPC_FILE)))
+    (tmp_path / "study.toml").write_text('[[data]]\npoints = "*.csv"\nrpc = "*.RPB"\n')
+    study = termsel.compare(tmp_path / "study.toml", out=tmp_path / "out", workers=1)
+    assert [row["state"] for row in study.rows] == ["done"] * 2
+    assert {row["chosen"] for row in study.rows} == {"rpc"}

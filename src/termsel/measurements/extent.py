@@ -1,0 +1,35 @@
+"""What part of an image, and of the ground, a fit is for: few points span less than an RPC does.
+
+A model that corrects an RPC has the option "rpc".
+"""
+
+from __future__ import annotations
+
+from collections.abc import Container
+
+import numpy as np
+
+from termsel.measurements.coordinates.crs import transformation
+from termsel.measurements.features import FeatureSet, FloatArray
+
+
+def image_extent(features: FeatureSet, options: Container[str],
+                 ) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Return first and last line and sample [px] of the image, of its RPC or of the features."""
+    if features.image_size is not None:
+        lines, samples = features.image_size
+        return (0.0, 0.0), (lines - 1.0, samples - 1.0)
+    image = features.image_vertices()
+    if (rpc := features.rpc) is not None and "rpc" in options:
+        image = np.array(rpc.image_offset) + np.outer([-1.0, 1.0], np.abs(rpc.image_scale))
+    (top, left), (bottom, right) = image.min(axis=0).tolist(), image.max(axis=0).tolist()
+    return (top, left), (bottom, right)
+
+
+def reach(features: FeatureSet, options: Container[str]) -> FloatArray:
+    """Return half the size of the area of the RPC that is corrected, shape (3,); else 0."""
+    if (rpc := features.rpc) is None or "rpc" not in options:
+        return np.zeros(3)
+    box = np.array(rpc.ground_offset) + np.outer([-1.0, 1.0], rpc.ground_scale)
+    there = transformation("EPSG:4979", features.crs, strict=False)(box)
+    return np.asarray(np.abs(there[1] - there[0]) / 2)
