@@ -77,7 +77,7 @@ def test_one_independent_point_is_a_point() -> None:
 def test_a_conventional_fit_that_is_not_determined_is_said_to_be() -> None:
     assert judged(1.0, 2.0, determined=False) == (
         "The selection is 2.0 times better than all lines (1.00 px against 2.00 px, which the "
-        f"control does not even determine: least-norm solution) on 20 independent points.{NONE}")
+        f"control does not even determine) on 20 independent points.{NONE}")
 
 
 @pytest.mark.parametrize(("name", "mine", "theirs", "sentence"), [
@@ -89,9 +89,9 @@ def test_a_conventional_fit_that_is_not_determined_is_said_to_be() -> None:
      "together, which the rule of auto chooses (1.05 px)."),
     ("affine", 1.0, 1.051, "It beats an affine polynomial over control and check together, which "
      "the rule of auto chooses, by 1.1 times (1.05 px)."),
-    ("shrunken-cubic", 4.0, 2.0, "Use --strategy auto instead: a shrunken cubic polynomial over "
+    ("shrunken-cubic", 4.0, 2.0, "Let auto choose instead: a shrunken cubic polynomial over "
      "control and check together, which the rule of auto chooses, is 2.0 times better (2.00 px)."),
-    ("rfm-3", 4.0, 2.0, "Use --strategy auto instead: a third-order RFM over control and check "
+    ("rfm-3", 4.0, 2.0, "Let auto choose instead: a third-order RFM over control and check "
      "together, which the rule of auto chooses, is 2.0 times better (2.00 px)."),
     ("rfm-2", 4.0, 2.0, "Use something plainer: a second-order RFM over control and check "
      "together, which the rule of auto chooses, is 2.0 times better (2.00 px).")])
@@ -138,17 +138,17 @@ CHOSEN = ("From control and check auto chooses a quadratic polynomial, with a pr
 @pytest.mark.parametrize(("others", "sentence"), [
     ((), ""),
     ((baseline("dlt", 2.0, predicted=3.0),), " That is 2.0 times better than a DLT, the best of "
-     "the other plain structures by leave-one-out (1.00 px against 2.00 px)."),
+     "the other plain structures at held-out features (1.00 px against 2.00 px)."),
     # The best by leave-one-out, not by independent points; of the plain ones; not the choice.
     ((baseline("affine", 0.5, predicted=4.0), baseline("dlt", 2.0, predicted=3.0)),
-     " That is 2.0 times better than a DLT, the best of the other plain structures by "
-     "leave-one-out (1.00 px against 2.00 px)."),
+     " That is 2.0 times better than a DLT, the best of the other plain structures at "
+     "held-out features (1.00 px against 2.00 px)."),
     ((baseline("dlt", 1.02, predicted=3.0), baseline("rfm-3", 0.1, predicted=0.1),
       baseline("selected", 0.1, predicted=0.1), baseline("quadratic", 0.1, predicted=0.1)),
-     " That is no better than a DLT, the best of the other plain structures by leave-one-out "
+     " That is no better than a DLT, the best of the other plain structures at held-out features "
      "(1.00 px against 1.02 px)."),
     ((baseline("rfm-2", 0.25, predicted=3.0),), " That is 4.0 times worse than a second-order "
-     "RFM, the best of the other plain structures by leave-one-out (1.00 px against 0.25 px)."),
+     "RFM, the best of the other plain structures at held-out features (1.00 px against 0.25 px)."),
     ((baseline("dlt", 2.0),), ""),
     ((baseline("quadratic", 2.0, predicted=1.0),), ""),
     ((baseline("all-terms", 2.0, predicted=1.0),), "")])

@@ -395,7 +395,7 @@ def test_a_search_is_told_where_a_robust_fit_is_no_worse() -> None:
     reference = rows["without-blunders"].rmse["independent"].total
     assert reference < rows["quadratic"].rmse["independent"].total
     assert result.rmse["independent"].total > 1.05 * reference
-    assert "Use --strategy auto instead" in result.judgement
+    assert "Let auto choose instead" in result.judgement
     assert "without 8 blunders, which the rule of auto chooses" in result.judgement
     assert "without blunders *" in result.summary(verbose=True)
 

@@ -167,7 +167,7 @@ def test_what_was_read_comes_first(read: dict[str, Any], lines: list[str]) -> No
     ({"interrupted": True}, "Next: the run was interrupted; run it again to its end."),
     ({"predicted": {"rmse": 1234.5, "low": 0.5, "high": 99999.0}},
      "Accuracy: 1,234 px predicted (0.5 to 99,999 px); no independent point confirms it."),
-    ({"judgement": "Use --strategy auto instead: it is better."},
+    ({"judgement": "Let auto choose instead: it is better."},
      "Next: name no problem and no method: then auto chooses, and predicts better."),
     ({"data": data(counts={**record()["data"]["counts"], "independent": 0})},
      "Next: measure further points, some of the role independent; termsel plan names places.")])

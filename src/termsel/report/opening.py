@@ -95,12 +95,13 @@ def _model(record: Record) -> str:
         meaning = next((f" ({text})" for word, text in reversed(_PLAIN.items())
                         if word in title), "")
         return f"{title}{meaning}, chosen by auto."
-    by = f"; selected by {record.solver} (criterion {record.criterion})"
+    by = f"; stable over {record.stability.repeats} selections" if record.stability else \
+        f"; selected by {record.solver} (criterion {record.criterion})"
     whole = (selection.n_terms, selection.n_features) == (offered.n_terms, offered.n_features)
     return (f"{title}, {share(selection.n_terms, offered.n_terms)} terms, "
             f"{share(selection.n_features, offered.n_features)} "
-            f"{'lines' if record.data.counts.lines else 'points'}{'' if whole else by}."
-            + ("" if record.feasible else " It does not satisfy all conditions: do not use it."))
+            f"{'lines' if record.data.counts.lines else 'points'}{'' if whole else by}"
+            + ("." if record.feasible else ". Do not use it: not all conditions hold."))
 
 
 def share(chosen: int, offered: int) -> str:
@@ -113,7 +114,8 @@ def accuracy_of(record: Record) -> str:
     accuracy, predicted = record.accuracy, record.predicted
     if accuracy:
         less = record.accuracy_without
-        without = f"; {_sizes(less)} without {cut(contradicting(record), _LONGEST)}" if less else ""
+        without = f"; {rounded(less.image.total)} px without " \
+            f"{cut(contradicting(record), _SOURCE)}" if less else ""
         return (f"{_sizes(accuracy)} (RMSE of "
                 f"{counted(accuracy.image.n, 'independent point')}){without}.")
     if predicted:
@@ -186,6 +188,6 @@ def _next(record: Record) -> str:
         return "look at the blunders in use: correct them, or leave them out and run again."
     if not record.data.counts.independent:
         return "measure further points, some of the role independent; termsel plan names places."
-    if "Use --strategy auto" in record.judgement:
+    if "Let auto choose" in record.judgement:
         return "name no problem and no method: then auto chooses, and predicts better."
     return "termsel report, export and rectify take the folder that --out DIR writes."

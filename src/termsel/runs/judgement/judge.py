@@ -57,7 +57,7 @@ def judge(conventional: str, criterion: str, rmse: Rmses,
                  "auto chooses")
         ratio = _ratio(mine.total, _independent(best))
         if ratio > ALIKE:
-            advice = ("Use --strategy auto instead" if blunders or not candidate.is_plain else
+            advice = ("Let auto choose instead" if blunders or not candidate.is_plain else
                       "Use something plainer")
             sentences.append(f"{advice}: {title}, is {_times(ratio)} better "
                              f"({_px(_independent(best))}).")
@@ -93,7 +93,7 @@ def judge_choice(chosen: Candidate, predicted: float | None, rmse: Rmses,
     if others:
         _, best, other = min(others, key=lambda one: one[0])
         sentences.append(_compare("That is", mine.total, best, f"{other.title}, the best "
-                                  "of the other plain structures by leave-one-out") + ".")
+                                  "of the other plain structures at held-out features") + ".")
     if noise is not None:
         sentences.append(f"Measurement noise alone gives {_px(noise * np.sqrt(2))}.")
     return " ".join(sentences)
@@ -133,7 +133,7 @@ def _compare(start: str, mine: float, other: Baseline, title: str) -> str:
     theirs = _independent(other)
     figures = f"({_px(mine)} against {_px(theirs)}"
     figures += ")" if other.determined else \
-        ", which the control does not even determine: least-norm solution)"
+        ", which the control does not even determine)"
     ratio = _ratio(theirs, mine)
     if ratio > ALIKE:
         return f"{start} {_times(ratio)} better than {title} {figures}"
