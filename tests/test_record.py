@@ -129,8 +129,8 @@ def test_what_is_read_again_is_what_the_run_returned(problem: str, how: dict[str
 @pytest.mark.parametrize("kind", ["contradicting", "twins", "field", "plane lines"])
 def test_auto_on_odd_data_is_read_again(kind: str, tmp_path: Path) -> None:
     if kind == "field":
-        points = simulate_map(seed=0, n_points=30).points
-        roles = ("control",) * 12 + ("check",) * 8 + ("independent",) * 10
+        points = simulate_map(seed=0, n_points=40).points
+        roles = ("control",) * 22 + ("check",) * 8 + ("independent",) * 10
         features = FeatureSet(replace(points, roles=roles))
     else:
         features = simulate_scene("ikonos-hamedan", seed=3)
