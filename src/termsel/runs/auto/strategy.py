@@ -35,7 +35,7 @@ from termsel.runs.task.given import all_candidates
 from termsel.runs.task.provenance import data_of, plugins_of, versions
 from termsel.runs.task.request import Setup
 from termsel.runs.task.task import FEW, all_control
-from termsel.runs.task.verdict import judge_features, judge_independent
+from termsel.runs.task.verdict import Verdict, judge_features, judge_independent
 from termsel.solvers.base import Generation
 from termsel.solvers.ledger import Progress
 from termsel.solvers.search import Observer
@@ -188,7 +188,8 @@ def choose_for(setup: Setup, observations: Observations, seed: int,
         notes=(*_on_rpc(control, portfolio, chosen), *_few(setup), *of_data,
                *_notes(setup.model, clean, errors, said, plane=not model.uses_height,
                        determined=not enough, known=chosen.candidate.from_one),
-               *verdict.notes, *_lines(fitted), *contradicting.notes, *portfolio.notes),
+               *_high(verdict), *verdict.notes, *_lines(fitted), *contradicting.notes,
+               *portfolio.notes),
         outliers=outliers, predicted=expected,
         accuracy=accuracy_of(fitted, observations.independent), final=final,
         accuracy_without=accuracy_of(fitted, agreeing.independent)
@@ -223,6 +224,12 @@ def _final_fit(chosen: Judged, points: Points, heights: bool, portfolio: Portfol
         return None
     final = portfolio.ask(chosen.candidate, "refit", chosen.fit, Control.of(every, heights))
     return final if final is not None and final.determined and not has_pole(final) else None
+
+
+def _high(verdict: Verdict) -> list[str]:
+    some = [f"{one.id} ({one.error:.3g} px)" for one in verdict.outliers if one.id in verdict.high]
+    return [f"Left out for {'its height' if len(some) == 1 else 'their heights'}: "
+            f"{', '.join(some)}."] * bool(some)
 
 
 def _lines(fitted: Fit) -> list[str]:

@@ -57,16 +57,15 @@ def judge_features(observations: Observations, portfolio: Portfolio) -> Verdict:
     held = _held_against_others(observations, roles, high)
     if held:
         observations = leave_out(observations, high)
-    of_heights = [f"Left out for {'its height' if len(held) == 1 else 'their heights'}: "
-                  + ", ".join(f"{one.id} ({one.error:.3g} px)" for one in held) + "."
-                  ] * bool(held)
+    verdict = Verdict(held, high=high if held else frozenset())
     both, pool = observations.pool.features, observations.pool
     found = portfolio.suspects(pool) or find_blunders(pool, portfolio)
     if found is None:
-        return Verdict(held, frozenset(), high if held else frozenset(), tuple(of_heights))
+        return verdict
     wrong = select(both.ids, found.blunders)
-    return Verdict((*held, *_outliers(both, roles, found)), with_twins(points, wrong).union(wrong),
-                   high if held else frozenset(), (*of_heights, *_limits(both, found)))
+    return replace(verdict, outliers=(*held, *_outliers(both, roles, found)),
+                   blunders=with_twins(points, wrong).union(wrong),
+                   notes=tuple(_limits(both, found)))
 
 
 def _held_against_others(observations: Observations, roles: dict[str, Role],
