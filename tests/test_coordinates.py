@@ -134,7 +134,7 @@ def test_affine_in_geodetic_coordinates_given_in_them(scene: FeatureSet) -> None
 
 
 def test_lines(scene: FeatureSet) -> None:
-    result = run(scene, "geocentric", "owdis-lines")
+    result = run(scene, "geocentric", "owdis-lines", blunders="keep")
     own = scene.lines.ground.reshape(-1, 3)
     turned = FeatureSet(lines=Lines(scene.lines.ids, scene.lines.image, transformation(
         scene.crs, "EPSG:4978")(own).reshape(-1, 2, 3)), crs="EPSG:4978")

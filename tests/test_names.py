@@ -197,7 +197,7 @@ def test_names_that_are_not_utf8_work(folder: Path, call: Call,
     assert record["data"]["source"] == r"stra\udcdfe.csv"
     assert "stra" in Path(f"{ODD}-r/summary.txt").read_text(encoding="utf-8")
     for to in [writer["name"] for writer in json.loads(call("list", "writers", "--json").stdout)
-               if writer["name"] != "lines-csv"]:
+               if writer["name"] not in ("lines-csv", "georeference-annotation")]:
         done = call("export", f"{ODD}-r", "--to", to, "-o", f"{ODD}.{to}", "--image", f"{ODD}.tif",
                     "--dem", f"{ODD}-d.tif", "--set", "step=1000")
         assert done.exit_code == 0, (to, done.stderr)

@@ -353,7 +353,8 @@ def of_auto(model: SensorModel, errors: FloatArray | None, *, flat: bool = False
     ground = np.random.default_rng(0).uniform(0, 10, (30, 3)) * [1, 1, not flat]
     roles = ("control", "check") * 15
     return auto._notes(model, by_roles(FeatureSet(Points(
-        tuple(f"P{i}" for i in range(30)), imaged(ground), ground, None, roles))), errors)
+        tuple(f"P{i}" for i in range(30)), imaged(ground), ground, None, roles))), errors,
+        plane=False, determined=False, known=False)
 
 
 def test_notes_of_a_choice_that_predicts_nothing() -> None:
@@ -374,7 +375,8 @@ def test_an_image_far_beyond_all_points_is_a_note_of_a_choice() -> None:
     of_points = Points(tuple(f"P{i}" for i in range(30)), imaged(ground), ground, None,
                        ("control", "check") * 15)
     features = FeatureSet(of_points, no_lines(), "local", (900, 9000))
-    assert auto._notes(Affine(), by_roles(features), np.zeros((30, 2))) == [
+    assert auto._notes(Affine(), by_roles(features), np.zeros((30, 2)), plane=False,
+                       determined=False, known=False) == [
         OUTSIDE.format("2 of 4 corners of the image lie")]
 
 

@@ -81,7 +81,7 @@ def test_the_field_leaves_as_grids_and_refuses_what_cannot_hold_it(folder: Path,
 @pytest.mark.parametrize("model", ["tps", "field"])
 def test_a_model_that_is_asked_for_needs_no_search(model: str, tmp_path: Path) -> None:
     said = run("run", "--problem", "poly-terms", "--dataset", "old-map", "--model", model, "--out",
-               str(tmp_path / "out"), "--quiet")
+               str(tmp_path / "out"), "--quiet", "--verbose")
     assert "solver all-terms" in said
     record = json.loads((tmp_path / "out" / "result.json").read_text())
     result = termsel.read_result(tmp_path / "out")

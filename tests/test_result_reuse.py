@@ -52,8 +52,8 @@ def test_read_again_with_lines(of_lines: Result, tmp_path: Path) -> None:
 
 
 def test_a_random_field_that_auto_chose_is_read_again(tmp_path: Path) -> None:
-    points = simulate_map(seed=0, n_points=30).points
-    roles = ("control",) * 20 + ("independent",) * 10
+    points = simulate_map(seed=0, n_points=40).points
+    roles = ("control",) * 30 + ("independent",) * 10
     result = termsel.run("poly-terms", strategy="auto",
                          features=termsel.FeatureSet(replace(points, roles=roles)))
     assert result.strategy is not None

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from termsel.cli.messages import echo
 from termsel.cli.options.shared import PROGRESS
 from termsel.errors import percent, printable
 
@@ -109,6 +110,6 @@ def _lines(title: str, total: float | None) -> Callable[..., None]:
         if time.monotonic() - printed < _BETWEEN and share != 1.0:
             return
         printed = time.monotonic()
-        click.echo(json.dumps({"progress": share, "what": description, "state": state}), err=True)
+        echo(json.dumps({"progress": share, "what": description, "state": state}), err=True)
 
     return renew

@@ -45,14 +45,16 @@ class AnnotationWriter(Writer):
     declared_options: ClassVar[tuple[Option, ...]] = (_IMAGE, _SERVICE)
 
     def accepts(self, result: Result) -> bool:
-        """Return True if there are points, in a CRS of the Earth."""
-        return bool(len(result.features.points)) and result.features.crs != LOCAL
+        """Return True if there are points in a CRS of the Earth, and the image has an address."""
+        named = self.options["image_id"] or _first(result, SOURCE)
+        return bool(named and len(result.features.points)) and result.features.crs != LOCAL
 
     def write(self, result: Result, path: Path) -> None:
         """Write the annotation."""
         if not self.accepts(result):
-            raise TermselError("an annotation requires points in a CRS of the Earth",
-                               hint="Run with --points and --crs.")
+            raise TermselError(
+                "an annotation requires points in a CRS of the Earth, and the address of the image",
+                hint="Give it with --set image_id=https://example.org/iiif/map1.")
         points = result.features.points
         wrong = {one.id for one in result.outliers if one.excluded}
         use = [role != "off" and name not in wrong
@@ -88,9 +90,6 @@ class AnnotationWriter(Writer):
         source = _kept(result, SOURCE) or {}
         if self.options["image_id"]:
             source = {"id": self.options["image_id"], "type": self.options["service"]}
-        if not source:
-            raise TermselError("an annotation names the image by its address",
-                               hint="Give it with --set image_id=https://example.org/iiif/map1.")
         height, width = result.features.image_size or (None, None)
         for name, length in (("height", height), ("width", width)):
             if source.get(name) is None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from math import nan
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,7 @@ from termsel.formats.readers.table import Table, points_of
 from termsel.formats.readers.tables import COLUMNS, table_of
 from termsel.formats.readers.vector import POINT_KINDS, has_points, is_vector, read_layer
 from termsel.measurements.features import FeatureSet
-from termsel.measurements.tables.columns import POINTS, parse_columns
+from termsel.measurements.tables.columns import POINTS, matches, parse_columns
 
 _GROUND = {axis: f"{axis} of the geometry" for axis in "xyz"}
 _OF_JI = {"sample": "column of ji", "line": "row of ji"}
@@ -90,6 +91,10 @@ def _table(path: Path, features: list[Feature], options: Mapping[str, Any]) -> T
         if has_id:
             record["id"] = feature.text("id") or f"P{feature.number}"
         records.append(record)
+    names = list(dict.fromkeys(name for record in records for name in record))
+    if _GROUND["z"] not in names and "z" not in own and not matches(names, POINTS)["z"]:
+        for record in records:  # heights that nothing tells are blank
+            record[_GROUND["z"]] = nan
     numbers = [feature.number for feature in features]
     cells = of_records(records, "feature", {**_GROUND, **_OF_JI, **_OF_SIGMA}, numbers)
     return table_of(path, cells, POINTS, own, options["decimal"])
