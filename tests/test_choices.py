@@ -145,7 +145,8 @@ def test_a_baseline_without_redundancy_has_no_figures(n: int, determined: bool) 
     ground = places(n)
     image = 1000 * ground[:, :2] + 100 * ground[:, [2, 2]] + rng.normal(0, 1, (n, 2))
     observations = by_roles(set_of(ground, image, ("control",) * n))
-    baseline = next(one for one in compare(observations).baselines(observations) if one.name == "rfm-2")
+    baselines = compare(observations).baselines(observations)
+    baseline = next(one for one in baselines if one.name == "rfm-2")
     assert baseline.n_terms == 38
     assert baseline.determined == determined
     assert (baseline.rmse["control"] is not None) == determined
