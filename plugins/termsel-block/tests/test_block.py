@@ -329,7 +329,7 @@ def test_ties_in_one_image_are_left_out(example: Example) -> None:
         '"ties.csv"', '["ties.csv", "more.csv"]'))
     block = read_block(folder / "more.toml")
     assert "lone" not in block.ties.names
-    assert "1 ties are in one image alone" in block.notes[0]
+    assert "1 tie is in one image alone" in block.notes[0]
 
 
 def test_the_package_that_rpcs_require_is_asked_for_at_once(

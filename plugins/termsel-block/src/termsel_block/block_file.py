@@ -185,8 +185,8 @@ def read_ties(files: Sequence[Path], images: Sequence[str]) -> tuple[Ties, tuple
             if name in of]
     table = np.array(kept)
     notes = () if not alone else (
-        f"{len(alone)} ties are in one image alone and left out: "
-        f"{', '.join(alone[:_NAMED])}{', ...' * (len(alone) > _NAMED)}.",)
+        f"{len(alone)} {'tie is' if len(alone) == 1 else 'ties are'} in one image alone and left "
+        f"out: {', '.join(alone[:_NAMED])}{', ...' * (len(alone) > _NAMED)}.",)
     return Ties(names, table[:, 0].astype(np.intp), table[:, 1].astype(np.intp),
                 table[:, 2:]), notes
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from termsel import FeatureSet, line_normals
+from termsel import FeatureSet, Points, line_normals
 from termsel_block.frame import FloatArray, Frame
 
 
@@ -60,7 +60,7 @@ def own_control(features: FeatureSet | None, frame: Frame) -> OwnControl:
         tuple(np.repeat(points.ids, 2).tolist() + np.repeat(lines.ids, 2).tolist()))
 
 
-def in_use(features: FeatureSet):  # type: ignore[no-untyped-def]
+def in_use(features: FeatureSet) -> Points:
     """Return the points that the adjustment may use: all but independent ones and those off."""
     return features.points.take([role not in ("independent", "off")
                                  for role in features.points.roles])

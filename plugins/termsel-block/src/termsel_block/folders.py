@@ -19,7 +19,7 @@ from termsel.io.result_folder import claim_folder, write_result
 from termsel_block.block import BlockImage
 from termsel_block.joint import BlockResult
 from termsel_block.page import page_of
-from termsel_block.record import BlockRecord, correction_of, record_of, schema
+from termsel_block.record import BlockRecord, correction_of, record_of, schema, times_seen
 from termsel_block.summary import text_of
 
 RECORD, SUMMARY, PAGE, TIES, SCHEMA_FILE = (
@@ -152,12 +152,9 @@ def ties_csv(result: BlockResult) -> str:
     out = io.StringIO()
     table = csv.writer(out, lineterminator="\n")
     table.writerow(["id", "x", "y", "z", "sigma_east", "sigma_north", "sigma_up", "images"])
-    ties, state = result.block.ties, result.adjusted.state
-    count = np.zeros(len(ties.names), int)
-    for i, used in enumerate(state.in_use):
-        np.add.at(count, ties.tie[ties.image == i], used)
-    for name, place, sigma, n in zip(ties.names, result.ties.tolist(), result.sigma_ties.tolist(),
-                                     count.tolist(), strict=True):
+    for name, place, sigma, n in zip(
+            result.block.ties.names, result.ties.tolist(), result.sigma_ties.tolist(),
+            times_seen(result).tolist(), strict=True):
         if n > 1:
             table.writerow([name, *(f"{value:.10g}" for value in place),
                             *(f"{value:.4g}" for value in sigma), n])

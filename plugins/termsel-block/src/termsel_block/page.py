@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from termsel_block.joint import BlockResult
-from termsel_block.record import BlockRecord, seen_twice
-from termsel_block.summary import text_of
+from termsel_block.record import BlockRecord, times_seen
+from termsel_block.summary import opening
 
 _STYLE = """
 :root { color-scheme: light dark; --text: #1c2024; --page: #fff; --rule: #c9ced4; }
@@ -30,7 +30,6 @@ _IMAGES = 40  # images in a picture
 
 def page_of(result: BlockResult, record: BlockRecord) -> str:
     """Return the page: summary, images, footprints with ties, residuals, and uncertainty."""
-    head = text_of(record, verbose=False).split("\n\n")[0]
     pictures = [
         ("Footprints and ties", "Each dot is a tie; the colour is the standard deviation of its "
          "height [m]. The outlines are the hulls of what each image sees.", _map(result)),
@@ -50,8 +49,8 @@ def page_of(result: BlockResult, record: BlockRecord) -> str:
     return (f"<!doctype html><html lang=en><head><meta charset=utf-8><meta name=viewport "
             f"content='width=device-width'><title>Block of {len(record.images)} images</title>"
             f"<style>{_STYLE}</style></head><body><main><h1>Block of {len(record.images)} images"
-            f"</h1><pre>{html.escape(head)}</pre><section><h2>Images</h2><div class=wide "
-            "tabindex=0><table><thead><tr><th scope=col>image</th><th scope=col>model</th>"
+            f"</h1><pre>{html.escape(opening(record))}</pre><section><h2>Images</h2>"
+            "<div class=wide tabindex=0><table><thead><tr><th scope=col>image</th><th scope=col>model</th>"
             "<th scope=col>control</th><th scope=col>ties</th><th scope=col>ties [px]</th>"
             "<th scope=col>predicted [px]</th><th scope=col>90 % interval</th>"
             f"<th scope=col>independent [px]</th></tr></thead><tbody>{rows}</tbody></table></div>"
@@ -71,7 +70,7 @@ def _map(result: BlockResult) -> str:
     from scipy.spatial import ConvexHull, QhullError
 
     ties, state = result.block.ties, result.adjusted.state
-    placed = np.flatnonzero(seen_twice(result))
+    placed = np.flatnonzero(times_seen(result) > 1)
     some = placed[np.linspace(0, len(placed) - 1, min(_MOST, len(placed))).astype(int)]
     dots = [{"east": float(e), "north": float(n), "sigma": float(s)} for e, n, s in zip(
         state.ties[some, 0] / 1000, state.ties[some, 1] / 1000, result.sigma_ties[some, 2],

@@ -10,7 +10,7 @@ import numpy as np
 
 from termsel_block.accuracy import in_space, independent_points, predicted, rmse
 from termsel_block.cameras import RpcCamera
-from termsel_block.frame import BoolArray
+from termsel_block.frame import IntArray
 from termsel_block.joint import BlockResult
 
 SCHEMA = "termsel-block-1"
@@ -107,7 +107,7 @@ def record_of(result: BlockResult) -> BlockRecord:
     images = [_image(result, i) for i in range(len(block.images))]
     space = in_space(result)
     parts = joined(block.ties.tie, block.ties.image, len(block.images))
-    east, north, up = np.median(result.sigma_ties[seen_twice(result)], axis=0).tolist()
+    east, north, up = np.median(result.sigma_ties[times_seen(result) > 1], axis=0).tolist()
     return BlockRecord(
         SCHEMA, block.crs, images, len(block.ties.names), len(block.ties.tie),
         adjusted.state.sigma_ties, adjusted.state.sigma_control, adjusted.freedom, adjusted.steps,
@@ -177,12 +177,12 @@ def _wrong_control(result: BlockResult) -> list[WrongControl]:
     return sorted(found, key=lambda wrong: -wrong.error)
 
 
-def seen_twice(result: BlockResult) -> BoolArray:
-    """Return which ties two images see or more, blunders left out: only these have a place."""
+def times_seen(result: BlockResult) -> IntArray:
+    """Return how many images see each tie, blunders left out: below two it has no place."""
     ties, count = result.block.ties, np.zeros(len(result.block.ties.names), int)
     for i, used in enumerate(result.adjusted.state.in_use):
         np.add.at(count, ties.tie[ties.image == i], used)
-    return np.asarray(count > 1)
+    return count
 
 
 def joined(tie: Any, image: Any, count: int) -> list[list[int]]:

@@ -9,6 +9,12 @@ _SHOWN = 10
 
 def text_of(record: BlockRecord, *, verbose: bool = True) -> str:
     """Return the summary; without `verbose` long lists end after ten rows."""
+    return "\n".join([opening(record), "", *_table(record, verbose),
+                      *_wrong(record, verbose)]) + "\n"
+
+
+def opening(record: BlockRecord) -> str:
+    """Return what was read, how accurate it is, and what to do next."""
     points = sum(image.control for image in record.images)
     measured = (f"{len(record.images)} images, {record.ties} ties measured {record.measurements} "
                 f"times, {points} measurements of control, CRS {record.crs}.")
@@ -37,7 +43,7 @@ def text_of(record: BlockRecord, *, verbose: bool = True) -> str:
                            for part in record.parts[:_SHOWN])
         lines.append(f"Note: no tie joins {len(record.parts)} parts of this block, so that each "
                      f"stands by itself: {parts}.")
-    return "\n".join([*lines, "", *_table(record, verbose), *_wrong(record, verbose)]) + "\n"
+    return "\n".join(lines)
 
 
 def _blunders(record: BlockRecord) -> str:

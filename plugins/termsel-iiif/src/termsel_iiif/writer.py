@@ -73,6 +73,9 @@ class AnnotationWriter(Writer):
         nearest = say_nearest(self.name, result.exported, used.ground[:, :2], used.image,
                               {key: label for key, (label, _) in TRANSFORMATIONS.items()},
                               "by a viewer with {}")
+        # Without any, a viewer takes its own.
+        transformation = (_kept(result, TRANSFORMATION) if nearest is None
+                          else TRANSFORMATIONS[nearest][1])
         annotation = source.pop("annotation", None)
         stated = {"type": "Annotation", **({"id": annotation} if annotation else {}),
                   "@context": ["http://iiif.io/api/extension/georef/1/context.json",
@@ -81,8 +84,8 @@ class AnnotationWriter(Writer):
                   "target": {"type": "SpecificResource", "source": source,
                              "selector": {"type": "SvgSelector", "value": self._mask(result)}},
                   "body": {"type": "FeatureCollection",
-                           "transformation": _kept(result, TRANSFORMATION) if nearest is None
-                           else TRANSFORMATIONS[nearest][1], "features": features}}
+                           **({"transformation": transformation} if transformation else {}),
+                           "features": features}}
         write_text(path, json.dumps(stated, indent=2, ensure_ascii=False) + "\n")
 
     def _source(self, result: Result) -> dict[str, Any]:
