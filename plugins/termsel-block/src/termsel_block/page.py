@@ -50,8 +50,8 @@ def page_of(result: BlockResult, record: BlockRecord) -> str:
             f"content='width=device-width'><title>Block of {len(record.images)} images</title>"
             f"<style>{_STYLE}</style></head><body><main><h1>Block of {len(record.images)} images"
             f"</h1><pre>{html.escape(opening(record))}</pre><section><h2>Images</h2>"
-            "<div class=wide tabindex=0><table><thead><tr><th scope=col>image</th><th scope=col>model</th>"
-            "<th scope=col>control</th><th scope=col>ties</th><th scope=col>ties [px]</th>"
+            "<div class=wide tabindex=0><table><thead><tr><th scope=col>image</th>"
+            "<th scope=col>model</th><th scope=col>control</th><th scope=col>ties</th><th scope=col>ties [px]</th>"
             "<th scope=col>predicted [px]</th><th scope=col>90 % interval</th>"
             f"<th scope=col>independent [px]</th></tr></thead><tbody>{rows}</tbody></table></div>"
             f"</section>{figures}</main></body></html>\n")
