@@ -46,14 +46,15 @@ def page_of(result: BlockResult, record: BlockRecord) -> str:
         f"<td>{image.predicted:.2f}</td><td>{image.low:.2f} to {image.high:.2f}</td>"
         f"<td>{'' if image.independent is None else f'{image.independent:.2f}'}</td></tr>"
         for image in record.images)
+    heads = "".join(f"<th scope=col>{name}</th>" for name in (
+        "image", "model", "control", "ties", "ties [px]", "predicted [px]", "90 % interval",
+        "independent [px]"))
     return (f"<!doctype html><html lang=en><head><meta charset=utf-8><meta name=viewport "
             f"content='width=device-width'><title>Block of {len(record.images)} images</title>"
             f"<style>{_STYLE}</style></head><body><main><h1>Block of {len(record.images)} images"
             f"</h1><pre>{html.escape(opening(record))}</pre><section><h2>Images</h2>"
-            "<div class=wide tabindex=0><table><thead><tr><th scope=col>image</th>"
-            "<th scope=col>model</th><th scope=col>control</th><th scope=col>ties</th><th scope=col>ties [px]</th>"
-            "<th scope=col>predicted [px]</th><th scope=col>90 % interval</th>"
-            f"<th scope=col>independent [px]</th></tr></thead><tbody>{rows}</tbody></table></div>"
+            f"<div class=wide tabindex=0><table><thead><tr>{heads}</tr></thead><tbody>{rows}"
+            "</tbody></table></div>"
             f"</section>{figures}</main></body></html>\n")
 
 
