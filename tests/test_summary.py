@@ -183,7 +183,20 @@ def test_the_opening_stays_short_whatever_names_there_are() -> None:
               "left_out": {"without a height": ["A"] * 12, "marked off": ["B"]}}))
     assert len(lines) <= 8
     assert max(map(len, lines)) <= 88
-    assert "Blunders: 9 found, 4 of them in use; see the list below." in lines
+    assert ("Blunders: 9 found, 4 of them in use: leave them out by the option --off below."
+            in lines)
+
+
+def test_a_short_opening_keeps_the_command_that_leaves_a_blunder_out() -> None:
+    some = [*(outlier("L" * 30 + str(i), 80.0, True) for i in range(3)),
+            *(outlier("M" * 30 + str(i), 70.0, True, "probable") for i in range(3)),
+            outlier("C28", 60.0, False)]
+    lines = opening(outliers=some, data=data(
+        source="/very/long/" + "name" * 70, crs="EPSG:25832+7837",
+        read={**READ, "lines": 120, "without_height": 12,
+              "left_out": {"without a height": ["A"] * 12, "marked off": ["B"]}}))
+    assert len(lines) <= 8
+    assert "Blunders: 7 found, 1 of them in use: leave it out by --off C28." in lines
 
 
 @pytest.mark.parametrize(("changed", "lines"), [

@@ -140,15 +140,14 @@ def blunders_of(record: Record, brief: bool) -> str:
     off = off_option(record)
     if not any(groups):
         return "none found."
-    if brief:
-        return (f"{sum(map(len, groups))} found, {len(used) + len(independent)} of them in use; "
-                "see the list below.")
     said = "; ".join([
         *[f"{_listed(out)} left out"] * bool(out), *[f"{_listed(used)} in use"] * bool(used),
         *[f"{_listed(independent)} contradict{'s' * (len(independent) == 1)} all others"]
         * bool(independent)])
+    if brief:
+        said = f"{sum(map(len, groups))} found, {len(used) + len(independent)} of them in use"
     if not off:
-        return f"{said}."
+        return f"{said}{'; see the list below' * brief}."
     return (f"{said}: leave {'them' if ',' in off else 'it'} out by "
             f"{off if len(off) <= _LONGEST else 'the option --off below'}.")
 
