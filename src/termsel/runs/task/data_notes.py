@@ -102,7 +102,7 @@ def _on_flat(fitted: FeatureSet, others: Points) -> Iterator[str]:
 
 
 def _rounded(size: float) -> str:
-    return f"{size:.2g}" if size < 100 else f"{float(f'{size:.2g}'):,.0f}"
+    return f"{size:.2g}" if size < 99.5 else f"{float(f'{size:.2g}'):,.0f}"
 
 
 def _on_twins(both: Points, independent: Points) -> Iterator[str]:
