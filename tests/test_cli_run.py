@@ -231,7 +231,7 @@ BAD_WORDS = {
     "unknown model": (["--problem", "rfm-terms", "--model", "rpc"],
                       "unknown model 'rpc'. Known: affine, dlt2d, "),
     "unknown solver": (["--problem", "rfm-terms", "--solver", "gaa"],
-                       "unknown solver 'gaa'. Did you mean 'ga'? Known: aco, "),
+                       "unknown solver 'gaa'. Did you mean 'ga'? Known: "),
     "unknown data set": (["--problem", "rfm-terms", "--dataset", "hamedan"],
                          "unknown data set 'hamedan'. Did you mean 'ikonos-hamedan'? Known: "),
     "negative seed": (["--problem", "rfm-terms", "--seed", "-1"],

@@ -31,14 +31,11 @@ from termsel.solvers.bridges.pareto import AgeMoea2, Nsga2, SmsEmoa, Spea2
 from termsel.solvers.genetic.ga import GeneticAlgorithm
 from termsel.solvers.genetic.ga_correlation import CorrelationSeededGA
 from termsel.solvers.genetic.ga_steady import SteadyStateGA
-from termsel.solvers.genetic.ga_transgenic import TransgenicGA
-from termsel.solvers.heuristics.aco import AntColony
 from termsel.solvers.heuristics.ica import ImperialistCompetition
 from termsel.solvers.heuristics.pso import BinarySwarm
 from termsel.solvers.heuristics.swap import Swap
 from termsel.solvers.heuristics.yardsticks import AllTerms, RandomSearch
 from termsel.solvers.proofs.exact import Exact
-from termsel.solvers.regression.nested_regression import NestedRegression
 from termsel.solvers.regression.ridge_lasso import Lasso, Ridge
 from termsel.solvers.regression.stepwise import Stepwise, TTest
 from termsel.testing import Check, check, checks
@@ -91,15 +88,13 @@ SUITES: dict[str, tuple[Check, ...]] = {
     "ga-steady": checks(
         SteadyStateGA, options=[{}, {"population": 21, "overlap": 1.0}], problem=six_of_twelve,
         expected_failures={"any_problem": "it needs features alone"}),
-    "ga-transgenic": checks(TransgenicGA, options=[{}, {"population": 21}]),
     "ica": checks(ImperialistCompetition, options=[{}, {"population": 60}]),
     "pso": checks(BinarySwarm, options=[{}, {"population": 21, "neighbours": 0}]),
-    "aco": checks(AntColony, options=[{}, {"population": 21, "restart": 0.0}]),
     "swap": checks(Swap),
     "exact": checks(Exact, expected_failures={"any_problem": "it needs parts to walk"}),
     **{solver.name: checks(solver) for solver in (Nsga2, AgeMoea2, SmsEmoa, Spea2)},
     **{solver.name: checks(solver, expected_failures=NEEDS_COLUMNS)
-       for solver in (Stepwise, TTest, NestedRegression, Lasso, Ridge)},
+       for solver in (Stepwise, TTest, Lasso, Ridge)},
     "random": checks(RandomSearch, expected_failures=NO_SEARCH),
     "all-terms": checks(AllTerms, expected_failures=NO_SEARCH),
     "check-rmse": checks(CheckRmse),

@@ -1,4 +1,4 @@
-"""The variants of the GA: seeded by correlations, steady state over tuples, transgenic."""
+"""The variants of the GA: seeded by correlations, steady state over tuples."""
 
 from __future__ import annotations
 
@@ -6,18 +6,14 @@ from itertools import combinations, islice
 
 import numpy as np
 import pytest
-from scipy.stats import mannwhitneyu, norm
 
 import termsel
 from termsel.errors import TermselError
-from termsel.measurements.features import BoolArray, FloatArray
+from termsel.measurements.features import FloatArray
 from termsel.models.base import LINE, SAMPLE
-from termsel.problems.base import WORST, Evaluation, Problem
+from termsel.problems.base import Evaluation, Problem
 from termsel.problems.genome import Genome
 from termsel.problems.segments import Bits, random_subsets
-from termsel.solvers.base import Solver
-from termsel.solvers.genetic import ga_transgenic
-from termsel.solvers.genetic.ga import GeneticAlgorithm
 from termsel.solvers.genetic.ga_correlation import (
     CorrelationSeededGA,
     activation_probabilities,
@@ -28,10 +24,8 @@ from termsel.solvers.genetic.ga_steady import (
     SteadyStateGA,
     coding,
 )
-from termsel.solvers.genetic.ga_transgenic import TransgenicGA, qualification
 from termsel.solvers.genetic.operators import replace_one, set_crossover
 from termsel.solvers.search import search
-from termsel.testing.problems import narrow
 
 
 def rng(seed: int = 1) -> np.random.Generator:
@@ -297,84 +291,10 @@ def test_bounds_on_the_number_of_features_hold(problem: str) -> None:
     assert 14 <= result.to_dict()["selection"]["n_features"] <= 16
 
 
-# Qualified genes
-
-
-def test_qualification_is_the_rank_sum_test() -> None:
-    genes = rng().random((60, 8)) < 0.4
-    genes[:, 6], genes[:, 7] = True, False
-    cost = np.round(rng(2).normal(size=60) - genes[:, 0], 1)  # rounded: with ties
-    found = qualification(genes, judged(cost))
-    for gene in range(6):
-        on = genes[:, gene]
-        test = mannwhitneyu(cost[on], cost[~on], method="asymptotic", use_continuity=False)
-        assert 2 * norm.sf(abs(found[gene])) == pytest.approx(test.pvalue)
-        assert np.sign(found[gene]) == np.sign(cost[~on].mean() - cost[on].mean())
-    assert found[0] > 2
-    assert found[6:].tolist() == [0.0, 0.0]
-
-
-def test_qualification_without_differences() -> None:
-    genes = rng().random((20, 5)) < 0.5
-    assert not qualification(genes, judged(np.full(20, WORST))).any()
-    assert not qualification(genes[:1], judged(np.ones(1))).any()
-
-
-def test_infeasible_chromosomes_rank_last() -> None:
-    genes = np.arange(20)[:, None] < [10]
-    cheap = np.where(genes[:, 0], 0.0, 1.0)
-    assert qualification(genes, judged(cheap))[0] > 3
-    assert qualification(genes, judged(cheap, violation=cheap == 0))[0] < -3
-
-
-def test_every_second_parent_has_the_qualified_genes() -> None:
-    seen: list[BoolArray] = []
-    solver = TransgenicGA(population=60, elite=0, alpha=0.001, transgenic=0.25)
-    genes = rng().random((60, 12)) < 0.5
-    box = solver.toolbox(narrow(12), rng())
-    box.register("mate", lambda parents: seen.append(parents) or parents)
-    box.register("mutate", lambda parents: parents)
-    box.register("select", lambda order, n: np.arange(n))
-    cost = 10.0 * genes[:, 3] - 10.0 * genes[:, 8] + np.linspace(0, 1e-3, 60)
-    solver.children(box, genes, judged(cost), 60)
-    made = genes[:30:2].copy()
-    made[:, 3], made[:, 8] = False, True
-    assert np.array_equal(seen[0][:30:2], made)
-    assert np.array_equal(seen[0][1:30:2], genes[1:30:2])
-    assert np.array_equal(seen[0][30:], genes[30:])
-
-
-@pytest.mark.parametrize(("coefficient", "qualified"), [(1.9, False), (2.0, True)])
-def test_the_test_of_a_gene_has_two_sides(coefficient: float, qualified: bool,
-                                          monkeypatch: pytest.MonkeyPatch) -> None:
-    """At the level 0.05 the limits of a standard normal variable are -1.96 and 1.96."""
-    monkeypatch.setattr(ga_transgenic, "qualification",
-                        lambda genes, evaluation: np.array([coefficient, -coefficient, 0.0]))
-    genes = np.array([[False, True, False], [False, True, True]] * 4)
-    seen: list[BoolArray] = []
-    solver = TransgenicGA(population=8, elite=0, transgenic=0.5)
-    box = solver.toolbox(narrow(3), rng())
-    box.register("mate", lambda parents: seen.append(parents.copy()) or parents)
-    box.register("mutate", lambda parents: parents)
-    box.register("select", lambda order, n: np.arange(n))
-    solver.children(box, genes, judged(np.arange(8.0)), 8)
-    assert (seen[0][::2, :2] == [qualified, not qualified]).all()
-    assert np.array_equal(seen[0][1::2], genes[1::2])
-
-
-def test_without_transgenic_parents_it_is_the_ga() -> None:
-    problem = termsel.prepare("poly-terms").problem
-    runs = [search(problem, solver, seed=3, generations=5)
-            for solver in (GeneticAlgorithm(population=30),
-                           TransgenicGA(population=30, transgenic=0.0))]
-    assert np.array_equal(runs[0].genes, runs[1].genes)
-
-
-@pytest.mark.parametrize("solver", [CorrelationSeededGA, TransgenicGA])
-def test_whole_runs(solver: type[Solver]) -> None:
+def test_a_whole_run() -> None:
     task = termsel.prepare("poly-terms", options={"degree": 4, "mask": "shared"})
     exact = termsel.run("poly-terms", solver="exact", options={"degree": 4, "mask": "shared"})
-    found = search(task.problem, solver(), seed=1, evaluations=16_000, polish=True)
+    found = search(task.problem, CorrelationSeededGA(), seed=1, evaluations=16_000, polish=True)
     assert found.polish is not None
     assert found.objectives[0] == pytest.approx(exact.objectives["check-rmse"], rel=1e-9)
 

@@ -263,7 +263,7 @@ def test_segments_that_cannot_be(make: Callable[[], object], said: str) -> None:
         make()
 
 
-@pytest.mark.parametrize("solver", ["ica", "aco", "exact", "all-terms"])
+@pytest.mark.parametrize("solver", ["ica", "exact", "all-terms"])
 def test_a_solver_for_bits_alone_is_refused_and_others_named(solver: str) -> None:
     class Mine(termsel.Problem):
         genome = mixed()

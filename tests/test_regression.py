@@ -19,12 +19,6 @@ from termsel.measurements.features import FeatureSet, Points
 from termsel.problems.base import Problem
 from termsel.simulate import simulate_scene
 from termsel.solvers.heuristics.yardsticks import AllTerms
-from termsel.solvers.regression.nested_regression import (
-    NestedRegression,
-    explained_share,
-    rational_errors,
-    rms,
-)
 from termsel.solvers.regression.ridge_lasso import (
     Lasso,
     PathPiece,
@@ -45,7 +39,7 @@ from termsel.solvers.regression.stepwise import (
     significance,
 )
 
-SELECTORS = (Stepwise, TTest, NestedRegression, Lasso)
+SELECTORS = (Stepwise, TTest, Lasso)
 SOLVERS = (*SELECTORS, Ridge)
 
 
@@ -215,76 +209,6 @@ def test_elimination_begins_with_the_first_independent_columns() -> None:
     assert np.flatnonzero(begins).tolist() == [0, 1, 2, 4, 6, 7]
     assert TTest(alpha=1.0, redundancy=1).choose(part).sum() == 7
     assert TTest(redundancy=9).choose(part).tolist() == part.kept.tolist()
-
-
-# Nested regression
-
-def test_nested_regression_by_hand() -> None:
-    # Orthogonal columns of length 2: the residuals of the constant lie 6 along the second
-    # column, 2.4 along the third, 0.2 along the fourth. RMS: 3.23, 1.20, 0.1, 0.
-    columns = np.array([[1.0, 1, 1, 1], [1, 1, -1, -1], [1, -1, 1, -1], [1, -1, -1, 1]])
-    columns = np.repeat(columns, 2, axis=0) / np.sqrt(2)
-    target = columns @ np.array([5.0, 3.0, 1.2, 0.1]) * np.sqrt(2)
-
-    def terms(thumb: float, pixels: float = 1.0) -> list[int]:
-        part = part_of(columns, target, pixels=pixels)
-        return np.flatnonzero(NestedRegression(thumb=thumb).choose(part)).tolist()
-
-    part = part_of(columns, target)
-    share = explained_share(part, part.kept, rational_errors(part, part.kept))
-    np.testing.assert_allclose(share, np.array([0.0, 9.0, 1.44, 0.01]) / 10.45, atol=1e-12)
-    assert terms(3.3) == [0, 1]          # 1.20 and a change of 2.03 are both below
-    assert terms(1.9) == [0, 1, 2]       # 1.20 is, but the change of 2.03 is not
-    assert terms(1.15) == [0, 1, 2]      # 0.1, change 1.10
-    assert terms(1.05) == [0, 1, 2, 3]   # the change of 1.10 is not
-    assert terms(115.0, pixels=100.0) == terms(1.15)
-    # With one mask for both axes, one that is good enough does not end the search for the other.
-    both = columns @ np.array([[5.0, 3.0, 2.9, 2.8], [5.0, 0.1, 0.1, 0.1]]).T * np.sqrt(2)
-    chosen = NestedRegression(thumb=1.5).choose(part_of(columns, both))
-    assert np.flatnonzero(chosen).tolist() == [0, 1, 2, 3]
-
-
-def centred_r2(errors: np.ndarray, column: np.ndarray) -> float:
-    """Return R^2 as the authors' code has it: about the mean, of a fit without intercept."""
-    fitted = column * (column @ errors) / (column @ column)
-    return float(((fitted - errors.mean()) ** 2).sum() / ((errors - errors.mean()) ** 2).sum())
-
-
-@pytest.mark.parametrize("seed", range(5))
-def test_nested_regression_of_a_polynomial_is_that_of_the_authors(seed: int) -> None:
-    part, _ = sparse(seed, m=15, k=20, noise=1.0)
-    thumb, y = 0.6, part.target[:, 0]
-    chosen = [0]
-    errors, before = y - y.mean(), np.sqrt(((y - y.mean()) ** 2).mean())
-    while len(chosen) < 14:
-        sign = {}
-        for j in set(range(20)) - set(chosen):
-            r2 = centred_r2(errors, part.columns[:, j])
-            sign[j] = 1000 * r2 / (1 - r2)
-        chosen.append(max(sign, key=sign.__getitem__))
-        A = part.columns[:, chosen]
-        errors = y - A @ np.linalg.lstsq(A, y)[0]
-        now = np.sqrt((errors**2).mean())
-        if abs(before - now) < thumb and now < thumb:
-            break
-        before = now
-    found = NestedRegression(thumb=thumb).choose(part)
-    assert np.flatnonzero(found).tolist() == sorted(chosen)
-
-
-def test_residuals_of_nested_regression_are_those_of_the_quotient() -> None:
-    task = termsel.prepare("rfm-terms")
-    problem = task.problem
-    for side, part in enumerate(regressions(problem)):
-        chosen = NestedRegression().choose(part)
-        terms = np.zeros(78, dtype=bool)
-        terms[part.genes[chosen]] = True
-        fitted = fit(task.model, task.observations.control, task.scaling, terms)
-        errors = fitted.errors(task.observations.control.points)[:, side]
-        np.testing.assert_allclose(
-            rational_errors(part, chosen)[:, 0] * part.pixels, errors, atol=1e-6)
-        assert 2 <= chosen.sum() <= 23
-        assert rms(errors[:, None])[0] < 0.5 or chosen.sum() == 23
 
 
 # Lasso
@@ -555,8 +479,7 @@ def test_ridge_betters_a_rational_model_with_ample_control() -> None:
 def test_the_truth_is_found(solver: type[TermRegression], r: int) -> None:
     for seed in range(3):
         part, true = sparse(seed, r=r)
-        given = {"thumb": 0.15} if solver is NestedRegression else {}
-        chosen = solver(**given).choose(part)
+        chosen = solver().choose(part)
         assert chosen[true].all()
         assert chosen.sum() <= true.sum() + 4
 
@@ -564,8 +487,7 @@ def test_the_truth_is_found(solver: type[TermRegression], r: int) -> None:
 @pytest.mark.parametrize("solver", SELECTORS)
 def test_without_noise_nothing_but_the_truth_is_found(solver: type[TermRegression]) -> None:
     part, true = sparse(2, noise=0.0)
-    given = {"thumb": 1e-9} if solver is NestedRegression else {}
-    chosen = solver(**given).choose(part)
+    chosen = solver().choose(part)
     assert chosen[true].all()
     if solver is Stepwise:
         np.testing.assert_array_equal(chosen, true)

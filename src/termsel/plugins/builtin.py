@@ -76,21 +76,18 @@ def termsel_solvers() -> Iterable[type[Solver]]:
     from termsel.solvers.genetic.ga import GeneticAlgorithm
     from termsel.solvers.genetic.ga_correlation import CorrelationSeededGA
     from termsel.solvers.genetic.ga_steady import SteadyStateGA
-    from termsel.solvers.genetic.ga_transgenic import TransgenicGA
-    from termsel.solvers.heuristics.aco import AntColony
     from termsel.solvers.heuristics.ica import ImperialistCompetition
     from termsel.solvers.heuristics.pso import BinarySwarm
     from termsel.solvers.heuristics.swap import Swap
     from termsel.solvers.heuristics.yardsticks import AllTerms, RandomSearch
     from termsel.solvers.proofs.exact import Exact
-    from termsel.solvers.regression.nested_regression import NestedRegression
     from termsel.solvers.regression.ridge_lasso import Lasso, Ridge
     from termsel.solvers.regression.stepwise import Stepwise, TTest
 
-    return [Deap, Pymoo, GeneticAlgorithm, CorrelationSeededGA, SteadyStateGA, TransgenicGA,
-            ImperialistCompetition, BinarySwarm, AntColony,
+    return [Deap, Pymoo, GeneticAlgorithm, CorrelationSeededGA, SteadyStateGA,
+            ImperialistCompetition, BinarySwarm,
             Nsga2, AgeMoea2, SmsEmoa, Spea2, Exact, Swap, RandomSearch, AllTerms,
-            Stepwise, TTest, NestedRegression, Lasso, Ridge]
+            Stepwise, TTest, Lasso, Ridge]
 
 
 @hookimpl

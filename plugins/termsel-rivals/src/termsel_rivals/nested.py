@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from termsel.adjustment.solve import TOLERANCE
-from termsel.measurements.features import BoolArray, FloatArray
-from termsel.options import Option
-from termsel.solvers.regression.stepwise import EXPLAINED, Regression, TermRegression, with_column
+from termsel import Option, Regression, TermRegression
+from termsel_rivals.arrays import BoolArray, FloatArray
+
+DEPENDENT = 1e-8
+"""A column of length 1 whose part that the others lack is shorter depends on them."""
+
+ON_A_POLE = 1e-12
+"""Denominator in place of 0."""
 
 
 class NestedRegression(TermRegression):
@@ -45,7 +49,8 @@ class NestedRegression(TermRegression):
             best = int(share.argmax())
             if share[best] <= 0.0:
                 break
-            chosen = with_column(chosen, best, True)
+            chosen = chosen.copy()
+            chosen[best] = True
             before, errors = rms(errors), rational_errors(part, chosen)
             now = rms(errors)
             if (chosen.sum() >= part.least and (now < thumb).all()
@@ -63,13 +68,13 @@ def rational_errors(part: Regression, chosen: BoolArray) -> FloatArray:
     """Return the errors of image coordinates after adjusting the chosen columns, (m, r)."""
     x = np.zeros((len(chosen), part.target.shape[1]))
     lengths = np.linalg.norm(part.columns[:, chosen], axis=0)
-    x[chosen] = np.linalg.lstsq(part.unit[:, chosen], part.target, rcond=TOLERANCE)[0] \
+    x[chosen] = np.linalg.lstsq(part.unit[:, chosen], part.target, rcond=DEPENDENT)[0] \
         / np.where(lengths > 0, lengths, 1.0)[:, None]
     errors = part.target - part.columns @ x
     if part.denominator is not None:
         below = 1.0 + part.denominator @ x
         # A pole on a point: its error is huge, and finite.
-        errors = errors / np.where(below == 0.0, EXPLAINED, below)
+        errors = errors / np.where(below == 0.0, ON_A_POLE, below)
     return np.asarray(errors)
 
 
@@ -86,4 +91,4 @@ def explained_share(part: Regression, chosen: BoolArray, errors: FloatArray) -> 
     if part.explained(square):
         return np.zeros(len(chosen))
     share = ((unit.T @ errors) ** 2).sum(axis=1) / square
-    return np.asarray(np.where(part.free & ~chosen & (left > TOLERANCE), share, 0.0))
+    return np.asarray(np.where(part.free & ~chosen & (left > DEPENDENT), share, 0.0))

@@ -7,11 +7,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from termsel.measurements.features import BoolArray, FloatArray
-from termsel.options import COUNT, Option
-from termsel.problems.base import Evaluation, Problem
-from termsel.problems.genome import Genome
-from termsel.solvers.base import Generation, Solver
+from termsel import Evaluation, Generation, Genome, Option, Problem, Solver
+from termsel_rivals.arrays import BoolArray, FloatArray
 
 
 def deposit(ants: BoolArray) -> FloatArray:
@@ -91,7 +88,7 @@ class AntColony(Solver):
         Option("population", 50, "Number of ants.", int, 2, 100_000),
         Option("evaporation", 0.2, "Share of pheromone that evaporates in a generation, rho.",
                float, 0.0, 1.0),
-        Option("elite", 5, "Number of ants that deposit, w.", int, 1, COUNT),
+        Option("elite", 5, "Number of ants that deposit, w.", int, 1, 1_000_000),
         Option("tau_min", 0.02, "Least pheromone of a state, tau_min.", float, 0.0, 0.5),
         Option("tau_max", 0.98, "Most pheromone of a state, tau_max.", float, 0.5, 1.0),
         Option("restart", 0.05, "Restart when the mean chance of the rarer states of genes is "

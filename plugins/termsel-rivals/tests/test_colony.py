@@ -7,15 +7,16 @@ from itertools import islice
 import numpy as np
 import pytest
 
+pytest.importorskip("termsel_rivals", reason="termsel-rivals is not installed: "
+                    "pip install -e plugins/termsel-rivals")
+
 import termsel
+from termsel import Bits, Generation, Genome
 from termsel.measurements.features import BoolArray, FloatArray
-from termsel.problems.genome import Genome
-from termsel.problems.segments import Bits
-from termsel.solvers.base import Generation
-from termsel.solvers.heuristics.aco import AntColony, deposit, grafts, renew, settled
 from termsel.solvers.proofs.exact import gap
 from termsel.testing import problems
 from termsel.testing.problems import Toy
+from termsel_rivals.colony import AntColony, deposit, grafts, renew, settled
 
 
 def bits(*texts: str) -> BoolArray:

@@ -9,11 +9,8 @@ from typing import Any, ClassVar
 import numpy as np
 from deap import base
 
-from termsel.measurements.features import BoolArray, FloatArray
-from termsel.options import Option
-from termsel.problems.base import Evaluation
-from termsel.problems.segments import Bits
-from termsel.solvers.genetic.ga import GeneticAlgorithm
+from termsel import Bits, Evaluation, GeneticAlgorithm, Option
+from termsel_rivals.arrays import BoolArray, FloatArray
 
 _LEAST = 1e-9  # variance of a rank sum below which it is rounding
 

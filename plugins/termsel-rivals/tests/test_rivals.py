@@ -1,0 +1,55 @@
+"""The solvers of termsel-rivals, as installed."""
+
+from __future__ import annotations
+
+import pytest
+
+pytest.importorskip("termsel_rivals", reason="termsel-rivals is not installed: "
+                    "pip install -e plugins/termsel-rivals")
+
+import termsel
+from termsel import TermselError
+from termsel.plugins.registry import Registry, registry
+from termsel.testing import Check, checks
+from termsel_rivals import AntColony, NestedRegression, TransgenicGA
+
+NEEDS_COLUMNS = {"any_problem": "it needs the columns of an adjustment",
+                 "optimum_found": "it does not search"}
+CHECKS = {
+    "aco": checks(AntColony, options=[{}, {"population": 21, "restart": 0.0}]),
+    "ga-transgenic": checks(TransgenicGA, options=[{}, {"population": 21}]),
+    "nested-regression": checks(NestedRegression, expected_failures=NEEDS_COLUMNS),
+}
+
+
+@pytest.mark.parametrize("check", [
+    pytest.param(check, id=f"{name}-{i}-{check.name}")
+    for name, suite in CHECKS.items() for i, check in enumerate(suite)])
+def test_conforms(check: Check) -> None:
+    check.run()
+
+
+@pytest.mark.parametrize("name", CHECKS)
+def test_is_registered_and_runs(name: str) -> None:
+    entry = next(e for e in registry().entries("solvers") if e.name == name)
+    assert entry.provided_by == "termsel-rivals"
+    result = termsel.run("poly-terms", solver=name, seed=1, evaluations=60,
+                         options={"degree": 2})
+    assert result.feasible
+    assert result.to_dict()["plugins"]["solver"]["name"] == f"termsel-rivals:{name}"
+
+
+@pytest.mark.parametrize("name", CHECKS)
+def test_without_the_package_its_name_is_said(name: str) -> None:
+    with pytest.raises(TermselError, match=r"package termsel-rivals, which is not installed\. "
+                                           r"In a clone of termsel: pip install "
+                                           r"\./plugins/termsel-rivals$"):
+        Registry([]).get("solvers", name)
+
+
+@pytest.mark.parametrize(("name", "options"), [
+    ("rfm-terms", {}), ("poly-terms", {"degree": 5, "mask": "shared"})])
+def test_nested_regression_of_embedded_scenes(name: str, options: dict[str, object]) -> None:
+    result = termsel.run(name, solver="nested-regression", options=options)
+    assert result.feasible
+    assert result.evaluations == 1
