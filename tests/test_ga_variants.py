@@ -13,7 +13,8 @@ from termsel.measurements.features import FloatArray
 from termsel.models.base import LINE, SAMPLE
 from termsel.problems.base import Evaluation, Problem
 from termsel.problems.genome import Genome
-from termsel.problems.segments import Bits, random_subsets
+from termsel.problems.segments import Bits, Reals, random_subsets
+from termsel.solvers.genetic.ga import GeneticAlgorithm
 from termsel.solvers.genetic.ga_correlation import (
     CorrelationSeededGA,
     activation_probabilities,
@@ -26,6 +27,7 @@ from termsel.solvers.genetic.ga_steady import (
 )
 from termsel.solvers.genetic.operators import replace_one, set_crossover
 from termsel.solvers.search import search
+from termsel.testing.problems import Toy
 
 
 def rng(seed: int = 1) -> np.random.Generator:
@@ -310,3 +312,36 @@ def test_the_two_best_are_the_parents_of_all() -> None:
     assert (second.genes <= (one | other)).all()
     assert (second.genes >= (one & other)).all()
     assert len(np.unique(second.genes, axis=0)) > 1
+
+
+# The first population
+
+
+def first_of(genome: Genome, **options: object) -> np.ndarray:
+    box = GeneticAlgorithm(population=400, **options).toolbox(Toy(genome, no_cost), rng())
+    return np.asarray(box.population())
+
+
+def no_cost(genes: np.ndarray) -> tuple[FloatArray, FloatArray]:
+    return np.zeros((len(genes), 1)), np.zeros(len(genes))
+
+
+def test_half_of_the_bits_are_on_at_first_if_asked() -> None:
+    genome = Genome([Bits("b", tuple(f"b{i}" for i in range(80)))], on=("b0",), off=("b1",))
+    shares, half = (first_of(genome, first=first)[:, 2:].mean(axis=1)
+                    for first in ("shares", "half"))
+    assert shares.std() > 0.2
+    assert half.std() == pytest.approx(0.5 / np.sqrt(78), rel=0.2)
+    assert half.mean() == pytest.approx(0.5, abs=0.01)
+    genes = first_of(genome, first="half")
+    assert genes[:, 0].all()
+    assert not genes[:, 1].any()
+
+
+def test_genes_that_are_no_bits_begin_as_ever() -> None:
+    genome = Genome([Bits("b", tuple(f"b{i}" for i in range(80))), Reals("r", ("x",), 2.0, 3.0)])
+    genes = first_of(genome, first="half")
+    assert set(np.unique(genes[:, :80])) == {0.0, 1.0}
+    assert genes[:, :80].mean(axis=1).std() < 0.1
+    assert np.ptp(genes[:, 80]) > 0.9
+    assert genes[:, 80].min() >= 2.0

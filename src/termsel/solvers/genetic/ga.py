@@ -12,7 +12,8 @@ from deap import base
 from termsel.measurements.features import IntArray
 from termsel.options import COUNT, Option
 from termsel.problems.base import Evaluation, Problem
-from termsel.problems.segments import SEGMENTS, AnySegment, Genes
+from termsel.problems.genome import Genome
+from termsel.problems.segments import SEGMENTS, AnySegment, Bits, Genes
 from termsel.solvers.base import Generation, Solver
 from termsel.solvers.genetic.operators import crossover, mutation
 
@@ -35,6 +36,15 @@ def two_best(order: IntArray, n: int) -> IntArray:
     return np.resize(order[:2], n)
 
 
+def evenly(genome: Genome, rng: np.random.Generator, n: int) -> Genes:
+    """Return n individuals, shape (n, size), whose bits are on with chance 1/2; others as ever."""
+    genes = genome.random(rng, n)
+    for segment, where in zip(genome.segments, genome.slices().values(), strict=True):
+        if isinstance(segment, Bits):
+            genes[:, where] = rng.random((n, len(segment.labels))) < 0.5
+    return genome.repair(genes, rng)
+
+
 class GeneticAlgorithm(Solver):
     """Generational GA: tournament, uniform crossover, bit flips, elitism.
 
@@ -52,10 +62,13 @@ class GeneticAlgorithm(Solver):
         "The best 2 chromosomes survive unchanged; the paper states no elitism (--set elite=0).",
         "The paper states neither the size of a tournament nor the chance of a crossover: 3, 0.9.",
         "It ends with its budget; the papers count generations until convergence (--patience).",
-        "The first chromosomes have random shares of genes on, not half of them.")
+        "The first chromosomes have random shares of genes on, not half (--set first=half).")
     segments: ClassVar[tuple[type[AnySegment], ...]] = SEGMENTS
     declared_options: ClassVar[tuple[Option, ...]] = (
         Option("population", 200, "Number of chromosomes.", int, 2, 100_000),
+        Option("first", "shares", "First chromosomes: bits on with a chance drawn for each "
+               "chromosome, or with 1/2 for all, as in the standard GA of Akhoundi Khezrabad et "
+               "al. 2020.", choices=("shares", "half")),
         Option("parents", "tournament", "Who are crossed: winners of tournaments, or always the "
                "two best, as in Valadan Zoej et al. 2002.", choices=("tournament", "two-best")),
         Option("tournament", 3, "Chromosomes drawn for each tournament.", int, 1, 1000),
@@ -69,7 +82,9 @@ class GeneticAlgorithm(Solver):
         """Return the DEAP toolbox: population, evaluate, select, mate and mutate."""
         o = self.options
         box = base.Toolbox()
-        box.register("population", problem.genome.random, rng, o["population"])
+        # A GA with a first population of its own has no such option.
+        draw = evenly if o.get("first") == "half" else Genome.random
+        box.register("population", draw, problem.genome, rng, o["population"])
         box.register("evaluate", problem.evaluate)
         if o["parents"] == "two-best":
             box.register("select", two_best)

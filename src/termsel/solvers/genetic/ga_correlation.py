@@ -92,7 +92,7 @@ class CorrelationSeededGA(GeneticAlgorithm):
         "The columns are those of all control; forced genes and numbers of genes are kept.")
     segments = (Bits,)
     declared_options = (
-        *GeneticAlgorithm.declared_options,
+        *(one for one in GeneticAlgorithm.declared_options if one.name != "first"),
         Option("preset", "case-3", "Scale and offset: own, or a case of Akhoundi Khezrabad et al. "
                                    "2020, table 3 (1.19 and 0.15, 1.69 and 0, 1 and 0).",
                choices=(*PRESETS, "own")),
