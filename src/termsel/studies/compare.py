@@ -19,7 +19,7 @@ from termsel.plugins.registry import registry
 from termsel.runs.notebook import line_of_many
 from termsel.runs.task.provenance import versions
 from termsel.studies.cells.cell import Cell, cells_of, kind_of
-from termsel.studies.cells.folder import PLAN, write_plan
+from termsel.studies.cells.folder import PLAN, keys_by_labels, write_plan
 from termsel.studies.cells.images import IMAGES, folders_of, write_files
 from termsel.studies.cells.journal import Journal, read_journal
 from termsel.studies.cells.lock import locked
@@ -96,6 +96,7 @@ def compare(
         place = Path(out) if out is not None else stack.enter_context(private_folder())
         plugins = _plugins(cells, spec)
         journal = _begun(stack, place, {**versions(), **plugins})
+        before = keys_by_labels(place)
         write_plan(spec, cells, workers, place)
         finished = {cell.key: journal.records[cell.key] for cell in cells
                     if cell.key in journal.records}
@@ -107,6 +108,11 @@ def compare(
             f"{progress.time_left()}", progress.finished == progress.total))
         for remark in journal.remarks:
             log.warning(remark)
+        changed = {key for cell in cells if cell.key not in finished
+                   and (key := before.get(tuple(cell.labels.values()))) in journal.records}
+        if changed:
+            log.warning("%s run again, as data, options, budget or code changed since.",
+                        counted(len(changed), "finished cell"))
         if foreign := len(journal.records) - len(finished):
             log.warning("%s finished cells of an earlier form of the study are kept in the "
                         "journal and take no part.", foreign)

@@ -17,11 +17,14 @@ from termsel.runs.task.request import DATA_OPTIONS, Request, Setup
 from termsel.runs.task.task import build, observe, scale
 from termsel.solvers.base import Solver
 from termsel.solvers.budget import SEARCH_OPTIONS
+from termsel.studies.cells.identity import made_of
 from termsel.studies.plan.data import Data, of_dataset
 from termsel.studies.plan.spec import Part, Spec
 
 LABELS = ("problem", "data", "split", "strategy", "model", "criterion", "solver", "seed")
 """What tells the cells of a study apart, in the order in which they vary."""
+
+_OF_SEARCH = {option.name for option in SEARCH_OPTIONS}
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,6 +35,7 @@ class Cell:
     labels: Mapping[str, Any]  # what tables call it, by LABELS
     call: Mapping[str, Any]  # arguments of the run, names and options, without the features
     data: Data
+    instance: str = ""  # checksum of what its optimum depends on: all but solver, seed and budget
     # classes, instances and recipes in place of names, where Python gave them
     things: Mapping[str, Any] = field(default_factory=dict)
 
@@ -120,6 +124,7 @@ class _Kind:
     options: Mapping[str, Any]
     names: Mapping[str, str]
     chance: bool
+    made_of: Mapping[str, Any] = field(default_factory=dict)  # checksums by part
     unfit: TermselError | None = None
     reason: str = ""
 
@@ -159,6 +164,12 @@ class _Kinds:
             plain = self._asked(strategy, parts, one, {})
             options = self._options(strategy, parts, plain)
             request = self._asked(strategy, parts, one, options)
+            made = {word: made_of(getattr(request, word))
+                    for word in ("recipe", "model", "criterion", "solver", "then")}
+            if strategy == "auto":
+                made["candidates"] = made_of([entry.object
+                                              for entry in registry().entries("candidates")])
+            chosen: Solver = request.solver
             try:
                 observations = observe(request, LEAST if strategy == "auto" else 3)
                 if strategy != "auto":
@@ -166,11 +177,11 @@ class _Kinds:
             except TermselError as error:
                 first = first or error
                 continue
-            chosen: Solver = request.solver
             return _Kind(options, {"model": request.model.name, "solver": chosen.name,
                                    "criterion": request.criterion.name},
                          chance=strategy != "auto" and (
-                             chosen.uses_chance or bool(request.options["search"]["polish"])))
+                             chosen.uses_chance or bool(request.options["search"]["polish"])),
+                         made_of=made)
         assert first is not None  # some data can be read, or there would be no study
         named = next((part for word in ("solver", "model", "criterion", "problem")
                       if (part := parts[word]) and part.path), None)
@@ -259,14 +270,16 @@ def _cell(spec: Spec, strategy: str, parts: Mapping[str, Part | None], kind: _Ki
     if strategy == "auto":
         call["exports"] = list(spec.exports)
     things = {word: part.thing for word, part in parts.items() if part and part.thing}
-    identity = {**call, "labels": labels, "data": data.key, **(
-        {"things": {word: _told(thing) for word, thing in things.items()}} if things else {})}
-    text = json.dumps(identity, sort_keys=True, separators=(",", ":"))
-    return Cell(hashlib.sha256(text.encode()).hexdigest()[:24], labels, call, data, things)
+    identity = {**call, "labels": labels, "data": data.key, "made_of": kind.made_of}
+    instance = {
+        "data": data.key, "problem": call["problem"],
+        "options": {name: value for name, value in options.items()
+                    if not name.startswith(("solver.", "search.")) and name not in _OF_SEARCH},
+        "made_of": {word: told for word, told in kind.made_of.items()
+                    if word not in ("solver", "then")}}
+    return Cell(_sum(identity), labels, call, data, _sum(instance), things)
 
 
-def _told(thing: Any) -> str:
-    """Return what identifies an object: its class, and the options of an instance."""
-    kind = thing if isinstance(thing, type) else type(thing)
-    options = sorted(thing.options.items()) if isinstance(thing, Configurable) else []
-    return f"{kind.__module__}.{kind.__qualname__} {options}"
+def _sum(content: Mapping[str, Any]) -> str:
+    text = json.dumps(content, sort_keys=True, separators=(",", ":"))
+    return hashlib.sha256(text.encode()).hexdigest()[:24]

@@ -47,6 +47,15 @@ def _read_plan(folder: Path) -> tuple[Spec, int, dict[str, dict[str, Any]]]:
         raise TermselError("this is not the plan of a study", file=file, hint=repeat) from error
 
 
+def keys_by_labels(folder: Path) -> dict[tuple[Any, ...], str]:
+    """Return the keys that the cells of a folder had so far; none where no plan can be read."""
+    try:
+        cells = _read_plan(folder)[2]
+    except TermselError:  # every command writes the plan again
+        return {}
+    return {tuple(labels.values()): key for key, labels in cells.items()}
+
+
 def read_study(folder: Path | str) -> Study:
     """Return the study of a folder, finished or not; nothing is run.
 

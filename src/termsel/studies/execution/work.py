@@ -24,7 +24,6 @@ from termsel.runs.judgement.assess import estimated, is_feasible
 from termsel.runs.run import run
 from termsel.runs.search.blunders_out import search_without_blunders
 from termsel.runs.task.task import Task, prepare
-from termsel.solvers.budget import SEARCH_OPTIONS
 from termsel.solvers.ledger import Progress
 from termsel.solvers.proofs.exact import gap
 from termsel.solvers.proofs.proof import TIE, count
@@ -38,11 +37,10 @@ INFEASIBLE: Final = "infeasible"
 FAILED: Final = "failed"
 STATES = (DONE, INFEASIBLE, FAILED)
 
-_OF_SEARCH = {option.name for option in SEARCH_OPTIONS}
 _MOST = 256
 _image: ContextVar[str] = ContextVar("image", default="")  # under way in this thread
 _optima: dict[str, float | None] = {}
-"""Proven optima by problem, up to `_MOST`: the same for all seeds and most solvers."""
+"""Proven optima by instance, up to `_MOST`: the same for all seeds and most solvers."""
 
 
 @dataclass(frozen=True)
@@ -226,16 +224,12 @@ def _optimum(cell: Cell, task: Task, found: Search) -> float | None:
         return value
     if len(task.problem.objectives) > 1:
         return None
-    of_problem = {name: value for name, value in cell.call["options"].items()
-                  if not name.startswith(("solver.", "search.")) and name not in _OF_SEARCH}
-    key = repr((cell.data.key, cell.call["problem"], cell.call["model"], cell.call["criterion"],
-                sorted(of_problem.items()), sorted(task.options["problem"].items(), key=str)))
-    if key not in _optima:
+    if cell.instance not in _optima:
         if len(_optima) >= _MOST:
             _optima.clear()
         proof = gap(task.problem, math.inf)
-        _optima[key] = None if proof is None else proof["optimum"]
-    optimum = _optima[key]
+        _optima[cell.instance] = None if proof is None else proof["optimum"]
+    optimum = _optima[cell.instance]
     # What is below it shows that the enumeration is not of this criterion.
     return None if optimum is None or value < optimum - TIE * abs(optimum) else optimum
 

@@ -1,0 +1,137 @@
+"""What a part of a cell is made of: recipes, options of instances and code, as one checksum."""
+
+from __future__ import annotations
+
+import hashlib
+import sys
+from collections.abc import Iterator, Mapping
+from dataclasses import fields, is_dataclass
+from functools import cache, partial
+from pathlib import Path
+from types import BuiltinFunctionType, CodeType, FunctionType, MethodType, ModuleType
+from typing import Any
+
+import numpy as np
+
+from termsel.options import Configurable
+
+_VERSIONED = {*sys.stdlib_module_names, "termsel", "numpy", "scipy", "numba", "deap", "pymoo"} - {
+    "__main__"}
+"""Packages whose version the journal keeps, so that their code needs no checksum."""
+
+_PLAIN = (str, int, float, complex, bool, bytes, type(None), type(...))
+
+
+def made_of(thing: Any) -> str:
+    """Return a checksum of all that decides what a recipe, class or instance does.
+
+    Of classes and functions that is their code, with what it encloses, and the source of their
+    package; of instances of options also these and their plain attributes. Where objects hold more
+    than that, as a model that was fitted, it takes no part.
+    """
+    told = hashlib.sha256()
+    for word in _words(thing, set()):
+        told.update(f"{len(word)}:{word}".encode(errors="surrogatepass"))
+    return told.hexdigest()[:24]
+
+
+def _words(value: Any, above: set[int]) -> Iterator[str]:
+    """Yield what tells a value from others; never an address, which no other process has."""
+    if isinstance(value, _PLAIN):
+        yield f"{type(value).__name__} {value!r}"
+        return
+    if isinstance(value, np.ndarray | np.generic) and value.dtype != object:
+        yield f"{value.dtype.str} {value.shape} {hashlib.sha256(value.tobytes()).hexdigest()}"
+        return
+    if id(value) in above:  # what holds itself
+        return
+    above.add(id(value))
+    yield type(value).__name__
+    for part in _parts(value):
+        yield from _words(part, above)
+    yield "."
+    above.remove(id(value))
+
+
+def _parts(value: Any) -> Iterator[Any]:
+    """Yield what a value consists of."""
+    if isinstance(value, Mapping):
+        yield from sorted(value.items(), key=str)
+    elif isinstance(value, list | tuple):
+        yield from value
+    elif isinstance(value, set | frozenset):
+        yield from sorted(value, key=str)
+    elif isinstance(value, type):
+        yield from _of_class(value)
+    elif isinstance(value, FunctionType):
+        yield from _of_function(value)
+    elif isinstance(value, CodeType):
+        yield from (value.co_code, value.co_names, value.co_consts, value.co_varnames)
+    elif isinstance(value, MethodType):
+        yield from (value.__func__, value.__self__)
+    elif isinstance(value, partial):
+        yield from (value.func, value.args, value.keywords)
+    elif isinstance(value, staticmethod | classmethod):
+        yield value.__func__
+    elif isinstance(value, property):
+        yield value.fget
+    elif isinstance(value, ModuleType | BuiltinFunctionType):
+        yield value.__name__
+    elif isinstance(value, Configurable):
+        yield from (type(value), value.options, _plain(vars(value)))
+    elif is_dataclass(value):
+        yield from (type(value), {one.name: getattr(value, one.name) for one in fields(value)})
+    else:
+        yield from (type(value), _plain(getattr(value, "__dict__", {})))
+
+
+def _plain(attributes: Mapping[str, Any]) -> dict[str, Any]:
+    return {name: value for name, value in attributes.items() if isinstance(value, _PLAIN)}
+
+
+def _of_class(kind: type) -> Iterator[Any]:
+    for one in kind.__mro__:
+        yield f"{one.__module__}.{one.__qualname__}"
+        if _root(one) not in _VERSIONED:
+            yield _source(_root(one))
+            # Memory of abstract classes, and what Python adds, say nothing of what a class does.
+            yield {name: value for name, value in vars(one).items() if name != "_abc_impl" and
+                   (not name.startswith("__") or isinstance(value, FunctionType))}
+
+
+def _of_function(function: FunctionType) -> Iterator[Any]:
+    yield f"{function.__module__}.{function.__qualname__}"
+    for cell in function.__closure__ or ():
+        try:
+            yield cell.cell_contents
+        except ValueError:  # a name that is not bound yet
+            yield None
+    if _root(function) in _VERSIONED:
+        return
+    yield from (_source(_root(function)), function.__code__, function.__defaults__,
+                function.__kwdefaults__)
+    if _root(function) == "__main__":  # no package tells what its names stand for
+        for name in function.__code__.co_names:
+            used = function.__globals__.get(name)
+            if isinstance(used, (*_PLAIN, FunctionType, type)):
+                yield used
+
+
+def _root(thing: Any) -> str:
+    return str(thing.__module__).partition(".")[0]
+
+
+@cache
+def _source(root: str) -> str:
+    """Return the checksum of the source of a module, or of all modules of a package."""
+    file = getattr(sys.modules.get(root), "__file__", None)
+    places = [Path(one) for one in getattr(sys.modules.get(root), "__path__", ())]
+    told = hashlib.sha256()
+    if root != "__main__":  # a script that is edited elsewhere has the same classes
+        for path in [*([Path(file)] if file and not places else ()),
+                     *sorted(path for place in places for path in place.rglob("*.py"))]:
+            try:
+                told.update(path.read_bytes())
+            except OSError:  # gone since it was imported: its code in memory is told as well
+                continue
+    return told.hexdigest()

@@ -1,0 +1,86 @@
+"""A study never mixes what has one name and is not the same."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import termsel
+from termsel import Generation, Solver
+from termsel.plugins.registry import registry
+from termsel.studies.cells.identity import made_of
+
+FEW: dict[str, Any] = {"seeds": 1, "budget": {"evaluations": 60}}
+
+
+def _solver(size: int) -> type[Solver]:
+    class Mine(Solver):
+        name = "mine"
+
+        def generations(self, problem: Any, rng: Any) -> Iterator[Generation]:
+            genes = problem.genome.random(rng, size)
+            yield Generation(0, genes, problem.evaluate(genes))
+
+    return Mine
+
+
+def test_a_recipe_whose_content_changed_runs_again(
+        tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    recipe = registry().get("problems", "poly-terms")
+    for degree in (1, 1, 3):
+        caplog.clear()
+        problem = replace(recipe, model_options={"degree": degree})
+        asked = termsel.compare(problems=[problem], solvers=["swap"], out=tmp_path, **FEW)
+        fresh = termsel.compare(problems=[problem], solvers=["swap"], **FEW)
+        assert asked.rows[0]["fitness"] == fresh.rows[0]["fitness"]
+        assert ("1 finished cell run again" in caplog.text) == (degree == 3)
+
+
+def test_a_class_made_anew_under_its_name_runs_again(tmp_path: Path) -> None:
+    counts = [termsel.compare(problems=["poly-terms"], solvers=[_solver(size)], out=tmp_path,
+                              options={"degree": 2, "polish": False}, **FEW).rows[0]["evaluations"]
+              for size in (2, 20)]
+    assert counts == [2, 20]
+
+
+def test_an_optimum_is_that_of_its_own_model() -> None:
+    both = {"problems": ["poly-terms"], "criteria": ["press"], "options": {"polish": False}, **FEW}
+    models = [termsel.Polynomial2D(degree=2), termsel.Polynomial2D(degree=1)]
+    together = termsel.compare(models=models, solvers=["random"], **both).rows
+    proven = [termsel.compare(models=[one], solvers=["exact"], **both).rows[0]["optimum"]
+              for one in models]
+    assert [row["optimum"] for row in together] == pytest.approx(proven)
+    assert proven[0] < proven[1]
+
+
+def test_code_of_a_package_that_changed_is_not_the_same(
+        tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(tmp_path)
+    sums = []
+    for name, factor in (("first_try", 2), ("second_try", 2), ("second_try", 3)):
+        (tmp_path / name).mkdir(exist_ok=True)
+        (tmp_path / name / "__init__.py").write_text("class Mine:\n    name = 'mine'\n")
+        (tmp_path / name / "helper.py").write_text(f"FACTOR = {factor}\n")
+        termsel.studies.cells.identity._source.cache_clear()  # as in a new process
+        monkeypatch.delitem(sys.modules, name, raising=False)
+        sums.append(made_of(__import__(name).Mine))
+    assert len(set(sums)) == 3
+
+
+@pytest.mark.parametrize(("one", "other"), [
+    (partial(max, default=1), partial(max, default=2)),
+    (termsel.Polynomial2D(degree=1), termsel.Polynomial2D(degree=2)),
+    (_solver(1), _solver(2)),
+    ({"a": [1.0]}, {"a": [2.0]}),
+    (lambda x: x + 1, lambda x: x + 2),
+])
+def test_what_differs_has_another_checksum_and_what_does_not_the_same(one: Any, other: Any) -> None:
+    assert made_of(one) != made_of(other)
+    assert made_of(one) == made_of(one)
+    assert made_of(_solver(4)) == made_of(_solver(4))
