@@ -224,6 +224,8 @@ class ImperialistCompetition(Solver):
 
     name = "ica"
     departures = (
+        "The assimilation rate is the 0.5 of figure 3 for all colonies; section 3.3 computes it "
+        "from the similarity of a colony and its imperialist.",
         "A colony that revolts has each gene redrawn with chance 1/2 (--set redrawn); the paper "
         "only shows an example.",
         "Infeasible countries cost more than every feasible one; the paper has none.",
