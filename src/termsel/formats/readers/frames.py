@@ -49,7 +49,7 @@ def _records(frame: Any) -> tuple[list[dict[str, Any]], str]:
     if hasattr(frame, "to_dicts"):  # polars
         return list(frame.to_dicts()), ""
     if not hasattr(frame, "to_dict") or not hasattr(frame, "columns"):
-        raise TermselError(f"features cannot be read from a {type(frame).__name__}",
+        raise TermselError(f"features cannot be read from the type {type(frame).__name__}",
                            hint=f"Give {ACCEPTED}.")
     records = (frame.reset_index() if frame.index.name else frame).to_dict("records")
     shapes = list(frame.geometry) if hasattr(frame, "geom_type") else []

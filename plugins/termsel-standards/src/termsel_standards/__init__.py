@@ -1,0 +1,48 @@
+"""Accuracy stated by standards, as a plugin.
+
+References
+----------
+ASPRS Positional Accuracy Standards for Digital Geospatial Data, edition 2, version 2 (2024).
+FGDC-STD-007.3-1998, Geospatial Positioning Accuracy Standards, part 3: National Standard for
+Spatial Data Accuracy.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import TYPE_CHECKING
+
+import lazy_loader  # type: ignore[import-untyped]
+
+from termsel import hookimpl
+
+if TYPE_CHECKING:
+    import click
+
+    from termsel import Writer
+    from termsel_standards.errors import GroundErrors, errors_of, read_errors
+    from termsel_standards.statement import Statement, Statements, statements_of
+
+# What is not needed for `termsel run` is not imported for it.
+__getattr__, _, _ = lazy_loader.attach(__name__, submod_attrs={
+    "errors": ["GroundErrors", "errors_of", "read_errors"],
+    "statement": ["Statement", "Statements", "statements_of"]})
+
+__all__ = ["GroundErrors", "Statement", "Statements", "errors_of", "read_errors",
+           "statements_of"]
+
+
+@hookimpl
+def termsel_commands(cli: click.Group) -> None:
+    """Add the command."""
+    from termsel_standards.command import accuracy
+
+    cli.add_command(accuracy)
+
+
+@hookimpl
+def termsel_writers() -> Iterable[type[Writer]]:
+    """Return the writer."""
+    from termsel_standards.stac import StacItem
+
+    return [StacItem]

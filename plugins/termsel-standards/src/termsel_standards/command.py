@@ -1,0 +1,92 @@
+"""The command of this package."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from textwrap import fill
+from typing import TYPE_CHECKING
+
+import click
+
+if TYPE_CHECKING:
+    from termsel_standards.statement import Statements
+
+_PATH = click.Path(path_type=Path)
+_METRES = click.FloatRange(0, 1e6, min_open=True)
+
+
+@click.command("accuracy")
+@click.argument("source", metavar="DIR|TABLE", type=_PATH)
+@click.option("--survey-sigma", metavar="METRES", type=_METRES,
+              help="Standard deviation of each surveyed horizontal coordinate of the check points, "
+                   "where they have no columns sigma_x and sigma_y.")
+@click.option("--survey-sigma-z", metavar="METRES", type=_METRES,
+              help="Standard deviation of their heights, where they have no column sigma_z.")
+@click.option("--class", "horizontal", metavar="METRES", type=_METRES,
+              help="Horizontal accuracy class that the data were to meet.")
+@click.option("--class-z", "vertical", metavar="METRES", type=_METRES,
+              help="Vertical accuracy class that the data were to meet.")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON alone on stdout.")
+def accuracy(source: Path, survey_sigma: float | None, survey_sigma_z: float | None,
+             horizontal: float | None, vertical: float | None, as_json: bool) -> None:
+    """State the accuracy by ASPRS (edition 2, 2024) and NSSDA.
+
+    DIR is the folder that a run wrote with --out; its independent points are the check points.
+    TABLE is a CSV of errors in metres, headed id,dx,dy and where they are known
+    dz,x,y,sigma_x,sigma_y,sigma_z.
+
+    \b
+    Examples:
+      termsel accuracy result
+      termsel accuracy result --survey-sigma 0.05 --class 1
+      termsel accuracy errors.csv --json
+    """
+    import msgspec
+
+    from termsel import read_result
+    from termsel_standards.errors import errors_of, read_errors
+    from termsel_standards.statement import statements_of
+
+    errors = read_errors(source) if source.is_file() and source.suffix != ".json" \
+        else errors_of(read_result(source))
+    stated = statements_of(errors.surveyed(survey_sigma, survey_sigma_z), horizontal, vertical)
+    if as_json:
+        click.echo(msgspec.json.format(msgspec.json.encode(stated), indent=2))
+    else:
+        click.echo("\n".join(_text(stated)))
+
+
+def _text(stated: Statements) -> Iterator[str]:
+    points = stated.distribution.points
+    yield f"{stated.source}: {points} check points, which took no part in any choice"
+    yield ""
+    yield f"{'':8}{'mean':>10}{'std':>10}{'RMSE':>10}{'95 %':>10}{'largest':>10}  normal"
+    for one in stated.components:
+        yield f"{one.name:8}{one.mean:10.3f}{_or(one.deviation)}{one.rmse:10.3f}" \
+              f"{one.percentile95:10.3f}{one.maximum:10.3f}  " \
+              + ("-" if one.normal is None else f"p = {one.normal:.2g}")
+    yield ""
+    yield f"Horizontal RMSE {stated.horizontal:.3f} m, CE90 {stated.ce90:.3f} m, " \
+          f"CE95 {stated.ce95:.3f} m" + _survey(stated.survey_horizontal)
+    if stated.vertical is not None:
+        yield f"Vertical RMSE {stated.vertical:.3f} m, LE90 {stated.le90:.3f} m" \
+              + _survey(stated.survey_vertical)
+        yield f"Three-dimensional RMSE {stated.three_dimensional:.3f} m"
+    where = stated.distribution
+    area = "" if where.area is None else f" for {where.area:.3g} km2"
+    yield f"Check points: {points}; ASPRS asks for {where.required}{area}." + (
+        "" if where.quadrants is None else
+        f" In the quadrants SW, SE, NW, NE: {', '.join(map(str, where.quadrants))}.")
+    yield ""
+    for statement in stated.statements:
+        yield fill(f"{statement.standard}: {statement.words}.", 90, subsequent_indent="    ")
+    yield from (fill(f"Note: {note}", 90, subsequent_indent="    ") for note in stated.notes)
+
+
+def _or(value: float | None) -> str:
+    return f"{'-':>10}" if value is None else f"{value:10.3f}"
+
+
+def _survey(value: float | None) -> str:
+    return "; survey not known" if value is None else f"; survey {value:.3f} m"

@@ -1,0 +1,193 @@
+"""Errors of check points on the ground: of a result, or from a table."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from math import isclose
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from termsel import Result, TermselError
+from termsel.fits.accuracy import distances
+from termsel.formats.base import read_text
+from termsel.measurements.coordinates.metres import in_metres
+from termsel.measurements.features import FloatArray, Points
+from termsel.record.figures import OnGround
+
+AXES = ("x", "y", "z")
+SIGMAS = tuple(f"sigma_{axis}" for axis in AXES)
+"""Columns with the standard deviations of the check points' survey [m]."""
+
+
+@dataclass(frozen=True, eq=False)
+class GroundErrors:
+    """Errors of points that took no part in any choice.
+
+    Parameters
+    ----------
+    ids : tuple of str
+    errors : array_like, shape (n, 2) or (n, 3)
+        Computed minus surveyed position, to east, to north and up [m].
+    survey : array_like, shape (n, 2) or (n, 3)
+        Standard deviations of the survey [m]; NaN where they are not known.
+    places : array_like, shape (n, 2)
+        Where the points are, to east and to north of any origin [m]; NaN where that is not known.
+    area : array_like, shape (k, 2), optional
+        Corners of what the points stand for, with the same origin [m]. By default the rectangle
+        around the points.
+    source : str
+        Where the errors are from.
+    blunders : tuple of str
+        Those that all other features contradict.
+    """
+
+    ids: tuple[str, ...]
+    errors: FloatArray
+    survey: FloatArray
+    places: FloatArray
+    area: FloatArray | None = None
+    source: str = ""
+    blunders: tuple[str, ...] = ()
+
+    def surveyed(self, horizontal: float | None, vertical: float | None = None) -> GroundErrors:
+        """Return the errors with a standard deviation of the survey where none is known.
+
+        Parameters
+        ----------
+        horizontal, vertical : float, optional
+            Of each horizontal coordinate, and of the height [m].
+        """
+        given = [np.nan if one is None else one for one in (horizontal, horizontal, vertical)]
+        rest = np.array(given[:self.errors.shape[1]])
+        return replace(self, survey=np.where(np.isnan(self.survey), rest, self.survey))
+
+
+def errors_of(result: Result) -> GroundErrors:
+    """Return the errors of a result's independent points at their heights.
+
+    Parameters
+    ----------
+    result : Result
+        Its features may have columns sigma_x, sigma_y [m], the standard deviations of the survey.
+
+    Returns
+    -------
+    GroundErrors
+
+    Raises
+    ------
+    TermselError
+        If there are no independent points, if the fit has used them, or if their errors are not
+        known in metres.
+    """
+    points = result.features.points
+    points = points.take([role == "independent" for role in points.roles])
+    if not len(points):
+        raise TermselError("the result has no independent points, so its accuracy is not known",
+                           hint="Measure further points and give them the role independent.")
+    fitted, ground = result.fit, points.ground
+    heights = ground[:, 2] if fitted.model.uses_height else np.nan_to_num(ground[:, 2])
+    offsets = (fitted.locate(points.image, heights) - ground)[:, :2]
+    crs = result.features.crs
+    metres = in_metres(crs, ground, offsets)
+    if metres is None or not np.isfinite(metres).all():
+        raise TermselError("the errors on the ground are not known in metres",
+                           hint="State the CRS of the ground coordinates when you run termsel.")
+    known = result.accuracy.ground if result.accuracy else None
+    if known and not isclose(known.total, distances(OnGround, metres).total, rel_tol=1e-6):
+        raise TermselError("the fit has used the independent points, so they do not test it",
+                           hint="Give the result as it was run, not as it is exported.")
+    origin = ground[0, :2]
+    places = in_metres(crs, ground, ground[:, :2] - origin)
+    area = None
+    if result.features.image_size is not None:
+        lines, samples = (float(side) - 1.0 for side in result.features.image_size)
+        corners = np.array([[0.0, 0.0], [0.0, samples], [lines, samples], [lines, 0.0]])
+        seen = fitted.locate(corners, np.full(4, float(np.nan_to_num(heights).mean())))
+        area = in_metres(crs, seen, seen[:, :2] - origin)
+        area = area if area is not None and np.isfinite(area).all() else None
+    return GroundErrors(
+        points.ids, metres, _survey_of(points), np.full_like(metres, np.nan)
+        if places is None else places, area, result.data.source,
+        tuple(one.id for one in result.outliers if one.role == "independent"))
+
+
+def _survey_of(points: Points) -> FloatArray:
+    given = [_sigmas(points.attributes.get(name, [""] * len(points)), name, points.ids)
+             for name in SIGMAS[:2]]
+    return np.column_stack(given)
+
+
+def _sigmas(cells: Iterable[Any], name: str, ids: Sequence[str], file: Path | None = None,
+            ) -> FloatArray:
+    """Return standard deviations, with NaN for blank cells."""
+    sigma = np.array([_number(str(cell), name, file, line) for line, cell in enumerate(cells, 2)])
+    for value, one in zip(sigma.tolist(), ids, strict=True):
+        if value < 0:
+            raise TermselError(f"{name} of {one} is {value:g}", file=file,
+                               hint="A standard deviation is a positive number of metres.")
+    return sigma
+
+
+def _number(cell: str, name: str, file: Path | None, line: int) -> float:
+    if not cell.strip():
+        return np.nan
+    try:
+        value = float(cell)
+    except ValueError:
+        value = np.inf
+    if not np.isfinite(value):
+        raise TermselError(f"{cell.strip()!r:.40} is not a number", file=file,
+                           line=line if file else None, column=name,
+                           hint="Give metres, with a decimal point.")
+    return value
+
+
+def read_errors(path: Path | str) -> GroundErrors:
+    """Return the errors in a table.
+
+    Parameters
+    ----------
+    path : path-like
+        CSV headed id,dx,dy and, where they are known, dz, x, y, sigma_x, sigma_y, sigma_z, all in
+        metres.
+
+    Returns
+    -------
+    GroundErrors
+
+    Raises
+    ------
+    TermselError
+        If the file cannot be read, lacks dx or dy, or has a cell that is no number.
+    """
+    path = Path(path)
+    try:
+        rows = list(csv.DictReader(read_text(path).splitlines(), restval=""))
+    except csv.Error as error:
+        raise TermselError(f"this table cannot be read: {error}", file=path) from None
+    if not rows or not {"dx", "dy"} <= set(rows[0]):
+        raise TermselError("this is no table of errors with the columns dx and dy", file=path,
+                           hint="Head it id,dx,dy or id,dx,dy,dz,x,y,sigma_x,sigma_y,sigma_z.")
+    ids = tuple(row.get("id", "").strip() or str(i) for i, row in enumerate(rows, 1))
+    # A column of heights that is all blank is none.
+    axes = AXES if any(row.get("dz", "").strip() for row in rows) else AXES[:2]
+    errors = _columns(path, rows, [f"d{axis}" for axis in axes])
+    if np.isnan(errors).any():
+        row, column = np.argwhere(np.isnan(errors))[0].tolist()
+        raise TermselError("this cell is blank", file=path, line=row + 2,
+                           column=f"d{axes[column]}",
+                           hint="Give every point all its errors, or leave out its row.")
+    survey = np.column_stack([
+        _sigmas([row.get(f"sigma_{axis}", "") for row in rows], f"sigma_{axis}", ids, path)
+        for axis in axes])
+    return GroundErrors(ids, errors, survey, _columns(path, rows, ["x", "y"]), None, str(path))
+
+
+def _columns(path: Path, rows: Sequence[Mapping[str, str]], names: Sequence[str]) -> FloatArray:
+    return np.array([[_number(row.get(name, ""), name, path, line) for name in names]
+                     for line, row in enumerate(rows, 2)])

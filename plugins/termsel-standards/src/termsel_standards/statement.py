@@ -1,0 +1,292 @@
+"""Figures of errors on the ground, and what standards let one say of them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import ceil, floor, hypot, log10
+
+import numpy as np
+from scipy import stats
+
+from termsel.errors import counted
+from termsel.fits.accuracy import ASPRS_POINTS, NSSDA_POINTS, distances, nssda
+from termsel.measurements.features import FloatArray
+from termsel.record.figures import OnGround
+from termsel_standards.errors import GroundErrors
+
+ASPRS = "ASPRS Positional Accuracy Standards for Digital Geospatial Data, Edition 2"
+VERTICAL = 1.96
+"""NSSDA's factor from the vertical RMSE to 95 % confidence (appendix 3-A)."""
+MOST_POINTS, AREA_STEP, POINT_STEP = 120, 1000.0, 10
+"""ASPRS, table C.1: 10 points more for every 1,000 km2 above the first, 120 at most."""
+QUADRANT, APART = 0.2, 0.1
+"""NSSDA, appendix 3-C: least share of points in a quadrant, and distance over the diagonal."""
+_FEWEST = 3  # errors that a test of normality needs
+
+
+@dataclass(frozen=True)
+class Component:
+    """Errors along one direction [m].
+
+    Parameters
+    ----------
+    name : str
+    mean, deviation, rmse, percentile95, maximum : float
+        Mean, standard deviation (of n - 1), RMSE, and of the absolute errors the 95th percentile
+        and the largest.
+    normal : float or None
+        Chance of so unlike a normal distribution if they had one (Shapiro, Wilk 1965); None for
+        fewer than three errors, and for equal ones.
+    """
+
+    name: str
+    mean: float
+    deviation: float | None
+    rmse: float
+    percentile95: float
+    maximum: float
+    normal: float | None
+
+
+@dataclass(frozen=True)
+class Statement:
+    """What a standard lets one say.
+
+    Parameters
+    ----------
+    standard : str
+    value : float or None
+        The figure [m].
+    words : str
+        The statement in the prescribed words, or why there is none.
+    """
+
+    standard: str
+    value: float | None
+    words: str
+
+
+@dataclass(frozen=True)
+class Distribution:
+    """Where check points are.
+
+    Parameters
+    ----------
+    points : int
+    required : int
+        By ASPRS, for the area.
+    area : float or None
+        Of what they stand for [km2].
+    quadrants : tuple of int or None
+        Points in the south-west, south-east, north-west and north-east.
+    apart : float or None
+        Least distance of two points over the diagonal of the area.
+    """
+
+    points: int
+    required: int
+    area: float | None
+    quadrants: tuple[int, int, int, int] | None
+    apart: float | None
+
+    @property
+    def faults(self) -> tuple[str, ...]:
+        """What the distribution lacks of the recommended one."""
+        some = []
+        if self.quadrants and min(self.quadrants) < QUADRANT * self.points:
+            some.append(f"a quadrant has fewer than {QUADRANT:.0%} of the points")
+        if self.apart is not None and self.apart < APART:
+            some.append(f"two points are closer than {APART:.0%} of the diagonal")
+        return tuple(some)
+
+
+@dataclass(frozen=True)
+class Statements:
+    """Figures of errors, and what standards let one say of them.
+
+    Parameters
+    ----------
+    source : str
+    components : tuple of Component
+        East, north, and up where it is known.
+    horizontal : float
+        RMSE of the distances [m].
+    ce90, ce95 : float
+        Distances that 90 and 95 % of the points do not exceed [m].
+    vertical, le90, three_dimensional : float or None
+        RMSE of heights, error that 90 % do not exceed, RMSE in space [m].
+    survey_horizontal, survey_vertical : float or None
+        RMSE of the survey of the check points [m].
+    distribution : Distribution
+    statements : tuple of Statement
+    notes : tuple of str
+        What a reader must know.
+    """
+
+    source: str
+    components: tuple[Component, ...]
+    horizontal: float
+    ce90: float
+    ce95: float
+    vertical: float | None
+    le90: float | None
+    three_dimensional: float | None
+    survey_horizontal: float | None
+    survey_vertical: float | None
+    distribution: Distribution
+    statements: tuple[Statement, ...]
+    notes: tuple[str, ...]
+
+
+def statements_of(given: GroundErrors, horizontal_class: float | None = None,
+                  vertical_class: float | None = None) -> Statements:
+    """Return the figures of errors and the statements of ASPRS and NSSDA.
+
+    Parameters
+    ----------
+    given : GroundErrors
+    horizontal_class, vertical_class : float, optional
+        RMSE of the accuracy class that the data were to meet [m]; by default the least class of two
+        digits that they meet.
+
+    Returns
+    -------
+    Statements
+
+    Notes
+    -----
+    ASPRS, edition 2, adds the error of the survey: the horizontal accuracy is the root of the sum
+    of the squares of the RMSE against the check points and of the RMSE of their survey, and the
+    vertical one likewise. The three-dimensional accuracy is the root of the sum of the squares of
+    both. NSSDA takes the survey as free of errors.
+    """
+    errors = given.errors
+    n, axes = errors.shape
+    components = tuple(_component(name, errors[:, i])
+                       for i, name in enumerate(("east", "north", "up")[:axes]))
+    away = np.linalg.norm(errors[:, :2], axis=1)
+    figures = distances(OnGround, errors[:, :2])
+    survey_horizontal = _survey(given.survey[:, :2])
+    survey_vertical = _survey(given.survey[:, 2:]) if axes > 2 else None
+    whole = hypot(figures.total, survey_horizontal or 0.0)
+    vertical = components[2].rmse if axes > 2 else None
+    height = None if vertical is None else hypot(vertical, survey_vertical or 0.0)
+    distribution = distribution_of(given)
+    fewest = max(distribution.required, ASPRS_POINTS)
+    unknown = None if n >= fewest else \
+        f"not stated, as there are {counted(n, 'check point')} and {fewest} are needed"
+    flat = "not stated, as no heights were tested"
+    by_nssda = nssda(n, figures)
+    few = f"{counted(n, 'independent point')}, at least {NSSDA_POINTS} needed"
+    return Statements(
+        given.source, components, figures.total, figures.ce90, float(np.quantile(away, 0.95)),
+        vertical, float(np.quantile(np.abs(errors[:, 2]), 0.9)) if axes > 2 else None,
+        None if vertical is None else hypot(figures.total, vertical),
+        survey_horizontal, survey_vertical, distribution, (
+            _asprs("horizontal", "RMSEH", whole, horizontal_class, unknown),
+            _asprs("vertical", "RMSEV", height, vertical_class,
+                   flat if height is None else unknown),
+            _asprs("three-dimensional", "RMSE3D", None if height is None else hypot(whole, height),
+                   None, flat if height is None else unknown),
+            Statement("NSSDA horizontal", by_nssda.value,
+                      f"not stated: {by_nssda.reason}" if by_nssda.value is None else
+                      f"Tested {_size(by_nssda.value)} meters horizontal accuracy at 95% "
+                      "confidence level"),
+            _nssda_vertical(vertical, few if n < NSSDA_POINTS else None)),
+        tuple(_notes(given, figures.total, survey_horizontal, distribution, components)))
+
+
+def _component(name: str, errors: FloatArray) -> Component:
+    n, size = len(errors), np.abs(errors)
+    normal = None
+    if n >= _FEWEST and np.ptp(errors) > 0:
+        normal = float(stats.shapiro(errors).pvalue)
+    return Component(name, float(errors.mean()), float(errors.std(ddof=1)) if n > 1 else None,
+                     float(np.sqrt((errors**2).mean())), float(np.quantile(size, 0.95)),
+                     float(size.max()), normal)
+
+
+def _survey(sigma: FloatArray) -> float | None:
+    """Return the RMSE of the survey, of vectors with a standard deviation for each coordinate."""
+    if np.isnan(sigma).any():
+        return None
+    return float(np.sqrt((sigma**2).sum(axis=1).mean()))
+
+
+def _asprs(what: str, symbol: str, value: float | None, wanted: float | None,
+           unknown: str | None) -> Statement:
+    name = f"ASPRS {what}"
+    if value is None or unknown:
+        return Statement(name, None, unknown or "")
+    met = class_of(value) if wanted is None else wanted
+    if value > met:
+        return Statement(name, value, f"The tested {what} positional accuracy, {symbol} = "
+                         f"{_size(value)} m, does not meet the {_size(met)}-m {symbol} class")
+    return Statement(
+        name, value, f"This data set was tested to meet {ASPRS} (2024) for a {_size(met)}-m "
+        f"{symbol} {what} positional accuracy class. The tested {what} positional accuracy was "
+        f"found to be {symbol} = {_size(value)} m")
+
+
+def class_of(value: float) -> float:
+    """Return the least class [m], a number of two digits, that a RMSE [m] meets."""
+    if value <= 0:
+        return 0.0
+    unit = 10.0 ** (floor(log10(value)) - 1)
+    # A value that is a class but for rounding is in it.
+    return float(f"{ceil(value / unit - 1e-9) * unit:.10g}")
+
+
+def _nssda_vertical(vertical: float | None, few: str | None) -> Statement:
+    if vertical is None or few:
+        return Statement("NSSDA vertical", None, "not stated, as no heights were tested"
+                         if vertical is None else f"not stated: {few}")
+    value = VERTICAL * vertical
+    return Statement("NSSDA vertical", value, f"Tested {_size(value)} meters vertical accuracy "
+                     "at 95% confidence level")
+
+
+def distribution_of(given: GroundErrors) -> Distribution:
+    """Return how many check points there are, how many ASPRS asks for, and where they are."""
+    n, places = len(given.ids), given.places
+    if not np.isfinite(places).all():
+        return Distribution(n, ASPRS_POINTS, None, None, None)
+    low, high = places.min(axis=0), places.max(axis=0)
+    corners = given.area
+    if corners is None:
+        corners = np.array([low, [high[0], low[1]], high, [low[0], high[1]]])
+    x, y = corners.T
+    area = abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1))) / 2e6
+    required = ASPRS_POINTS + POINT_STEP * max(ceil(area / AREA_STEP) - 1, 0)
+    middle = (corners.min(axis=0) + corners.max(axis=0)) / 2
+    east, north = (places >= middle).T
+    quadrants = tuple(int(some.sum()) for some in (
+        ~east & ~north, east & ~north, ~east & north, east & north))
+    diagonal = float(np.linalg.norm(np.ptp(corners, axis=0)))
+    apart = np.linalg.norm(places[:, None] - places[None], axis=2)[np.triu_indices(n, 1)]
+    return Distribution(n, min(required, MOST_POINTS), area,
+                        (quadrants[0], quadrants[1], quadrants[2], quadrants[3]),
+                        float(apart.min()) / diagonal if n > 1 and diagonal > 0 else None)
+
+
+def _notes(given: GroundErrors, total: float, survey: float | None, distribution: Distribution,
+           components: tuple[Component, ...]) -> list[str]:
+    notes = []
+    if given.blunders:
+        notes.append(f"{', '.join(given.blunders)}: all other features contradict "
+                     f"{'it' if len(given.blunders) == 1 else 'them'}. Look at the image before "
+                     "you file these figures.")
+    if survey is None:
+        notes.append("The error of the survey is not known and not included: give columns sigma_x "
+                     "and sigma_y, or --survey-sigma.")
+    elif survey > total / 2:
+        notes.append("The check points are not twice as accurate as what they test.")
+    notes += [f"Check points: {fault}." for fault in distribution.faults]
+    for one in components:
+        if one.deviation and abs(one.mean) * len(given.ids) ** 0.5 > 3 * one.deviation:
+            notes.append(f"The mean error {one.name} is not chance: it is a shift.")
+    return notes
+
+
+def _size(value: float) -> str:
+    return f"{value:.3g}" if value < 999.5 else f"{value:.0f}"

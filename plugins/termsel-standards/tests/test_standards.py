@@ -1,0 +1,248 @@
+"""Accuracy by standards: worked examples, brute force, statements, and files that are wrong."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from math import hypot
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from hypothesis import given
+from hypothesis import strategies as st
+
+pytest.importorskip("termsel_standards", reason="termsel-standards is not installed: "
+                    "pip install -e plugins/termsel-standards")
+
+import termsel
+from termsel import Result, TermselError, export
+from termsel.cli.main import cli
+from termsel.io.result_folder import write_result
+from termsel.testing import check
+from termsel_standards import GroundErrors, errors_of, read_errors, statements_of
+from termsel_standards.stac import StacItem
+from termsel_standards.statement import class_of, distribution_of
+
+# The example of the ASPRS standards' annex on computing accuracy: five check points.
+EXAMPLE = """id,dx,dy,dz
+GCP1,-0.140,-0.070,-0.071
+GCP2,-0.100,-0.100,0.010
+GCP3,0.017,-0.070,0.102
+GCP4,-0.070,0.150,-0.100
+GCP5,0.130,0.120,0.087
+"""
+
+
+def errors(values: np.ndarray, survey: float = np.nan, places: np.ndarray | None = None,
+           ) -> GroundErrors:
+    return GroundErrors(
+        tuple(map(str, range(len(values)))), values, np.full(values.shape, survey),
+        np.full((len(values), 2), np.nan) if places is None else places)
+
+
+@pytest.fixture(scope="module")
+def result() -> Result:
+    features = termsel.simulate_scene("ikonos-hamedan")
+    points = features.points
+    sigma = np.array([f"{0.3 + 0.01 * (i % 7):g}" for i in range(len(points))], dtype=object)
+    return termsel.run(features=replace(features, points=replace(points, attributes={
+        "sigma_x": sigma, "sigma_y": sigma})))
+
+
+def test_the_example_of_the_asprs_standards(tmp_path: Path) -> None:
+    path = tmp_path / "example.csv"
+    path.write_text(EXAMPLE)
+    stated = statements_of(read_errors(path))
+    assert [round(one.mean, 3) for one in stated.components] == [-0.033, 0.006, 0.006]
+    assert [round(one.deviation or 0, 3) for one in stated.components] == [0.108, 0.119, 0.091]
+    assert [round(one.rmse, 3) for one in stated.components] == [0.102, 0.106, 0.081]
+    assert round(stated.horizontal, 3) == 0.147
+    assert {one.value for one in stated.statements} == {None}  # 5 points are too few
+    # Repeated until there are enough, the points have the same RMSE, and the example's figures.
+    many = read_errors(path)
+    stated = statements_of(replace(
+        many, ids=many.ids * 6, errors=np.tile(many.errors, (6, 1)),
+        survey=np.tile(many.survey, (6, 1)), places=np.tile(many.places, (6, 1))))
+    by_name = {one.standard: one for one in stated.statements}
+    assert round(by_name["NSSDA horizontal"].value or 0, 3) == 0.255
+    assert round(by_name["NSSDA vertical"].value or 0, 3) == 0.160
+    assert by_name["NSSDA horizontal"].words == \
+        "Tested 0.255 meters horizontal accuracy at 95% confidence level"
+    assert round(by_name["ASPRS horizontal"].value or 0, 3) == 0.147
+    assert "for a 0.15-m RMSEH horizontal positional accuracy class" in \
+        by_name["ASPRS horizontal"].words
+
+
+@given(st.floats(0.001, 50), st.floats(0, 50), st.floats(0, 50))
+def test_the_error_of_the_survey_is_added_in_squares(size: float, plan: float, up: float) -> None:
+    values = np.random.default_rng(1).normal(0, size, (30, 3))
+    stated = statements_of(errors(values).surveyed(plan, up))
+    horizontal, vertical, space, *_ = (one.value or 0.0 for one in stated.statements)
+    tested = np.sqrt((values[:, :2] ** 2).sum(axis=1).mean())
+    assert horizontal == pytest.approx(hypot(tested, plan * 2**0.5))
+    assert vertical == pytest.approx(hypot(np.sqrt((values[:, 2] ** 2).mean()), up))
+    assert space == pytest.approx(hypot(horizontal, vertical))
+    assert stated.horizontal == pytest.approx(tested)
+
+
+@given(st.floats(1e-6, 1e5))
+def test_the_class_is_the_least_of_two_digits_that_is_met(value: float) -> None:
+    met = class_of(value)
+    assert met >= value * (1 - 1e-9)
+    assert met < value * 1.1 + 1e-12
+    assert float(f"{met:.2g}") == pytest.approx(met)
+
+
+def test_a_survey_of_its_own_goes_before_the_option() -> None:
+    known = errors(np.ones((30, 2)), 0.5)
+    assert known.surveyed(9.0).survey.max() == 0.5
+    half = replace(known, survey=np.where(np.arange(30)[:, None] < 15, 0.5, np.nan))
+    assert "not known" in " ".join(statements_of(half).notes)
+    assert statements_of(half.surveyed(0.5)).survey_horizontal == pytest.approx(0.5**0.5)
+
+
+@pytest.mark.parametrize(("side", "required"), [
+    (1e3, 30), (31.6e3, 30), (32e3, 40), (60e3, 60), (96e3, 120), (500e3, 120)])
+def test_as_many_check_points_as_the_area_asks_for(side: float, required: int) -> None:
+    rng = np.random.default_rng(2)
+    places = np.concatenate([[[0, 0], [side, side]], rng.uniform(0, side, (98, 2))])
+    where = distribution_of(errors(np.ones((100, 2)), places=places))
+    assert where.area == pytest.approx(side**2 / 1e6)
+    assert where.required == required
+    assert sum(where.quadrants or ()) == 100
+
+
+def test_a_corner_without_points_is_named() -> None:
+    x, y = np.meshgrid(np.arange(8.0), np.arange(8.0))
+    places = 1000 * np.column_stack([x.ravel(), y.ravel()])
+    spread = errors(np.ones((64, 2)), places=places)
+    assert distribution_of(spread).faults == ()
+    corner = ~((places[:, 0] < 3500) & (places[:, 1] < 3500))
+    rest = errors(np.ones((int(corner.sum()), 2)), places=places[corner])
+    assert "a quadrant" in " ".join(statements_of(rest).notes)
+
+
+def test_a_shift_is_named_and_chance_is_not() -> None:
+    noise = np.random.default_rng(3).normal(0, 1, (40, 2))
+    assert "is a shift" not in " ".join(statements_of(errors(noise)).notes)
+    shifted = noise + np.array([2.0, 0.0])
+    assert "error east is not chance" in " ".join(statements_of(errors(shifted)).notes)
+
+
+def test_what_is_said_of_a_class_that_is_not_met() -> None:
+    values = np.random.default_rng(4).normal(0, 1, (40, 2))
+    words = statements_of(errors(values), 0.5).statements[0].words
+    assert "does not meet the 0.5-m RMSEH class" in words
+
+
+def test_figures_of_a_result_are_those_of_its_record(result: Result) -> None:
+    of_points = errors_of(result)
+    assert result.accuracy is not None
+    ground = result.accuracy.ground
+    assert ground is not None
+    stated = statements_of(of_points)
+    assert stated.horizontal == pytest.approx(ground.total, rel=1e-12)
+    assert stated.ce90 == pytest.approx(ground.ce90, rel=1e-12)
+    assert [one.rmse for one in stated.components] == pytest.approx([ground.x, ground.y])
+    assert stated.survey_horizontal == pytest.approx(0.33 * 2**0.5, rel=0.05)
+    assert stated.distribution.area == pytest.approx(55.6, rel=0.02)
+
+
+def test_a_fit_that_has_used_the_points_is_not_tested_by_them(result: Result) -> None:
+    assert result.final is not None
+    with pytest.raises(TermselError, match="has used the independent points"):
+        errors_of(result.as_exported())
+
+
+def test_the_command_states_and_prints_json(result: Result, tmp_path: Path) -> None:
+    (tmp_path / "run").mkdir()
+    write_result(result, tmp_path / "run")
+    shown = CliRunner().invoke(cli, ["accuracy", str(tmp_path / "run")])
+    assert shown.exit_code == 0
+    assert "NSSDA horizontal: Tested" in shown.output
+    assert "ASPRS horizontal: not stated, as there are 26 check points and 30" in shown.output
+    as_json = CliRunner().invoke(cli, ["accuracy", str(tmp_path / "run"), "--json"])
+    assert json.loads(as_json.output)["horizontal"] == pytest.approx(
+        statements_of(errors_of(result)).horizontal)
+
+
+@pytest.mark.parametrize(("text", "said"), [
+    ("", "no table of errors"),
+    ("id,dx\nA,1\n", "no table of errors"),
+    ("id,dx,dy\nA,1,x\n", "line 2, column 'dy': 'x' is not a number"),
+    ("id,dx,dy\nA,1,2\nB,,2\n", "line 3, column 'dx': this cell is blank"),
+    ("id,dx,dy\nA,1,nan\n", "is not a number"),
+    ("id,dx,dy,dz\nA,1,2,3\nB,1,2,\n", "line 3, column 'dz': this cell is blank"),
+    ("id,dx,dy,sigma_x\nA,1,2,-3\n", "sigma_x of A is -3"),
+    ("id,dx,dy\nA,1\n", "line 2, column 'dy': this cell is blank"),
+    ("id,dx,dy\nA,1e999,2\n", "not a number")])
+def test_a_bad_table_is_refused_with_its_place(text: str, said: str, tmp_path: Path) -> None:
+    path = tmp_path / "bad.csv"
+    path.write_text(text)
+    with pytest.raises(TermselError) as fault:
+        read_errors(path)
+    assert said in str(fault.value)
+    shown = CliRunner().invoke(cli, ["accuracy", str(path)])
+    assert shown.exit_code == 2
+    assert "Traceback" not in shown.output
+
+
+def test_a_table_that_is_no_text(tmp_path: Path) -> None:
+    path = tmp_path / "bad.csv"
+    path.write_bytes(b"\xff\x00id,dx\n")
+    with pytest.raises(TermselError, match="binary"):
+        read_errors(path)
+
+
+def test_a_result_without_independent_points(result: Result) -> None:
+    points = result.features.points
+    roles = ["check" if role == "independent" else role for role in points.roles]
+    none = replace(result, features=replace(result.features, points=replace(
+        points, roles=tuple(roles))))
+    with pytest.raises(TermselError, match="no independent points"):
+        errors_of(none)
+
+
+def test_the_writer_conforms() -> None:
+    check(StacItem(), filename="item.json")
+
+
+def test_a_stac_item_has_the_outline_and_the_accuracy(result: Result, tmp_path: Path) -> None:
+    path = tmp_path / "item.json"
+    export(result, "stac-item", path, href="scene.tif", date="2024-05-31")
+    item = json.loads(path.read_text())
+    stated = statements_of(errors_of(result))
+    assert item["properties"]["accuracy:geometric_rmse"] == pytest.approx(stated.horizontal)
+    assert item["properties"]["datetime"] == "2024-05-31T00:00:00Z"
+    assert item["assets"]["image"]["href"] == "scene.tif"
+    ring = np.array(item["geometry"]["coordinates"][0])
+    assert (ring[0] == ring[-1]).all()
+    x, y = ring[:-1].T
+    assert x @ np.roll(y, -1) - y @ np.roll(x, -1) > 0  # counter-clockwise, as RFC 7946 has it
+    assert item["bbox"] == [*ring.min(axis=0), *ring.max(axis=0)]
+    inside = result.features.points.ground[:, :2]
+    assert (inside >= item["bbox"][:2]).all()
+    assert (inside <= item["bbox"][2:]).all()
+
+
+@pytest.mark.parametrize("date", ["yesterday", "2024-13-01", "1e9"])
+def test_a_date_that_is_none(date: str, result: Result, tmp_path: Path) -> None:
+    with pytest.raises(TermselError, match="cannot be read"):
+        export(result, "stac-item", tmp_path / "item.json", date=date)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_stac_item_is_valid(result: Result, tmp_path: Path) -> None:
+    pystac = pytest.importorskip("pystac")
+    local = pytest.importorskip("pystac.validation.local_validator")
+    path = tmp_path / "item.json"
+    export(result, "stac-item", path, href="scene.tif")
+    item = json.loads(path.read_text())
+    schema = f"https://schemas.stacspec.org/v{item['stac_version']}/item-spec/json-schema/item.json"
+    valid = local.LocalValidator()
+    assert valid._validate_from_local(schema, item) == []
+    assert valid._validate_from_local(schema, {**item, "bbox": [1]}) != []
+    read = pystac.Item.from_file(str(path))
+    assert read.ext.proj.code == "EPSG:4326"
