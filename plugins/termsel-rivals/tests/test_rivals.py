@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 
 pytest.importorskip("termsel_rivals", reason="termsel-rivals is not installed: "
@@ -9,6 +11,7 @@ pytest.importorskip("termsel_rivals", reason="termsel-rivals is not installed: "
 
 import termsel
 from termsel import TermselError
+from termsel.io.result_folder import write_result
 from termsel.plugins.registry import Registry, registry
 from termsel.testing import Check, checks
 from termsel_rivals import AntColony, NestedRegression, TransgenicGA
@@ -53,3 +56,14 @@ def test_nested_regression_of_embedded_scenes(name: str, options: dict[str, obje
     result = termsel.run(name, solver="nested-regression", options=options)
     assert result.feasible
     assert result.evaluations == 1
+
+
+@pytest.mark.parametrize("solver", CHECKS)
+def test_what_is_read_again_is_what_the_run_returned(solver: str, tmp_path: Path) -> None:
+    result = termsel.run("poly-terms", solver=solver, seed=1, evaluations=60,
+                         options={"degree": 2})
+    write_result(result, tmp_path)
+    again = termsel.read_result(tmp_path)
+    assert again.to_json() == result.to_json()
+    assert again.record == result.record
+    assert again.fit.coefficients == result.fit.coefficients
