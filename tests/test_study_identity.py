@@ -13,8 +13,10 @@ import pytest
 
 import termsel
 from termsel import Generation, Solver
+from termsel.files.names import JOURNAL
 from termsel.plugins.registry import registry
 from termsel.studies.cells.identity import made_of
+from termsel.studies.cells.journal import _sum, read_journal
 
 FEW: dict[str, Any] = {"seeds": 1, "budget": {"evaluations": 60}}
 
@@ -84,3 +86,27 @@ def test_what_differs_has_another_checksum_and_what_does_not_the_same(one: Any, 
     assert made_of(one) != made_of(other)
     assert made_of(one) == made_of(one)
     assert made_of(_solver(4)) == made_of(_solver(4))
+
+
+@pytest.mark.parametrize("text", [
+    'solvers = [{name = "swap", label = "a\\u001bb"}]', 'problems = ["a\\u0000b"]',
+    f'solvers = [{{name = "swap", label = "{400 * "x"}"}}]', f"problems = {900 * '['}",
+    f"seeds = {20_000 * '9'}", f"{50_000 * 'a.'}a = 1"])
+def test_labels_and_files_that_no_study_has_are_refused(text: str, tmp_path: Path) -> None:
+    (tmp_path / "study.toml").write_text(text)
+    with pytest.raises(termsel.TermselError, match=r"not a study file|control characters"):
+        termsel.compare(tmp_path / "study.toml")
+
+
+@pytest.mark.parametrize("forged", ['[1]', '"cell"', '{"schema":"termsel-study-1"}',
+                                    '{"schema":"termsel-study-1","versions":[1]}'])
+def test_a_forged_or_flipped_line_costs_itself_alone(forged: str, tmp_path: Path) -> None:
+    asked: dict[str, Any] = {"problems": ["poly-terms"], "solvers": ["random"], "out": tmp_path,
+                             **FEW}
+    rows = termsel.compare(**asked).rows
+    head, line = (tmp_path / JOURNAL).read_text().splitlines()
+    text = f'{{"record":{forged},"sha256":"{_sum(forged)}"}}'
+    for lines in ([head, text, line], [head.replace("schema", "schemb"), line]):
+        (tmp_path / JOURNAL).write_text("\n".join([*lines, ""]))
+        assert "damaged in 1 line" in read_journal(tmp_path).remarks[0]
+        assert termsel.compare(**asked).rows[0]["seconds"] == rows[0]["seconds"]

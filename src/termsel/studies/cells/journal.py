@@ -154,7 +154,7 @@ def read_journal(folder: Path) -> Journal:
         journal.remarks.append(
             f"{journal.path} is damaged in {counted(len(damaged), 'line')}, the first of them "
             f"line {damaged[0]}. Those cells run again.")
-    if content and not journal.versions and not _torn_at_once(lines):
+    if content and not (journal.versions or journal.records) and not _torn_at_once(lines):
         raise TermselError("this is not the journal of a study", file=journal.path,
                            hint="Choose another --out.")
     return journal
@@ -178,7 +178,9 @@ def _opened(line: bytes) -> Mapping[str, Any] | None:
     try:
         whole = json.loads(line)
         record = whole["record"]
-        return record if _sum(_text(record)) == whole["sha256"] else None
+        known = isinstance(record, dict) and (
+            "schema" not in record or isinstance(record.get("versions"), dict))
+        return record if known and _sum(_text(record)) == whole["sha256"] else None
     except (ValueError, TypeError, KeyError, RecursionError):
         return None
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -10,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from termsel.errors import TermselError
+from termsel.errors import TermselError, is_printable
 from termsel.formats.base import read_text
 from termsel.measurements.features import FeatureSet
 from termsel.options import MOST_RUNS, SEED, Configurable
@@ -27,6 +28,9 @@ BUDGETS = {"evaluations": int, "generations": int, "patience": int, "seconds": f
            "timeout": float}
 STRATEGIES = ("auto", "as-asked")
 MEASURES = ("fitness", "check", "independent")
+
+_LONGEST = 200  # characters of a label: charts have no room for more
+_BOMB = re.compile(r"\.(?:[\"'\w \t-]{0,80}\.){100}")  # dotted keys cost the square of their parts
 
 
 @dataclass(frozen=True)
@@ -77,6 +81,10 @@ class Spec:
 def read_spec(file: Path) -> Spec:
     """Return what a study file asks for; what is refused has its line and column."""
     text = read_text(file)
+    no_study = TermselError("this is not a study file: its keys or numbers have no end", file=file,
+                            hint="See how-to/compare in the documentation.")
+    if _BOMB.search(text):
+        raise no_study
     try:
         table = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
@@ -87,6 +95,8 @@ def read_spec(file: Path) -> Spec:
         raise TermselError(f"this is not TOML: {what or place}", file=file, line=line,
                            column=column, hint="See how-to/compare in the documentation."
                            ) from error
+    except (RecursionError, ValueError) as error:  # lists in lists, numbers of 20,000 digits
+        raise no_study from error
     return spec_of(table, places_of(text, file))
 
 
@@ -142,6 +152,9 @@ def _parts(at: Places, kind: str, given: Any) -> tuple[Part, ...]:
     for i, one in enumerate(given):
         path: Keys = (kind, i)
         part = _part(at, path, one)
+        if len(part.label) > _LONGEST or not is_printable(part.label):
+            raise at.error(path, f"the label {part.label!r:.60} has control characters, or more "
+                           f"than {_LONGEST}", "Give a short label of plain text.")
         if any(other.label == part.label for other in found):
             raise at.error(path, f"{kind} has {part.label!r} twice",
                            'Give each its own label: {name = "...", label = "..."}.')
