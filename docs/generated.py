@@ -23,7 +23,7 @@ from termsel.solvers.budget import SEARCH_OPTIONS
 
 OF_EVERY_RUN = {"data": DATA_OPTIONS, "search": SEARCH_OPTIONS}
 OWN = ("termsel", "termsel-block", "termsel-hybrids", "termsel-iiif", "termsel-match",
-       "termsel-rivals", "termsel-rpc", "termsel-standards")
+       "termsel-photos", "termsel-rivals", "termsel-rpc", "termsel-standards")
 """Packages of the repository: others that happen to be installed are not documented here."""
 
 _ONCE = ("RmseByRole", "SelectionRecord", "AdjustmentFigures", "FitRecord", "ScalingNumbers")

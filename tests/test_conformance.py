@@ -23,7 +23,6 @@ from termsel.models.polynomial import (
 )
 from termsel.models.projective import DLT2D, DLT3D, Projective2D
 from termsel.models.quotient import Blocks, RationalModel
-from termsel.models.radial import Radial2D, Radial3D
 from termsel.models.rational import RationalFunctions
 from termsel.problems.base import Inputs
 from termsel.problems.selection import SelectionProblem
@@ -63,8 +62,6 @@ def six_of_twelve() -> SelectionProblem:
 # Held near zero, denominators are not exactly those of lines without noise.
 ORDERS = [{"order": order, "denominators": kind, **({"ridge": 0.0} if kind == "shared" else {})}
           for order in (1, 2, 3) for kind in ("separate", "shared", "none")]
-DISTORTED = {"control_kinds": "distortion bends lines", "axis": "distortion couples the axes",
-             "translation": "the centre of distortion stays", "fit": "drawn distortions fold"}
 SUITES: dict[str, tuple[Check, ...]] = {
     "rfm": checks(RationalFunctions, options=ORDERS),
     "poly2d": checks(Polynomial2D, options=[{"degree": d} for d in (1, 4, 5, 8)]),
@@ -76,8 +73,6 @@ SUITES: dict[str, tuple[Check, ...]] = {
     "helmert2d": checks(Helmert2D),
     "poly2d-by-axis": checks(Polynomial2DByAxis, options=[{}, {"line_x": 0}]),
     "poly3d-by-axis": checks(Polynomial3DByAxis, options=[{}, {"sample_z": 3}]),
-    "radial2d": checks(Radial2D, expected_failures=DISTORTED),
-    "radial3d": checks(Radial3D, expected_failures=DISTORTED),
     "tps": checks(ThinPlate, options=[{}, {"smoothing": 0.0}, {"chosen_by": "gcv"}]),
     "field": checks(Field),
     "field3d": checks(Field3D),

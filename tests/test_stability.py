@@ -72,7 +72,6 @@ def test_independent_points_take_no_part() -> None:
 @pytest.mark.parametrize(("problem", "more", "message"), [
     ("owdis-points", {}, "selects features"), ("owdis-lines-terms", {}, "selects features"),
     ("poly-degree", {}, "selects other values than terms"),
-    ("distortion", {}, "selects other values than terms"),
     ("poly-terms", {"repeats": 1}, "say nothing"), ("poly-terms", {"threshold": 0}, "say nothing")])
 def test_what_it_is_not_for(problem: str, more: dict, message: str) -> None:
     with pytest.raises(termsel.TermselError, match=message):

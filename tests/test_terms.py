@@ -70,9 +70,9 @@ def test_terms_that_cannot_be_are_refused() -> None:
             Term("line", "numerator", exponents)  # type: ignore[arg-type]  # what is refused
 
 
-# The terms cos and sin of helmert2d switch X and Y together; distortions are no monomials.
+# The terms cos and sin of helmert2d switch X and Y together.
 @pytest.mark.parametrize("entry", [entry for entry in Registry([]).entries("models")
-                                   if entry.name not in ("helmert2d", "radial2d", "radial3d")],
+                                   if entry.name != "helmert2d"],
                          ids=lambda entry: entry.name)
 def test_built_in_models_name_monomials(entry) -> None:
     model = entry.object()

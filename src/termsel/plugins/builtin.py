@@ -34,12 +34,10 @@ def termsel_models() -> Iterable[type[SensorModel]]:
         Polynomial3DByAxis,
     )
     from termsel.models.projective import DLT2D, DLT3D, Projective2D
-    from termsel.models.radial import Radial2D, Radial3D
     from termsel.models.rational import RationalFunctions
 
     return [RationalFunctions, Polynomial2D, Polynomial3D, Affine, Projective2D, DLT2D, DLT3D,
-            Helmert2D, ThinPlate, Field, Field3D, Polynomial2DByAxis, Polynomial3DByAxis,
-            Radial2D, Radial3D]
+            Helmert2D, ThinPlate, Field, Field3D, Polynomial2DByAxis, Polynomial3DByAxis]
 
 
 @hookimpl
@@ -102,10 +100,9 @@ def termsel_candidates() -> Iterable[Candidate]:
 def termsel_datasets() -> Iterable[DatasetSpec]:
     """Return the embedded data sets."""
     from termsel.simulate.maps import MAP
-    from termsel.simulate.photos import PHOTO
     from termsel.simulate.scenes import DATASETS, PAPER_SETS
 
-    return [*DATASETS, MAP, PHOTO, *PAPER_SETS]
+    return [*DATASETS, MAP, *PAPER_SETS]
 
 
 @hookimpl

@@ -179,13 +179,6 @@ def select_features(inputs: Inputs) -> Problem:
     return SelectionProblem(inputs, terms=False, features=True)
 
 
-CENTRE = ("centre_line", "centre_sample")
-
-
-def _distortion(inputs: Inputs) -> Problem:
-    return ParameterProblem(inputs, CENTRE, terms=True, mask=inputs.options["mask"])
-
-
 def _degrees(inputs: Inputs) -> Problem:
     own = [option.name for option in inputs.model.declared_options
            if option.name.startswith(("line_", "sample_"))]
@@ -227,9 +220,6 @@ RECIPES = (
            model="rfm", model_options={"order": 2}, dataset="ikonos-hamedan",
            control="lines", options=OF_BOTH, portfolio=True, search_first=True,
            source=YAVARI),
-    Recipe("distortion", "Which terms of a polynomial and of radial distortion to use, and where "
-           "the centre of distortion is.", _distortion, model="radial3d", dataset="aerial-photo",
-           solver="pso", options=(MASK, *TERM_OPTIONS, OBJECTIVES, RECOMMEND)),
     Recipe("poly-degree", "Which degree to use for line and sample in each coordinate.", _degrees,
            model="poly3d-by-axis", dataset="ikonos-hamedan", solver="swap",
            options=(CAP, OBJECTIVES, RECOMMEND)),

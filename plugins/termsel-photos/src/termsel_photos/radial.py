@@ -2,19 +2,25 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
 from typing import Any, ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
-from termsel.adjustment.equations import Equations
-from termsel.adjustment.lines import image_equations
-from termsel.adjustment.monomials import Exponents, graded_exponents, monomials
-from termsel.errors import TermselError
-from termsel.measurements.features import FeatureSet, FloatArray, IntArray
-from termsel.models.base import BOTH, LINE, SAMPLE, SensorModel
-from termsel.models.terms import Term
-from termsel.options import Option
+from termsel import (
+    Equations,
+    FeatureSet,
+    Option,
+    Polynomial2D,
+    Polynomial3D,
+    SensorModel,
+    Term,
+    TermselError,
+    image_equations,
+)
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.intp]
 
 POWERS = (2, 4, 6)
 """Of the distance from the centre of distortion."""
@@ -40,23 +46,24 @@ class Radial(SensorModel):
     takes the place of the collinearity equations, whose rotations and heights it approximates.
     """
 
-    variables: ClassVar[int] = 3
+    polynomial: ClassVar[type[Polynomial2D | Polynomial3D]]
+    """What the image would be without distortion."""
 
     def __init__(self, **options: Any) -> None:
         super().__init__(**options)
-        self._exponents = graded_exponents(int(self.options["degree"]), self.variables)
+        self._plain = self.polynomial(degree=self.options["degree"])
         self._centre = np.array([self.options["centre_line"], self.options["centre_sample"]])
 
     @property
     def terms(self) -> tuple[str, ...]:
         """Names of the terms: monomials of line and sample, then the radial ones."""
-        return _names(self._exponents)
+        return (*self._plain.terms, *(str(Term("both", "radial", str(power))) for power in POWERS))
 
     @property
     def axis(self) -> IntArray:
         """Image axis of each term: the distortion acts on both."""
-        n = len(self._exponents)
-        return np.repeat(np.array([LINE, SAMPLE, BOTH], dtype=np.intp), [n, n, len(POWERS)])
+        both = np.full(len(POWERS), 2, dtype=np.intp)
+        return np.concatenate([self._plain.axis, both])
 
     def equations(self, features: FeatureSet) -> Equations:
         """Return the equations of points, exact in the terms; refuse lines, which distortion bends.
@@ -68,7 +75,9 @@ class Radial(SensorModel):
         away = points.image - self._centre
         squared = (away**2).sum(axis=1)[:, None, None]
         radial = -away[:, :, None] * squared ** (np.array(POWERS) // 2)
-        rows = np.concatenate([self._polynomials(points.ground), radial], axis=2)
+        columns = self._plain.blocks(points.ground).line
+        plain = np.einsum("ab,ne->nabe", np.eye(2), columns).reshape(len(columns), 2, -1)
+        rows = np.concatenate([plain, radial], axis=2)
         return image_equations(features, rows, np.zeros((0, 2, rows.shape[2])),
                                heights=self.uses_height)
 
@@ -78,8 +87,8 @@ class Radial(SensorModel):
         The polynomials give undistorted places; those that the lens images there follow by Newton's
         method along the radius. Where none does, the place is NaN.
         """
-        n = 2 * len(self._exponents)
-        ideal = np.einsum("nak,...k->...na", self._polynomials(ground), coefficients[..., :n])
+        n = len(self._plain.terms)
+        ideal = self._plain.project(coefficients[..., :n], ground)
         away = ideal - self._centre
         squared = (away**2).sum(axis=-1)
         # With m - c = s (P - c): s (1 + k1 (s r)^2 + ...) = 1.
@@ -101,18 +110,6 @@ class Radial(SensorModel):
                                     for kp, p in zip(k, POWERS, strict=True)) > 0
         return np.asarray(self._centre + np.where(imaged, s, np.nan)[..., None] * away)
 
-    def _polynomials(self, ground: FloatArray) -> FloatArray:
-        """Return the monomials as rows of line and sample, shape (n, 2, 2 e)."""
-        columns = monomials(ground, self._exponents)
-        return np.asarray(np.einsum("ab,ne->nabe", np.eye(2), columns).reshape(
-            len(ground), 2, 2 * columns.shape[1]))
-
-
-@lru_cache
-def _names(exponents: Exponents) -> tuple[str, ...]:
-    return (*(str(Term(axis, "numerator", e)) for axis in ("line", "sample") for e in exponents),
-            *(str(Term("both", "radial", str(power))) for power in POWERS))
-
 
 def _options(degree: int, most: int) -> tuple[Option, ...]:
     return (Option("degree", degree, "Total degree of the polynomials.", int, 1, most),
@@ -128,7 +125,7 @@ class Radial2D(Radial):
 
     name = "radial2d"
     uses_height = False
-    variables = 2
+    polynomial = Polynomial2D
     declared_options = _options(2, 8)
 
 
@@ -141,4 +138,5 @@ class Radial3D(Radial):
     """
 
     name = "radial3d"
+    polynomial = Polynomial3D
     declared_options = _options(2, 5)

@@ -9,9 +9,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from termsel.measurements.datasets import DatasetSpec
-from termsel.measurements.features import FeatureSet, FloatArray, Points, no_lines
-from termsel.measurements.roles import ASSIGNABLE
+from termsel import DatasetSpec, FeatureSet, Points
+from termsel_photos.radial import FloatArray
+
+ROLES = ("control", "check", "independent")
 
 NAME = "aerial-photo"
 CRS = "EPSG:32633"
@@ -54,10 +55,10 @@ def photo() -> FeatureSet:
     inside = ((image > 40) & (image < np.array(SIZE) - 40)).all(axis=1)
     ground, image = ground[inside][:_POINTS], image[inside][:_POINTS]
     image = image + NOISE * rng.standard_normal(image.shape)
-    roles = tuple(ASSIGNABLE[i % 3] for i in range(len(image)))
+    roles = tuple(ROLES[i % 3] for i in range(len(image)))
     points = Points(tuple(f"A{i + 1:03d}" for i in range(len(image))), image,
                     ground + np.array([*ORIGIN, 0.0]), None, roles)
-    return FeatureSet(points, no_lines(), CRS, SIZE, NOISE)
+    return FeatureSet(points, crs=CRS, image_size=SIZE, noise=NOISE)
 
 
 def seen(ground: FloatArray) -> FloatArray:

@@ -1,0 +1,19 @@
+"""The search for the centre of distortion."""
+
+from __future__ import annotations
+
+from termsel import Inputs, ParameterProblem, Problem, Recipe, term_options
+
+CENTRE = ("centre_line", "centre_sample")
+
+
+def centre_and_terms(inputs: Inputs) -> Problem:
+    """Return the selection of terms together with the centre of distortion."""
+    return ParameterProblem(inputs, CENTRE, terms=True, mask=inputs.options["mask"])
+
+
+RECIPE = Recipe(
+    "distortion", "Which terms of a polynomial and of radial distortion to use, and where the "
+    "centre of distortion is.", centre_and_terms, model="radial3d", dataset="aerial-photo",
+    solver="pso",
+    options=tuple(one for one in term_options() if one.name != "mixed"))  # distortion bends lines
