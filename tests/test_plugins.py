@@ -224,6 +224,16 @@ BROKEN = {
     "leaves by an exception of its own": ("""
         class Away(BaseException): pass
         raise Away('far')""", "cannot be imported: Away: far"),
+    "leaves by an exception without a message": ("""
+        class Away(BaseException):
+            def __str__(self): raise ValueError
+        raise Away""", "cannot be imported: Away: <exception str() failed>"),
+    "leaves as if interrupted": ("raise KeyboardInterrupt", "imported: KeyboardInterrupt"),
+    "leaves as if closed": ("raise GeneratorExit", "cannot be imported: GeneratorExit"),
+    "hook that leaves as if interrupted": ("""
+        from termsel import hookimpl
+        @hookimpl
+        def termsel_models(): raise KeyboardInterrupt""", "termsel_models: KeyboardInterrupt"),
     "hook that leaves": ("""
         from termsel import hookimpl
         class Away(BaseException): pass
@@ -571,18 +581,32 @@ def test_what_took_too_long_once_is_not_asked_again(install, registry, monkeypat
     ("METADATA", bytes(range(256)), "its METADATA is missing or cannot be read"),
     ("entry_points.txt", bytes(range(256)), "its entry_points.txt cannot be read: Unicode"),
     ("entry_points.txt", b"[termsel]\nx = 1 + 1\n", "its entry_points.txt cannot be read")])
-def test_unreadable_metadata_are_named(install, tmp_path, monkeypatch, file, content, said):
+def test_unreadable_metadata_are_named(install, tmp_path, only, call, file, content, said):
     install("ruined-one", MODEL.format(name="x"))
     place = tmp_path / "ruined_one-1.0.dist-info"
     (place / file).unlink()
     if content is not None:
         (place / file).write_bytes(content)
-    monkeypatch.setenv("TERMSEL_PLUGINS", "ruined-one")
-    names = Registry()
-    assert names.names("models") == Registry([]).names("models")
-    (failure,) = names.failures()
-    assert failure.distribution == "ruined-one"
-    assert said in failure.what
+    only("ruined-one")
+    assert process_registry().names("models") == Registry([]).names("models")
+    (ruined,) = json.loads(call("plugins", "--json").stdout)[1:]
+    assert (ruined["distribution"], ruined["status"], ruined["requires"]) == (
+        "ruined-one", "broken", "")
+    assert said in ruined["reasons"][0]
+
+
+def test_only_a_module_that_names_the_listener_is_asked_after_a_run(install, registry):
+    install("a-listener", """
+        from termsel import hookimpl
+        heard = []
+        @hookimpl
+        def termsel_run_finished(result): heard.append(result)""")
+    install("b-silent", "raise AssertionError('it costs every run')")
+    names = registry()
+    names.notify_run_finished("result")
+    assert sys.modules["a_listener"].heard == ["result"]
+    assert "b_silent" not in sys.modules
+    assert "it costs every run" in names.failures("models")[0].what
 
 
 def test_a_run_of_built_in_things_imports_no_plugin(install, monkeypatch, tmp_path):

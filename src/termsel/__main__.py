@@ -34,13 +34,13 @@ def report_fault(
     """
     if issubclass(kind, KeyboardInterrupt):
         leave()
-    from termsel.errors import cut, printable
+    from termsel.errors import cut, printable, raised
     from termsel.version import __version__
 
     if os.environ.get("TERMSEL_DEBUG") == "1":
         sys.__excepthook__(kind, error, trace)
-    what = " ".join(f"{kind.__name__}: {error}".split()).rstrip(".: ")
-    print(printable(FAULT.format(what=cut(what, 1000), version=__version__)), file=sys.stderr)
+    what = cut(raised(error).rstrip("."), 1000)
+    print(printable(FAULT.format(what=what, version=__version__)), file=sys.stderr)
 
 
 def open_streams() -> None:

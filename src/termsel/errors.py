@@ -6,6 +6,7 @@ import unicodedata
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from difflib import get_close_matches
+from traceback import TracebackException
 
 _KEPT = frozenset("\u200c\u200d")
 """Joiners within words of some scripts."""
@@ -117,6 +118,13 @@ def unknown_name(kind: str, name: str, known: Iterable[str], hint: str = "") -> 
               else f"No {kind} is known here.")
     return TermselError(f"unknown {kind} {name!r}", hint=f"{guess}{listed} {hint}".strip(),
                         name=name)
+
+
+def raised(error: BaseException) -> str:
+    """Return type and message of an exception in one line."""
+    # Not str(error), which may itself raise in an exception of a plugin.
+    message = str(TracebackException(type(error), error, None))
+    return " ".join(f"{type(error).__name__}: {message}".split()).rstrip(": ")
 
 
 def percent(share: float) -> str:

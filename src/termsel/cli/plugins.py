@@ -78,12 +78,12 @@ def plugins(as_json: bool, timed: bool) -> None:
 def _required(plugin: Plugin) -> str:
     """Return the versions of termsel that a plugin's package states to need; "" where it does not.
     """
-    from importlib.metadata import PackageNotFoundError, requires
+    from importlib.metadata import requires
 
-    try:
-        requirements = requires(plugin.distribution) or []
-    except PackageNotFoundError:  # named in TERMSEL_PLUGINS, or a module without metadata
-        return ""
+    from termsel.plugins.loading import attempt
+
+    # None where it is not installed, or without metadata that can be read.
+    requirements = attempt(lambda: requires(plugin.distribution))[0] or []
     # Extras may follow the name, and a condition the versions: "termsel[gis]>=0.3 ; ...".
     stated = (re.match(r"termsel\s*(?:\[[^]]*])?\s*\(?([<>=!~][^;)]*)", requirement, re.IGNORECASE)
               for requirement in requirements)

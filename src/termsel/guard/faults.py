@@ -13,7 +13,7 @@ from importlib.metadata import PackageNotFoundError, packages_distributions, ver
 from types import TracebackType
 from typing import Any
 
-from termsel.errors import TermselError
+from termsel.errors import TermselError, raised
 from termsel.guard.inside import Inside, is_marked
 
 OWN = "termsel"
@@ -92,8 +92,7 @@ def blamed(thing: Any, method: str, hint: str = HINT) -> Iterator[None]:
             yield
     # A plugin may raise anything at all, even leave the program.
     except BaseException as error:
-        if (isinstance(error, KeyboardInterrupt | GeneratorExit) or is_own(type(error))
-                or is_marked(error)):
+        if isinstance(error, KeyboardInterrupt) or is_own(type(error)) or is_marked(error):
             raise
         raise failed(error, f"{name_of(thing)} failed in {method}()", package, hint) from error
 
@@ -103,8 +102,7 @@ def failed(error: BaseException, what: str, package: str, hint: str = HINT) -> P
     if os.environ.get("TERMSEL_DEBUG") == "1":
         traceback.print_exc()
     file, line = _raised(error.__traceback__, package)
-    raised = f"{type(error).__name__}: {' '.join(str(error).split())}".rstrip(": ")
-    return PluginFault(f"{what}: {raised}", file=file, line=line, hint=hint)
+    return PluginFault(f"{what}: {raised(error)}", file=file, line=line, hint=hint)
 
 
 def _raised(trace: TracebackType | None, package: str) -> tuple[str | None, int | None]:

@@ -17,7 +17,7 @@ from typing import Any, TypeVar
 
 import pluggy
 
-from termsel.errors import unknown_name
+from termsel.errors import raised, unknown_name
 from termsel.guard.faults import OWN, distribution_of, remember
 from termsel.guard.inside import Inside, Surroundings, TooSlow, within
 from termsel.plugins import builtin, hookspecs
@@ -33,6 +33,9 @@ LIMIT = 30.0
 
 SOON = 5.0
 """Seconds after which a message names the plugin that is waited for."""
+
+LISTENER = f"{PROJECT}_run_finished"
+"""The hook that is called after every run."""
 
 HOOKS = tuple(name for name in vars(hookspecs) if name.startswith(f"{PROJECT}_"))
 """Names of all hooks."""
@@ -74,21 +77,26 @@ def attempt(call: Callable[[], T], package: str = OWN, seconds: float | None = N
     what it raises. The package is the top-level module of the plugin; what belongs to termsel is
     called as it is. Returned are the value and None, or None and what was raised.
     """
+    def contained() -> tuple[T, None] | tuple[None, str]:
+        try:
+            return call(), None
+        # A plugin may raise anything at all, even leave the program while it is imported, and
+        # must not take termsel or another plugin with it. This is the one place for that.
+        except BaseException as error:
+            # Ctrl-C interrupts the thread that waits, never that of a plugin.
+            if package == OWN and isinstance(error, KeyboardInterrupt):
+                raise
+            if os.environ.get("TERMSEL_DEBUG") == "1":
+                traceback.print_exc()
+            return None, raised(error)
+
     limit = LIMIT if seconds is None else seconds
     try:
         with Surroundings(), Inside(package):
-            return (call() if package == OWN else
-                    within(limit, call, soon=SOON, tell=partial(_tell, package))), None
+            return contained() if package == OWN else within(
+                limit, contained, soon=SOON, tell=partial(_tell, package))
     except TooSlow:
         return None, f"it takes more than {limit:g} s"
-    except (KeyboardInterrupt, GeneratorExit):
-        raise
-    # A plugin may raise anything at all, even leave the program while it is imported, and
-    # must not take termsel or another plugin with it. This is the one place for that.
-    except BaseException as error:  # noqa: BLE001
-        if os.environ.get("TERMSEL_DEBUG") == "1":
-            traceback.print_exc()
-        return None, f"{type(error).__name__}: {' '.join(str(error).split())}"
 
 
 def _tell(package: str) -> None:
@@ -232,10 +240,12 @@ def hooks_in_source(point: EntryPoint) -> Callable[[str], bool]:
         return "" if point.attr else _source(point.module)
 
     def may_have(hook: str) -> bool:
-        # A hook can only be left out where the source of the module is there, names another hook,
-        # and takes no names from elsewhere by ``*``.
+        # A hook can only be left out where the source of the module is there and takes no names
+        # from elsewhere by ``*``. A source without names of hooks may make them, yet only those
+        # that are asked for by name: every run would wait for a listener.
         text = source()
-        return hook in text or "import *" in text or not any(name in text for name in HOOKS)
+        return (hook in text or "import *" in text or not text
+                or (hook != LISTENER and not any(name in text for name in HOOKS)))
 
     return may_have
 

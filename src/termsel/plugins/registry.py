@@ -18,7 +18,7 @@ from termsel.plugins.calling import call, listed
 from termsel.plugins.commands import COMMANDS
 from termsel.plugins.hookspecs import PROJECT
 from termsel.plugins.kinds import KINDS, summary
-from termsel.plugins.loading import Loader, Plugin, Remark, Slot, attempt, canonical
+from termsel.plugins.loading import LISTENER, Loader, Plugin, Remark, Slot, attempt, canonical
 
 if TYPE_CHECKING:
     import click
@@ -191,11 +191,10 @@ class Registry:
 
     def notify_run_finished(self, result: Result) -> None:
         """Give every plugin that asks for it a copy of a finished run; warn of those that fail."""
-        hook = f"{PROJECT}_run_finished"
-        answers = call(hook, self._loader.slots_of(hook), _nothing,
+        answers = call(LISTENER, self._loader.slots_of(LISTENER), _nothing,
                        {"result": lambda _plugin: deepcopy(result)}, HEARD)
         for plugin, reason in answers.faults:
-            print(printable(f"Warning: {plugin.remark(f'{hook}: {reason}')}"), file=sys.stderr)
+            print(printable(f"Warning: {plugin.remark(f'{LISTENER}: {reason}')}"), file=sys.stderr)
 
     def _collect(self, kind: str) -> Provided:
         """Return what is provided of a kind, asking plugins once."""
