@@ -35,7 +35,7 @@ from termsel.solvers.heuristics.pso import BinarySwarm
 from termsel.solvers.heuristics.swap import Swap
 from termsel.solvers.heuristics.yardsticks import AllTerms, RandomSearch
 from termsel.solvers.proofs.exact import Exact
-from termsel.solvers.regression.ridge_lasso import Lasso, Ridge
+from termsel.solvers.regression.ridge import Ridge
 from termsel.solvers.regression.stepwise import Stepwise, TTest
 from termsel.testing import Check, check, checks
 
@@ -89,7 +89,7 @@ SUITES: dict[str, tuple[Check, ...]] = {
     "exact": checks(Exact, expected_failures={"any_problem": "it needs parts to walk"}),
     **{solver.name: checks(solver) for solver in (Nsga2, AgeMoea2, SmsEmoa, Spea2)},
     **{solver.name: checks(solver, expected_failures=NEEDS_COLUMNS)
-       for solver in (Stepwise, TTest, Lasso, Ridge)},
+       for solver in (Stepwise, TTest, Ridge)},
     "random": checks(RandomSearch, expected_failures=NO_SEARCH),
     "all-terms": checks(AllTerms, expected_failures=NO_SEARCH),
     "check-rmse": checks(CheckRmse),

@@ -133,7 +133,7 @@ def capped(problem: str = "poly-terms", **options: object) -> SelectionProblem:
 
 @pytest.mark.parametrize(("solver", "share"), [
     (None, 2 / 3), ("exact", 2 / 3), ("nsga2", 2 / 3), ("ga", 2 / 3), ("ica", 2 / 3),
-    ("lasso", 2 / 3), ("all-terms", 1.0), ("ridge", 1.0)])
+    ("stepwise", 2 / 3), ("all-terms", 1.0), ("ridge", 1.0)])
 def test_all_solvers_have_the_same_cap_but_those_that_use_all(
         solver: str | None, share: float) -> None:
     task = termsel.prepare("poly-terms", solver=solver)

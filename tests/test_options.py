@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -38,8 +40,16 @@ def test_what_is_no_number(value: object) -> None:
         Option("ridge", 0.5, "A number.", float).parse(value)
 
 
+class FoldedSearch(termsel.GeneticAlgorithm):
+    """A search that has an option of a criterion, too."""
+
+    name = "folded"
+    declared_options = (*termsel.GeneticAlgorithm.declared_options,
+                        Option("folds", 5, "Folds.", int, 2))
+
+
 def test_an_option_of_two_parts_is_addressed_by_one() -> None:
-    asked = {"solver": "lasso", "criterion": "kfold"}
+    asked: dict[str, Any] = {"solver": FoldedSearch, "criterion": "kfold"}
     with pytest.raises(TermselError,
                        match="criterion and solver each have an option 'folds'") as refused:
         termsel.prepare("poly-terms", **asked, options={"folds": 3})

@@ -106,7 +106,7 @@ PATHS = {
     "knee": ("rfm-terms", {"solver": "nsga2", "options": {**SMALL, "recommend": "knee"},
                            "generations": 4}),
     "exact": ("poly-terms", {"solver": "exact", "options": {"degree": 3, "recommend": "ebic"}}),
-    "lasso": ("rfm-terms", {"solver": "lasso"}),
+    "stepwise": ("rfm-terms", {"solver": "stepwise"}),
     "ridge": ("rfm-terms", {"solver": "ridge"}),
     "shrink": ("poly-terms", {"solver": "ga", "options": {**SMALL, "shrink": True},
                               "generations": 3}),

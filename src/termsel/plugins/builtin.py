@@ -79,13 +79,13 @@ def termsel_solvers() -> Iterable[type[Solver]]:
     from termsel.solvers.heuristics.swap import Swap
     from termsel.solvers.heuristics.yardsticks import AllTerms, RandomSearch
     from termsel.solvers.proofs.exact import Exact
-    from termsel.solvers.regression.ridge_lasso import Lasso, Ridge
+    from termsel.solvers.regression.ridge import Ridge
     from termsel.solvers.regression.stepwise import Stepwise, TTest
 
     return [Deap, Pymoo, GeneticAlgorithm, CorrelationSeededGA, SteadyStateGA,
             ImperialistCompetition, BinarySwarm,
             Nsga2, AgeMoea2, SmsEmoa, Spea2, Exact, Swap, RandomSearch, AllTerms,
-            Stepwise, TTest, Lasso, Ridge]
+            Stepwise, TTest, Ridge]
 
 
 @hookimpl

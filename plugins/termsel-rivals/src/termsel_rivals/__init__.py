@@ -7,16 +7,17 @@ from typing import TYPE_CHECKING
 
 from termsel import hookimpl
 from termsel_rivals.colony import AntColony
+from termsel_rivals.lasso import Lasso
 from termsel_rivals.nested import NestedRegression
 from termsel_rivals.transgenic import TransgenicGA
 
 if TYPE_CHECKING:
     from termsel import Solver
 
-__all__ = ["AntColony", "NestedRegression", "TransgenicGA"]
+__all__ = ["AntColony", "Lasso", "NestedRegression", "TransgenicGA"]
 
 
 @hookimpl
 def termsel_solvers() -> Iterable[type[Solver]]:
     """Return the solvers of this package."""
-    return [AntColony, NestedRegression, TransgenicGA]
+    return [AntColony, Lasso, NestedRegression, TransgenicGA]

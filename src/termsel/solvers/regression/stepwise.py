@@ -25,6 +25,16 @@ EXPLAINED = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
+class Standardised:
+    """A regression without the columns that are not penalised, the others at unit length."""
+
+    # (m, j): orthogonal to the unpenalised ones; 0 for columns that depend on those.
+    columns: FloatArray
+    target: FloatArray  # (m, r): orthogonal to the unpenalised ones as well
+    lengths: FloatArray  # (j,): lengths of the columns before they were brought to unit length
+
+
+@dataclass(frozen=True, eq=False)
 class Regression:
     """The control rows of one part: columns to choose from, and their targets.
 
@@ -54,6 +64,21 @@ class Regression:
     def explained(self, square: float) -> bool:
         """Return whether a residual sum of squares is rounding error."""
         return bool(square <= (EXPLAINED * np.linalg.norm(self.target)) ** 2)
+
+    def standardised(self, penalised: BoolArray, others: BoolArray, rows: BoolArray | None = None,
+                     ) -> Standardised:
+        """Return penalised columns (k,) and target orthogonal to other columns (k,).
+
+        The others are independent ones, such as the constant. Only some rows (m,), if given.
+        """
+        here = slice(None) if rows is None else rows
+        columns, target = self.columns[here][:, penalised], self.target[here]
+        q = np.linalg.qr(self.columns[here][:, others])[0]
+        rest = columns - q @ (q.T @ columns)
+        lengths = np.linalg.norm(rest, axis=0)
+        live = lengths > TOLERANCE * np.linalg.norm(columns, axis=0)
+        lengths = np.where(live, lengths, np.inf)  # a column that depends on those becomes 0
+        return Standardised(rest / lengths, target - q @ (q.T @ target), lengths)
 
     def freedom(self, chosen: BoolArray) -> int:
         """Return the degrees of freedom of the adjustment with the chosen columns."""

@@ -1,49 +1,18 @@
-"""Baselines that shrink coefficients: the lasso also drops terms, ridge keeps them all."""
+"""The lasso: terms that survive an L1 penalty."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy import linalg
 
-from termsel.adjustment.ridge import Spectrum, choose_penalty
-from termsel.adjustment.solve import TOLERANCE
-from termsel.measurements.features import BoolArray, FloatArray, IntArray
-from termsel.options import COUNT, Option
-from termsel.problems.base import Problem
-from termsel.solvers.base import Generation, Solver
-from termsel.solvers.regression.stepwise import (
-    EXPLAINED,
-    Regression,
-    TermRegression,
-    generation_of,
-    regressions,
-)
+from termsel import Option, Regression, TermRegression
+from termsel_rivals.arrays import BoolArray, FloatArray, IntArray
+from termsel_rivals.nested import DEPENDENT
 
-
-@dataclass(frozen=True, eq=False)
-class Standardised:
-    """A regression without the columns that are not penalised, the others at unit length."""
-
-    # (m, j): orthogonal to the unpenalised ones; 0 for columns that depend on those.
-    columns: FloatArray
-    target: FloatArray  # (m, r): orthogonal to the unpenalised ones as well
-    lengths: FloatArray  # (j,): lengths of the columns before they were brought to unit length
-
-
-def standardise(columns: FloatArray, target: FloatArray, unpenalised: FloatArray) -> Standardised:
-    """Return columns (m, j) and target (m, r) orthogonal to the unpenalised columns (m, u).
-
-    These are independent ones, such as the constant.
-    """
-    q = np.linalg.qr(unpenalised)[0]
-    rest = columns - q @ (q.T @ columns)
-    lengths = np.linalg.norm(rest, axis=0)
-    live = lengths > TOLERANCE * np.linalg.norm(columns, axis=0)
-    lengths = np.where(live, lengths, np.inf)  # a column that depends on those becomes 0
-    return Standardised(rest / lengths, target - q @ (q.T @ target), lengths)
+EXPLAINED = 1e-12
+"""Share of the largest penalty below which only rounding is left."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +37,7 @@ def lasso_path(columns: FloatArray, target: FloatArray, most: int) -> list[PathP
     """
     k, r = columns.shape[1], target.shape[1]
     x = np.zeros((k, r))
-    least = TOLERANCE * np.linalg.norm(columns, axis=0)
+    least = DEPENDENT * np.linalg.norm(columns, axis=0)
     lengths = np.linalg.norm(columns.T @ target, axis=1)
     top = penalty = float(lengths.max(initial=0.0))
     pieces: list[PathPiece] = []
@@ -146,7 +115,7 @@ class Lasso(TermRegression):
     name = "lasso"
     declared_options = (
         Option("folds", 10, "Folds of the cross-validation; at most as many as control rows.",
-               int, 2, COUNT),
+               int, 2, 2**31 - 1),
     )
 
     def choose(self, part: Regression) -> BoolArray:
@@ -165,8 +134,7 @@ class Lasso(TermRegression):
 
 def _path(part: Regression, rows: BoolArray) -> list[PathPiece]:
     """Return the path of the free columns over some of the rows."""
-    unit = part.unit[rows]
-    standard = standardise(unit[:, part.free], part.target[rows], unit[:, part.kept])
+    standard = part.standardised(part.free, part.kept, rows)
     # A redundancy of 1 is left within a fold, too.
     room = min(part.most, int(rows.sum()) - 1) - int(part.kept.sum())
     return lasso_path(standard.columns, standard.target, room)
@@ -189,78 +157,9 @@ def _squares_left_out(part: Regression, rows: BoolArray, penalties: FloatArray) 
     choices = [part.kept, *(_selection(part, piece) for piece in path)]
     squares = []
     for chosen in choices:
-        x = np.linalg.lstsq(unit[np.ix_(rows, chosen)], part.target[rows], rcond=TOLERANCE)[0]
+        x = np.linalg.lstsq(unit[np.ix_(rows, chosen)], part.target[rows], rcond=DEPENDENT)[0]
         squares.append(((part.target[~rows] - unit[np.ix_(~rows, chosen)] @ x) ** 2).sum())
     # Before the first piece nothing free is in use; below the last the path is not known.
     above = np.array([piece.above for piece in path])
     number = (above[None] >= penalties[:, None] * np.sqrt(rows.mean())).sum(axis=1)
     return np.asarray(np.array(squares)[number])
-
-
-class Ridge(Solver):
-    """Ridge regression: all terms stay, their coefficients are shrunk.
-
-    Hoerl, Kennard 1970; for RPCs Tao, Hu 2001, PE&RS 67(12), p. 1347, with the L-curve Zhou
-    et al. 2018, ISPRS Archives XLII-3. Minimises |y - A x|^2 + penalty^2 |x|^2 for line and
-    sample each with its own penalty, chosen on the control rows alone: the least generalised
-    cross-validation (Golub, Heath, Wahba 1979), or the corner of the L-curve, its point of
-    largest curvature (Hansen, O'Leary 1993). termsel's own choices: columns have unit length
-    once the constant is taken out, and the constant is not penalised; the equations are the
-    linearised ones, not reweighted.
-
-    Genes do not express how much a coefficient is shrunk, so the details of the generation hold
-    the coefficients, in the order of the model's terms and for scaled coordinates. The
-    generation's evaluation is that of all terms without a penalty. With fewer equations than
-    terms GCV tends to no penalty at all, and the L-curve has no true corner, since nothing
-    bounds the residuals from below.
-    """
-
-    name = "ridge"
-    uses_chance = False
-    ends_by_itself = True
-    uses_all = True
-    declared_options = (
-        Option("choice", "gcv", "Choice of the penalty: generalised cross-validation, or the "
-                                "corner of the L-curve.", choices=("gcv", "l-curve")),
-    )
-
-    def generations(self, problem: Problem, rng: np.random.Generator) -> Iterator[Generation]:
-        """Yield all terms, with their coefficients (see `Solver.generations`)."""
-        parts = regressions(problem)
-        generation = generation_of(problem, parts, [part.free | part.kept for part in parts], rng)
-        coefficients = np.zeros((parts[0].target.shape[1], problem.genome.size))
-        penalties = []
-        for part in parts:
-            on = generation.genes[0, part.genes]
-            coefficients[:, part.genes], penalty = shrink(part, on, self.options["choice"])
-            penalties.append(penalty)
-        # With one mask for both axes, the line's coefficients come before the sample's.
-        yield replace(generation, details={"coefficients": coefficients.ravel(),
-                                           "penalties": tuple(penalties)})
-
-
-def shrink(part: Regression, on: BoolArray, choice: str) -> tuple[FloatArray, float]:
-    """Return ridge coefficients (r, k) of the columns that are on, and their penalty.
-
-    The penalty, chosen by "gcv" or "l-curve", is for columns of unit length.
-    """
-    penalised, constant = on & ~part.constant, on & part.constant
-    lead = part.columns[:, constant]
-    standard = standardise(part.columns[:, penalised], part.target, lead)
-    u, s, vt = np.linalg.svd(standard.columns, full_matrices=False)
-    live = s > TOLERANCE * s.max(initial=0.0)
-    u, s, vt = u[:, live], s[live], vt[live]
-    inner = u.T @ standard.target
-    x = np.zeros((len(on), part.target.shape[1]))
-    penalty = 0.0
-    if len(s):
-        # A target that is explained leaves rounding, which must not choose the penalty.
-        outside = float(((standard.target - u @ inner) ** 2).sum())
-        spectrum = Spectrum(s, np.linalg.norm(inner, axis=1),
-                            0.0 if part.explained(outside) else outside,
-                            len(standard.target) - lead.shape[1])
-        penalty = choose_penalty(spectrum, choice)
-        x[penalised] = (vt.T @ ((s / (s**2 + penalty**2))[:, None] * inner)
-                        / standard.lengths[:, None])
-    x[constant] = np.linalg.lstsq(lead, part.target - part.columns @ x)[0]
-    return x.T, penalty
