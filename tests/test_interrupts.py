@@ -36,7 +36,7 @@ from termsel.files.atomic import write_text
 from termsel.files.rasters import tiff_bytes
 from termsel.formats.writers.grids import GeolocationVrt
 from termsel.formats.writers.residuals import ResidualsGeopackage
-from termsel.io.result_folder import claim_folder, read_result, write_result
+from termsel.io.result_folder import claimed, read_result, write_result
 from termsel.testing import example_results
 
 WAYS = {"SIGKILL": "-9", "SIGTERM": "-15", "SIGINT": "interrupted", "ENOSPC": "refused",
@@ -79,8 +79,8 @@ def scenarios() -> dict[str, Scenario]:
     of_result = frozenset({"result.json", "residuals.csv", "summary.txt", "points.csv"})
 
     def run(result: Any, folder: Path) -> None:
-        claim_folder(folder, overwrite=True)
-        write_result(result, folder)
+        with claimed(folder, overwrite=True):
+            write_result(result, folder)
 
     def result_in(folder: Path) -> str:
         known = {old.to_json(): "old", new.to_json(): "new"}

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
 import termsel
+from termsel.errors import TermselError
 from termsel.measurements.features import FeatureSet, Points
 from termsel.record.base import plain
 from termsel.simulate import simulate_scene
@@ -305,3 +308,38 @@ def test_linear_algebra_keeps_to_one_thread() -> None:
         assert threads() == {2}
     assert seen
     assert all(one == {1} for one in seen)
+
+
+def test_one_run_at_a_time_works_in_a_folder(tmp_path: Path) -> None:
+    """Another one is refused with the process that is at work there, whatever it may replace."""
+    refused = []
+
+    def again(_progress: object) -> None:
+        for overwrite in (False, True):
+            with pytest.raises(TermselError, match=rf"process {os.getpid()} on .* is at work in "
+                                                   "this folder") as caught:
+                quick("poly-terms", out=tmp_path, overwrite=overwrite)
+            refused.append(caught.value)
+
+    first = quick("poly-terms", out=tmp_path, observers=[again])
+    assert refused
+    assert termsel.read_result(tmp_path).evaluations == first.evaluations
+    assert {path.name for path in tmp_path.iterdir()} == {
+        "result.json", "residuals.csv", "summary.txt", "points.csv"}
+    with pytest.raises(TermselError, match="there is a result in this folder already"):
+        quick("poly-terms", out=tmp_path)
+
+
+def test_runs_that_begin_together_have_one_winner(tmp_path: Path) -> None:
+    runs = [subprocess.Popen(
+        [sys.executable, "-m", "termsel", "run", "--problem", "poly-terms", "--strategy",
+         "as-asked", "--solver", "random", "--evaluations", "60", "--seed", str(seed), "--out",
+         "out", "--json"], cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+        text=True) for seed in (1, 2, 3)]
+    ended = [(one.communicate(timeout=120), one.returncode) for one in runs]
+    assert sorted(code for _, code in ended) == [0, 2, 2], ended
+    for (out, err), code in ended:
+        if code:
+            assert "is at work in this folder" in err or "a result in this folder already" in err
+        else:
+            assert json.loads(out)["seed"] == termsel.read_result(tmp_path / "out").seed

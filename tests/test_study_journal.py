@@ -20,11 +20,11 @@ import pytest
 
 import termsel
 from termsel import TermselError
+from termsel.files.lock import holder, locked
 from termsel.files.names import JOURNAL
 from termsel.studies.cells.cell import Cell
 from termsel.studies.cells.folder import PLAN
 from termsel.studies.cells.journal import CellRecord, Journal, read_journal
-from termsel.studies.cells.lock import holder, locked
 from termsel.studies.cells.table import TIMES
 from termsel.studies.execution.executors import DIED, processes, serial
 from termsel.studies.plan.data import Data

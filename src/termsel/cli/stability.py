@@ -50,7 +50,7 @@ def stability(repeats: int, threshold: float, **given: Any) -> None:
 
     from termsel.files.atomic import write_text
     from termsel.io.replacing import require_replaceable
-    from termsel.io.result_folder import claim_folder
+    from termsel.io.result_folder import claimed
     from termsel.runs import stability as module
     from termsel.runs.run import problem_for
 
@@ -58,7 +58,7 @@ def stability(repeats: int, threshold: float, **given: Any) -> None:
     if asked.out is not None:
         require_replaceable([asked.out / "stability.json"], reads=asked.reads,
                             overwrite=asked.overwrite)
-        claim_folder(asked.out, overwrite=asked.overwrite)
+        click.get_current_context().with_resource(claimed(asked.out, overwrite=asked.overwrite))
     if asked.strategy == "auto":
         echo("Note: the strategy auto searches for no terms. Each repetition runs the problem's "
              "solver instead.", err=True)

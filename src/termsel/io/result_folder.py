@@ -6,10 +6,13 @@ import csv
 import io
 import os
 import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from termsel.errors import TermselError
 from termsel.files.atomic import encoded, private_folder, put_in_place, sync, write_bytes
+from termsel.files.lock import locked
 from termsel.files.names import JOURNAL, is_there
 from termsel.formats.base import located, parse_json, read_text
 from termsel.formats.readers.csv_tables import LinesCsv, PointsCsv, lines_text, points_text
@@ -44,11 +47,13 @@ def names_of(features: FeatureSet) -> tuple[str, ...]:
             *[LINES] * bool(len(features.lines)))
 
 
-def claim_folder(folder: Path, *, overwrite: bool = False) -> None:
-    """Make the folder, or refuse it before a long search.
+@contextmanager
+def claimed(folder: Path, *, overwrite: bool = False) -> Iterator[None]:
+    """Make the folder and keep other processes out of it, or refuse it before a long search.
 
-    Refused is one that cannot be made or written to, is that of a study, or has a result that may
-    not be replaced, or files that would be replaced and are not those of a result.
+    Refused is one that cannot be made or written to, that another process is at work in, is that
+    of a study, or has a result that may not be replaced, or files that would be replaced and are
+    not those of a result.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -57,6 +62,13 @@ def claim_folder(folder: Path, *, overwrite: bool = False) -> None:
                            hint="Choose another --out.") from error
     if not os.access(folder, os.W_OK | os.X_OK):
         raise TermselError(f"cannot write to the folder {folder}", hint="Choose another --out.")
+    with locked(folder):
+        _refuse_taken(folder, overwrite)
+        yield
+
+
+def _refuse_taken(folder: Path, overwrite: bool) -> None:
+    """Refuse a folder with files that a result would replace."""
     if is_there(folder / JOURNAL):
         raise TermselError("this is the folder of a study, which takes no further result",
                            file=folder, hint="Choose another --out.")

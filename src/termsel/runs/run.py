@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -17,7 +18,7 @@ from termsel.criteria import Criterion
 from termsel.errors import TermselError
 from termsel.formats.rpc_files import with_rpc
 from termsel.io.read import features_of
-from termsel.io.result_folder import claim_folder, write_result
+from termsel.io.result_folder import claimed, write_result
 from termsel.measurements.datasets import DatasetSpec
 from termsel.measurements.features import FeatureSet
 from termsel.models.base import SensorModel
@@ -155,15 +156,20 @@ def run(
                            hint="Give them to termsel.prepare.")
     if not limited:
         limits |= {"generations": task.recipe.generations, "patience": task.recipe.patience}
-    _begin(out, overwrite, SEARCH_COMPILES if kernels.needs_compilation() else 0)
-    verdict = judge_features(task.observations, Portfolio())
-    task, found = search_without_blunders(task, verdict, seed=seed, **limits, observers=observers)
-    # As plain numbers, for the record.
-    budget = convert({
-        name: float(limit) if name == "seconds" else int(limit)
-        for name, limit in limits.items() if limit is not None and math.isfinite(limit)},
-        SearchLimits)
-    return _finished(replace(assessed(task, found, verdict), budget=budget), out)
+
+    def searched() -> Result:
+        verdict = judge_features(task.observations, Portfolio())
+        last, found = search_without_blunders(task, verdict, seed=seed, **limits,
+                                              observers=observers)
+        # As plain numbers, for the record.
+        budget = convert({
+            name: float(limit) if name == "seconds" else int(limit)
+            for name, limit in limits.items() if limit is not None and math.isfinite(limit)},
+            SearchLimits)
+        return replace(assessed(last, found, verdict), budget=budget)
+
+    return _written(searched, out, overwrite,
+                    SEARCH_COMPILES if kernels.needs_compilation() else 0)
 
 
 def problem_for(features: FeatureSet | None, dataset: str | DatasetSpec | None = None) -> str:
@@ -193,21 +199,21 @@ def _chosen(request: Request, seed: int, observers: Iterable[Observer], out: Pat
     observations = observe(setup, LEAST if setup.features.rpc is None else 1)
     # Whether a search of lines follows, which compiles more, is not known yet.
     compiles = len(observations.together) > LEAST and leave_out.needs_compilation()
-    _begin(out, overwrite, AUTO_COMPILES if compiles else 0)
-    return _finished(choose_for(setup, observations, seed, observers), out)
+    return _written(lambda: choose_for(setup, observations, seed, observers), out, overwrite,
+                    AUTO_COMPILES if compiles else 0)
 
 
-def _begin(out: Path | str | None, overwrite: bool, longer: int) -> None:
-    """Claim the folder, and tell how many seconds longer a run takes that compiles, if any."""
-    if out is not None:
-        claim_folder(Path(out), overwrite=overwrite)
-    if longer:
-        log.info("Compiling: the first run on this machine takes some %d s longer.", longer)
+def _written(work: Callable[[], Result], out: Path | str | None, overwrite: bool, longer: int
+             ) -> Result:
+    """Do the work of a run, write its result where that is asked for, and tell the plugins.
 
-
-def _finished(result: Result, out: Path | str | None) -> Result:
-    """Write a result where it is asked for, and tell the plugins."""
-    if out is not None:
-        write_result(result, Path(out))
+    `longer` are the seconds that a run takes longer which compiles, if any.
+    """
+    with nullcontext() if out is None else claimed(Path(out), overwrite=overwrite):
+        if longer:
+            log.info("Compiling: the first run on this machine takes some %d s longer.", longer)
+        result = work()
+        if out is not None:
+            write_result(result, Path(out))
     registry().notify_run_finished(result)
     return result

@@ -12,6 +12,7 @@ from typing import Any
 from termsel.adjustment.kernels import needs_compilation
 from termsel.errors import TermselError, counted
 from termsel.files.atomic import private_folder
+from termsel.files.lock import locked
 from termsel.files.names import JOURNAL
 from termsel.io.export import writer_of
 from termsel.measurements.features import FeatureSet
@@ -22,7 +23,6 @@ from termsel.studies.cells.cell import Cell, cells_of, kind_of
 from termsel.studies.cells.folder import PLAN, keys_by_labels, write_plan
 from termsel.studies.cells.images import IMAGES, folders_of, write_files
 from termsel.studies.cells.journal import Journal, read_journal
-from termsel.studies.cells.lock import locked
 from termsel.studies.execution.executors import deferred, processes, serial
 from termsel.studies.execution.progress import StudyProgress, Tally
 from termsel.studies.execution.work import Outcome, do, failed
@@ -201,7 +201,9 @@ def _begun(stack: ExitStack, place: Path, now: Mapping[str, str]) -> Journal:
     except OSError as error:
         raise TermselError(f"cannot make the folder {place}: {error.strerror}",
                            hint="Choose another --out.") from error
-    stack.enter_context(locked(place))
+    stack.enter_context(locked(
+        place, "Wait for it, or choose another --out. "
+               f"`termsel compare --status {place}` shows how far it is."))
     found = [name for name in (*NAMES, PLAN, IMAGES) if (place / name).exists()]
     if found and not (place / JOURNAL).exists():
         raise TermselError(f"the folder has {found[0]}, but no journal of a study",

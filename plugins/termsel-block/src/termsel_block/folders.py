@@ -15,7 +15,7 @@ import numpy as np
 
 from termsel import FeatureSet, Points, Result, TermselError, require_replaceable, run
 from termsel.files.atomic import write_text
-from termsel.io.result_folder import claim_folder, write_result
+from termsel.io.result_folder import claimed, write_result
 from termsel_block.block import BlockImage
 from termsel_block.joint import BlockResult
 from termsel_block.page import page_of
@@ -83,8 +83,8 @@ def write_block(result: BlockResult, folder: Path | str, *, overwrite: bool = Fa
     claim(folder, names, overwrite=overwrite)
     record = record_of(result)
     for i, name in enumerate(names):
-        claim_folder(folder / name, overwrite=overwrite)
-        write_result(image_result(result, i, record), folder / name)
+        with claimed(folder / name, overwrite=overwrite):
+            write_result(image_result(result, i, record), folder / name)
         if progress is not None:
             progress((i + 1) / len(names))
     for file, text in {

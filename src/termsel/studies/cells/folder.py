@@ -9,10 +9,10 @@ from typing import Any
 
 from termsel.errors import TermselError
 from termsel.files.atomic import write_text
+from termsel.files.lock import holder
 from termsel.formats.base import located, parse_json, read_text
 from termsel.studies.cells.cell import LABELS, Cell
 from termsel.studies.cells.journal import read_journal
-from termsel.studies.cells.lock import holder
 from termsel.studies.execution.progress import StudyProgress, Tally
 from termsel.studies.plan.spec import FILES, PARTS, READING, Part, Source, Spec, spec_of
 from termsel.studies.study import Study

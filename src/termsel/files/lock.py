@@ -1,0 +1,119 @@
+"""One process at a time in the folder of a result or a study."""
+
+from __future__ import annotations
+
+import os
+import platform
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from io import FileIO
+from pathlib import Path
+from typing import Literal
+
+from termsel.errors import TermselError
+
+LOCK = ".lock"
+
+
+@contextmanager
+def locked(folder: Path, hint: str = "Wait for it, or choose another --out.") -> Iterator[None]:
+    """Hold the lock of a folder; the system takes it away from a process that ends.
+
+    Raises TermselError if another process holds it: which one, on which machine and since when.
+    """
+    with _held(folder, hint) as file:
+        try:
+            file.truncate(0)
+            file.write(f"process {os.getpid()} on {platform.node() or 'this machine'} since "
+                       f"{time.strftime('%Y-%m-%d %H:%M:%S')}".encode())
+        except OSError as error:  # the disk is full
+            raise _unwritable(folder, error) from error
+        yield
+
+
+@contextmanager
+def _held(folder: Path, hint: str) -> Iterator[FileIO]:
+    """Yield the file of a lock that is held, and remove the file at the end."""
+    # Who asks for the status holds it for a moment.
+    for i in range(5):
+        if i:
+            time.sleep(0.1)
+        with _opened(folder, "a+b") as file:
+            if not _taken(file):
+                continue
+            if not _is_at(file, folder / LOCK):  # who held it before has removed this file
+                continue
+            try:
+                yield file
+            finally:
+                _remove(file, folder / LOCK)
+            return
+    raise TermselError(f"{holder(folder) or 'another process'} is at work in this folder",
+                       file=folder, hint=hint)
+
+
+def holder(folder: Path) -> str | None:
+    """Return who is at work in a folder: process, machine and since when; None if nobody is."""
+    if not (folder / LOCK).exists():
+        return None
+    with _opened(folder, "r+b") as file:
+        if _taken(file):
+            return None
+        file.seek(0)
+        return file.read(200).decode(errors="replace").strip() or "another process"
+
+
+@contextmanager
+def _opened(folder: Path, mode: Literal["a+b", "r+b"]) -> Iterator[FileIO]:
+    try:
+        file = open(folder / LOCK, mode, buffering=0)  # noqa: SIM115 (closed below)
+    except OSError as error:
+        raise _unwritable(folder, error) from error
+    try:
+        yield file
+    finally:
+        file.close()
+
+
+def _unwritable(folder: Path, error: OSError) -> TermselError:
+    return TermselError(f"cannot write to the folder: {error.strerror or error}", file=folder,
+                        hint="Choose another --out.")
+
+
+def _is_at(file: FileIO, path: Path) -> bool:
+    try:
+        return os.path.samestat(os.fstat(file.fileno()), path.stat())
+    except FileNotFoundError:
+        return False
+
+
+if sys.platform == "win32":
+    import msvcrt
+
+    def _taken(file: FileIO) -> bool:
+        file.seek(1 << 30)  # what is locked cannot be read by others, so not the text itself
+        try:
+            msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)
+        except OSError:
+            return False
+        return True
+
+    def _remove(file: FileIO, path: Path) -> None:
+        file.close()
+        with suppress(OSError):  # another process has opened it by now
+            path.unlink()
+else:
+    import fcntl
+
+    def _taken(file: FileIO) -> bool:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            return False
+        return True
+
+    def _remove(_file: FileIO, path: Path) -> None:
+        with suppress(OSError):  # the folder itself may be gone, or be read-only by now
+            path.unlink()
